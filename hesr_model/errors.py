@@ -1,0 +1,37 @@
+"""Errors that a user can cause.
+
+Each carries one sentence that names the file, the column or key, the row where it applies, what
+was found and what is needed. The command line prints that sentence and exits with 2.
+"""
+
+
+class HesrError(Exception):
+    """Base of every error that a user can cause and mend."""
+
+
+class ConfigError(HesrError):
+    """A TOML file or a command-line argument does not say what is needed."""
+
+
+class LogError(HesrError):
+    """A robot log cannot be used as it is."""
+
+
+class RobotError(HesrError):
+    """A robot description and its kinematic model do not fit together."""
+
+
+class FitError(HesrError):
+    """The data do not determine what was to be estimated."""
+
+
+class ArtifactError(HesrError):
+    """A saved result cannot be read or written."""
+
+
+class ExportError(HesrError):
+    """An FMU cannot be built from the given model."""
+
+
+class SimulationError(HesrError):
+    """A component or a system of FMUs failed while it was running."""

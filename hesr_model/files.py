@@ -1,0 +1,51 @@
+"""Files: found where the package is installed, hashed, and written whole or not at all."""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from hesr_model.errors import ArtifactError
+
+
+def models_folder() -> Path:
+    """Folder of the shipped robots and studies, in a checkout, an editable install and a wheel."""
+    installed = Path(__file__).parent / "_models"
+    return installed if installed.is_dir() else Path(__file__).parents[1] / "models"
+
+
+def sha256(path: Path) -> str:
+    """Hex SHA-256 of a file's bytes."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Yield a temporary path in the same folder that becomes `path` when the block succeeds.
+
+    On any exception, an interrupt included, the temporary file is removed and a file that stood
+    at `path` stays as it was.
+
+    Raises
+    ------
+    ArtifactError
+        If the folder cannot be created or written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix)
+        os.close(handle)
+    except OSError as error:
+        raise ArtifactError(f"{path}: cannot be written there ({error.strerror}).") from error
+    temporary = Path(name)
+    try:
+        yield temporary
+        # mkstemp makes files private; a result has the mode that any new file would have.
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
