@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,6 +23,33 @@ def sha256(path: Path) -> str:
 
 
 @contextmanager
+def folder_written_whole(path: Path) -> Iterator[Path]:
+    """Yield a temporary folder whose files move into `path` when the block succeeds.
+
+    Files of the same name are replaced, others that stand in `path` are left alone. On any
+    exception nothing at `path` has changed.
+
+    Raises
+    ------
+    ArtifactError
+        If the folder cannot be created or written; found out before the block runs.
+    """
+    try:
+        existing = next(p for p in (path, *path.parents) if p.exists())
+        temporary = Path(tempfile.mkdtemp(dir=existing, prefix=".hesr-"))
+    except OSError as error:
+        raise ArtifactError(f"{path}: cannot be written there ({error.strerror}).") from error
+    try:
+        yield temporary
+        for file in sorted(p for p in temporary.rglob("*") if p.is_file()):
+            target = path / file.relative_to(temporary)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(target)
+    finally:
+        shutil.rmtree(temporary)
+
+
+@contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the same folder that becomes `path` when the block succeeds.
 
@@ -35,7 +63,9 @@ def written_whole(path: Path) -> Iterator[Path]:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix)
+        handle, name = tempfile.mkstemp(
+            dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix
+        )
         os.close(handle)
     except OSError as error:
         raise ArtifactError(f"{path}: cannot be written there ({error.strerror}).") from error

@@ -1,0 +1,1 @@
+"""Co-simulation: systems of FMUs, run and reported."""

@@ -1,0 +1,76 @@
+"""Run a friction FMU over a log."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cosim.component import Array, Component
+from hesr_model.errors import SimulationError
+from hesr_model.friction.functions import INPUTS
+
+
+def replay(
+    fmu: Path,
+    t: ArrayLike,
+    dq: ArrayLike,
+    q: ArrayLike | None = None,
+    tau_load: ArrayLike | None = None,
+    start: Mapping[str, float] | None = None,
+) -> Array:
+    """Return the friction torque that an FMU computes for a log.
+
+    Sample 0 is set before the initialisation and read after it; then each sample is set, the FMU
+    steps from the time of the sample before to its own, and is read.
+
+    Parameters
+    ----------
+    fmu : a friction FMU.
+    t : (N,) time [s], increasing.
+    dq : (N, n) joint velocity [rad/s].
+    q : (N, n) joint position [rad]; zero where not given.
+    tau_load : (N, n) load torque [N.m]; zero where not given.
+    start : parameters and start values of states by name, as {"h[1]": 0.2}.
+
+    Returns
+    -------
+    (N, n) friction torque [N.m].
+
+    Raises
+    ------
+    SimulationError
+        If the log does not fit the FMU, or the FMU fails.
+    """
+    time = np.asarray(t, dtype=float)
+    with Component(fmu) as component:
+        joints = sum(v.name.startswith("tau[") for v in component.description.modelVariables)
+        zero = np.zeros((len(time), joints))
+        parts = [zero if part is None else np.asarray(part, dtype=float)
+                 for part in (dq, q, tau_load)]  # fmt: skip
+        for symbol, part in zip(INPUTS, parts, strict=True):
+            if part.shape != zero.shape:
+                raise SimulationError(
+                    f"{fmu}: '{symbol}' has the shape {part.shape}; needed is {zero.shape}, "
+                    f"{len(time)} samples of {joints} joints."
+                )
+        if np.any(np.diff(time) <= 0.0):
+            row = int(np.argmax(np.diff(time) <= 0.0)) + 1
+            raise SimulationError(f"{fmu}: time does not increase at row {row} of the log.")
+        indices = range(1, joints + 1)
+        inputs = component.batch([f"{symbol}[{i}]" for symbol in INPUTS for i in indices])
+        outputs = component.batch([f"tau[{i}]" for i in indices])
+        rows = np.hstack(parts)
+        torque = np.empty_like(zero)
+        component.enter_initialisation(time=float(time[0]), start=start)
+        inputs.values[:] = rows[0]
+        inputs.write()
+        component.exit_initialisation()
+        torque[0] = outputs.read()
+        instants = time.tolist()
+        for k in range(1, len(instants)):
+            inputs.values[:] = rows[k]
+            inputs.write()
+            component.step(instants[k - 1], instants[k] - instants[k - 1])
+            torque[k] = outputs.read()
+    return torque

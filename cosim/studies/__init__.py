@@ -1,0 +1,1 @@
+"""The studies: each takes its configuration and returns a result."""

@@ -1,0 +1,332 @@
+"""Run the digital twin along the motions of a study and write its logs."""
+
+import hashlib
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+
+from fmu_src.arm.plant import Arm, ArmOutput, Noise, Plant
+from hesr_model.config import Config, read_toml
+from hesr_model.errors import ConfigError
+from hesr_model.noise import words
+from hesr_model.robot_log import RobotLog
+from hesr_model.trajectories import Sine, Sweep, Trajectory, chirp, random_fourier
+
+Array = NDArray[np.float64]
+PerJoint = Annotated[tuple[float, ...], Field(min_length=1)]
+
+_log = logging.getLogger(__name__)
+
+
+class _Motion(Config):
+    """What every motion has.
+
+    Attributes
+    ----------
+    name
+        Of the log, and of its file.
+    also_reversed
+        Whether the time-reversed motion is run, too, as ``<name>_reversed``.
+    """
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
+    also_reversed: bool = False
+
+    @property
+    def unlogged(self) -> float:
+        """Time that is run before the log begins [s]."""
+        return 0.0
+
+
+class FourierMotion(_Motion):
+    """Fourier series drawn from a seed; see `hesr_model.trajectories.random_fourier`.
+
+    Attributes
+    ----------
+    periods, unlogged_periods
+        How many periods are run, and how many of the first ones are not logged.
+    """
+
+    kind: Literal["fourier"]
+    seed: int
+    harmonics: int = Field(ge=2)
+    period: float = Field(gt=0)
+    peak_velocity: PerJoint
+    offset: PerJoint
+    periods: int = Field(default=1, ge=1)
+    unlogged_periods: int = Field(default=0, ge=0)
+
+    @property
+    def unlogged(self) -> float:
+        """Time that is run before the log begins [s]."""
+        return self.unlogged_periods * self.period
+
+    def trajectory(self) -> Trajectory:
+        """Return the motion in closed form."""
+        return random_fourier(
+            seed=self.seed,
+            harmonics=self.harmonics,
+            period=self.period,
+            peak_velocity=np.array(self.peak_velocity),
+            offset=np.array(self.offset),
+            periods=self.periods,
+        )
+
+
+class SineMotion(_Motion):
+    """Sine; see `hesr_model.trajectories.Sine`."""
+
+    kind: Literal["sine"]
+    frequency: float = Field(gt=0)
+    amplitude: PerJoint
+    offset: PerJoint
+    periods: int = Field(ge=1)
+
+    def trajectory(self) -> Trajectory:
+        """Return the motion in closed form."""
+        return Sine(
+            offset=np.array(self.offset),
+            amplitude=np.array(self.amplitude),
+            frequency=self.frequency,
+            periods=self.periods,
+        )
+
+
+class ChirpMotion(_Motion):
+    """Chirp of constant peak velocity; see `hesr_model.trajectories.chirp`."""
+
+    kind: Literal["chirp"]
+    first: float = Field(gt=0)
+    last: float = Field(gt=0)
+    length: float = Field(gt=0)
+    amplitude: PerJoint
+    start: PerJoint
+
+    def trajectory(self) -> Trajectory:
+        """Return the motion in closed form."""
+        return chirp(
+            start=np.array(self.start),
+            amplitude=np.array(self.amplitude),
+            first=self.first,
+            last=self.last,
+            length=self.length,
+        )
+
+
+class SweepMotion(_Motion):
+    """Sweep whose amplitude swings; see `hesr_model.trajectories.Sweep`."""
+
+    kind: Literal["sweep"]
+    first: float = Field(gt=0)
+    last: float = Field(gt=0)
+    length: float = Field(gt=0)
+    amplitude: PerJoint
+    swing: PerJoint
+    swing_phase: PerJoint
+    swing_period: float = Field(gt=0)
+    start: PerJoint
+
+    def trajectory(self) -> Trajectory:
+        """Return the motion in closed form."""
+        return Sweep(
+            start=np.array(self.start),
+            amplitude=np.array(self.amplitude),
+            swing=np.array(self.swing),
+            phase=np.array(self.swing_phase),
+            swing_period=self.swing_period,
+            first=self.first,
+            last=self.last,
+            length=self.length,
+        )
+
+
+Motion = Annotated[
+    FourierMotion | SineMotion | ChirpMotion | SweepMotion, Field(discriminator="kind")
+]
+
+
+class Motions(Config):
+    """The motions of a study, each of which becomes a log (or two, see `_Motion`)."""
+
+    motions: tuple[Motion, ...] = Field(min_length=1)
+
+    @field_validator("motions")
+    @classmethod
+    def _names_differ(cls, motions: tuple[Motion, ...]) -> tuple[Motion, ...]:
+        names = [name for motion in motions for name in _names(motion)]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two logs would be named '{name}'; names must differ")
+        return motions
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a file of motions.
+
+        Raises
+        ------
+        ConfigError
+            Naming the file, the key, what was found and what is needed.
+        """
+        return read_toml(path, cls)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """One motion of the twin: what its log says, and what was true.
+
+    Attributes
+    ----------
+    log
+        Noisy position and torque, and the velocity that follows from the position: central
+        differences over two samples, so that it is noisy, but not late.
+    truth
+        Without noise, (N, n) each, at the times of the log.
+    desired
+        (N, n) position that was commanded [rad].
+    """
+
+    log: RobotLog
+    truth: ArmOutput
+    desired: Array
+
+    @property
+    def tracking_error(self) -> Array:
+        """True minus desired position (N, n) [rad]."""
+        return self.truth.q - self.desired
+
+
+def excite(
+    motions: Motions, plant: Plant, folder: Path, *, seed: int | None = None
+) -> dict[str, Path]:
+    """Run the arm along every motion and write one CSV each.
+
+    Parameters
+    ----------
+    motions
+        What to run.
+    plant
+        The arm.
+    folder
+        Where the logs go, as ``<name>.csv``; created if need be.
+    seed
+        Of the noise, in place of the plant file's.
+
+    Returns
+    -------
+    dict
+        Name of each log to its file, in the order of the motions.
+
+    Raises
+    ------
+    ConfigError
+        If a motion does not fit the arm or leaves its joint limits.
+    ArtifactError
+        If a log cannot be written.
+    """
+    paths = {}
+    for recording in recordings(motions, plant, seed=seed):
+        path = folder / f"{recording.log.name}.csv"
+        recording.log.write(path)
+        paths[recording.log.name] = path
+        worst = np.abs(recording.tracking_error).max() * 1e3
+        _log.info("%s: %d samples, at most %.0f mrad off", path, len(recording.log.t), worst)
+    return paths
+
+
+def recordings(motions: Motions, plant: Plant, *, seed: int | None = None) -> Iterator[Recording]:
+    """Run the arm along every motion, with the truth beside each log; see `excite`."""
+    arm = Arm(plant)
+    noise = plant.noise if seed is None else plant.noise.model_copy(update={"seed": seed})
+    for motion in motions.motions:
+        forward = motion.trajectory()
+        both = (forward, forward.time_reversed())
+        for name, trajectory in zip(_names(motion), both, strict=False):
+            yield record(arm, trajectory, noise, name=name, unlogged=motion.unlogged)
+
+
+def record(
+    arm: Arm, trajectory: Trajectory, noise: Noise, *, name: str, unlogged: float = 0.0
+) -> Recording:
+    """Run the arm along one motion from rest and log it.
+
+    The arm is commanded the mean desired velocity over each sample period: what its servo
+    integrates is then the desired position itself, without drift.
+
+    Parameters
+    ----------
+    noise
+        Its seed is combined with `name`, so that every log has noise of its own, whatever other
+        logs are recorded beside it.
+    unlogged
+        Time that is run before the log begins [s].
+
+    Raises
+    ------
+    ConfigError
+        If the motion has another number of joints, leaves the joint limits, or is over before
+        the log begins.
+    """
+    rate = arm.plant.sample_rate
+    first, count = round(unlogged * rate), round(trajectory.duration * rate)
+    if count - first < 2:
+        raise ConfigError(
+            f"motion '{name}': lasts {trajectory.duration:g} s of which {unlogged:g} s are not "
+            f"logged; at least two samples at {rate:g} Hz must be left."
+        )
+    desired = trajectory.sample(np.arange(count + 1) / rate)[0]
+    _require_reachable(arm, desired, name)
+    commands = np.diff(desired, axis=0) * rate
+    output = arm.reset(desired[0])
+    outputs = []
+    for command in commands:
+        outputs.append(output)
+        output = arm.step(command, 1 / rate)
+    kept = outputs[first:]
+    truth = ArmOutput(
+        q=np.array([sample.q for sample in kept]),
+        dq=np.array([sample.dq for sample in kept]),
+        tau_meas=np.array([sample.tau_meas for sample in kept]),
+        tau_f_true=np.array([sample.tau_f_true for sample in kept]),
+    )
+    counter = np.arange(len(kept))
+    own = noise.model_copy(update={"seed": _seed_of_log(noise.seed, name)})
+    q = truth.q + own.encoder_error(counter)
+    log = RobotLog(
+        name=name,
+        t=counter / rate,
+        q=q,
+        dq=np.gradient(q, 1 / rate, axis=0),
+        tau=truth.tau_meas + own.torque_error(counter),
+    )
+    return Recording(log=log, truth=truth, desired=desired[first:count])
+
+
+def _names(motion: Motion) -> tuple[str, ...]:
+    """Names of the logs that a motion gives."""
+    return (motion.name, f"{motion.name}_reversed") if motion.also_reversed else (motion.name,)
+
+
+def _seed_of_log(seed: int, name: str) -> int:
+    stream = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
+    return int(words(seed, stream, 0))
+
+
+def _require_reachable(arm: Arm, desired: Array, name: str) -> None:
+    joints = arm.plant.joints
+    if desired.shape[1] != len(joints):
+        raise ConfigError(
+            f"motion '{name}': is for {desired.shape[1]} joints; the arm has {len(joints)}."
+        )
+    for joint, (lower, upper), path in zip(joints, arm.limits, desired.T, strict=True):
+        if path.min() < lower or path.max() > upper:
+            raise ConfigError(
+                f"motion '{name}': takes {joint} from {path.min():.3f} to {path.max():.3f} rad; "
+                f"it can go from {lower:.3f} to {upper:.3f} rad."
+            )

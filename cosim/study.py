@@ -1,0 +1,89 @@
+"""A study: which logs identify, train and test, on which robot, with which laws."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import Field, model_validator
+
+from hesr_model.config import Config, RelativePath, read_toml
+
+
+class Twin(Config):
+    """Logs that the digital twin makes, instead of measured ones.
+
+    Attributes
+    ----------
+    plant : file of the arm.
+    motions : file of the motions; each becomes a log of its name.
+    """
+
+    plant: RelativePath
+    motions: RelativePath
+
+
+class StudyLogs(Config):
+    """Which logs serve for what: files beside the study, or names of the twin's motions.
+
+    Attributes
+    ----------
+    identification : logs from which the rigid body is identified.
+    reversed : their time-reversed counterparts, where there are any, in the same order.
+    friction : logs on which the laws are trained; those of the identification if left out.
+    test : sets of logs on which the laws are compared, by a name of the set.
+    """
+
+    identification: tuple[str, ...] = Field(min_length=1)
+    reversed: tuple[str, ...] = ()
+    friction: tuple[str, ...] = ()
+    test: Mapping[str, tuple[str, ...]] = Field(min_length=1)
+
+    @property
+    def training(self) -> tuple[str, ...]:
+        """Logs on which the laws are trained."""
+        return self.friction or self.identification
+
+    @model_validator(mode="after")
+    def _tests_are_unseen(self) -> Self:
+        seen = {*self.identification, *self.reversed, *self.training}
+        for name, logs in self.test.items():
+            if not logs:
+                raise ValueError(f"test set '{name}' has no log")
+            for log in logs:
+                if log in seen:
+                    raise ValueError(f"log '{log}' of test set '{name}' is also trained on")
+        return self
+
+
+class Study(Config):
+    """What `hesr run` does.
+
+    Attributes
+    ----------
+    name : of the study and of its folder of results.
+    robot : robot file.
+    seed : of every fit.
+    laws : names in the registry; all laws if left out.
+    options : hyper-parameters of estimators, by law.
+    twin : where the logs come from the digital twin.
+    logs : which logs serve for what.
+    """
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
+    robot: RelativePath
+    seed: int = Field(default=0, ge=0)
+    laws: tuple[str, ...] = ()
+    options: Mapping[str, Mapping[str, Any]] = {}
+    twin: Twin | None = None
+    logs: StudyLogs
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a study.
+
+        Raises
+        ------
+        ConfigError
+            Naming the file, the key, what was found and what is needed.
+        """
+        return read_toml(path, cls)

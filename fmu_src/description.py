@@ -1,0 +1,209 @@
+"""modelDescription.xml of an FMU for co-simulation, from its interface."""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from xml.etree import ElementTree as ET
+
+from fmu_src.interface import ATTRIBUTES, Enumeration, Interface, Variable
+from hesr_model.errors import ExportError
+
+# Exponents of FMI's base units for each name from which our units are built.
+_BASE: Mapping[str, Mapping[str, int]] = {
+    "1": {},
+    "kg": {"kg": 1},
+    "m": {"m": 1},
+    "s": {"s": 1},
+    "A": {"A": 1},
+    "rad": {"rad": 1},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "J": {"kg": 1, "m": 2, "s": -2},
+    "W": {"kg": 1, "m": 2, "s": -3},
+}
+_FACTOR = re.compile(r"([A-Za-z]+|1)(-?[0-9]+)?")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """What modelDescription.xml says of an FMU besides its variables.
+
+    Attributes
+    ----------
+    name : name of the model, for people.
+    identifier : C identifier: name of the binaries.
+    text : one sentence of description.
+    version : version of the exporter.
+    created : date and time, ISO 8601 in UTC with a final Z.
+    step : preferred step size [s].
+    sources : names of the files in sources/ to be compiled.
+    """
+
+    name: str
+    identifier: str
+    text: str
+    version: str
+    created: str
+    step: float
+    sources: tuple[str, ...]
+
+
+def si_exponents(unit: str) -> dict[str, int]:
+    """Return the exponents of kg, m, s, A and rad of a unit such as "N.m.s/rad".
+
+    Dots multiply; all that follows the slash divides, in parentheses if it has several factors.
+
+    Raises
+    ------
+    ExportError
+        If the unit has a part that is not known.
+    """
+    exponents: dict[str, int] = {}
+    for i, group in enumerate(unit.split("/")):
+        for factor in group.removeprefix("(").removesuffix(")").split("."):
+            match = _FACTOR.fullmatch(factor)
+            if match is None or match[1] not in _BASE:
+                raise ExportError(
+                    f"unit '{unit}': '{factor}' is unknown; known are {', '.join(_BASE)}."
+                )
+            power = int(match[2] or 1) * (-1 if i else 1)
+            for base, exponent in _BASE[match[1]].items():
+                exponents[base] = exponents.get(base, 0) + power * exponent
+    return {base: exponent for base, exponent in exponents.items() if exponent}
+
+
+def to_xml(table: Interface, about: Description, guid: str) -> bytes:
+    """Return modelDescription.xml.
+
+    Outputs and derivatives declare what they depend on, since importers take a missing list for
+    "everything" and then see algebraic loops where there are none.
+    """
+    derivatives = [v for v in table.variables if v.derivative_of]
+    root = ET.Element(
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=about.name,
+        guid=guid,
+        description=about.text,
+        version=about.version,
+        license="MIT",
+        generationTool=f"HESR {about.version}",
+        generationDateAndTime=about.created,
+        variableNamingConvention="structured",
+        numberOfEventIndicators="0",
+    )
+    slave = ET.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=about.identifier,
+        needsExecutionTool="false",
+        canHandleVariableCommunicationStepSize="true",
+        canInterpolateInputs="true",
+        maxOutputDerivativeOrder="0",
+        canRunAsynchronuously="false",
+        canBeInstantiatedOnlyOncePerProcess="false",
+        canNotUseMemoryManagementFunctions="true",
+        canGetAndSetFMUstate="true",
+        canSerializeFMUstate="true",
+        providesDirectionalDerivative="false",
+    )
+    files = ET.SubElement(slave, "SourceFiles")
+    for source in about.sources:
+        ET.SubElement(files, "File", name=source)
+    _units(root, table)
+    _types(root, table)
+    categories = ET.SubElement(root, "LogCategories")
+    ET.SubElement(categories, "Category", name="logStatusError", description="why a call failed")
+    ET.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(about.step))
+    variables = ET.SubElement(root, "ModelVariables")
+    for i, variable in enumerate(table.variables):
+        variables.append(_scalar(variable, i, table))
+    structure = ET.SubElement(root, "ModelStructure")
+    outputs = [v for v in table.variables if v.role == "output"]
+    _unknowns(structure, "Outputs", outputs, table, ("input", "state"))
+    _unknowns(structure, "Derivatives", derivatives, table, ("input", "state"))
+    initial = [v for v in table.variables if v in outputs or v.derivative_of]
+    known = ("input", "state", "fixed", "tunable")
+    _unknowns(structure, "InitialUnknowns", initial, table, known)
+    ET.indent(root)
+    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+
+
+def _units(root: ET.Element, table: Interface) -> None:
+    names = dict.fromkeys(v.unit for v in table.variables if v.unit)
+    definitions = ET.SubElement(root, "UnitDefinitions")
+    for name in names:
+        unit = ET.SubElement(definitions, "Unit", name=name)
+        ET.SubElement(unit, "BaseUnit", {b: str(e) for b, e in si_exponents(name).items()})
+
+
+def _types(root: ET.Element, table: Interface) -> None:
+    enumerations: dict[str, Enumeration] = {
+        v.enumeration.name: v.enumeration for v in table.variables if v.enumeration
+    }
+    if not enumerations:
+        return
+    definitions = ET.SubElement(root, "TypeDefinitions")
+    for enumeration in enumerations.values():
+        simple = ET.SubElement(definitions, "SimpleType", name=enumeration.name)
+        items = ET.SubElement(simple, "Enumeration")
+        for value, (name, text) in enumerate(enumeration.items, start=1):
+            ET.SubElement(items, "Item", name=name, value=str(value), description=text)
+
+
+def _scalar(variable: Variable, reference: int, table: Interface) -> ET.Element:
+    causality, variability, initial = ATTRIBUTES[variable.role]
+    attributes = {
+        "name": variable.name,
+        "valueReference": str(reference),
+        "description": variable.description,
+        "causality": causality,
+        "variability": variability,
+    }
+    if initial:
+        attributes["initial"] = initial
+    element = ET.Element("ScalarVariable", attributes)
+    if variable.enumeration:
+        ET.SubElement(
+            element,
+            "Enumeration",
+            declaredType=variable.enumeration.name,
+            start=str(int(variable.start)),
+        )
+        return element
+    real = {"unit": variable.unit or "1"}
+    if not variable.computed:
+        real["start"] = repr(float(variable.start))
+    if variable.derivative_of:
+        real["derivative"] = _index(table, variable.derivative_of)
+    ET.SubElement(element, "Real", real)
+    return element
+
+
+def _unknowns(
+    structure: ET.Element,
+    kind: str,
+    unknowns: Iterable[Variable],
+    table: Interface,
+    known: tuple[str, ...],
+) -> None:
+    unknowns = list(unknowns)
+    if not unknowns:
+        return
+    parent = ET.SubElement(structure, kind)
+    for variable in unknowns:
+        numbers = sorted(
+            table.references[name] + 1
+            for name in variable.dependencies
+            if table.variables[table.references[name]].role in known
+        )
+        ET.SubElement(
+            parent,
+            "Unknown",
+            index=_index(table, variable.name),
+            dependencies=" ".join(map(str, numbers)),
+        )
+
+
+def _index(table: Interface, name: str) -> str:
+    """FMI counts ScalarVariables from 1."""
+    return str(table.references[name] + 1)

@@ -1,0 +1,159 @@
+"""A friction model in, an FMU out: render, compile, zip, validate."""
+
+import hashlib
+import os
+import re
+import zipfile
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from fmu_src import friction
+from fmu_src.description import Description, to_xml
+from fmu_src.documentation import to_html
+from fmu_src.interface import Interface, to_c
+from fmu_src.toolchain import build, targets
+from hesr_model.errors import ExportError
+from hesr_model.files import written_whole
+from hesr_model.friction.law import FrictionModel
+
+_HERE = Path(__file__).parent
+_GLUE = (
+    "component.h",
+    "fmi2.c",
+    "fmi2.h",
+    "fmi2_instance.h",
+    "fmi2_state.c",
+    "fmi2_variables.c",
+    "variable.h",
+)
+_FRICTION = ("friction.c", "law_math.h")
+
+_ALL_C = """\
+/* The whole FMU as one translation unit: compile this file and no other. */
+#ifdef __clang__
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+"""
+
+# Files without a date of their own get the first that a ZIP archive can hold.
+_NO_DATE = datetime(1980, 1, 1, tzinfo=UTC)
+
+
+def export_fmu(
+    model: FrictionModel, path: Path, *, platforms: Sequence[str] = ("linux64",)
+) -> Path:
+    """Write a friction model as an FMI 2.0 co-simulation FMU.
+
+    The same model gives the same bytes. The date in it is that of SOURCE_DATE_EPOCH, else that of
+    the model's provenance ("created"), else a fixed one.
+
+    Parameters
+    ----------
+    model : one law for each joint.
+    path : the FMU to write, ending in .fmu.
+    platforms : names of `toolchain.TARGETS`, or "all".
+
+    Returns
+    -------
+    `path`.
+
+    Raises
+    ------
+    ExportError
+        If the model cannot be expressed in C or FMI, or a binary cannot be built.
+    ArtifactError
+        If `path` cannot be written.
+    """
+    if path.suffix != ".fmu":
+        raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
+    wanted = targets(platforms)
+    table = friction.interface(model)
+    about = _about(model)
+    sources = _sources(model, table)
+    guid = _guid(table, about, sources)
+    sources["interface.h"] = to_c(table, guid)
+    members: dict[str, bytes] = {
+        "modelDescription.xml": to_xml(table, about, guid),
+        "documentation/index.html": to_html(model, table, about).encode(),
+        "documentation/licenses/license.txt": (_HERE / "templates/license.txt").read_bytes(),
+    }
+    members |= {f"sources/{name}": text.encode() for name, text in sorted(sources.items())}
+    with TemporaryDirectory(prefix="hesr-") as folder:
+        for name, text in sources.items():
+            Path(folder, name).write_text(text, encoding="utf-8")
+        for target in wanted:
+            library = build(Path(folder, "all.c"), about.identifier, target)
+            members[f"binaries/{target.folder}/{about.identifier}{target.suffix}"] = library
+    with written_whole(path) as temporary:
+        _zip(temporary, members, datetime.fromisoformat(about.created))
+        _validate(temporary, path)
+    return path
+
+
+def _about(model: FrictionModel) -> Description:
+    identifier = re.sub(r"\W", "_", f"friction_{model.law}", flags=re.ASCII)
+    return Description(
+        name=f"Friction of {model.robot} by {model.law}",
+        identifier=identifier,
+        text=f"Joint friction torque of {len(model.joints)} joints from their motion.",
+        version=version("hesr"),
+        created=_created(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        step=model.sample_time,
+        sources=("all.c",),
+    )
+
+
+def _created(model: FrictionModel) -> datetime:
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    created = model.provenance.get("created")
+    try:
+        if epoch is not None:
+            return max(_NO_DATE, datetime.fromtimestamp(int(epoch), tz=UTC))
+        if created is not None:
+            date = datetime.fromisoformat(str(created))
+            return max(_NO_DATE, date.astimezone(UTC) if date.tzinfo else date.replace(tzinfo=UTC))
+    except (ValueError, OverflowError, OSError) as error:
+        found = f"SOURCE_DATE_EPOCH is '{epoch}'" if epoch else f"'created' is '{created}'"
+        raise ExportError(f"{found}; needed is a date.") from error
+    return _NO_DATE
+
+
+def _sources(model: FrictionModel, table: Interface) -> dict[str, str]:
+    names = (*_GLUE, *_FRICTION)
+    files = {name: (_HERE / "c" / name).read_text(encoding="utf-8") for name in names}
+    files["laws.h"] = friction.laws_to_c(model, table)
+    parts = [name for name in names if name.endswith(".c")]
+    files["all.c"] = _ALL_C + "".join(f'#include "{name}"\n' for name in parts)
+    return files
+
+
+def _guid(table: Interface, about: Description, sources: Mapping[str, str]) -> str:
+    """Return a GUID of all content that is not itself made from the GUID."""
+    content = hashlib.sha256(to_xml(table, about, ""))
+    content.update(to_c(table, "").encode())
+    for name, text in sorted(sources.items()):
+        content.update(f"\0{name}\0{text}".encode())
+    digest = content.hexdigest()
+    return f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"
+
+
+def _zip(path: Path, members: Mapping[str, bytes], date: datetime) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in members.items():
+            entry = zipfile.ZipInfo(name, date.timetuple()[:6])
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.create_system = 3  # Unix, wherever it is made
+            entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
+            archive.writestr(entry, content, compresslevel=9)
+
+
+def _validate(temporary: Path, path: Path) -> None:
+    from fmpy.validation import validate_fmu  # slow to import
+
+    problems = validate_fmu(str(temporary))
+    if problems:
+        raise ExportError(f"{path}: not a valid FMU: {problems[0]}")

@@ -1,0 +1,145 @@
+"""The C compiler: one for all targets, the same bytes on every host."""
+
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from hesr_model.errors import ExportError
+
+CFLAGS = (
+    "-std=c99",
+    "-O2",
+    # Contracted multiply-adds would make results differ between targets.
+    "-ffp-contract=off",
+    "-fvisibility=hidden",
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Werror",
+)
+_LINK = ("-shared", "-g0", "-s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """Where a binary runs.
+
+    Attributes
+    ----------
+    folder : folder under binaries/ in the FMU.
+    suffix : suffix of the shared library.
+    triples : the compiler's names of the target; several make one universal file.
+    flags : flags for this target alone; `{library}` is the name of the library.
+    """
+
+    folder: str
+    suffix: str
+    triples: tuple[str, ...]
+    flags: tuple[str, ...] = ()
+
+
+# glibc 2.17 is that of the oldest systems which tools still support. FMI 2.0 has no folder for
+# 64-bit ARM Linux; the one here is that which importers look for.
+_ELF = ("-fPIC", "-Wl,--build-id=none", "-lm")
+_MACH_O = ("-fPIC", "-Wl,-install_name,@rpath/{library}")
+TARGETS: Mapping[str, Target] = {
+    target.folder: target
+    for target in (
+        Target(folder="linux64", suffix=".so", triples=("x86_64-linux-gnu.2.17",), flags=_ELF),
+        Target(folder="win64", suffix=".dll", triples=("x86_64-windows-gnu",)),
+        Target(
+            folder="darwin64",
+            suffix=".dylib",
+            triples=("x86_64-macos.11.0", "aarch64-macos.11.0"),
+            flags=_MACH_O,
+        ),
+        Target(
+            folder="aarch64-linux", suffix=".so", triples=("aarch64-linux-gnu.2.17",), flags=_ELF
+        ),
+    )
+}
+
+
+def targets(platforms: Sequence[str]) -> tuple[Target, ...]:
+    """Return the targets of these names; "all" stands for every one.
+
+    Raises
+    ------
+    ExportError
+        If a name is unknown or there is none.
+    """
+    for name in platforms:
+        if name not in TARGETS and name != "all":
+            raise ExportError(
+                f"platform '{name}' is unknown; known are {', '.join(TARGETS)} and 'all'."
+            )
+    if not platforms:
+        raise ExportError(f"no platform is given; known are {', '.join(TARGETS)} and 'all'.")
+    return tuple(t for name, t in TARGETS.items() if name in platforms or "all" in platforms)
+
+
+def build(source: Path, identifier: str, target: Target) -> bytes:
+    """Compile one translation unit to a shared library and return its bytes.
+
+    Raises
+    ------
+    ExportError
+        If the compiler fails, with the first line of what it says.
+    """
+    library = identifier + target.suffix
+    with tempfile.TemporaryDirectory(prefix="hesr-") as folder:
+        parts = []
+        for triple in target.triples:
+            # A folder for each part: the linker writes import libraries and the like beside it.
+            output = Path(folder, triple, library)
+            output.parent.mkdir()
+            flags = [flag.format(library=library) for flag in target.flags]
+            compile_c(source, ("-target", triple, *CFLAGS, *_LINK), output, flags)
+            parts.append(output.read_bytes())
+    return parts[0] if len(parts) == 1 else universal(parts)
+
+
+def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[str] = ()) -> None:
+    """Run the compiler on one source file.
+
+    Raises
+    ------
+    ExportError
+        If it fails, with the first line of what it says.
+    """
+    command = [sys.executable, "-m", "ziglang", "cc", *flags, "-o", str(output), source.name, *last]
+    try:
+        # In the sources' own folder, so that no path of this machine gets into the binary.
+        result = subprocess.run(
+            command, cwd=source.parent, capture_output=True, text=True, check=False
+        )
+    except OSError as error:
+        raise ExportError(f"the C compiler cannot be run ({error.strerror}).") from error
+    if result.returncode:
+        lines = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
+        raise ExportError(f"{output.name}: the C compiler failed: {lines[0].strip()}.")
+
+
+_FAT_MAGIC = 0xCAFEBABE
+_MACH_MAGIC_64 = 0xFEEDFACF
+_PAGE_BITS = 14  # slices begin at pages of 16 KiB, the larger of the two architectures' pages
+
+
+def universal(parts: Sequence[bytes]) -> bytes:
+    """Join 64-bit Mach-O files of different architectures into one universal file."""
+    page = 1 << _PAGE_BITS
+    header = struct.pack(">II", _FAT_MAGIC, len(parts))
+    offset, body = page, b""
+    for part in parts:
+        magic, cpu, subtype = struct.unpack_from("<III", part)
+        if magic != _MACH_MAGIC_64:
+            raise ValueError("not a 64-bit Mach-O file")
+        header += struct.pack(">IIIII", cpu, subtype, offset, len(part), _PAGE_BITS)
+        padded = part.ljust(-(-len(part) // page) * page, b"\0")
+        body += padded
+        offset += len(padded)
+    return header.ljust(page, b"\0") + body

@@ -1,0 +1,84 @@
+"""The interface of estimators and the one registry in which they stand.
+
+An estimator turns friction records of one joint into a frozen law. Hyper-parameters go into the
+constructor, data into `fit`, randomness through a passed generator. To add a law, write one class
+with `form` and `fit`, decorate it with `register` and list its module in `friction/laws.py`.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+
+from hesr_model.errors import ArtifactError
+from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.residual import FrictionRecord
+
+
+class Estimator(ABC):
+    """Fits one law to the friction records of one joint.
+
+    Class attributes
+    ----------------
+    name : key in the registry and in artifacts.
+    title : the name that people use.
+    equation : the law in one line of text.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    equation: ClassVar[str]
+
+    @staticmethod
+    @abstractmethod
+    def form(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions that `structure` selects (JSON data, checked here).
+
+        Raises
+        ------
+        ArtifactError
+            If the structure is not one of this law.
+        """
+
+    @abstractmethod
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Return the law that explains the records' `tau` [N.m] best.
+
+        Raises
+        ------
+        FitError
+            If the records do not determine the law.
+        """
+
+
+_REGISTRY: dict[str, type[Estimator]] = {}
+
+Registered = TypeVar("Registered", bound=type[Estimator])
+
+
+def register(estimator: Registered) -> Registered:
+    """Enter an estimator under its name."""
+    _REGISTRY[estimator.name] = estimator
+    return estimator
+
+
+def registry() -> Mapping[str, type[Estimator]]:
+    """All estimators by name, in the order in which they were registered."""
+    from hesr_model.friction import laws  # noqa: F401 - importing it fills the registry
+
+    return _REGISTRY
+
+
+def estimator(name: str) -> type[Estimator]:
+    """Return the estimator of that name.
+
+    Raises
+    ------
+    ArtifactError
+        If there is none, naming those that there are.
+    """
+    known = registry()
+    if name not in known:
+        raise ArtifactError(f"law '{name}' is unknown; known are {', '.join(known)}.")
+    return known[name]

@@ -1,0 +1,129 @@
+"""Fit laws to all joints of a robot, each joint and law in a process of its own."""
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from hesr_model.errors import FitError
+from hesr_model.friction.estimator import estimator
+from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.residual import FrictionRecord
+
+Progress = Callable[[int, int], None]
+"""Called with how many fits are done and how many there are."""
+
+
+def _leave_interrupts_to_parent() -> None:
+    """Let Ctrl-C be answered once, by the parent, which stops its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def fit_joint(
+    law: str,
+    records: Sequence[FrictionRecord],
+    *,
+    seed: int,
+    options: Mapping[str, Any] | None = None,
+) -> FrictionLaw:
+    """Fit one law to the records of one joint, with one BLAS thread: bit-reproducible.
+
+    Parameters
+    ----------
+    law : name in the registry.
+    records : records of one joint.
+    seed : of the generator; joints with equal data and seed get equal laws.
+    options : hyper-parameters of the estimator's constructor.
+
+    Raises
+    ------
+    ArtifactError
+        If the law is unknown.
+    FitError
+        If the records do not determine the law.
+    """
+    chosen = estimator(law)
+    try:
+        configured = chosen(**(options or {}))
+    except TypeError as error:
+        raise FitError(f"law '{law}' does not take these options ({error}).") from error
+    with threadpool_limits(1):
+        return configured.fit(records, np.random.default_rng(seed))
+
+
+def fit_models(
+    laws: Sequence[str],
+    records: Sequence[Sequence[FrictionRecord]],
+    *,
+    robot: str,
+    seed: int,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> dict[str, FrictionModel]:
+    """Fit several laws to every joint.
+
+    Parameters
+    ----------
+    laws : names in the registry.
+    records : for each joint its records, one for each training log.
+    robot : name of the robot.
+    seed : of every fit.
+    options : hyper-parameters by law.
+    provenance : JSON data that the models carry.
+    workers : processes; one for each core where not given, none of its own for 1.
+
+    Returns
+    -------
+    Model by name of the law. The result does not depend on `workers`.
+    """
+    jobs = [(law, joint) for law in laws for joint in range(len(records))]
+    settings = options or {}
+    count = min(workers or os.cpu_count() or 1, len(jobs))
+    done: dict[tuple[str, int], FrictionLaw] = {}
+
+    def keep(law: str, joint: int, fitted: FrictionLaw) -> None:
+        done[law, joint] = fitted
+        if progress:
+            progress(len(done), len(jobs))
+
+    if progress:
+        progress(0, len(jobs))
+    if count <= 1:
+        for law, joint in jobs:
+            keep(law, joint, fit_joint(law, records[joint], seed=seed, options=settings.get(law)))
+    else:
+        # Fresh processes: forking one that already runs BLAS or logging threads may dead-lock.
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(count, context, initializer=_leave_interrupts_to_parent) as pool:
+            futures: dict[tuple[str, int], Future[FrictionLaw]] = {
+                (law, joint): pool.submit(
+                    fit_joint, law, records[joint], seed=seed, options=settings.get(law)
+                )
+                for law, joint in jobs
+            }
+            try:
+                for (law, joint), future in futures.items():
+                    keep(law, joint, future.result())
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+    joints = tuple(of_joint[0].joint for of_joint in records)
+    periods = [float(np.median(np.diff(r.t))) for of_joint in records for r in of_joint]
+    return {
+        law: FrictionModel(
+            law=law,
+            robot=robot,
+            joints=joints,
+            laws=tuple(done[law, joint] for joint in range(len(records))),
+            sample_time=round(float(np.median(periods)), 9),
+            provenance=dict(provenance or {}),
+        )
+        for law in laws
+    }

@@ -1,0 +1,1 @@
+"""ParFam: parametric families of friction laws with a hysteresis state (paper, section IV)."""

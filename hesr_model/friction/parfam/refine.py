@@ -1,0 +1,244 @@
+"""Stage 3: Levenberg-Marquardt over everything, and pruning of what the data do not support."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.special import expit, logit
+
+from hesr_model.errors import FitError
+from hesr_model.friction.evaluate import Array
+from hesr_model.friction.parfam.calibrate import bounds
+from hesr_model.friction.parfam.candidate import UNIT_FUNCTIONS, Candidate
+from hesr_model.friction.parfam.features import HysteresisFeatures
+
+Rows = NDArray[np.bool_]
+
+SIGNIFICANCE = 2.0
+"""A coefficient stays if it differs from zero by this many standard errors."""
+
+
+_ALL = slice(None)
+
+ROUNDS = ((8, 10), (16, 4))
+"""Rounds of a first look, on all rows: a steep beta shows only at the few rows of a reversal.
+
+(evaluations of each candidate, how many go on)
+"""
+LONG, PRUNED, FOLD = 60, 12, 8
+"""Evaluations to the end, after a coefficient was dropped, and with a fold left out."""
+HOPEFUL = 1.1
+"""A candidate is refined to the end if its mean square is within this factor of the best one's."""
+SAME = 1e-6
+"""Candidates whose mean squares agree to this are taken for the same law."""
+OUTSIDE, OUTSIDE_TORQUE = 1.5, 2.0
+"""At this multiple of the trained speeds, this multiple of the trained torque is an explosion."""
+
+
+def select(
+    features: HysteresisFeatures, found: Sequence[Candidate], folds: Sequence[Rows]
+) -> Candidate:
+    """Refine candidates, prune them and return the one that predicts left-out rows best.
+
+    Parameters
+    ----------
+    features : rows of the joint.
+    found : candidates of stage 2.
+    folds : (N,) masks of the rows that are left out in turn.
+    """
+    looked = list(found)
+    for evaluations, keep in ROUNDS:
+        looked = distinct([Refinement(features, k).run(evaluations)[0] for k in looked])[:keep]
+    hopeful = [k for k in looked if k.cost <= HOPEFUL * looked[0].cost]
+    finalists = [k for k in distinct([prune(features, k) for k in hopeful]) if tame(features, k)]
+    if not finalists:
+        raise FitError("every ParFam candidate explodes just outside the trained speeds.")
+    return min(finalists, key=lambda k: left_out_cost(features, k, folds))
+
+
+def distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return the candidates in the order of their cost, without those that are the same law."""
+    kept: list[Candidate] = []
+    for candidate in sorted(candidates, key=lambda k: k.cost):
+        if not kept or candidate.cost > kept[-1].cost * (1.0 + SAME):
+            kept.append(candidate)
+    return kept
+
+
+def tame(features: HysteresisFeatures, candidate: Candidate) -> bool:
+    """Whether the torque of steady sliding stays bounded a little outside the trained speeds."""
+    s = features.samples
+    speeds = OUTSIDE * np.array([s.dq.min(), s.dq.max()])
+    sliding = np.stack([np.ones(2), speeds, np.sign(speeds), np.zeros(2)], axis=1)
+    limit = OUTSIDE_TORQUE * float(np.abs(s.tau).max())
+    return bool(np.all(np.abs(candidate.torque(sliding)) <= limit))
+
+
+def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
+    """Refine to the end, then drop insignificant coefficients, the least significant first."""
+    refined, statistics = Refinement(features, candidate).run(LONG)
+    while True:
+        removable = np.concatenate(
+            [[False, False], refined.c_active, [False], refined.theta_active]
+        ).astype(bool)
+        weakest = int(np.argmin(np.where(removable, statistics, np.inf)))
+        if not removable.any() or statistics[weakest] >= SIGNIFICANCE:
+            return refined
+        c_active, theta_active = refined.c_active.copy(), refined.theta_active.copy()
+        if weakest < 6:
+            c_active[weakest - 2] = False
+        elif theta_active.sum() > 1:
+            theta_active[weakest - 7] = False
+        else:
+            return refined
+        smaller = replace(
+            refined,
+            c=refined.c * c_active,
+            theta=refined.theta * theta_active,
+            c_active=c_active,
+            theta_active=theta_active,
+        )
+        refined, statistics = Refinement(features, smaller).run(PRUNED)
+
+
+def left_out_cost(
+    features: HysteresisFeatures, candidate: Candidate, folds: Sequence[Rows]
+) -> float:
+    """Mean square on each fold of the candidate refined without it, averaged over all rows."""
+    total = 0.0
+    for fold in folds:
+        held = Refinement(features, candidate, ~fold).run(FOLD)[0]
+        torque = held.torque(features.columns(held.alpha, held.beta))
+        total += float(np.sum((torque - features.samples.tau)[fold] ** 2))
+    return total / len(features.samples.tau)
+
+
+class Refinement:
+    """The joint least-squares problem of a candidate over (alpha, beta, c, gain, theta).
+
+    alpha and beta are searched as u = logit of their place in their (logarithmic) bounds, so that
+    0 < alpha dt < 1 holds without constraints; coefficients are scaled to standardised features.
+    Only `rows` count, while the state runs over all of them.
+    """
+
+    def __init__(
+        self, features: HysteresisFeatures, start: Candidate, rows: Rows | slice = _ALL
+    ) -> None:
+        self.features = features
+        self.start = start
+        self.rows = rows
+        self.tau = features.samples.tau[rows]
+        (a_low, a_high), (b_low, b_high) = bounds(features)
+        self.low = np.log([a_low, b_low])
+        self.span = np.log([a_high, b_high]) - self.low
+        columns = features.columns(start.alpha, start.beta)
+        self.scale = np.concatenate([[1.0], np.maximum(columns[:, 1:].std(axis=0), 1e-12)])
+        self.active = np.concatenate(
+            [[True, True], start.c_active, [start.g is not None], start.theta_active]
+        ).astype(bool)
+
+    def pack(self) -> Array:
+        """Return the start as the vector that is searched."""
+        place = (np.log([self.start.alpha, self.start.beta]) - self.low) / self.span
+        place = np.clip(place, 1e-6, 1.0 - 1e-6)
+        full = np.concatenate(
+            [
+                logit(place),
+                self.start.c * self.scale,
+                [self.start.gain],
+                self.start.theta * self.scale,
+            ]
+        )
+        return np.asarray(full[self.active])
+
+    def unpack(self, point: Array, cost: float = np.nan) -> Candidate:
+        """Return the candidate of a searched vector."""
+        full = np.zeros(11)
+        full[self.active] = point
+        place = expit(full[:2])
+        alpha, beta = np.exp(self.low + self.span * place)
+        return replace(
+            self.start,
+            alpha=float(alpha),
+            beta=float(beta),
+            c=full[2:6] / self.scale,
+            gain=float(full[6]),
+            theta=full[7:] / self.scale,
+            cost=cost,
+        )
+
+    def residual(self, point: Array) -> Array:
+        """Return the residual [N.m] of the counted rows."""
+        candidate = self.unpack(point)
+        columns = self.features.columns(candidate.alpha, candidate.beta)[self.rows]
+        return candidate.torque(columns) - self.tau
+
+    def jacobian(self, point: Array) -> Array:
+        """Return the Jacobian of the residual, (counted rows, parameters)."""
+        k = self.unpack(point)
+        x, dh, ddh = (e[self.rows] for e in self.features.with_derivatives(k.alpha, k.beta))
+        scaled = x / self.scale
+        full = np.empty((len(x), 11), order="F")
+        full[:, 2:6] = scaled
+        by_h, by_dh = k.c[2], k.c[3]
+        if k.g is not None:
+            g, dg = UNIT_FUNCTIONS[k.g]
+            argument = x @ k.theta
+            full[:, 6] = g(argument)
+            slope = k.gain * dg(argument, full[:, 6])
+            full[:, 7:] = slope[:, None] * scaled
+            by_h, by_dh = (c + slope * t for c, t in zip(k.c[2:], k.theta[2:], strict=True))
+        place = (np.log([k.alpha, k.beta]) - self.low) / self.span
+        chain = np.array([k.alpha, k.beta]) * self.span * place * (1.0 - place)
+        for i in range(2):
+            full[:, i] = (by_h * dh[:, i] + by_dh * ddh[:, i]) * chain[i]
+        return full if self.active.all() else full[:, self.active]
+
+    def run(self, evaluations: int) -> tuple[Candidate, Array]:
+        """Return the refined candidate and (parameters,) t-statistics of its coefficients."""
+        solution = least_squares(
+            self.residual,
+            self.pack(),
+            jac=self.jacobian,
+            method="lm",
+            max_nfev=evaluations,
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+            x_scale="jac",
+        )
+        cost = float(np.mean(solution.fun**2))
+        statistics = np.zeros(11)
+        statistics[self.active] = t_statistics(solution.x, solution.jac, solution.fun)
+        return self.unpack(solution.x, cost), statistics
+
+
+def t_statistics(point: Array, jacobian: Array, residual: Array) -> Array:
+    """Return each coefficient over its standard error, for autocorrelated residuals.
+
+    The variance is that of independent rows times the integrated autocorrelation of the residual,
+    since neighbouring rows of a log do not err independently.
+    """
+    _, s, vt = np.linalg.svd(np.linalg.qr(jacobian, mode="r"))
+    inverse = np.where(s > 1e-13 * s[0], 1.0 / np.maximum(s, 1e-300), 1.0 / (1e-13 * s[0]))
+    spread = np.sqrt(np.sum((vt.T * inverse) ** 2, axis=1))
+    rows, parameters = jacobian.shape
+    variance = float(residual @ residual) / max(rows - parameters, 1)
+    error = spread * np.sqrt(variance * correlation_length(residual))
+    return np.asarray(np.abs(point) / np.maximum(error, 1e-300))
+
+
+def correlation_length(residual: Array) -> float:
+    """Integrated autocorrelation of a residual in rows, at least 1 (cut at the first crossing)."""
+    centred = residual - residual.mean()
+    size = 2 ** int(np.ceil(np.log2(2 * len(centred))))
+    spectrum = np.abs(np.fft.rfft(centred, size)) ** 2
+    correlation = np.fft.irfft(spectrum)[: len(centred) // 4]
+    if correlation[0] <= 0.0:
+        return 1.0
+    correlation = correlation / correlation[0]
+    negative = np.flatnonzero(correlation <= 0.0)
+    stop = int(negative[0]) if len(negative) else len(correlation)
+    return float(max(1.0, 1.0 + 2.0 * correlation[1:stop].sum()))

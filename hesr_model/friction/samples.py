@@ -1,0 +1,106 @@
+"""The records of one joint as one set of rows, which every estimator fits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hesr_model.errors import FitError
+from hesr_model.friction.evaluate import Array, recurrence
+from hesr_model.residual import FrictionRecord
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """Rows of several records, one after the other.
+
+    Attributes
+    ----------
+    dt : (N,) time since the row before [s], 0 where a record begins.
+    begins : (N,) True where a record begins.
+    record : (N,) index of the record.
+    dq, q, tau_load, tau : (N,) as in the records.
+    """
+
+    dt: Array
+    begins: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    record: np.ndarray[tuple[int], np.dtype[np.int64]]
+    dq: Array
+    q: Array
+    tau_load: Array
+    tau: Array
+
+    @classmethod
+    def of(cls, records: Sequence[FrictionRecord], *, coefficients: int) -> "Samples":
+        """Join records.
+
+        Parameters
+        ----------
+        records : records of one joint.
+        coefficients : how many numbers the law to be fitted has.
+
+        Raises
+        ------
+        FitError
+            If there are fewer rows than coefficients, or the joint never reverses.
+        """
+        rows = sum(len(r.t) for r in records)
+        joint = records[0].joint if records else "?"
+        if rows < coefficients:
+            raise FitError(
+                f"joint '{joint}': {rows} rows for {coefficients} coefficients; more data needed."
+            )
+        if not any(reverses(r.dq) for r in records):
+            logs = ", ".join(r.log for r in records)
+            raise FitError(
+                f"{logs}: joint '{joint}' never reverses its velocity; friction needs motion in "
+                "both directions."
+            )
+        return cls(
+            dt=np.concatenate([np.diff(r.t, prepend=r.t[0]) for r in records]),
+            begins=np.concatenate([np.arange(len(r.t)) == 0 for r in records]),
+            record=np.repeat(np.arange(len(records)), [len(r.t) for r in records]),
+            dq=np.concatenate([r.dq for r in records]),
+            q=np.concatenate([r.q for r in records]),
+            tau_load=np.concatenate([r.tau_load for r in records]),
+            tau=np.concatenate([r.tau for r in records]),
+        )
+
+    def recurrence(self, a: Array, c: Array) -> Array:
+        """Run x[k] = a[k] x[k-1] + c[k] from 0 at the first row of every record."""
+        return recurrence(np.where(self.begins, 0.0, a), np.where(self.begins, 0.0, c), 0.0)
+
+
+def reverses(dq: Array, threshold: float = 0.02) -> bool:
+    """Whether a joint moves both ways faster than `threshold` [rad/s]."""
+    return bool(dq.max() > threshold and dq.min() < -threshold)
+
+
+def least_squares(columns: Array, target: Array) -> Array:
+    """Return the coefficients of least norm that explain the (N,) target best."""
+    return np.asarray(np.linalg.lstsq(columns, target)[0], dtype=np.float64)
+
+
+def non_negative_least_squares(
+    columns: Array, target: Array, *, non_negative: int
+) -> tuple[Array, float]:
+    """Least squares whose first `non_negative` coefficients must not be negative.
+
+    Negative ones are set to zero one by one, the worst first: exact for the few, nearly orthogonal
+    columns of friction laws, and far faster than a general solver inside a search.
+
+    Returns
+    -------
+    (columns,) coefficients and the sum of squared residuals.
+    """
+    gram, moment = columns.T @ columns, columns.T @ target
+    scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+    active = np.arange(columns.shape[1])
+    while True:
+        part = gram[np.ix_(active, active)] / np.outer(scale[active], scale[active])
+        solution = np.zeros(columns.shape[1])
+        solution[active] = np.linalg.lstsq(part, moment[active] / scale[active])[0] / scale[active]
+        bounded = solution[:non_negative] * scale[:non_negative]
+        if bounded.min(initial=0.0) >= 0.0:
+            return solution, float(target @ target - moment @ solution)
+        active = active[active != int(np.argmin(bounded))]

@@ -1,0 +1,91 @@
+"""Rows of the least-squares problem of identification, joint by joint."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.errors import FitError
+from hesr_model.forward_reverse import matched
+from hesr_model.least_squares import Block
+from hesr_model.robot import RobotModel
+from hesr_model.signals import Motion
+
+Array = NDArray[np.float64]
+
+SLOW = 0.1
+"""[rad/s, m/s] Slower rows of a joint are dropped: friction there is no function of velocity."""
+
+SLOW_SHARE = 0.25
+"""Of a joint's peak speed: for joints that hardly pass `SLOW`, such as a lift, less is slow."""
+
+
+def peaks(motions: Sequence[Motion]) -> Array:
+    """Highest speed of each joint in any of the motions, (n,)."""
+    fastest: Array = np.max([np.max(np.abs(motion.dq), axis=0) for motion in motions], axis=0)
+    return fastest
+
+
+def _slow(motions: Sequence[Motion]) -> Array:
+    """Speed (n,) below which a joint's rows are dropped."""
+    return np.minimum(SLOW, SLOW_SHARE * peaks(motions))
+
+
+def stacked(motions: Sequence[Motion], model: RobotModel, base: tuple[int, ...]) -> list[Block]:
+    """One block per joint: base columns, then Coulomb, viscous and offset of every joint."""
+    n = model.n
+    q, dq, ddq, tau = (
+        np.concatenate([getattr(motion, name) for motion in motions])
+        for name in ("q", "dq", "ddq", "tau")
+    )
+    rigid = model.regressor(q, dq, ddq)[:, :, list(base)]
+    slow = _slow(motions)
+    blocks = []
+    for joint in range(n):
+        rows = np.abs(dq[:, joint]) > slow[joint]
+        speed = dq[rows, joint]
+        friction = np.zeros((len(speed), n, 3))
+        friction[:, joint] = np.column_stack([np.sign(speed), speed, np.ones_like(speed)])
+        matrix = np.hstack([rigid[rows, joint], friction.reshape(len(speed), 3 * n)])
+        blocks.append(Block(matrix=matrix, target=tau[rows, joint]))
+    return blocks
+
+
+def averaged(
+    motions: Sequence[Motion],
+    counterparts: Sequence[Motion],
+    model: RobotModel,
+    base: tuple[int, ...],
+) -> list[Block]:
+    """One block per joint: means of forward and reversed rows, where velocities are opposite."""
+    if not motions or len(motions) != len(counterparts):
+        raise FitError(
+            f"{len(motions)} logs come with {len(counterparts)} time-reversed ones; "
+            "the paper's method needs one for each."
+        )
+    pairs = [matched(*pair) for pair in zip(motions, counterparts, strict=True)]
+    columns = list(base)
+    matrices = [
+        0.5 * (_regressor(model, pair.forward) + _regressor(model, pair.backward))[:, :, columns]
+        for pair in pairs
+    ]
+    matrix = np.concatenate(matrices)
+    target = np.concatenate([0.5 * (pair.forward.tau + pair.backward.tau) for pair in pairs])
+    forward = np.concatenate([pair.forward.dq for pair in pairs])
+    backward = np.concatenate([pair.backward.dq for pair in pairs])
+    slow = _slow([*motions, *counterparts])
+    kept = (np.minimum(np.abs(forward), np.abs(backward)) > slow) & (forward * backward < 0)
+    for joint, rows in zip(model.description.joints, kept.T, strict=True):
+        if not np.any(rows):
+            raise FitError(
+                f"log {', '.join(motion.name for motion in motions)}: joint '{joint}' never moves "
+                "against its time-reversed counterpart; both logs must move it."
+            )
+    return [
+        Block(matrix=matrix[kept[:, joint], joint], target=target[kept[:, joint], joint])
+        for joint in range(model.n)
+    ]
+
+
+def _regressor(model: RobotModel, motion: Motion) -> Array:
+    return model.regressor(motion.q, motion.dq, motion.ddq)

@@ -1,0 +1,285 @@
+"""Rigid-body parameters from logs: base parameters, least squares, forward-reverse averaging."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+
+from hesr_model.errors import FitError, RobotError
+from hesr_model.least_squares import solve
+from hesr_model.observations import averaged, peaks, stacked
+from hesr_model.robot import RobotModel
+from hesr_model.robot_log import RobotLog, require_moving
+from hesr_model.signals import Motion, smooth
+
+Array = NDArray[np.float64]
+Method = Literal["stacked", "paper"]
+Weighting = Literal["wls", "ols"]
+
+_LEAST_PEAK = 0.02
+_RANK_TOLERANCE = 1e-8
+_RANDOM_STATES = 300
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RigidBody:
+    """Identified rigid-body parameters of a robot.
+
+    Attributes
+    ----------
+    robot, joints
+        Whose parameters they are.
+    names, parameters
+        All standard parameters (P,) and rotor inertias; those outside `base` are zero.
+    base
+        Indices of the base parameters, which carry the others linearly (eq. 6).
+    standard_errors
+        Of the base parameters, (len(base),), from the residual's variance. Residuals of
+        neighbouring samples are alike, so these are too small by some factor.
+    condition
+        Condition number of the weighted observation matrix, each column relative to its size
+        over random states of the robot.
+    ridge
+        Weight of the pull towards zero on that scale, relative to the largest singular value; 0
+        where the data needed none.
+    friction
+        (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] of the stacked fit: what was
+        estimated along with the parameters, not the friction model. Zero by the paper's method.
+    rmse
+        (n,) [N.m] residual of the fit over the rows it used.
+    rows
+        Samples that were offered to the fit.
+    logs
+        Names of the logs.
+    """
+
+    robot: str
+    joints: tuple[str, ...]
+    names: tuple[str, ...]
+    parameters: Array
+    base: tuple[int, ...]
+    standard_errors: Array
+    condition: float
+    ridge: float
+    friction: Array
+    rmse: Array
+    rows: int
+    logs: tuple[str, ...]
+    method: Method
+    weighting: Weighting
+
+    def torque(self, model: RobotModel, motion: Motion) -> Array:
+        """Rigid-body torque Y_b pi_b (eq. 6) over a motion, (N, n) [N.m].
+
+        Raises
+        ------
+        RobotError
+            If `model` is of another robot than the one identified.
+        """
+        if self.names != model.parameter_names:
+            raise RobotError(
+                f"the rigid body of '{self.robot}' with {len(self.names)} parameters does not fit "
+                f"robot '{model.description.name}', which has {len(model.parameter_names)}: "
+                "identify it with the same robot file."
+            )
+        return model.torque(self.parameters, motion.q, motion.dq, motion.ddq)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers, strings and lists, for JSON."""
+        return {
+            "robot": self.robot,
+            "joints": list(self.joints),
+            "parameters": dict(zip(self.names, self.parameters.tolist(), strict=True)),
+            "base": [self.names[k] for k in self.base],
+            "standard_errors": self.standard_errors.tolist(),
+            "condition": self.condition,
+            "ridge": self.ridge,
+            "friction": self.friction.tolist(),
+            "rmse": self.rmse.tolist(),
+            "rows": self.rows,
+            "logs": list(self.logs),
+            "method": self.method,
+            "weighting": self.weighting,
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Self:
+        """Invert `to_dict`.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            If the data are not those of a rigid body.
+        """
+        names = tuple(str(name) for name in data["parameters"])
+        return cls(
+            robot=str(data["robot"]),
+            joints=tuple(str(joint) for joint in data["joints"]),
+            names=names,
+            parameters=np.array([float(value) for value in data["parameters"].values()]),
+            base=tuple(names.index(name) for name in data["base"]),
+            standard_errors=np.array(data["standard_errors"], dtype=float),
+            condition=float(data["condition"]),
+            ridge=float(data["ridge"]),
+            friction=np.array(data["friction"], dtype=float),
+            rmse=np.array(data["rmse"], dtype=float),
+            rows=int(data["rows"]),
+            logs=tuple(str(log) for log in data["logs"]),
+            method=data["method"],
+            weighting=data["weighting"],
+        )
+
+
+def base_columns(model: RobotModel) -> tuple[int, ...]:
+    """Find a largest set of independent columns of the regressor; indices, in their order.
+
+    Pivoted QR of the regressor stacked over random states within the joints' limits, columns
+    scaled to unit length: the rank does not depend on a log, nor on units.
+    """
+    columns = _at_random_states(model)
+    lengths = np.linalg.norm(columns, axis=0)
+    # A column of nothing but rounding errors must not be scaled up to a full one.
+    columns[:, lengths < _RANK_TOLERANCE * np.max(lengths)] = 0.0
+    lengths[lengths == 0.0] = 1.0
+    _, r, order = qr(columns / lengths, mode="economic", pivoting=True)
+    sizes = np.abs(np.diag(r))
+    rank = int(np.sum(sizes > _RANK_TOLERANCE * sizes[0]))
+    return tuple(sorted(int(k) for k in order[:rank]))
+
+
+def _at_random_states(model: RobotModel) -> Array:
+    """Regressor stacked over random states within the joints' limits, (samples * n, P)."""
+    rng = np.random.default_rng(0)
+    lower, upper, speed = model.limits
+    shape = (_RANDOM_STATES, model.n)
+    q = rng.uniform(lower, upper, shape)
+    dq = rng.uniform(-speed, speed, shape)
+    ddq = rng.uniform(-2 * speed, 2 * speed, shape)
+    return model.regressor(q, dq, ddq).reshape(-1, len(model.parameter_names))
+
+
+def identify(
+    logs: Sequence[RobotLog],
+    model: RobotModel,
+    *,
+    method: Method = "stacked",
+    weighting: Weighting | None = None,
+    reversed_logs: Sequence[RobotLog] = (),
+) -> RigidBody:
+    """Identify the rigid-body parameters from logs; see `identify_motions`.
+
+    Raises
+    ------
+    LogError
+        If a joint moves in none of the logs, or a log is too slow or short for the low pass.
+    FitError
+        As `identify_motions`.
+    """
+    require_moving([*logs, *reversed_logs], model.description.joints)
+    cutoff = model.description.log.filter_cutoff
+    return identify_motions(
+        [smooth(log, cutoff) for log in logs],
+        model,
+        method=method,
+        weighting=weighting,
+        reversed_motions=[smooth(log, cutoff) for log in reversed_logs],
+    )
+
+
+def identify_motions(
+    motions: Sequence[Motion],
+    model: RobotModel,
+    *,
+    method: Method = "stacked",
+    weighting: Weighting | None = None,
+    reversed_motions: Sequence[Motion] = (),
+) -> RigidBody:
+    """Identify the rigid-body parameters from smooth motions.
+
+    Parameters
+    ----------
+    method
+        ``"stacked"``: one least-squares problem over all motions, forward and reversed, in which
+        every joint also has a Coulomb, a viscous and an offset coefficient.
+        ``"paper"``: torque and regressor of each motion are averaged with those of its
+        time-reversed counterpart at the same position, where odd friction cancels (eq. 7).
+        Either drops a joint's slow rows (`observations.SLOW`).
+    weighting
+        ``"wls"`` weighs each joint by its residual's standard deviation, ``"ols"`` does not.
+        By default ``"wls"`` for the stacked method and ``"ols"`` for the paper's.
+    reversed_motions
+        Time-reversed counterparts of `motions`, in their order; needed by ``"paper"``.
+
+    Raises
+    ------
+    FitError
+        If there are fewer samples than unknowns, if a joint hardly moves, or if the reversed
+        motions are not the counterparts of the forward ones.
+    """
+    everything = [*motions, *reversed_motions]
+    base = base_columns(model)
+    _require_samples(everything, len(base) + (3 * model.n if method == "stacked" else 0))
+    _require_speed(everything, model)
+    if method == "paper":
+        blocks = averaged(motions, reversed_motions, model, base)
+    else:
+        blocks = stacked(everything, model, base)
+    weighting = weighting or ("ols" if method == "paper" else "wls")
+    scale = np.ones(blocks[0].matrix.shape[1])  # of friction: 1 N.m, 1 N.m.s/rad
+    scale[: len(base)] = np.sqrt(np.mean(_at_random_states(model)[:, list(base)] ** 2, axis=0))
+    solution = solve(blocks, scale=scale, weighted=weighting == "wls")
+    if solution.ridge:
+        _log.warning(
+            "%s: the motion does not determine all parameters (condition number %.2g); "
+            "a ridge of %.2g of the largest singular value was used",
+            _named(everything),
+            solution.condition,
+            solution.ridge,
+        )
+    parameters = np.zeros(len(model.parameter_names))
+    parameters[list(base)] = solution.x[: len(base)]
+    friction = solution.x[len(base) :].reshape(-1, 3)
+    return RigidBody(
+        robot=model.description.name,
+        joints=model.description.joints,
+        names=model.parameter_names,
+        parameters=parameters,
+        base=base,
+        standard_errors=solution.standard_errors[: len(base)],
+        condition=solution.condition,
+        ridge=solution.ridge,
+        friction=friction if len(friction) else np.zeros((model.n, 3)),
+        rmse=solution.rmse,
+        rows=sum(len(motion.t) for motion in everything),
+        logs=tuple(motion.name for motion in everything),
+        method=method,
+        weighting=weighting,
+    )
+
+
+def _named(motions: Sequence[Motion]) -> str:
+    return "log " + ", ".join(motion.name for motion in motions)
+
+
+def _require_samples(motions: Sequence[Motion], unknowns: int) -> None:
+    rows = sum(len(motion.t) for motion in motions)
+    if rows < unknowns:
+        raise FitError(
+            f"{_named(motions)}: {rows} samples cannot determine {unknowns} parameters; "
+            "longer logs are needed."
+        )
+
+
+def _require_speed(motions: Sequence[Motion], model: RobotModel) -> None:
+    for joint, peak in zip(model.description.joints, peaks(motions), strict=True):
+        if not peak > _LEAST_PEAK:
+            raise FitError(
+                f"{_named(motions)}: joint '{joint}' is never faster than {peak:.2g} rad/s; "
+                f"a peak of more than {_LEAST_PEAK:g} rad/s is needed in at least one log."
+            )

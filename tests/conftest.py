@@ -1,0 +1,84 @@
+"""A small arm whose parameters are known, and motions of it without noise."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hesr_model.log_format import LogFormat
+from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.robot_log import RobotLog
+from hesr_model.signals import Motion
+
+ARM_MJCF = """
+<mujoco model="arm">
+  <compiler angle="radian" autolimits="true"/>
+  <worldbody>
+    <body name="link1" pos="0 0 0.3">
+      <inertial pos="0.01 0.02 -0.03" mass="4" fullinertia="0.02 0.03 0.025 0.001 0.002 0.003"/>
+      <joint name="j1" axis="0 0 1" range="-3 3" armature="0.4" damping="2" frictionloss="3"/>
+      <body name="link2" pos="0.1 0 0.2">
+        <inertial pos="0.15 0.02 0.03" mass="2.5" fullinertia="0.02 0.04 0.03 0.002 0.001 0.003"/>
+        <joint name="j2" axis="0 1 0" range="-2 2" armature="0.3"/>
+        <body name="link3" pos="0.3 0 0.05">
+          <inertial pos="0.1 -0.02 0.03" mass="1.2" fullinertia="0.01 0.02 0.015 0 0.001 0"/>
+          <joint name="j3" axis="0 1 0.3" range="-2 2" armature="0.1"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+RATE = 200.0
+
+MakeMotion = Callable[..., Motion]
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> RobotDescription:
+    """Description of a three-joint arm, its MJCF beside it in a temporary folder."""
+    model = tmp_path / "arm.xml"
+    model.write_text(ARM_MJCF, encoding="utf-8")
+    return RobotDescription(
+        name="arm", model=model, joints=("j1", "j2", "j3"), log=LogFormat(sample_rate=RATE)
+    )
+
+
+@pytest.fixture
+def arm_model(arm: RobotDescription) -> RobotModel:
+    return RobotModel(arm)
+
+
+@pytest.fixture
+def make_motion(arm_model: RobotModel) -> MakeMotion:
+    """Motions of the arm in closed form: a few harmonics, starting at rest or reversed in time."""
+
+    def make(
+        *, name: str = "motion", seconds: float = 10.0, reverse: bool = False, friction: float = 0.0
+    ) -> Motion:
+        t = np.arange(round(seconds * RATE)) / RATE
+        run = t[-1] - t if reverse else t
+        way = -1.0 if reverse else 1.0
+        base = 2 * np.pi * 0.1
+        q, dq, ddq = np.zeros((3, len(t), 3))
+        for harmonic, gain in ((1, 1.0), (2, -0.6), (3, 0.4), (5, 0.15)):
+            w = base * harmonic
+            phase = np.array([0.3, 1.1, 2.3]) * harmonic
+            angle = w * run[:, None] + phase
+            q += 0.5 * gain * np.sin(angle)
+            dq += way * 0.5 * gain * w * np.cos(angle)
+            ddq -= 0.5 * gain * w**2 * np.sin(angle)
+        tau = arm_model.torque(arm_model.nominal_parameters, q, dq, ddq)
+        tau += friction * (np.sign(dq) + 0.5 * dq)
+        return Motion(name=name, t=t, q=q, dq=dq, ddq=ddq, tau=tau, q_raw=q)
+
+    return make
+
+
+@pytest.fixture
+def arm_log(make_motion: MakeMotion) -> RobotLog:
+    """A log of the arm, with friction."""
+    motion = make_motion(name="run", friction=3.0)
+    return RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau)

@@ -1,0 +1,229 @@
+"""Friction laws made by hand, their FMUs, and a bare binding to an FMU's binary."""
+
+import ctypes
+import math
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import sympy
+
+from fmu_src import export_fmu, model_file
+from hesr_model.artifacts import read_model
+from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute, sgn
+from hesr_model.friction.law import Coefficient, FrictionLaw, FrictionModel, LawForm, Relaxation
+from hesr_model.friction.parfam import family
+
+FEATURES = ["1", "dq", "h", "dh"]
+
+
+def law_of(form: LawForm, values: Sequence[float], **more: Any) -> FrictionLaw:
+    names = [c.name for c in form.coefficients]
+    return FrictionLaw(
+        name="by_hand", form=form, values=dict(zip(names, values, strict=True)), **more
+    )
+
+
+def coefficients(**units: str) -> tuple[Coefficient, ...]:
+    return tuple(Coefficient(name=n, unit=u, description=f"the {n}") for n, u in units.items())
+
+
+def parfam(g: str) -> FrictionLaw:
+    form = family.form({"linear": FEATURES, "units": [{"g": g, "arguments": FEATURES}]})
+    # alpha small enough for Euler at the longest step of `motion`
+    return law_of(form, (-2.1, 1.4, 6.2, -0.16, 3.7, 0.06, 0.19, -0.6, 0.064, 11.37, 256.84))
+
+
+def viscous() -> FrictionLaw:
+    """No state, and every input."""
+    own = coefficients(F_c="N.m", sigma_2="N.m.s/rad", mu="1", a="N.m", n="1/rad")
+    f_c, sigma_2, mu, a, n = (c.symbol for c in own)
+    level = f_c + mu * absolute(TAU_LOAD)
+    output = level * sgn(DQ) + sigma_2 * DQ**3 + a * sympy.cos(n * Q) ** 2
+    return law_of(LawForm(coefficients=own, output=output), (4.5, 12.0, 0.1, 0.5, 200.0))
+
+
+def lugre() -> FrictionLaw:
+    own = coefficients(sigma_0="N.m/rad", sigma_1="N.m.s/rad", F_c="N.m", F_s="N.m", v_s="rad/s")
+    sigma_0, sigma_1, f_c, f_s, v_s = (c.symbol for c in own)
+    level = f_c + (f_s - f_c) * sympy.exp(-((DQ / v_s) ** 2))
+    z = Relaxation(name="z", unit="rad", drive=DQ, rate=sigma_0 * absolute(DQ) / level)
+    output = sigma_0 * z.state + sigma_1 * z.derivative
+    form = LawForm(coefficients=own, relaxations=(z,), output=output)
+    return law_of(form, (2.0e3, 1.5, 9.0, 12.0, 0.08))
+
+
+def elements() -> FrictionLaw:
+    """Several states that have start values, one of whose rates is zero at rest."""
+    own = coefficients(k1="1/rad", k2="1/rad", c1="N.m", c2="N.m")
+    k1, k2, c1, c2 = (c.symbol for c in own)
+    x = [
+        Relaxation(name=f"x{i}", unit="1", drive=k * DQ, rate=k * absolute(DQ))
+        for i, k in enumerate((k1, k2), start=1)
+    ]
+    form = LawForm(
+        coefficients=own,
+        relaxations=tuple(x),
+        output=c1 * x[0].state + c2 * x[1].state + sympy.pi * x[1].derivative / 1000,
+    )
+    return law_of(form, (60.0, 7.0, 3.0, 4.0), start=(0.3, -0.2))
+
+
+def gaussians() -> FrictionLaw:
+    """More coefficients than an FMU shows."""
+    names = [f"{kind}{i}" for i in range(30) for kind in ("w", "m", "s")]
+    own = coefficients(**dict.fromkeys(names, "1"))
+    w, m, s = (own[i::3] for i in range(3))
+    output = sum(
+        a.symbol * sympy.exp(-(((DQ - b.symbol) / c.symbol) ** 2))
+        for a, b, c in zip(w, m, s, strict=True)
+    )
+    rng = np.random.default_rng(3)
+    values = np.column_stack([rng.normal(size=30), rng.normal(size=30), rng.uniform(0.2, 1, 30)])
+    return law_of(LawForm(coefficients=own, output=output), values.ravel().tolist())
+
+
+HAND_MADE: Mapping[str, Callable[[], FrictionLaw]] = {
+    **{f"parfam_{g}": (lambda g=g: parfam(g)) for g in family.FUNCTIONS},
+    "viscous": viscous,
+    "lugre": lugre,
+    "elements": elements,
+    "gaussians": gaussians,
+}
+
+
+@pytest.fixture(params=list(HAND_MADE))
+def law(request: pytest.FixtureRequest) -> FrictionLaw:
+    return HAND_MADE[request.param]()
+
+
+@pytest.fixture(scope="session")
+def make_law() -> Callable[[str], FrictionLaw]:
+    return lambda name: HAND_MADE[name]()
+
+
+@pytest.fixture(scope="session")
+def make_model() -> Callable[..., FrictionModel]:
+    def make(*laws: FrictionLaw, **more: Any) -> FrictionModel:
+        joints = tuple(f"axis_{i}" for i, _ in enumerate(laws, start=1))
+        data: dict[str, Any] = {"law": "by_hand", "robot": "bench", "sample_time": 0.005} | more
+        return FrictionModel(joints=joints, laws=laws, **data)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def table1() -> FrictionModel:
+    return read_model(model_file("uf850-table1"))
+
+
+@pytest.fixture(scope="session")
+def table1_fmu(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_fmu(table1, tmp_path_factory.mktemp("table1") / "Friction.fmu")
+
+
+Motion = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+@pytest.fixture(scope="session")
+def make_motion() -> Callable[[int], Motion]:
+    """Time, velocity, position and load of a motion with rests, reversals and uneven steps."""
+
+    def make(joints: int) -> Motion:
+        rng = np.random.default_rng(7)
+        t = 3.0 + np.cumsum(rng.uniform(0.001, 0.008, size=900))
+        phase = rng.uniform(0, 2 * math.pi, size=joints)
+        q = np.sin(2.0 * t[:, None] + phase) + 0.2 * np.sin(9.0 * t[:, None])
+        dq = 2.0 * np.cos(2.0 * t[:, None] + phase) + 1.8 * np.cos(9.0 * t[:, None])
+        dq[200:260] = 0.0
+        dq[400:420] = 1e-9  # where phi is a series
+        return t, dq, q, 20.0 * np.sin(t[:, None] + phase)
+
+    return make
+
+
+CALLBACK = ctypes.CFUNCTYPE(
+    None, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p
+)
+
+
+class Callbacks(ctypes.Structure):
+    _fields_ = (
+        ("logger", CALLBACK),
+        ("allocateMemory", ctypes.c_void_p),
+        ("freeMemory", ctypes.c_void_p),
+        ("stepFinished", ctypes.c_void_p),
+        ("componentEnvironment", ctypes.c_void_p),
+    )
+
+
+class Binary:
+    """The functions of an FMU's binary, without a binding that minds their order."""
+
+    def __init__(self, fmu: Path, folder: Path) -> None:
+        from fmpy import read_model_description
+
+        self.about = read_model_description(fmu)
+        self.vr = {v.name: v.valueReference for v in self.about.modelVariables}
+        identifier = self.about.coSimulation.modelIdentifier
+        with zipfile.ZipFile(fmu) as archive:
+            path = archive.extract(f"binaries/linux64/{identifier}.so", folder)
+        self._library = ctypes.CDLL(path)
+        self.messages: list[tuple[int | None, str, str]] = []
+        self.host = Callbacks()
+        self.host.logger = CALLBACK(self._log)
+        self.host.componentEnvironment = 4711
+
+    def _log(self, environment, name, status, category, text):
+        self.messages.append((environment, name.decode(), text.decode()))
+
+    def __call__(self, function: str, *arguments: Any) -> int:
+        f = getattr(self._library, f"fmi2{function}")
+        return f(*(ctypes.c_double(a) if isinstance(a, float) else a for a in arguments))
+
+    def instantiate(self, name=b"one", kind=1, guid=None, host="own") -> ctypes.c_void_p | None:
+        f = self._library.fmi2Instantiate
+        f.restype = ctypes.c_void_p
+        guid = self.about.guid.encode() if guid is None else guid
+        callbacks = ctypes.byref(self.host) if host == "own" else host
+        c = f(name, kind, guid, None, callbacks, 0, 0)
+        return None if c is None else ctypes.c_void_p(c)
+
+    def ready(self, **more: Any) -> ctypes.c_void_p:
+        c = self.instantiate(**more)
+        assert self("SetupExperiment", c, 0, 0.0, 0.0, 0, 0.0) == 0
+        assert self("EnterInitializationMode", c) == 0
+        assert self("ExitInitializationMode", c) == 0
+        return c
+
+    def references(self, names: Sequence[str]) -> Any:
+        return (ctypes.c_uint * len(names))(*(self.vr[n] for n in names))
+
+    def set(self, c: Any, **values: float) -> int:
+        return self.set_all(c, {"tau_load[1]" if n == "tau_load" else f"{n}[1]": x
+                                for n, x in values.items()})  # fmt: skip
+
+    def set_all(self, c: Any, values: Mapping[str, float]) -> int:
+        numbers = (ctypes.c_double * len(values))(*values.values())
+        return self("SetReal", c, self.references(list(values)), len(values), numbers)
+
+    def get(self, c: Any, *names: str) -> list[float]:
+        values = (ctypes.c_double * len(names))()
+        assert self("GetReal", c, self.references(names), len(names), values) == 0
+        return list(values)
+
+    def step(self, c: Any, time: float, step: float) -> int:
+        return self("DoStep", c, float(time), float(step), 1)
+
+
+@pytest.fixture
+def binary(table1_fmu: Path, tmp_path: Path) -> Iterator[Binary]:
+    return Binary(table1_fmu, tmp_path)
+
+
+@pytest.fixture
+def load(tmp_path: Path) -> Callable[[Path], Binary]:
+    return lambda fmu: Binary(fmu, tmp_path)

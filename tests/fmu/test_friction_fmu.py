@@ -1,0 +1,194 @@
+"""A friction FMU gives the torque of its law, on every path to it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cosim.component import Component
+from cosim.replay import replay
+from fmu_src import export_fmu
+from hesr_model.friction.estimator import registry
+from hesr_model.friction.evaluate import Stepper, predict
+from hesr_model.residual import FrictionRecord
+
+EXACT_ENOUGH = 1e-12
+
+
+def assert_equals_python(model, fmu, motion):
+    t, dq, q, load = motion
+    torque = replay(fmu, t, dq, q, load)
+    for i, law in enumerate(model.laws):
+        expected = predict(law, t=t, dq=dq[:, i], q=q[:, i], tau_load=load[:, i])
+        worst = np.abs(torque[:, i] - expected).max() / np.abs(expected).max()
+        assert worst <= EXACT_ENOUGH, f"{law.name}, joint {i + 1}"
+
+
+@pytest.mark.parametrize("discretisation", ["exact", "euler"])
+def test_each_law_equals_python(law, discretisation, make_model, make_motion, tmp_path):
+    law = replace(law, discretisation=discretisation)
+    motion = make_motion(1)
+    if discretisation == "euler" and law.form.relaxations[0:1] and law.form.relaxations[0].name != "h":
+        motion = (3.0 + 1e-3 * (motion[0] - 3.0), *motion[1:])  # Euler needs rate * step < 1
+    model = make_model(law)
+    assert_equals_python(model, export_fmu(model, tmp_path / "F.fmu"), motion)
+
+
+def test_laws_of_different_forms_share_an_fmu(make_law, make_model, make_motion, tmp_path):
+    names = ["lugre", "parfam_tanh", "gaussians", "viscous", "parfam_tanh", "elements"]
+    model = make_model(*map(make_law, names))
+    assert_equals_python(model, export_fmu(model, tmp_path / "F.fmu"), make_motion(6))
+
+
+def fitted(make_motion):
+    """Every law of the registry, fitted to what a law made by hand says of a motion."""
+    t, dq, q, load = (np.squeeze(x) for x in make_motion(1))
+    tau = 5.0 * np.tanh(50.0 * dq) + 3.0 * dq + np.random.default_rng(1).normal(0, 0.1, t.shape)
+    record = FrictionRecord(log="made", joint="axis", t=t, dq=dq, q=q, tau_load=load, tau=tau)
+    for name, estimator in registry().items():
+        yield name, estimator().fit([record], np.random.default_rng(0))
+
+
+def test_every_registered_law_equals_python(make_model, make_motion, tmp_path):
+    laws = dict(fitted(make_motion))
+    model = make_model(*laws.values())
+    fmu = export_fmu(model, tmp_path / "F.fmu")
+    assert_equals_python(model, fmu, make_motion(len(laws)))
+
+
+def test_table_1_equals_the_equations_of_the_paper(table1, table1_fmu):
+    t = 0.005 * np.arange(1600)
+    v = 1.2 * np.sin(2 * np.pi * 0.25 * t)
+    torque = replay(table1_fmu, t, np.column_stack([v, 0.8 * v, -v]))
+
+    def expected(alpha, beta, equation, v):
+        h, rows = 0.0, []
+        for k, vk in enumerate(v):
+            if k:
+                h = (1 - alpha * 0.005) * h + alpha * 0.005 * np.tanh(beta * vk)
+            dh = -alpha * h + alpha * np.tanh(beta * vk)
+            rows.append(equation(vk, h, dh))
+        return np.array(rows)
+
+    def joint1(v, h, dh):
+        return 16.237 * h - 0.163 * dh - 2.128 + 37.715 * np.tanh(
+            0.193 * v - 0.606 * h + 0.064 * dh + 0.057
+        )
+
+    def joint2(v, h, dh):
+        return 3.710 * v + 2.936 * h + 1.220 * dh - 0.279 + 8.290 * np.cos(
+            -0.865 * v + 1.531 * h + 0.351 * dh + 1.485
+        )
+
+    def joint3(v, h, dh):
+        return 0.051 * v + 6.614 * h + 0.238 * dh - 0.280 + 6.527 * np.tanh(
+            1.014 * v - 2.130 * h + 0.115 * dh + 0.167
+        )
+
+    for i, (alpha, beta, equation, speed) in enumerate(
+        [
+            (11.37, 256.84, joint1, v),
+            (19.62, 143.91, joint2, 0.8 * v),
+            (8.45, 278.23, joint3, -v),
+        ]
+    ):
+        reference = expected(alpha, beta, equation, speed)
+        assert np.abs(torque[:, i] - reference).max() <= EXACT_ENOUGH * np.abs(reference).max()
+
+
+def test_outputs_follow_inputs_that_are_set_between_steps(table1, binary):
+    c = binary.ready()
+    stepper = Stepper(table1.laws[0])
+    binary.set(c, dq=0.3)
+    assert binary.step(c, 0.0, 0.005) == 0
+    assert binary.get(c, "tau[1]")[0] == pytest.approx(stepper.step(0.005, 0.3), rel=1e-12)
+    binary.set(c, dq=-0.2)
+    assert binary.get(c, "tau[1]")[0] == pytest.approx(stepper.step(0.0, -0.2), rel=1e-12)
+
+
+def test_state_and_derivative_can_be_read(table1, binary):
+    c = binary.ready()
+    binary.set(c, dq=0.01)
+    binary.step(c, 0.0, 0.005)
+    alpha, beta = (table1.laws[0].values[n] for n in ("alpha", "beta"))
+    h, dh = binary.get(c, "h[1]", "der(h[1])")
+    assert h == pytest.approx(alpha * 0.005 * np.tanh(beta * 0.01), rel=1e-12)
+    assert dh == pytest.approx(alpha * (np.tanh(beta * 0.01) - h), rel=1e-12)
+
+
+def test_start_values_of_states_are_taken(table1, table1_fmu, make_motion):
+    t, dq, *_ = make_motion(3)
+    torque = replay(table1_fmu, t, dq, start={"h[2]": 0.7})
+    expected = predict(table1.laws[1], t=t, dq=dq[:, 1], start=(0.7,))
+    np.testing.assert_allclose(torque[:, 1], expected, rtol=0, atol=1e-12 * np.ptp(expected))
+
+
+def test_discretisation_can_be_chosen(table1, table1_fmu, make_motion):
+    t, dq, *_ = make_motion(3)
+    torque = replay(table1_fmu, t, dq, start={"discretisation": 1})
+    law = replace(table1.laws[0], discretisation="exact")
+    expected = predict(law, t=t, dq=dq[:, 0])
+    np.testing.assert_allclose(torque[:, 0], expected, rtol=0, atol=1e-12 * np.ptp(expected))
+
+
+def test_coefficients_are_tunable_while_it_runs(table1, binary):
+    c = binary.ready()
+    before = binary.get(c, "tau[1]")[0]
+    binary.set_all(c, {"joint[1].c_0": table1.laws[0].values["c_0"] + 1.5})
+    assert binary.get(c, "tau[1]")[0] == pytest.approx(before + 1.5)
+
+
+def test_large_laws_have_a_scale_instead_of_coefficients(
+    make_law, make_model, make_motion, tmp_path
+):
+    fmu = export_fmu(make_model(make_law("gaussians")), tmp_path / "F.fmu")
+    t, dq, *_ = make_motion(1)
+    with Component(fmu) as component:
+        names = {v.name for v in component.description.modelVariables}
+    assert "scale[1]" in names
+    assert not any(name.startswith("joint[") for name in names)
+    np.testing.assert_allclose(
+        replay(fmu, t, dq, start={"scale[1]": 2.5}), 2.5 * replay(fmu, t, dq), rtol=1e-14
+    )
+
+
+def test_inputs_with_derivatives_are_followed(table1, binary):
+    """A ramp of the input in long steps comes close to the same ramp in short held steps."""
+    slope, end = 0.02, 0.2
+    held, ramped = binary.ready(), binary.ready(name=b"two")
+    for k in range(2000):
+        binary.set(held, dq=slope * end * (k + 0.5) / 2000)
+        assert binary.step(held, k * end / 2000, end / 2000) == 0
+    binary.set(held, dq=slope * end)
+    import ctypes
+
+    vr, order, value = (
+        binary.references(["dq[1]"]),
+        (ctypes.c_int * 1)(1),
+        (ctypes.c_double * 1)(slope),
+    )
+    for k in range(40):
+        binary.set(ramped, dq=slope * end * k / 40)
+        assert binary("SetRealInputDerivatives", ramped, vr, 1, order, value) == 0
+        assert binary.step(ramped, k * end / 40, end / 40) == 0
+    assert binary.get(ramped, "dq[1]")[0] == pytest.approx(slope * end)
+    assert binary.get(ramped, "h[1]")[0] == pytest.approx(binary.get(held, "h[1]")[0], rel=2e-2)
+    # A slope counts for the step for which it was set.
+    assert binary.step(ramped, end, 0.005) == 0
+    assert binary.get(ramped, "dq[1]")[0] == pytest.approx(slope * end)
+
+
+def test_many_instances_do_not_disturb_each_other(binary):
+    instances = [binary.ready(name=f"i{k}".encode()) for k in range(200)]
+    for k, c in enumerate(instances):
+        binary.set(c, dq=0.01 * k)
+        binary.step(c, 0.0, 0.005)
+    alone = binary.ready()
+    for k in (0, 17, 199):
+        fresh = binary.ready()
+        binary.set(fresh, dq=0.01 * k)
+        binary.step(fresh, 0.0, 0.005)
+        assert binary.get(fresh, "tau[1]", "h[1]") == binary.get(instances[k], "tau[1]", "h[1]")
+    assert binary.get(alone, "h[1]") == [0.0]
+    for c in instances:
+        binary("FreeInstance", c)

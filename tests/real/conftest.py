@@ -1,0 +1,45 @@
+"""Measured logs of a UR10e, which lie beside the repository and are not part of it."""
+
+from pathlib import Path
+
+import pytest
+
+from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.robot_log import RobotLog
+
+DATA = Path(__file__).parents[2].parent / "shared" / "data" / "ur10e"
+
+IDENTIFICATION = ("id_fourier_50s_12harm", "id_fourier_30s_12harm", "id_fourier_20s_5harm")
+TEST = (
+    "test_fourier_40s_12harm",
+    "test_fourier_20s_7harm",
+    "test_fourier_20s_8harm",
+    "test_ptp_10_points",
+)
+
+
+@pytest.fixture(scope="session")
+def ur10e_data() -> Path:
+    if not DATA.is_dir():
+        pytest.skip(f"the measured UR10e logs are not beside the repository, in {DATA}")
+    return DATA
+
+
+@pytest.fixture(scope="session")
+def ur10e(ur10e_data: Path) -> RobotDescription:
+    return RobotDescription.read(Path(__file__).with_name("ur10e.toml"))
+
+
+@pytest.fixture(scope="session")
+def ur10e_model(ur10e: RobotDescription) -> RobotModel:
+    return RobotModel(ur10e)
+
+
+@pytest.fixture(scope="session")
+def id_logs(ur10e_data: Path, ur10e: RobotDescription) -> list[RobotLog]:
+    return [RobotLog.read(ur10e_data / f"{name}.csv", ur10e) for name in IDENTIFICATION]
+
+
+@pytest.fixture(scope="session")
+def unseen_logs(ur10e_data: Path, ur10e: RobotDescription) -> list[RobotLog]:
+    return [RobotLog.read(ur10e_data / f"{name}.csv", ur10e) for name in TEST]

@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from hesr_model.least_squares import Block, solve
+
+TRUTH = np.array([2.0, -1.0, 0.5])
+SCALE = np.array([1.0, 10.0, 0.1])
+
+
+def blocks(*noises: float, rows: int = 400, seed: int = 0) -> list[Block]:
+    rng = np.random.default_rng(seed)
+    out = []
+    for noise in noises:
+        matrix = rng.standard_normal((rows, 3)) * SCALE
+        out.append(Block(matrix=matrix, target=matrix @ TRUTH + noise * rng.standard_normal(rows)))
+    return out
+
+
+@pytest.mark.parametrize("weighted", [True, False])
+def test_without_noise_the_solution_is_exact(weighted: bool) -> None:
+    solution = solve(blocks(0.0, 0.0), scale=SCALE, weighted=weighted)
+    np.testing.assert_allclose(solution.x, TRUTH, atol=1e-12)
+    np.testing.assert_allclose(solution.rmse, 0.0, atol=1e-12)
+    assert solution.ridge == 0.0
+
+
+def test_weights_favour_the_quiet_block() -> None:
+    errors = {True: [], False: []}
+    for seed in range(20):
+        for weighted, found in errors.items():
+            solution = solve(blocks(3.0, 0.03, seed=seed), scale=SCALE, weighted=weighted)
+            found.append(np.abs(solution.x - TRUTH))
+    assert np.all(np.mean(errors[True], axis=0) < 0.1 * np.mean(errors[False], axis=0))
+
+
+def test_residuals_are_those_of_each_block() -> None:
+    solution = solve(blocks(1.0, 0.1), scale=SCALE, weighted=True)
+    np.testing.assert_allclose(solution.rmse, [1.0, 0.1], rtol=0.1)
+
+
+def test_standard_errors_are_the_spread_over_repetitions() -> None:
+    solutions = [
+        solve(blocks(1.0, 0.3, rows=60, seed=s), scale=SCALE, weighted=True) for s in range(300)
+    ]
+    spread = np.std([s.x for s in solutions], axis=0)
+    claimed = np.mean([s.standard_errors for s in solutions], axis=0)
+    np.testing.assert_allclose(claimed, spread, rtol=0.15)
+
+
+def test_what_the_data_do_not_determine_is_pulled_to_zero_and_said() -> None:
+    (block,) = blocks(0.1)
+    twice = np.column_stack([block.matrix, block.matrix[:, 0]])
+    solution = solve(
+        [Block(matrix=twice, target=block.target)], scale=np.append(SCALE, 1.0), weighted=False
+    )
+    assert solution.ridge > 0
+    assert np.isfinite(solution.condition)
+    assert solution.condition > 1e12
+    np.testing.assert_allclose(solution.x[[0, 3]], 1.0, atol=0.01)
+    np.testing.assert_allclose(solution.x[1:3], TRUTH[1:], atol=0.1)
+
+
+def test_a_column_of_zeros_gets_zero() -> None:
+    (block,) = blocks(0.0)
+    wider = np.column_stack([block.matrix, np.zeros(len(block.target))])
+    solution = solve(
+        [Block(matrix=wider, target=block.target)], scale=np.append(SCALE, 1.0), weighted=True
+    )
+    assert solution.x[3] == 0.0
+    np.testing.assert_allclose(solution.x[:3], TRUTH, rtol=1e-4)
+
+
+def test_a_column_that_is_hardly_excited_gets_no_huge_coefficient() -> None:
+    (block,) = blocks(0.1)
+    faint = 1e-7 * np.random.default_rng(1).standard_normal(len(block.target))
+    wider = np.column_stack([block.matrix, faint])
+    solution = solve(
+        [Block(matrix=wider, target=block.target)], scale=np.append(SCALE, 1.0), weighted=True
+    )
+    assert abs(solution.x[3]) < 1.0
+    np.testing.assert_allclose(solution.x[:3], TRUTH, atol=0.1)
+
+
+def test_a_target_of_zeros_gives_zeros() -> None:
+    (block,) = blocks(0.0)
+    still = Block(matrix=block.matrix, target=np.zeros_like(block.target))
+    np.testing.assert_array_equal(solve([still, still], scale=SCALE, weighted=True).x, np.zeros(3))

@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hesr_model.metrics import (
+    near_reversals,
+    reversals,
+    rmse,
+    rmse_ratio_interval,
+    score,
+    time_band,
+)
+from hesr_model.residual import FrictionRecord
+
+
+def record(t: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> FrictionRecord:
+    zero = np.zeros_like(t)
+    return FrictionRecord(log="run", joint="j1", t=t, dq=dq, q=zero, tau_load=zero, tau=tau)
+
+
+def test_a_reversal_lies_at_the_smallest_speed_between() -> None:
+    dq = np.array([0.5, 0.1, 0.015, -0.004, 0.003, -0.01, -0.1, -0.5, -0.03, 0.021])
+    np.testing.assert_array_equal(reversals(dq), [4, 9])
+
+
+@pytest.mark.parametrize(
+    "dq",
+    [
+        [0.5, 0.1, 0.0, 0.0, 0.1, 0.5],  # a rest on the way
+        [0.5, 0.1, 0.01, -0.019, 0.01, 0.1],  # noise at rest
+        [0.0, 0.0, 0.0],
+        [0.01, -0.01, 0.01],
+    ],
+)
+def test_a_rest_is_no_reversal(dq: list[float]) -> None:
+    assert len(reversals(np.array(dq))) == 0
+
+
+@given(st.lists(st.floats(-1, 1), min_size=2, max_size=40))
+def test_reversals_are_symmetric_in_sign_and_one_per_change(values: list[float]) -> None:
+    dq = np.array(values)
+    found = reversals(dq)
+    np.testing.assert_array_equal(found, reversals(-dq))
+    signs = np.sign(dq[np.abs(dq) > 0.02])
+    assert len(found) == np.count_nonzero(np.diff(signs))
+    assert np.all(np.diff(found) >= 0)
+
+
+def test_windows_are_a_tenth_of_a_second_to_either_side() -> None:
+    t = np.arange(0, 2, 0.01) + 5.0
+    near = near_reversals(t, np.cos(np.pi * (t - 5.0) + 1e-9))
+    expected = (np.abs(t - 5.5) < 0.1001) | (np.abs(t - 6.5) < 0.1001)
+    np.testing.assert_array_equal(near, expected)
+
+
+def test_a_score_pools_the_rows_of_all_logs() -> None:
+    t = np.arange(0, 4, 0.01)
+    dq = np.sin(np.pi * t + 0.5)
+    first = record(t, dq, 3.0 * np.sign(dq))
+    second = record(t[:100], np.zeros(100), np.full(100, 1.0))
+    predictions = [first.tau - 0.3 * np.sign(dq), second.tau - 0.6]
+    result = score([first, second], predictions)
+    assert result.tau_std == pytest.approx(np.std(np.concatenate([first.tau, second.tau])))
+    assert result.rmse == pytest.approx(np.sqrt((400 * 0.3**2 + 100 * 0.6**2) / 500))
+    assert result.rmse_moving == pytest.approx(0.3)
+    assert result.rmse_reversal == pytest.approx(0.3)
+    assert result.r2 == pytest.approx(1 - (result.rmse / result.tau_std) ** 2)
+
+
+def test_a_score_without_such_rows_says_none() -> None:
+    still = record(np.arange(5) * 0.1, np.zeros(5), np.ones(5))
+    result = score([still], [np.zeros(5)])
+    assert (result.rmse, result.tau_std) == (1.0, 0.0)
+    assert (result.rmse_moving, result.rmse_reversal, result.r2) == (None, None, None)
+
+
+def test_a_band_holds_its_start_and_not_its_stop() -> None:
+    t = np.array([0.0, 1.0, 2.0, 2.6, 3.0])
+    np.testing.assert_array_equal(time_band(t, 1.0, 2.6), [False, True, True, False, False])
+    np.testing.assert_array_equal(time_band(t, 2.6, 9.0), [False, False, False, True, True])
+
+
+def test_the_interval_of_a_ratio_covers_the_true_ratio() -> None:
+    covered = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        # Errors with a memory of about ten rows.
+        noise = rng.standard_normal((2, 2010))
+        a, b = (np.convolve(x, np.ones(10), mode="valid") for x in noise)
+        low, high = rmse_ratio_interval(
+            [0.8 * a[:800], 0.8 * a[800:]], [b[:800], b[800:]], block=60, rng=rng, resamples=400
+        )
+        covered += low <= 0.8 <= high
+    assert covered >= 51
+
+
+def test_a_ratio_of_the_same_errors_is_certain() -> None:
+    errors = [np.random.default_rng(0).standard_normal(50)]
+    rng = np.random.default_rng(1)
+    low, high = rmse_ratio_interval([2.0 * errors[0]], errors, block=100, rng=rng)
+    assert (low, high) == (pytest.approx(2.0), pytest.approx(2.0))
+
+
+def test_an_interval_is_the_same_for_the_same_seed() -> None:
+    a, b = np.random.default_rng(0).standard_normal((2, 300))
+    first, again = (
+        rmse_ratio_interval([a], [b], block=20, rng=np.random.default_rng(7)) for _ in range(2)
+    )
+    assert first == again
+    assert first[0] < rmse(a) / rmse(b) < first[1]

@@ -1,0 +1,226 @@
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from hesr_model.errors import ConfigError, RobotError
+from hesr_model.robot import RobotDescription, RobotModel
+
+ARM_TOML = """
+name = "arm"
+model = "arm.xml"
+joints = ["j1", "j2", "j3"]
+"""
+
+# The last joint has no limits, the first slides.
+LIFT_URDF = """
+<robot name="lift">
+  <link name="base"/>
+  <joint name="lift" type="prismatic">
+    <parent link="base"/><child link="column"/><origin xyz="0 0 0.5"/><axis xyz="0 0 1"/>
+    <limit lower="0" upper="0.35" effort="2000" velocity="0.07"/>
+  </joint>
+  <link name="column">
+    <inertial><origin xyz="0 0 0.1"/><mass value="10"/>
+      <inertia ixx="0.3" iyy="0.3" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+  <joint name="arm" type="continuous">
+    <parent link="column"/><child link="forearm"/><origin xyz="0.2 0 0" rpy="0 0.5 0"/>
+    <axis xyz="0 0 1"/>
+  </joint>
+  <link name="forearm">
+    <inertial><origin xyz="0.2 0.05 0"/><mass value="2"/>
+      <inertia ixx="0.01" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+</robot>
+"""
+
+FREE_MJCF = """
+<mujoco><worldbody><body name="ball"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+<freejoint name="free"/></body></worldbody></mujoco>
+"""
+
+FREE_MJCF_ARM = """
+<body name="arm"><inertial pos="0.1 0 0" mass="1" diaginertia="1 1 1"/>
+<joint name="hinge" axis="0 0 1"/></body>
+"""
+
+
+@pytest.fixture
+def states() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    q, dq, ddq = np.random.default_rng(1).uniform(-1.5, 1.5, (3, 20, 3))
+    return q, dq, ddq
+
+
+def describe(folder: Path, text: str, more: str = "") -> Path:
+    path = folder / "robot.toml"
+    path.write_text(text + more, encoding="utf-8")
+    return path
+
+
+def test_the_regressor_times_the_parameters_is_the_torque_of_the_library(
+    arm: RobotDescription, arm_model: RobotModel, states: tuple[np.ndarray, ...]
+) -> None:
+    # The library's rnea counts the armature of the MJCF, here it is a column of the regressor.
+    reference = pin.buildModelFromMJCF(str(arm.model))
+    data = reference.createData()
+    expected = np.array([pin.rnea(reference, data, *state) for state in zip(*states, strict=True)])
+    torque = arm_model.torque(arm_model.nominal_parameters, *states)
+    np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-12)
+    regressor = arm_model.regressor(*states)
+    assert regressor.shape == (20, 3, 33)
+    np.testing.assert_array_equal(regressor @ arm_model.nominal_parameters, torque)
+
+
+def test_parameters_are_named_link_by_link_then_rotor_by_rotor(arm_model: RobotModel) -> None:
+    names = dict(zip(arm_model.parameter_names, arm_model.nominal_parameters, strict=True))
+    assert list(names)[:4] == ["j1.m", "j1.mx", "j1.my", "j1.mz"]
+    assert list(names)[-3:] == ["j1.Ir", "j2.Ir", "j3.Ir"]
+    assert names["j1.m"] == pytest.approx(4.0)
+    assert names["j2.mx"] == pytest.approx(2.5 * 0.15)
+    assert names["j3.Ixx"] == pytest.approx(0.01 + 1.2 * (0.02**2 + 0.03**2))
+    assert names["j1.Ir"] == pytest.approx(0.4)
+
+
+def test_without_rotors_the_model_has_ten_parameters_per_link(
+    arm: RobotDescription, states: tuple[np.ndarray, ...]
+) -> None:
+    model = RobotModel(arm.model_copy(update={"rotor_inertia": False}))
+    assert model.nominal_parameters.shape == (30,)
+    assert model.regressor(*states).shape == (20, 3, 30)
+
+
+def test_gravity_is_that_of_the_description(arm: RobotDescription) -> None:
+    still = np.zeros((1, 3))
+    q = np.array([[0.1, 0.4, -0.2]])
+    down = RobotModel(arm)
+    away = RobotModel(arm.model_copy(update={"gravity": (0.0, 0.0, 0.0)}))
+    assert np.abs(down.torque(down.nominal_parameters, q, still, still)).max() > 1.0
+    np.testing.assert_array_equal(away.torque(away.nominal_parameters, q, still, still), still)
+
+
+def test_joints_that_are_not_listed_are_locked_where_the_description_says(
+    arm: RobotDescription, arm_model: RobotModel
+) -> None:
+    locked = arm.model_copy(update={"joints": ("j1", "j3"), "locked": {"j2": 0.7}})
+    model = RobotModel(locked)
+    q = np.array([[0.3, 0.7, -0.5]])
+    zero = np.zeros((1, 3))
+    whole = arm_model.torque(arm_model.nominal_parameters, q, zero, zero)
+    part = model.torque(model.nominal_parameters, q[:, [0, 2]], zero[:, :2], zero[:, :2])
+    np.testing.assert_allclose(part, whole[:, [0, 2]], atol=1e-12)
+
+
+def test_a_sliding_and_an_unlimited_joint(tmp_path: Path) -> None:
+    path = tmp_path / "lift.urdf"
+    path.write_text(LIFT_URDF, encoding="utf-8")
+    model = RobotModel(RobotDescription(name="lift", model=path, joints=("lift", "arm")))
+    q, dq, ddq = np.array([[0.2, 2.0]]), np.array([[0.0, 0.0]]), np.array([[1.0, 0.0]])
+    torque = model.torque(model.nominal_parameters, q, dq, ddq)
+    assert torque[0, 0] == pytest.approx(12.0 * (9.81 + 1.0))
+    lower, upper, speed = model.limits
+    np.testing.assert_allclose([lower, upper, speed], [[0, -np.pi], [0.35, np.pi], [0.07, 2.0]])
+    lift, arm = model.tree
+    assert (lift.prismatic, lift.parent, arm.prismatic, arm.parent) == (True, -1, False, 0)
+    np.testing.assert_allclose(lift.translation, [0, 0, 0.5])
+    np.testing.assert_allclose(arm.rotation @ [0, 0, 1], [np.sin(0.5), 0, np.cos(0.5)])
+
+
+def test_the_tree_places_the_joints(arm_model: RobotModel) -> None:
+    j1, j2, j3 = arm_model.tree
+    assert [j1.parent, j2.parent, j3.parent] == [-1, 0, 1]
+    np.testing.assert_allclose(j3.translation, [0.3, 0, 0.05])
+    np.testing.assert_allclose(j3.axis, np.array([0, 1, 0.3]) / np.hypot(1, 0.3))
+
+
+def test_a_description_is_read_and_finds_its_model(tmp_path: Path, arm: RobotDescription) -> None:
+    path = describe(tmp_path, ARM_TOML, "[log]\ntorque_per_ampere = [1, 2, 3]\n")
+    description = RobotDescription.read(path)
+    assert description.model == arm.model.resolve()
+    assert description.log.torque_per_ampere == (1.0, 2.0, 3.0)
+    assert RobotModel(description).n == 3
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (
+            "[log]\ntorque_per_ampere = [1, 2]\n",
+            r"key 'log.torque_per_ampere' of robot 'arm' has 2 entries; its 3 joints need one each",
+        ),
+        (
+            "[log.columns]\nq = ['a', 'b']\n",
+            r"key 'log.columns.q' of robot 'arm' has 2 entries; its 3 joints need one each",
+        ),
+    ],
+)
+def test_one_entry_per_joint_is_needed(tmp_path: Path, more: str, message: str) -> None:
+    with pytest.raises(RobotError, match=r"robot\.toml: " + message):
+        RobotDescription.read(describe(tmp_path, ARM_TOML, more))
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ("[log.units]\nq = 'deg'\n", r"key 'log\.units\.q' is 'deg': .*'rad'"),
+        ("[log.units]\nt = 'ms'\n", r"key 'log\.units\.t' is 'ms': .*'s'"),
+        ("[log.units]\ntau = 'kgf.m'\n", r"key 'log\.units\.tau' is 'kgf\.m': .*'N\.m'"),
+        ("[log]\nfilter_cutoff = 0\n", r"key 'log\.filter_cutoff' is 0: .*greater than 0"),
+        (
+            "[log.columns]\nq = 'q'\n",
+            r"key 'log\.columns\.q' is 'q': the pattern needs '\{\}' once",
+        ),
+        ("rotor = true\n", r"unknown key 'rotor'; allowed here: gravity, joints"),
+    ],
+)
+def test_a_wrong_key_is_named(tmp_path: Path, more: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=r"robot\.toml: " + message):
+        RobotDescription.read(describe(tmp_path, ARM_TOML, more))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"joints": ("j1", "j4")}, r"arm\.xml: has no joint 'j4'; it has j1, j2, j3\.$"),
+        ({"locked": {"wrist": 0.0}}, r"arm\.xml: has no joint 'wrist'; it has j1, j2, j3\.$"),
+        ({"locked": {"j3": 0.0}}, r"joint 'j3' stands in both 'joints' and 'locked'"),
+        ({"joints": ("j2", "j1")}, r"the joints j2, j1 must be listed once each, in the order"),
+        ({"joints": ("j1", "j1")}, r"the joints j1, j1 must be listed once each, in the order"),
+    ],
+)
+def test_joints_that_do_not_fit_the_model_are_named(
+    arm: RobotDescription, change: dict[str, object], message: str
+) -> None:
+    with pytest.raises(RobotError, match=message):
+        RobotModel(arm.model_copy(update=change))
+
+
+def test_gains_are_counted_for_a_description_made_in_code(arm: RobotDescription) -> None:
+    log = arm.log.model_copy(update={"torque_per_ampere": (1.0,)})
+    with pytest.raises(RobotError, match=r"^key 'log\.torque_per_ampere' of robot 'arm' has 1"):
+        RobotModel(arm.model_copy(update={"log": log}))
+
+
+def test_a_model_file_that_is_missing_or_broken_is_named(
+    arm: RobotDescription, tmp_path: Path
+) -> None:
+    with pytest.raises(RobotError, match=r"none\.urdf: no such model file\.$"):
+        RobotModel(arm.model_copy(update={"model": tmp_path / "none.urdf"}))
+    for name, kind in (("broken.urdf", "a URDF"), ("broken.xml", "an MJCF")):
+        path = tmp_path / name
+        path.write_text("<robot><link", encoding="utf-8")
+        with pytest.raises(RobotError, match=rf"{name}: cannot be parsed as {kind} \(.+\)\.$"):
+            RobotModel(arm.model_copy(update={"model": path}))
+
+
+def test_a_joint_of_many_degrees_of_freedom_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "free.xml"
+    path.write_text(FREE_MJCF, encoding="utf-8")
+    description = RobotDescription(name="ball", model=path, joints=("free",))
+    with pytest.raises(RobotError, match=r"joint 'free' has 6 degrees of freedom; only revolute"):
+        RobotModel(description)
+    path.write_text(FREE_MJCF.replace("</body>", FREE_MJCF_ARM + "</body>"), encoding="utf-8")
+    description = RobotDescription(name="ball", model=path, joints=("hinge",), locked={"free": 1})
+    with pytest.raises(RobotError, match=r"joint 'free' has 6 degrees of freedom; only revolute"):
+        RobotModel(description)

@@ -1,0 +1,222 @@
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pytest
+
+from hesr_model.errors import ArtifactError, LogError
+from hesr_model.files import sha256
+from hesr_model.log_format import LogColumns, LogFormat
+from hesr_model.robot import RobotDescription
+from hesr_model.robot_log import RobotLog, require_moving
+
+HEADER = "t,q1,q2,dq1,dq2,tau1,tau2"
+
+
+def row(k: int, **cells: str) -> str:
+    """One row of a two-joint log at 100 Hz, with some cells replaced."""
+    values = dict.fromkeys(HEADER.split(","), "0.5") | {"t": f"{0.01 * k:.3f}"} | cells
+    return ",".join(values.values())
+
+
+def lines(count: int = 20) -> list[str]:
+    return [HEADER, *(row(k) for k in range(count))]
+
+
+@pytest.fixture
+def robot() -> RobotDescription:
+    # No test here opens the model.
+    return RobotDescription(name="two", model=Path("two.urdf"), joints=("a", "b"))
+
+
+@pytest.fixture
+def read(tmp_path: Path, robot: RobotDescription) -> Callable[..., RobotLog]:
+    def read_lines(text: list[str], log: LogFormat | None = None) -> RobotLog:
+        path = tmp_path / "run.csv"
+        path.write_text("\n".join(text) + "\n", encoding="utf-8")
+        return RobotLog.read(path, robot.model_copy(update={"log": log or LogFormat()}))
+
+    return read_lines
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_a_written_log_is_read_back_bit_for_bit(
+    suffix: str, tmp_path: Path, arm_log: RobotLog, arm: RobotDescription
+) -> None:
+    path = tmp_path / f"out{suffix}"
+    arm_log.write(path)
+    back = RobotLog.read(path, arm)
+    assert back.dq is not None
+    for name in ("t", "q", "dq", "tau"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(arm_log, name))
+    assert (back.name, back.path, back.sha256) == ("out", path, sha256(path))
+
+
+def test_a_log_without_velocity_is_written_and_read_back(
+    tmp_path: Path, arm_log: RobotLog, arm: RobotDescription
+) -> None:
+    path = tmp_path / "out.csv"
+    replace(arm_log, dq=None).write(path)
+    log = LogFormat(columns=LogColumns(dq=""))
+    assert RobotLog.read(path, arm.model_copy(update={"log": log})).dq is None
+
+
+def test_a_log_that_cannot_be_written_says_where(tmp_path: Path, arm_log: RobotLog) -> None:
+    (tmp_path / "taken").write_text("", encoding="utf-8")
+    with pytest.raises(ArtifactError, match=r"taken/out\.csv: cannot be written there"):
+        arm_log.write(tmp_path / "taken" / "out.csv")
+
+
+def test_currents_become_torques_by_the_gains(read: Callable[..., RobotLog]) -> None:
+    text = [line.replace("tau", "i") for line in lines()]
+    log = read(text, LogFormat(torque_per_ampere=(10.0, -4.0)))
+    np.testing.assert_array_equal(log.tau[0], [5.0, -2.0])
+
+
+def test_with_gains_a_log_of_torques_is_taken_as_it_is(read: Callable[..., RobotLog]) -> None:
+    log = read(lines(), LogFormat(torque_per_ampere=(10.0, -4.0)))
+    np.testing.assert_array_equal(log.tau[0], [0.5, 0.5])
+
+
+def test_columns_can_be_named_one_by_one(read: Callable[..., RobotLog]) -> None:
+    text = [HEADER.replace("q1", "q_lift") + ",mode", *(row(k) + ",run" for k in range(20))]
+    log = read(text, LogFormat(columns=LogColumns(q=("q_lift", "q2"), dq=("dq_lift", "dq2"))))
+    assert log.q.shape == (20, 2)
+
+
+def test_a_number_deep_in_a_column_of_integers_is_read(read: Callable[..., RobotLog]) -> None:
+    # Types must not be inferred from the first block of a large file alone.
+    count = 40_000
+    text = [HEADER, *(row(k, q1="1") for k in range(count)), row(count, q1="0.25")]
+    assert read(text).q[-1, 0] == 0.25
+
+
+def test_blanks_and_byte_order_marks_do_not_matter(read: Callable[..., RobotLog]) -> None:
+    text = ["\ufeff" + HEADER.replace(",", ", "), "", *(row(k) for k in range(5)), "", ""]
+    assert len(read(text).t) == 5
+
+
+def test_what_is_not_a_table_is_refused(tmp_path: Path, robot: RobotDescription) -> None:
+    path = tmp_path / "run.csv"
+    with pytest.raises(LogError, match=r"run\.csv: no such log file\.$"):
+        RobotLog.read(path, robot)
+    path.write_bytes(b"")
+    with pytest.raises(LogError, match=r"run\.csv: is empty; a log needs a header and rows"):
+        RobotLog.read(path, robot)
+    path.write_bytes(b"\n\n")
+    with pytest.raises(LogError, match=r"run\.csv: is empty; a log needs a header and rows"):
+        RobotLog.read(path, robot)
+    path.write_bytes(bytes(range(256)) * 4)
+    with pytest.raises(LogError, match=r"run\.csv: cannot be read as CSV text\.$"):
+        RobotLog.read(path, robot)
+    parquet = tmp_path / "run.parquet"
+    parquet.write_bytes(b"not parquet")
+    with pytest.raises(LogError, match=r"run\.parquet: cannot be read as Parquet\.$"):
+        RobotLog.read(parquet, robot)
+
+
+MESSAGES = [
+    (lambda t: t[:1], r"has no rows of data below its header"),
+    (lambda t: t[:2], r"has 1 rows of data; at least 2 are needed"),
+    (
+        lambda t: [HEADER.replace("dq2", "v"), *t[1:]],
+        r"column 'dq2' is missing; it has 1 joints, but the robot has 2\.$",
+    ),
+    (
+        lambda t: [HEADER.replace("dq", "v"), *t[1:]],
+        r"column 'dq1' is missing; it has t, q1, q2, v1, v2, tau1, tau2\.$",
+    ),
+    (
+        lambda t: [HEADER.replace("q1", "q3"), *t[1:]],
+        r"column 'q1' is missing; it has t, q3, q2",
+    ),
+    (
+        lambda t: [HEADER.replace("t,", "time,"), *t[1:]],
+        r"column 't' is missing; it has time, q1",
+    ),
+    (
+        lambda t: [HEADER.replace("q2", "q1"), *t[1:]],
+        r"column 'q1' stands twice; names must differ\.$",
+    ),
+    (
+        lambda t: [HEADER + ",q3", *(line + ",0" for line in t[1:])],
+        r"has column 'q3', but the robot has 2 joints; name the columns one by one",
+    ),
+    (
+        lambda t: [HEADER.replace("tau", "m"), *t[1:]],
+        r"column 'tau1' \(torque\) or 'i1' \(current\) is missing; it has t, q1",
+    ),
+    (
+        lambda t: [HEADER.replace("tau", "i"), *t[1:]],
+        r"column 'tau1' is missing; to use the currents in 'i1', give 'log\.torque_per_ampere'",
+    ),
+    (lambda t: [*t[:4], "0.03,1,2", *t[4:]], r"row 5 has 3 cells; the header has 7 columns"),
+    (lambda t: [*t[:4], row(3) + ",9", *t[4:]], r"row 5 has 8 cells; the header has 7 columns"),
+    (
+        lambda t: [*t[:4], row(3, q2="nan"), *t[5:]],
+        r"column 'q2', row 5: an empty cell or NaN where a finite number is needed\.$",
+    ),
+    (lambda t: [*t[:4], row(3, tau1=""), *t[5:]], r"column 'tau1', row 5: an empty cell or NaN"),
+    (lambda t: [*t[:4], row(3, dq1="-inf"), *t[5:]], r"column 'dq1', row 5: infinity where"),
+    (
+        lambda t: [*t[:4], row(3, q2="0_5"), *t[5:]],
+        r"column 'q2', row 5: '0_5' where a number is needed\.$",
+    ),
+    (
+        lambda t: [t[0], "", *t[1:4], row(3, q2="x"), *t[5:]],
+        r"column 'q2', row 6: 'x' where a number is needed\.$",
+    ),
+    (
+        lambda t: [*t[:4], row(2), *t[5:]],
+        r"column 't', row 5: time must increase, but 0\.02 s follows 0\.02 s\.$",
+    ),
+    (
+        lambda t: [*t, row(31)],
+        r"column 't', row 22: a gap of 0\.12 s; at most 10 sample periods of 0\.01 s",
+    ),
+]
+
+
+@pytest.mark.parametrize(("spoil", "message"), MESSAGES)
+def test_an_error_names_the_file_the_column_and_the_row(
+    spoil: Callable[[list[str]], list[str]], message: str, read: Callable[..., RobotLog]
+) -> None:
+    with pytest.raises(LogError, match=r"run\.csv: " + message):
+        read(spoil(lines()))
+
+
+def test_time_in_milliseconds_is_noticed(read: Callable[..., RobotLog]) -> None:
+    text = [HEADER, *(row(k, t=str(10 * k)) for k in range(20))]
+    message = r"rows are 10 s apart, but the robot file's sample_rate of 94 Hz means 0\.01064 s"
+    with pytest.raises(LogError, match=message):
+        read(text, LogFormat(sample_rate=94.0))
+
+
+def test_rows_of_parquet_are_counted_from_one(tmp_path: Path, robot: RobotDescription) -> None:
+    columns = {name: np.full(5, 0.5) for name in HEADER.split(",")}
+    columns["t"] = 0.01 * np.arange(5)
+    columns["q2"][3] = np.nan
+    path = tmp_path / "run.parquet"
+    pyarrow.parquet.write_table(pyarrow.table(columns), path)
+    with pytest.raises(LogError, match=r"run\.parquet: column 'q2', row 4: an empty cell or NaN"):
+        RobotLog.read(path, robot)
+
+
+def test_a_parquet_column_of_another_type_is_refused(
+    tmp_path: Path, robot: RobotDescription
+) -> None:
+    columns = {name: [[0.5]] * 5 for name in HEADER.split(",")}
+    path = tmp_path / "run.parquet"
+    pyarrow.parquet.write_table(pyarrow.table(columns), path)
+    with pytest.raises(LogError, match=r"run\.parquet: column 't', row 1: '\[0\.5\]' where a"):
+        RobotLog.read(path, robot)
+
+
+def test_a_joint_that_no_log_moves_is_named(arm_log: RobotLog) -> None:
+    still = replace(arm_log, q=arm_log.q * [1.0, 0.0, 1.0], path=Path("still.csv"))
+    require_moving([still, arm_log], ("j1", "j2", "j3"))
+    with pytest.raises(LogError, match=r"^still\.csv: the position of joint 'j2' is constant"):
+        require_moving([still], ("j1", "j2", "j3"))
