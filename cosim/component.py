@@ -2,7 +2,7 @@
 
 import ctypes
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, chdir, suppress
 from difflib import get_close_matches
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -99,12 +99,14 @@ class Component:
                 f"{self.fmu}: has no binary for this platform; needed is {library}."
             )
         try:
-            return FMU2Slave(
-                guid=about.guid,
-                modelIdentifier=identifier,
-                unzipDirectory=str(folder),
-                instanceName=self.name,
-            )
+            # FMPy changes the working directory and, if loading fails, does not change it back.
+            with chdir(folder):
+                return FMU2Slave(
+                    guid=about.guid,
+                    modelIdentifier=identifier,
+                    unzipDirectory=str(folder),
+                    instanceName=self.name,
+                )
         except Exception as error:  # FMPy raises bare exceptions
             raise SimulationError(f"{self.fmu}: its binary cannot be loaded ({error}).") from error
 
@@ -118,7 +120,9 @@ class Component:
 
     def _free(self) -> None:
         if self._stepping:
-            self._slave.fmi2Terminate(self._slave.component)
+            # A slave that refuses to end has to be freed all the same.
+            with suppress(FMICallException):
+                self._slave.fmi2Terminate(self._slave.component)
         self._slave.fmi2FreeInstance(self._slave.component)
 
     def _log(self, _environment: Any, _name: bytes, status: int, _kind: bytes, text: bytes) -> None:

@@ -43,6 +43,8 @@ def replay(
         If the log does not fit the FMU, or the FMU fails.
     """
     time = np.asarray(t, dtype=float)
+    if not len(time):
+        raise SimulationError(f"{fmu}: the log to be replayed has no samples.")
     with Component(fmu) as component:
         joints = sum(v.name.startswith("tau[") for v in component.description.modelVariables)
         zero = np.zeros((len(time), joints))

@@ -21,9 +21,9 @@ DISCRETISATION = Enumeration(
 )
 
 _INPUT_DESCRIPTIONS = {
-    "dq": "velocity of joint {}",
-    "q": "position of joint {}",
-    "tau_load": "load torque on joint {}: rigid-body torque of the motion",
+    "dq": "velocity of {}",
+    "q": "position of {}",
+    "tau_load": "load torque on {}: rigid-body torque of the motion",
 }
 
 
@@ -76,7 +76,7 @@ def interface(model: FrictionModel) -> Interface:
         Variable(
             name=f"tau[{joint}]",
             role="output",
-            description=f"friction torque of joint {model.joints[joint - 1]}",
+            description=f"friction torque of {model.joints[joint - 1]}",
             unit="N.m",
             dependencies=_dependencies(law, joint),
         )

@@ -39,8 +39,8 @@ _ALL_C = """\
 
 """
 
-# Files without a date of their own get the first that a ZIP archive can hold.
-_NO_DATE = datetime(1980, 1, 1, tzinfo=UTC)
+# The dates that a ZIP archive can hold; the first also stands for no date.
+_FIRST_DATE, _LAST_DATE = datetime(1980, 1, 1, tzinfo=UTC), datetime(2107, 12, 31, tzinfo=UTC)
 
 
 def export_fmu(
@@ -110,16 +110,17 @@ def _about(model: FrictionModel) -> Description:
 def _created(model: FrictionModel) -> datetime:
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     created = model.provenance.get("created")
+    date = _FIRST_DATE
     try:
         if epoch is not None:
-            return max(_NO_DATE, datetime.fromtimestamp(int(epoch), tz=UTC))
-        if created is not None:
+            date = datetime.fromtimestamp(int(epoch), tz=UTC)
+        elif created is not None:
             date = datetime.fromisoformat(str(created))
-            return max(_NO_DATE, date.astimezone(UTC) if date.tzinfo else date.replace(tzinfo=UTC))
     except (ValueError, OverflowError, OSError) as error:
         found = f"SOURCE_DATE_EPOCH is '{epoch}'" if epoch else f"'created' is '{created}'"
         raise ExportError(f"{found}; needed is a date.") from error
-    return _NO_DATE
+    date = date.astimezone(UTC) if date.tzinfo else date.replace(tzinfo=UTC)
+    return min(max(date, _FIRST_DATE), _LAST_DATE)
 
 
 def _sources(model: FrictionModel, table: Interface) -> dict[str, str]:

@@ -1,5 +1,6 @@
 """The C compiler: one for all targets, the same bytes on every host."""
 
+import os
 import struct
 import subprocess
 import sys
@@ -112,13 +113,22 @@ def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[s
         If it fails, with the first line of what it says.
     """
     command = [sys.executable, "-m", "ziglang", "cc", *flags, "-o", str(output), source.name, *last]
-    try:
-        # In the sources' own folder, so that no path of this machine gets into the binary.
-        result = subprocess.run(
-            command, cwd=source.parent, capture_output=True, text=True, check=False
-        )
-    except OSError as error:
-        raise ExportError(f"the C compiler cannot be run ({error.strerror}).") from error
+    with tempfile.TemporaryDirectory(prefix="hesr-cache-") as cache:
+        # The compiler's cache of objects gives stale ones when compilations run side by side, so
+        # each has its own; that of the C library, which takes long to build, stays shared.
+        environment = os.environ | {"ZIG_LOCAL_CACHE_DIR": cache}
+        try:
+            # In the sources' own folder, so that no path of this machine gets into the binary.
+            result = subprocess.run(
+                command,
+                cwd=source.parent,
+                env=environment,
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+        except OSError as error:
+            raise ExportError(f"the C compiler cannot be run ({error.strerror}).") from error
     if result.returncode:
         lines = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
         raise ExportError(f"{output.name}: the C compiler failed: {lines[0].strip()}.")

@@ -111,7 +111,7 @@ def read_model(path: Path) -> FrictionModel:
             joints=tuple(str(j["joint"]) for j in data["joints"]),
             laws=tuple(_law_from_json(j) for j in data["joints"]),
             sample_time=float(data["sample_time"]),
-            provenance=data["provenance"],
+            provenance=dict(data["provenance"]),
         )
 
 
@@ -136,6 +136,7 @@ def _law_to_json(law: FrictionLaw) -> dict[str, Any]:
         "coefficients": {n: {"value": v, "unit": units[n]} for n, v in law.values.items()},
         "discretisation": law.discretisation,
         "start": list(law.start),
+        "start_samples": law.start_samples,
     }
 
 
@@ -159,4 +160,5 @@ def _law_from_json(data: Mapping[str, Any]) -> FrictionLaw:
         values={name: float(entry["value"]) for name, entry in data["coefficients"].items()},
         discretisation=data["discretisation"],
         start=tuple(float(x) for x in data["start"]),
+        start_samples=int(data.get("start_samples", 0)),
     )

@@ -1,5 +1,6 @@
 """Files: found where the package is installed, hashed, and written whole or not at all."""
 
+import errno
 import hashlib
 import os
 import shutil
@@ -38,13 +39,16 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
         existing = next(p for p in (path, *path.parents) if p.exists())
         temporary = Path(tempfile.mkdtemp(dir=existing, prefix=".hesr-"))
     except OSError as error:
-        raise ArtifactError(f"{path}: cannot be written there ({error.strerror}).") from error
+        raise _unwritable(path, error) from error
     try:
         yield temporary
         for file in sorted(p for p in temporary.rglob("*") if p.is_file()):
             target = path / file.relative_to(temporary)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            file.replace(target)
+            try:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                file.replace(target)
+            except OSError as error:
+                raise _unwritable(target, error) from error
     finally:
         shutil.rmtree(temporary)
 
@@ -63,12 +67,14 @@ def written_whole(path: Path) -> Iterator[Path]:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         handle, name = tempfile.mkstemp(
             dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix
         )
         os.close(handle)
     except OSError as error:
-        raise ArtifactError(f"{path}: cannot be written there ({error.strerror}).") from error
+        raise _unwritable(path, error) from error
     temporary = Path(name)
     try:
         yield temporary
@@ -79,3 +85,7 @@ def written_whole(path: Path) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _unwritable(path: Path, error: OSError) -> ArtifactError:
+    return ArtifactError(f"{path}: cannot be written there ({error.strerror}).")

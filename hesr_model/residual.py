@@ -34,6 +34,8 @@ class FrictionRecord:
         (N,) [N.m], rigid-body torque.
     tau
         (N,) [N.m], friction: measured torque less rigid-body torque (eq. 8), not smoothed.
+    gear_ratio
+        Turns of the motor per turn of the joint, where the robot file gives it.
     """
 
     log: str
@@ -43,6 +45,7 @@ class FrictionRecord:
     q: Array
     tau_load: Array
     tau: Array
+    gear_ratio: float | None = None
 
 
 def friction_records(
@@ -59,6 +62,7 @@ def friction_records(
     """
     motion = smooth(log, model.description.log.filter_cutoff)
     load = rigid_body.torque(model, motion)
+    ratios = model.description.gear_ratio or (None,) * model.n
     return [
         FrictionRecord(
             log=log.name,
@@ -68,6 +72,7 @@ def friction_records(
             q=np.ascontiguousarray(motion.q_raw[:, k]),
             tau_load=np.ascontiguousarray(load[:, k]),
             tau=motion.tau[:, k] - load[:, k],
+            gear_ratio=ratios[k],
         )
         for k, joint in enumerate(model.description.joints)
     ]

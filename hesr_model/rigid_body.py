@@ -20,7 +20,9 @@ Array = NDArray[np.float64]
 Method = Literal["stacked", "paper"]
 Weighting = Literal["wls", "ols"]
 
-_LEAST_PEAK = 0.02
+LEAST_PEAK = 0.02
+"""[rad/s, m/s] A joint that is never faster tells nothing of its inertia."""
+
 _RANK_TOLERANCE = 1e-8
 _RANDOM_STATES = 300
 
@@ -278,8 +280,8 @@ def _require_samples(motions: Sequence[Motion], unknowns: int) -> None:
 
 def _require_speed(motions: Sequence[Motion], model: RobotModel) -> None:
     for joint, peak in zip(model.description.joints, peaks(motions), strict=True):
-        if not peak > _LEAST_PEAK:
+        if not peak > LEAST_PEAK:
             raise FitError(
                 f"{_named(motions)}: joint '{joint}' is never faster than {peak:.2g} rad/s; "
-                f"a peak of more than {_LEAST_PEAK:g} rad/s is needed in at least one log."
+                f"a peak of more than {LEAST_PEAK:g} rad/s is needed in at least one log."
             )

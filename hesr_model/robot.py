@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,8 @@ class RobotDescription(Config):
         In the base frame [m/s2].
     rotor_inertia
         Whether a rotor inertia per joint, reflected through its gear, is a parameter.
+    gear_ratio
+        Turns of the motor per turn of each joint, where known: laws with motor ripple need it.
     """
 
     name: str
@@ -44,6 +46,7 @@ class RobotDescription(Config):
     locked: dict[str, float] = Field(default_factory=dict)
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     rotor_inertia: bool = True
+    gear_ratio: tuple[Annotated[float, Field(gt=0)], ...] | None = None
     log: LogFormat = LogFormat()
 
     @classmethod
@@ -74,6 +77,7 @@ class RobotDescription(Config):
         """
         columns = self.log.columns
         lists = {
+            "gear_ratio": self.gear_ratio,
             "log.torque_per_ampere": self.log.torque_per_ampere,
             "log.columns.q": columns.q,
             "log.columns.dq": columns.dq,

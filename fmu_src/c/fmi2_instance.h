@@ -98,7 +98,7 @@ static bool refreshed(Instance *instance) {
     }
     for (int i = 0; i < VARIABLES; i++) {
         if (!isfinite(memory->component.v[i])) {
-            complain(instance, "%s became %g at time %.17g.", variables[i].name,
+            complain(instance, "%s became %g at time %.9g.", variables[i].name,
                      memory->component.v[i], memory->time);
             return false;
         }

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dtbtrs
+from scipy.optimize import minimize_scalar
 
 from hesr_model.errors import SimulationError
 from hesr_model.friction.functions import INPUTS, lowered
@@ -128,6 +129,43 @@ def predict(
         x = recurrence(*step_coefficients(b, r, dt, law.discretisation), x0)
         states += [x, b - r * x]
     return np.array(np.broadcast_to(output(*values, *inputs, *states)[0], time.shape))
+
+
+def estimated_start(
+    law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Array, tau: Array
+) -> tuple[float, ...]:
+    """Return the start of the state that explains the first torques of a log best.
+
+    Of `law.start_samples` rows; the state is searched between the limits that it can reach in the
+    log. A law without such samples, without a state or with several keeps its own start.
+
+    Parameters
+    ----------
+    law : the law of one joint.
+    t, dq, q, tau_load, tau : (N,) rows of the log [s, rad/s, rad, N.m, N.m]; tau is friction.
+    """
+    if not law.start_samples or len(law.start) != 1:
+        return law.start
+    b, r = (
+        np.broadcast_to(e, t.shape)
+        for e in _functions(law.form)[0](*law.values.values(), dq, q, tau_load)
+    )
+    moving = r > 1e-9 * max(float(r.max()), 1e-300)
+    limit = float(np.max(np.abs(b[moving] / r[moving]), initial=0.0))
+    first = slice(0, law.start_samples)
+
+    def error(x: float) -> float:
+        predicted = predict(
+            law, t=t[first], dq=dq[first], q=q[first], tau_load=tau_load[first], start=(x,)
+        )
+        return float(np.sum((predicted - tau[first]) ** 2))
+
+    grid = np.linspace(-limit, limit, 41)
+    best = int(np.argmin([error(float(x)) for x in grid]))
+    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    if low == high:
+        return law.start
+    return (float(minimize_scalar(error, bounds=(low, high), method="bounded").x),)
 
 
 class Stepper:

@@ -8,9 +8,11 @@ law (NumPy over a log, Python or C step by step) and everything that shows it is
 description; no law is written a second time.
 """
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import inf, isfinite
 from typing import Any, Literal
 
 import sympy
@@ -62,7 +64,8 @@ class LawForm:
     Raises
     ------
     ArtifactError
-        If an expression uses a symbol that is neither an input, a coefficient nor a state.
+        If an expression uses a symbol that is neither an input, a coefficient nor a state, or two
+        of these have one name.
     """
 
     coefficients: tuple[Coefficient, ...]
@@ -71,7 +74,14 @@ class LawForm:
 
     def __post_init__(self) -> None:
         known = {*INPUTS, *(c.symbol for c in self.coefficients)}
-        own = {s for r in self.relaxations for s in (r.state, r.derivative)}
+        states = [s for r in self.relaxations for s in (r.state, r.derivative)]
+        own = set(states)
+        names = Counter([*INPUTS, *(c.symbol for c in self.coefficients), *states])
+        if twice := [symbol for symbol, count in names.items() if count > 1]:
+            raise ArtifactError(
+                f"friction law: '{twice[0]}' stands twice among its inputs, coefficients and "
+                "states."
+            )
         inner = {s for r in self.relaxations for e in (r.drive, r.rate) for s in e.free_symbols}
         unknown = (inner - known) | (self.output.free_symbols - known - own)
         if unknown:
@@ -101,6 +111,8 @@ class FrictionLaw:
     discretisation : "exact" integrates each relaxation exactly for inputs held over a step;
         "euler" is eq. 10 and requires 0 <= rate * dt < 1.
     start : value of each state before the first sample, zero by default.
+    start_samples : how many measured torques at the beginning of a log set the start in its place,
+        where they are known (`evaluate.estimated_start`); 0 for none.
 
     Raises
     ------
@@ -114,6 +126,7 @@ class FrictionLaw:
     values: Mapping[str, float]
     discretisation: Discretisation = "exact"
     start: tuple[float, ...] = ()
+    start_samples: int = 0
 
     def __post_init__(self) -> None:
         needed = [c.name for c in self.form.coefficients]
@@ -125,7 +138,7 @@ class FrictionLaw:
             )
         object.__setattr__(self, "values", {name: float(self.values[name]) for name in needed})
         for name, value in self.values.items():
-            if not sympy.Float(value).is_finite:
+            if not isfinite(value):
                 raise ArtifactError(f"law '{self.name}': coefficient '{name}' is {value}.")
         if not self.start:
             object.__setattr__(self, "start", (0.0,) * len(self.form.relaxations))
@@ -134,6 +147,11 @@ class FrictionLaw:
                 f"law '{self.name}': {len(self.start)} start values for "
                 f"{len(self.form.relaxations)} states."
             )
+        for relaxation, value in zip(self.form.relaxations, self.start, strict=True):
+            if not isfinite(value):
+                raise ArtifactError(
+                    f"law '{self.name}': start value of '{relaxation.name}' is {value}."
+                )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,4 +179,9 @@ class FrictionModel:
         if not self.joints or len(self.joints) != len(self.laws):
             raise ArtifactError(
                 f"friction model '{self.law}': {len(self.laws)} laws for {len(self.joints)} joints."
+            )
+        if not 0.0 < self.sample_time < inf:
+            raise ArtifactError(
+                f"friction model '{self.law}': sample time is {self.sample_time} s; needed is a "
+                "positive number."
             )

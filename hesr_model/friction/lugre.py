@@ -1,29 +1,21 @@
 """LuGre: bristles whose mean deflection is one relaxation (paper, eq. 1-3)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import sympy
-from scipy.optimize import differential_evolution
 
-from hesr_model.friction.estimator import Estimator, register
-from hesr_model.friction.evaluate import Array, step_coefficients
-from hesr_model.friction.functions import DQ, absolute
-from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
-from hesr_model.friction.samples import Samples, non_negative_least_squares
-from hesr_model.friction.stribeck import VELOCITY_BOUNDS, no_structure
-from hesr_model.residual import FrictionRecord
+from hesr_model.friction.described import Described, no_structure
+from hesr_model.friction.estimator import register
+from hesr_model.friction.functions import DQ, TAU_LOAD, absolute
+from hesr_model.friction.law import Coefficient, LawForm, Relaxation
+from hesr_model.friction.separable import SearchSpace
+from hesr_model.friction.stribeck import F_C, F_S, SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
 
-COEFFICIENTS = (
-    Coefficient(name="sigma_0", unit="N.m/rad", description="bristle stiffness"),
-    Coefficient(name="sigma_1", unit="N.m.s/rad", description="bristle damping"),
-    Coefficient(name="sigma_2", unit="N.m.s/rad", description="viscous friction"),
-    Coefficient(name="F_c", unit="N.m", description="Coulomb friction"),
-    Coefficient(name="F_s", unit="N.m", description="static friction"),
-    Coefficient(name="v_s", unit="rad/s", description="Stribeck velocity"),
-    Coefficient(name="tau_0", unit="N.m", description="offset"),
-)
+SIGMA_0 = Coefficient(name="sigma_0", unit="N.m/rad", description="bristle stiffness")
+SIGMA_1 = Coefficient(name="sigma_1", unit="N.m.s/rad", description="bristle damping")
+MU = Coefficient(name="mu", unit="1/(N.m)", description="relative rise with the load torque")
 
 DEFLECTION_BOUNDS = (1e-5, 0.1)
 """Bounds of the sliding deflection F_c / sigma_0 [rad]; wide, since the update is exact."""
@@ -31,59 +23,99 @@ STATIC_RATIO_BOUNDS = (0.2, 5.0)
 """Bounds of F_s / F_c; below 1 the level rises with speed, as lubricated gears show."""
 
 
-@register
-class LuGre(Estimator):
-    """z' = v - sigma_0 |v|/g(v) z, tau = sigma_0 z + sigma_1 z' + sigma_2 v + tau_0.
+def bristle() -> Relaxation:
+    """Return the bristle state z' = v - sigma_0 |v| z / g(v) (eq. 2)."""
+    f_c, f_s, v_s = F_C.symbol, F_S.symbol, V_S.symbol
+    # Relative to F_c, so that a common factor of sigma_0, F_c and F_s cancels.
+    level = 1 + (f_s / f_c - 1) * sympy.exp(-((DQ / v_s) ** 2))
+    rate = SIGMA_0.symbol / f_c * absolute(DQ) / level
+    return Relaxation(name="z", unit="rad", drive=DQ, rate=rate)
 
-    With y = sigma_0 z / F_c the law is linear in F_c, sigma_1 sigma_0 / F_c, sigma_2 and tau_0, so
-    differential evolution searches only the sliding deflection, F_s / F_c and v_s; the rest is
-    solved inside it.
+
+def bristle_space(linear: tuple[str, ...], non_negative: int) -> SearchSpace:
+    """Search the sliding deflection, F_s / F_c and v_s.
+
+    With sigma_0 = F_c / deflection and F_s = ratio F_c the rate of z is free of F_c, and the torque
+    is linear in F_c and in the other coefficients of eq. 1.
     """
+    f_c, deflection, ratio = (
+        sympy.Symbol(name, real=True) for name in ("F_c", "deflection", "ratio")
+    )
+    return SearchSpace(
+        bounds=(
+            ("deflection", DEFLECTION_BOUNDS),
+            ("ratio", STATIC_RATIO_BOUNDS),
+            ("v_s", VELOCITY_BOUNDS),
+        ),
+        linear=linear,
+        non_negative=non_negative,
+        values=(("sigma_0", f_c / deflection), ("F_s", ratio * f_c)),
+    )
+
+
+def torque() -> sympy.Expr:
+    """Return the torque of eq. 1 with an offset."""
+    z = bristle()
+    return (
+        SIGMA_0.symbol * z.state
+        + SIGMA_1.symbol * z.derivative
+        + SIGMA_2.symbol * DQ
+        + TAU_0.symbol
+    )
+
+
+COEFFICIENTS = (SIGMA_0, SIGMA_1, SIGMA_2, F_C, F_S, V_S, TAU_0)
+
+
+@register
+class LuGre(Described):
+    """z' = v - sigma_0 |v|/g(v) z, tau = sigma_0 z + sigma_1 z' + sigma_2 v + tau_0."""
 
     name = "lugre"
     title = "LuGre"
     equation = "sigma_0 z + sigma_1 z' + sigma_2 dq + tau_0, z' = dq - sigma_0 |dq| z / g(dq)"
 
     @staticmethod
-    def form(structure: Mapping[str, Any]) -> LawForm:
-        """Return the one form of the law."""
+    def core(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
         no_structure("lugre", structure)
-        sigma_0, sigma_1, sigma_2, f_c, f_s, v_s, tau_0 = (c.symbol for c in COEFFICIENTS)
-        level = f_c + (f_s - f_c) * sympy.exp(-((DQ / v_s) ** 2))
-        bristle = Relaxation(name="z", unit="rad", drive=DQ, rate=sigma_0 * absolute(DQ) / level)
-        z, dz = bristle.state, bristle.derivative
+        return LawForm(coefficients=COEFFICIENTS, relaxations=(bristle(),), output=torque())
+
+    def space(self) -> SearchSpace:
+        """Search the bristle; everything else is linear."""
+        return bristle_space(("F_c", "sigma_1", "sigma_2", "tau_0"), non_negative=3)
+
+
+@register
+class LuGreLoad(Described):
+    """LuGre whose bristle force rises with the load: tau = ... + mu sigma_0 z |tau_load|."""
+
+    name = "lugre_load"
+    title = "LuGre+load"
+    equation = "LuGre with sigma_0 z (1 + mu |tau_load|)"
+
+    @staticmethod
+    def core(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        no_structure("lugre_load", structure)
+        rise = MU.symbol * SIGMA_0.symbol * bristle().state * absolute(TAU_LOAD)
         return LawForm(
-            coefficients=COEFFICIENTS,
-            relaxations=(bristle,),
-            output=sigma_0 * z + sigma_1 * dz + sigma_2 * DQ + tau_0,
+            coefficients=(*COEFFICIENTS, MU), relaxations=(bristle(),), output=torque() + rise
         )
 
-    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
-        """Fit by differential evolution over the three non-linear numbers (seeded by `rng`)."""
-        samples = Samples.of(records, coefficients=len(COEFFICIENTS))
+    def space(self) -> SearchSpace:
+        """Search the bristle; the product F_c mu is solved for, since the torque is linear in it."""
+        plain = bristle_space(("F_c", "sigma_1", "sigma_2", "tau_0", "F_c_mu"), non_negative=3)
+        product = sympy.Symbol("F_c_mu", real=True)
+        return replace(plain, values=(*plain.values, (MU.name, product / F_C.symbol)))
 
-        def solve(point: Array) -> tuple[Array, float]:
-            deflection, ratio, v_s = np.exp(point)
-            level = 1.0 + (ratio - 1.0) * np.exp(-((samples.dq / v_s) ** 2))
-            drive = samples.dq / deflection
-            rate = np.abs(drive) / level
-            y = samples.recurrence(*step_coefficients(drive, rate, samples.dt, "exact"))
-            columns = np.column_stack([y, drive - rate * y, samples.dq, np.ones_like(y)])
-            return non_negative_least_squares(columns, samples.tau, non_negative=3)
 
-        bounds = np.log([DEFLECTION_BOUNDS, STATIC_RATIO_BOUNDS, VELOCITY_BOUNDS])
-        best = differential_evolution(
-            lambda point: solve(point)[1], bounds, rng=rng, popsize=10, maxiter=40, tol=1e-4
-        )
-        deflection, ratio, v_s = np.exp(best.x)
-        (f_c, damping, sigma_2, tau_0), _ = solve(best.x)
-        values = {
-            "sigma_0": f_c / deflection,
-            "sigma_1": damping / deflection,
-            "sigma_2": sigma_2,
-            "F_c": f_c,
-            "F_s": ratio * f_c,
-            "v_s": v_s,
-            "tau_0": tau_0,
-        }
-        return FrictionLaw(name=self.name, form=self.form({}), values=values)
+@register
+class LuGreLoadRipple(LuGreLoad):
+    """LuGre+load with motor ripple and with the start of z from the first torque samples."""
+
+    name = "lugre_load_ripple"
+    title = "LuGre+load+ripple"
+    equation = "LuGre+load + sum_k a_k cos(k N (q - lag dq)) + b_k sin(k N (q - lag dq))"
+    ripple = True
+    start_samples = 5

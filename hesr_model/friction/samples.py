@@ -4,10 +4,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hesr_model.errors import FitError
 from hesr_model.friction.evaluate import Array, recurrence
-from hesr_model.residual import FrictionRecord
+from hesr_model.residual import FrictionRecord, require_reversals
+
+
+Rows = NDArray[np.bool_]
+"""(N,) mask of rows."""
+
+BLOCKS = 4
+"""Blocks of time that stand in for logs where there is only one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,18 +25,28 @@ class Samples:
     Attributes
     ----------
     dt : (N,) time since the row before [s], 0 where a record begins.
+    gear_ratio : turns of the motor per turn of the joint, where known.
     begins : (N,) True where a record begins.
     record : (N,) index of the record.
     dq, q, tau_load, tau : (N,) as in the records.
     """
 
     dt: Array
-    begins: np.ndarray[tuple[int], np.dtype[np.bool_]]
-    record: np.ndarray[tuple[int], np.dtype[np.int64]]
+    begins: Rows
+    record: NDArray[np.int64]
     dq: Array
     q: Array
     tau_load: Array
     tau: Array
+    gear_ratio: float | None = None
+
+    @property
+    def folds(self) -> "list[Rows]":
+        """(N,) masks of rows to leave out in turn: records, or blocks of time of a single one."""
+        records = int(self.record[-1]) + 1
+        rows = len(self.tau)
+        group = self.record if records > 1 else np.arange(rows) * BLOCKS // rows
+        return [np.asarray(group == k) for k in range(int(group[-1]) + 1)]
 
     @classmethod
     def of(cls, records: Sequence[FrictionRecord], *, coefficients: int) -> "Samples":
@@ -42,7 +60,9 @@ class Samples:
         Raises
         ------
         FitError
-            If there are fewer rows than coefficients, or the joint never reverses.
+            If there are fewer rows than coefficients.
+        LogError
+            If the joint never reverses.
         """
         rows = sum(len(r.t) for r in records)
         joint = records[0].joint if records else "?"
@@ -50,12 +70,7 @@ class Samples:
             raise FitError(
                 f"joint '{joint}': {rows} rows for {coefficients} coefficients; more data needed."
             )
-        if not any(reverses(r.dq) for r in records):
-            logs = ", ".join(r.log for r in records)
-            raise FitError(
-                f"{logs}: joint '{joint}' never reverses its velocity; friction needs motion in "
-                "both directions."
-            )
+        require_reversals(records)
         return cls(
             dt=np.concatenate([np.diff(r.t, prepend=r.t[0]) for r in records]),
             begins=np.concatenate([np.arange(len(r.t)) == 0 for r in records]),
@@ -64,16 +79,12 @@ class Samples:
             q=np.concatenate([r.q for r in records]),
             tau_load=np.concatenate([r.tau_load for r in records]),
             tau=np.concatenate([r.tau for r in records]),
+            gear_ratio=records[0].gear_ratio,
         )
 
     def recurrence(self, a: Array, c: Array) -> Array:
         """Run x[k] = a[k] x[k-1] + c[k] from 0 at the first row of every record."""
         return recurrence(np.where(self.begins, 0.0, a), np.where(self.begins, 0.0, c), 0.0)
-
-
-def reverses(dq: Array, threshold: float = 0.02) -> bool:
-    """Whether a joint moves both ways faster than `threshold` [rad/s]."""
-    return bool(dq.max() > threshold and dq.min() < -threshold)
 
 
 def least_squares(columns: Array, target: Array) -> Array:

@@ -86,8 +86,14 @@ def gaussians() -> FrictionLaw:
     return law_of(LawForm(coefficients=own, output=output), values.ravel().tolist())
 
 
+def bare() -> FrictionLaw:
+    """Neither coefficients nor states."""
+    return law_of(LawForm(coefficients=(), output=3 * DQ), ())
+
+
 HAND_MADE: Mapping[str, Callable[[], FrictionLaw]] = {
     **{f"parfam_{g}": (lambda g=g: parfam(g)) for g in family.FUNCTIONS},
+    "bare": bare,
     "viscous": viscous,
     "lugre": lugre,
     "elements": elements,
@@ -177,7 +183,7 @@ class Binary:
         self.host.logger = CALLBACK(self._log)
         self.host.componentEnvironment = 4711
 
-    def _log(self, environment, name, status, category, text):
+    def _log(self, environment, name, _status, _category, text):
         self.messages.append((environment, name.decode(), text.decode()))
 
     def __call__(self, function: str, *arguments: Any) -> int:

@@ -1,5 +1,6 @@
 """A friction FMU gives the torque of its law, on every path to it."""
 
+import ctypes
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +29,7 @@ def assert_equals_python(model, fmu, motion):
 def test_each_law_equals_python(law, discretisation, make_model, make_motion, tmp_path):
     law = replace(law, discretisation=discretisation)
     motion = make_motion(1)
-    if discretisation == "euler" and law.form.relaxations[0:1] and law.form.relaxations[0].name != "h":
+    if discretisation == "euler" and {r.name for r in law.form.relaxations} - {"h"}:
         motion = (3.0 + 1e-3 * (motion[0] - 3.0), *motion[1:])  # Euler needs rate * step < 1
     model = make_model(law)
     assert_equals_python(model, export_fmu(model, tmp_path / "F.fmu"), motion)
@@ -71,18 +72,29 @@ def test_table_1_equals_the_equations_of_the_paper(table1, table1_fmu):
         return np.array(rows)
 
     def joint1(v, h, dh):
-        return 16.237 * h - 0.163 * dh - 2.128 + 37.715 * np.tanh(
-            0.193 * v - 0.606 * h + 0.064 * dh + 0.057
+        return (
+            16.237 * h
+            - 0.163 * dh
+            - 2.128
+            + 37.715 * np.tanh(0.193 * v - 0.606 * h + 0.064 * dh + 0.057)
         )
 
     def joint2(v, h, dh):
-        return 3.710 * v + 2.936 * h + 1.220 * dh - 0.279 + 8.290 * np.cos(
-            -0.865 * v + 1.531 * h + 0.351 * dh + 1.485
+        return (
+            3.710 * v
+            + 2.936 * h
+            + 1.220 * dh
+            - 0.279
+            + 8.290 * np.cos(-0.865 * v + 1.531 * h + 0.351 * dh + 1.485)
         )
 
     def joint3(v, h, dh):
-        return 0.051 * v + 6.614 * h + 0.238 * dh - 0.280 + 6.527 * np.tanh(
-            1.014 * v - 2.130 * h + 0.115 * dh + 0.167
+        return (
+            0.051 * v
+            + 6.614 * h
+            + 0.238 * dh
+            - 0.280
+            + 6.527 * np.tanh(1.014 * v - 2.130 * h + 0.115 * dh + 0.167)
         )
 
     for i, (alpha, beta, equation, speed) in enumerate(
@@ -160,7 +172,6 @@ def test_inputs_with_derivatives_are_followed(table1, binary):
         binary.set(held, dq=slope * end * (k + 0.5) / 2000)
         assert binary.step(held, k * end / 2000, end / 2000) == 0
     binary.set(held, dq=slope * end)
-    import ctypes
 
     vr, order, value = (
         binary.references(["dq[1]"]),

@@ -17,8 +17,6 @@ from hesr_model.residual import FrictionRecord
 
 COEFFICIENTS = 11
 """Numbers of the largest law: alpha, beta, four linear, one gain, four of the argument."""
-BLOCKS = 4
-"""Blocks of time that stand in for logs where there is only one."""
 
 
 @register
@@ -76,7 +74,7 @@ class ParFamH(Estimator):
         found = (
             self._paper(features, rng) if self.search == "paper" else self._evolve(features, rng)
         )
-        chosen = refine.select(features, found, folds(samples))
+        chosen = refine.select(features, found, samples.folds)
         return chosen.canonical().law(self.name, self.discretisation)
 
     def _evolve(self, features: HysteresisFeatures, rng: np.random.Generator) -> list[Candidate]:
@@ -87,8 +85,7 @@ class ParFamH(Estimator):
             columns = features.columns(cell.alpha, cell.beta)[rows]
             found.append(evolve.linear(cell, columns, tau[rows]))
             for g in self.functions:
-                starts = rng.normal(size=(self.starts, 4))
-                starts *= rng.uniform(0.3, 2.0, size=(self.starts, 1))
+                starts = evolve.starting_points(rng, self.starts, 4)
                 found += evolve.search(cell, g, columns, tau[rows], starts, keep=3)
         return [
             candidate
@@ -103,12 +100,3 @@ class ParFamH(Estimator):
         cell = Cell(alpha=alpha, beta=beta, cost=np.nan)
         columns = features.columns(alpha, beta)
         return [paper.search(cell, g, columns, features.samples.tau, rng) for g in self.functions]
-
-
-def folds(samples: Samples) -> list[refine.Rows]:
-    """Return (N,) masks of rows to leave out in turn: logs, or blocks of time of a single log."""
-    records = int(samples.record[-1]) + 1
-    group = (
-        samples.record if records > 1 else np.arange(len(samples.tau)) * BLOCKS // len(samples.tau)
-    )
-    return [np.asarray(group == k) for k in range(int(group[-1]) + 1)]

@@ -51,8 +51,26 @@ def search(
     starts : (S, 4) starting points of theta for standardised features.
     keep : how many laws to return at most.
     """
+    found = arguments(g, features, features, tau, starts, keep)
+    return [_candidate(cell, g, features, tau, theta) for theta in found]
+
+
+def arguments(
+    g: str, features: Array, linear: Array, tau: Array, starts: Array, keep: int
+) -> list[Array]:
+    """Return the best distinct arguments theta (F,) of a unit g beside a linear law, best first.
+
+    Parameters
+    ----------
+    g : name of the function.
+    features : (M, F) features of the argument, the first of them constant.
+    linear : (M, L) columns of the law beside the unit.
+    tau : (M,) torque [N.m].
+    starts : (S, F) starting points of theta for standardised features.
+    keep : how many to return at most.
+    """
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
-    problem = _Projected(g, features / scale, tau)
+    problem = _Projected(g, features / scale, linear, tau)
     theta, cost = problem.minimise(starts.T.copy())
     chosen: list[int] = []
     for i in np.argsort(cost):
@@ -60,7 +78,13 @@ def search(
             break
         if all(abs(cost[i] - cost[j]) > 1e-4 * cost[j] for j in chosen):
             chosen.append(int(i))
-    return [_candidate(cell, g, features, tau, theta[:, i] / scale) for i in chosen]
+    return [theta[:, i] / scale for i in chosen]
+
+
+def starting_points(rng: np.random.Generator, count: int, features: int) -> Array:
+    """Return (count, features) random starts of theta for standardised features."""
+    starts = rng.normal(size=(count, features))
+    return np.asarray(starts * rng.uniform(0.3, 2.0, size=(count, 1)))
 
 
 def _candidate(cell: Cell, g: str, features: Array, tau: Array, theta: Array) -> Candidate:
@@ -84,10 +108,10 @@ def _candidate(cell: Cell, g: str, features: Array, tau: Array, theta: Array) ->
 class _Projected:
     """The problem of one g with everything linear projected out."""
 
-    def __init__(self, g: str, x: Array, tau: Array) -> None:
+    def __init__(self, g: str, x: Array, linear: Array, tau: Array) -> None:
         self.g, self.dg = UNIT_FUNCTIONS[g]
         self.x = x
-        self.q = np.linalg.qr(x)[0]
+        self.q = np.linalg.qr(linear)[0]
         self.y = self._reject(tau[:, None])
 
     def _reject(self, columns: Array) -> Array:
@@ -127,7 +151,7 @@ class _Projected:
         gram, gradient = self._normal_equations(theta)
         diagonal = np.einsum("sii->si", gram)
         shift = damping[:, None] * (diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True))
-        damped = gram + np.eye(4) * (shift + 1e-300)[:, None, :]
+        damped = gram + np.eye(len(theta)) * (shift + 1e-300)[:, None, :]
         return np.asarray(np.linalg.solve(damped, gradient[:, :, None])[:, :, 0].T)
 
     def _normal_equations(self, theta: Array) -> tuple[Array, Array]:
@@ -136,7 +160,7 @@ class _Projected:
         norm = np.maximum(np.einsum("ms,ms->s", outside, outside), 1e-9 * len(self.x))
         rows, starts = slope.shape
         flat = (self.x[:, :, None] * slope[:, None, :]).reshape(rows, -1)
-        jacobian = self._reject(flat).reshape(rows, 4, starts)
+        jacobian = self._reject(flat).reshape(rows, -1, starts)
         along = np.einsum("ms,mjs->js", outside, jacobian) / norm
         jacobian -= outside[:, None, :] * along[None]
         residual = self.y - gain * outside

@@ -12,23 +12,40 @@ from typing import Any
 import sympy
 
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.functions import DQ
+from hesr_model.friction.functions import DQ, TAU_LOAD, absolute
 from hesr_model.friction.law import Coefficient, LawForm, Relaxation
+from hesr_model.friction.stribeck import V_S
 
 FEATURES = ("1", "dq", "h", "dh")
-"""Features in the order of every coefficient vector."""
+"""Features of a unit's argument, in the order of every coefficient vector."""
+
+LINEAR = (*FEATURES, "h_load", "h_bump")
+"""Features of the linear part: also h |tau_load| and h exp(-(dq/v_s)^2)."""
+
+STATES = ("paper", "generalised")
+"""Hysteresis states."""
 
 FUNCTIONS = {"tanh": sympy.tanh, "sin": sympy.sin, "cos": sympy.cos, "exp": sympy.exp}
 """Functions g that a unit may have."""
 
-_SUFFIX = {"1": "0", "dq": "dq", "h": "h", "dh": "dh"}
-_UNIT = {"1": "N.m", "dq": "N.m.s/rad", "h": "N.m", "dh": "N.m.s"}
+_UNIT = {
+    "1": "N.m",
+    "dq": "N.m.s/rad",
+    "h": "N.m",
+    "dh": "N.m.s",
+    "h_load": "1",
+    "h_bump": "N.m",
+}
 _ARGUMENT_UNIT = {"1": "1", "dq": "s/rad", "h": "1", "dh": "s"}
+
+
+def _suffix(feature: str) -> str:
+    return "0" if feature == "1" else feature
 
 
 def linear_name(feature: str) -> str:
     """Name of the coefficient of a linear term."""
-    return f"c_{_SUFFIX[feature]}"
+    return f"c_{_suffix(feature)}"
 
 
 def gain_name(unit: int) -> str:
@@ -38,22 +55,30 @@ def gain_name(unit: int) -> str:
 
 def argument_name(unit: int, feature: str) -> str:
     """Name of the coefficient of a feature in the argument of unit `unit` (from 1)."""
-    return f"theta{unit}_{_SUFFIX[feature]}"
+    return f"theta{unit}_{_suffix(feature)}"
 
 
 def form(structure: Mapping[str, Any]) -> LawForm:
     """Return the expressions of a structure {"linear": [...], "units": [{"g", "arguments"}]}.
+
+    A third key "state" selects the hysteresis state: "paper" (eq. 9, the default) or "generalised".
 
     Raises
     ------
     ArtifactError
         If a feature, a function or a key is not of the family.
     """
-    linear, units = _checked(structure)
-    hysteresis = Relaxation(name="h", unit="1", drive=_ALPHA * sympy.tanh(_BETA * DQ), rate=_ALPHA)
-    symbols = dict(
-        zip(FEATURES, (sympy.Integer(1), DQ, hysteresis.state, hysteresis.derivative), strict=True)
-    )
+    linear, units, state = _checked(structure)
+    hysteresis, own = _state(state)
+    h, dh = hysteresis.state, hysteresis.derivative
+    symbols = {
+        "1": sympy.Integer(1),
+        "dq": DQ,
+        "h": h,
+        "dh": dh,
+        "h_load": h * absolute(TAU_LOAD),
+        "h_bump": h * sympy.exp(-((DQ / V_S.symbol) ** 2)),
+    }
     coefficients = [
         Coefficient(name=linear_name(x), unit=_UNIT[x], description=f"linear term in {x}")
         for x in linear
@@ -74,13 +99,36 @@ def form(structure: Mapping[str, Any]) -> LawForm:
         argument = sum(c.symbol * symbols[x] for c, x in zip(inner, arguments, strict=True))
         output += gain.symbol * FUNCTIONS[g](argument)
         coefficients += [gain, *inner]
-    if not output.free_symbols & {hysteresis.state, hysteresis.derivative}:
+    if "h_bump" in linear:
+        coefficients.append(V_S)
+    if not output.free_symbols & {h, dh}:
         return LawForm(coefficients=tuple(coefficients), output=output)
-    return LawForm(
-        coefficients=(*coefficients, *_HYSTERESIS), relaxations=(hysteresis,), output=output
+    return LawForm(coefficients=(*coefficients, *own), relaxations=(hysteresis,), output=output)
+
+
+def _state(kind: str) -> tuple[Relaxation, tuple[Coefficient, ...]]:
+    """Return the hysteresis state and its coefficients.
+
+    The generalised state adds position memory (kappa, as in Dahl's model) to the paper's relaxation
+    in time, and a gate that stops the latter at rest, where friction does not forget.
+    """
+    target = sympy.tanh(_BETA * DQ)
+    if kind == "paper":
+        return Relaxation(name="h", unit="1", drive=_ALPHA * target, rate=_ALPHA), _HYSTERESIS
+    gated = _ALPHA * (1 - sympy.exp(-((DQ / V_0.symbol) ** 2)))
+    return (
+        Relaxation(
+            name="h",
+            unit="1",
+            drive=gated * target + KAPPA.symbol * DQ,
+            rate=gated + KAPPA.symbol * absolute(DQ),
+        ),
+        (*_HYSTERESIS, KAPPA, V_0),
     )
 
 
+KAPPA = Coefficient(name="kappa", unit="1/rad", description="memory of the state in position")
+V_0 = Coefficient(name="v_0", unit="rad/s", description="speed below which the state holds")
 _HYSTERESIS = (
     Coefficient(name="alpha", unit="1/s", description="rate of the hysteresis state (eq. 9)"),
     Coefficient(name="beta", unit="s/rad", description="steepness of its drive (eq. 9)"),
@@ -88,11 +136,15 @@ _HYSTERESIS = (
 _ALPHA, _BETA = (c.symbol for c in _HYSTERESIS)
 
 
-def _checked(structure: Mapping[str, Any]) -> tuple[list[str], list[tuple[str, list[str]]]]:
-    if set(structure) != {"linear", "units"}:
+def _checked(structure: Mapping[str, Any]) -> tuple[list[str], list[tuple[str, list[str]]], str]:
+    if not {"linear", "units"} <= set(structure) <= {"linear", "units", "state"}:
         raise ArtifactError(
-            f"ParFam structure has the keys {sorted(structure)}; needed are 'linear' and 'units'."
+            f"ParFam structure has the keys {sorted(structure)}; needed are 'linear' and 'units', "
+            "and 'state' is allowed."
         )
+    state = structure.get("state", "paper")
+    if state not in STATES:
+        raise ArtifactError(f"ParFam state {state!r} is unknown; known are {', '.join(STATES)}.")
     linear = list(structure["linear"])
     units = []
     for unit in structure["units"]:
@@ -101,9 +153,10 @@ def _checked(structure: Mapping[str, Any]) -> tuple[list[str], list[tuple[str, l
                 f"ParFam unit {dict(unit)} needs 'g' from {', '.join(FUNCTIONS)} and 'arguments'."
             )
         units.append((unit["g"], list(unit["arguments"])))
-    for feature in [*linear, *(x for _, arguments in units for x in arguments)]:
-        if feature not in FEATURES:
-            raise ArtifactError(
-                f"ParFam feature '{feature}' is unknown; known are {', '.join(FEATURES)}."
-            )
-    return linear, units
+    for features, known in ((linear, LINEAR), *((a, FEATURES) for _, a in units)):
+        for feature in features:
+            if feature not in known:
+                raise ArtifactError(
+                    f"ParFam feature '{feature}' is unknown; known are {', '.join(known)}."
+                )
+    return linear, units, state

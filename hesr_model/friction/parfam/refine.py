@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import expit, logit
 
@@ -13,8 +12,7 @@ from hesr_model.friction.evaluate import Array
 from hesr_model.friction.parfam.calibrate import bounds
 from hesr_model.friction.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.friction.parfam.features import HysteresisFeatures
-
-Rows = NDArray[np.bool_]
+from hesr_model.friction.samples import Rows
 
 SIGNIFICANCE = 2.0
 """A coefficient stays if it differs from zero by this many standard errors."""

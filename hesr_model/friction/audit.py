@@ -1,0 +1,439 @@
+"""Audit of a friction law: does it brake, how steep is it at rest, does it stay in bounds.
+
+A law may predict torque well and still be no friction: published ones drive the joint at low
+speed, generate energy, chatter on encoder noise or explode just outside their training data. The
+audit measures this on the law as it runs, at its own sample time and discretisation.
+
+A constant offset, and any torque of position alone, can make torque and velocity of unlike sign
+without ever giving net energy. Steady sliding is therefore reported twice, with them (`driving`)
+and without (`driving_both_ways`); over a closed cycle they do no work, so they count for nothing.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from math import isfinite
+from typing import Any, Self
+
+import numpy as np
+
+from hesr_model.errors import ArtifactError, SimulationError
+from hesr_model.friction.evaluate import Array, predict
+from hesr_model.friction.functions import TAU_LOAD, Q
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.noise import standard_normal
+from hesr_model.residual import FrictionRecord
+
+Range = tuple[float, float]
+"""Least and greatest value."""
+
+INPUTS = ("dq", "q", "tau_load")
+"""Inputs of a law, under their names in records and ranges."""
+
+FREQUENCIES = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)
+"""Of the closed cycles [Hz]. A law that drives at low speed gives more per cycle the slower it is:
+Table I gives 12 and 21 J on joints 1 and 2 at 0.05 Hz, 64 and 104 J at 0.01 Hz."""
+AMPLITUDES = (1 / 100, 1 / 20, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0)
+"""Velocity amplitudes of the cycles, as shares of the largest trained speed."""
+SLOWEST = 1e-3
+"""Slowest steady speed looked at, as a share of the largest trained speed."""
+REACH = 1.5
+"""How far "just outside" is, in trained speeds and in half widths of the trained load."""
+EXPLODES = 3.0
+"""A torque just outside that is larger than this many times the largest trained one is refused.
+Viscous friction gives 1.5 times, load-dependent viscous or quadratic friction 2.25 times."""
+ENCODER = 20e-6
+"""RMS noise of the encoder [rad] of which the chatter at rest is made."""
+
+_SETTLING = 3.0  # [s] before a cycle is measured: several memories of the laws' states
+_STEADY = 1e6  # [s] after which sliding is steady, even at the slowest speed
+_POSITIONS = 32  # over which steady torque is averaged, where a law knows the position
+_NOISE_ROWS = 4000
+_NUMERICAL = 1e-9  # least share of the work that is not taken for rounding
+_SMALL, _SMALLER = 1e-6, 1e-9  # [rad/s] to either side of rest; no smooth law bends within
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainedRange:
+    """What one joint did in the records that a law was fitted to.
+
+    Attributes
+    ----------
+    sample_time : median sample period [s].
+    dq, q, tau_load : ranges of the inputs [rad/s], [rad], [N.m].
+    tau : range of the friction torque [N.m].
+
+    Raises
+    ------
+    ArtifactError
+        If the ranges are not finite and in order, or the joint does not move in them.
+    """
+
+    sample_time: float
+    dq: Range
+    q: Range
+    tau_load: Range
+    tau: Range
+
+    def __post_init__(self) -> None:
+        for name in (*INPUTS, "tau"):
+            low, high = getattr(self, name)
+            if not (isfinite(low) and isfinite(high) and low <= high):
+                raise ArtifactError(f"trained range of '{name}' is {low} to {high}.")
+        if not (self.speed > 0.0 and self.sample_time > 0.0):
+            raise ArtifactError(
+                f"trained range of 'dq' is {self.dq[0]} to {self.dq[1]} rad/s at a sample time of "
+                f"{self.sample_time} s; needed are motion and a positive time."
+            )
+
+    @classmethod
+    def of(cls, records: Sequence[FrictionRecord]) -> Self:
+        """Return the ranges of the records of one joint, one at least."""
+        ranges = {
+            name: (
+                min(float(np.min(getattr(r, name))) for r in records),
+                max(float(np.max(getattr(r, name))) for r in records),
+            )
+            for name in (*INPUTS, "tau")
+        }
+        period = np.median(np.concatenate([np.diff(r.t) for r in records]))
+        return cls(sample_time=float(period), **ranges)
+
+    @classmethod
+    def from_json(cls, data: Any) -> Self:
+        """Rebuild what `to_json` returned.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError, ArtifactError
+            If a part of the data is missing, or not what it should be.
+        """
+        ranges: dict[str, Range] = {}
+        for name in (*INPUTS, "tau"):
+            low, high = data[name]
+            ranges[name] = (float(low), float(high))
+        return cls(sample_time=float(data["sample_time"]), **ranges)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data in SI units."""
+        return {
+            "sample_time": self.sample_time,
+            **{name: list(getattr(self, name)) for name in (*INPUTS, "tau")},
+        }
+
+    @property
+    def speed(self) -> float:
+        """Largest trained speed [rad/s]."""
+        return max(map(abs, self.dq))
+
+    @property
+    def middle(self) -> float:
+        """Middle of the trained positions [rad]."""
+        return sum(self.q) / 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cycle:
+    """A motion dq = amplitude cos(2 pi frequency t) at constant load, and the law's work in it.
+
+    Attributes
+    ----------
+    amplitude : of the velocity [rad/s].
+    frequency : as sampled [Hz].
+    tau_load : load torque [N.m].
+    work : that the law takes out of one settled cycle [J]; negative is generated energy.
+    share : work over the integral of |tau dq|, from 1 (a brake) to -1 (a motor).
+    """
+
+    amplitude: float
+    frequency: float
+    tau_load: float
+    work: float
+    share: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Audit:
+    """What is to be known of a law before it is trusted.
+
+    Attributes
+    ----------
+    driving : velocity ranges [rad/s] in which steady sliding torque has the sign that drives,
+        tau dq < 0, at a trained load; an offset counts.
+    driving_both_ways : ranges of speed [rad/s] at which steady sliding to and fro at that speed
+        gives energy, |dq| (tau(|dq|) - tau(-|dq|)) / 2 < 0; an offset does not count.
+    generated : most energy that a closed cycle of the grid gives [J], 0 for a passive law.
+    generating : the cycle that gives it, None for a passive law.
+    jump : step of the torque across zero velocity [N.m].
+    slope : d tau / d dq at rest from the start states, before they move [N.m.s/rad]; None where
+        the torque jumps. A joint of inertia J that is coupled explicitly needs a step of at most
+        2 J / slope.
+    slope_of_step : the same for a velocity held over one sample, in which the states move.
+    chatter : standard deviation of the torque at rest [N.m] under white encoder noise of
+        `ENCODER`, the velocity being its backward difference.
+    largest : largest |tau| [N.m] within the trained speeds and loads.
+    largest_outside : the same up to `REACH` times beyond them; None where it is not finite.
+    explodes : whether `largest_outside` disqualifies the law.
+    """
+
+    driving: tuple[Range, ...]
+    driving_both_ways: tuple[Range, ...]
+    generated: float
+    generating: Cycle | None
+    jump: float
+    slope: float | None
+    slope_of_step: float | None
+    chatter: float
+    largest: float
+    largest_outside: float | None
+    explodes: bool
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data in SI units, with the grid's bounds that the figures depend on."""
+        return {
+            **asdict(self),
+            "lowest_frequency": FREQUENCIES[0],
+            "encoder": ENCODER,
+            "reach": REACH,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Excess:
+    """How far an input leaves the trained range.
+
+    Attributes
+    ----------
+    rows : share of the rows outside.
+    below, above : greatest distance below and above the range, in the input's unit.
+    """
+
+    rows: float
+    below: float
+    above: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Response:
+    """Settling and one closed cycle of `rows` rows, for each amplitude: (A, K) arrays."""
+
+    amplitudes: Array
+    frequency: float
+    tau_load: float
+    rows: int
+    dq: Array
+    tau: Array
+
+
+def audit(law: FrictionLaw, trained: TrainedRange) -> Audit:
+    """Audit the law of one joint.
+
+    Parameters
+    ----------
+    law : any law; the inputs that it does not use are left out of the grid.
+    trained : ranges of the records that it was fitted to.
+
+    Raises
+    ------
+    SimulationError
+        If the torque is not finite, or the discretisation not stable, within the trained range.
+    """
+    loads = _loads(law, trained, 1.0)
+    responses = list(_responses(law, trained, np.multiply(AMPLITUDES, trained.speed), loads))
+    largest = _largest(responses)
+    if not isfinite(largest):
+        raise SimulationError(f"law '{law.name}': torque is not finite within the trained range.")
+    outside = _largest_outside(law, trained)
+    driving, both_ways = _steady(law, trained, loads)
+    cycle = min((c for r in responses for c in _cycles(r)), key=lambda c: c.work)
+    generating = cycle if cycle.work < 0.0 else None
+    jump, slope = _at_rest(law, trained, loads, 0.0)
+    _, slope_of_step = _at_rest(law, trained, loads, trained.sample_time)
+    return Audit(
+        driving=driving,
+        driving_both_ways=both_ways,
+        generated=-generating.work if generating else 0.0,
+        generating=generating,
+        jump=jump,
+        slope=slope,
+        slope_of_step=slope_of_step,
+        chatter=max(_chatter(law, trained, load) for load in loads),
+        largest=largest,
+        largest_outside=max(largest, outside) if isfinite(outside) else None,
+        explodes=_too_large(outside, trained),
+    )
+
+
+def explodes(law: FrictionLaw, trained: TrainedRange) -> bool:
+    """Whether a law's torque just outside the trained range is too large to trust, or not finite.
+
+    To refuse candidates of a search: |tau| over cycles of all frequencies and up to `REACH` times
+    the trained speed and load, against `EXPLODES` times the largest trained |tau|.
+    """
+    return _too_large(_largest_outside(law, trained), trained)
+
+
+def outside(trained: TrainedRange, records: Sequence[FrictionRecord]) -> dict[str, Excess]:
+    """Return which inputs leave the trained range in the records of one joint, and how far."""
+    found = {}
+    for name in INPUTS:
+        low, high = getattr(trained, name)
+        values = np.concatenate([getattr(record, name) for record in records])
+        below, above = low - values, values - high
+        beyond = (below > 0.0) | (above > 0.0)
+        if np.any(beyond):
+            found[name] = Excess(
+                rows=float(np.mean(beyond)),
+                below=max(0.0, float(np.max(below))),
+                above=max(0.0, float(np.max(above))),
+            )
+    return found
+
+
+def _loads(law: FrictionLaw, trained: TrainedRange, reach: float) -> tuple[float, ...]:
+    """Least, middle and greatest load; one is enough for a law that does not use it."""
+    low, high = trained.tau_load
+    middle, half = (low + high) / 2.0, reach * (high - low) / 2.0
+    if TAU_LOAD not in law.form.inputs or half == 0.0:
+        return (middle,)
+    return (middle - half, middle, middle + half)
+
+
+def _run(law: FrictionLaw, t: Array, dq: Array, q: Array, load: float | Array) -> Array:
+    """Predict where inputs may be far off: an overflow is a finding here, not a warning."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return predict(law, t=t, dq=dq, q=q, tau_load=np.broadcast_to(load, t.shape))
+
+
+def _responses(
+    law: FrictionLaw, trained: TrainedRange, amplitudes: Array, loads: Sequence[float]
+) -> Iterator[_Response]:
+    """Run the law over cycles of every frequency and load, all amplitudes in one go.
+
+    The samples of a cycle lie symmetrically, so each position is passed once at dq and once at
+    -dq: a torque of position alone, such as motor ripple, sums to no work however fast it is.
+    """
+    for wanted in FREQUENCIES:
+        half = max(4, round(0.5 / (wanted * trained.sample_time)))
+        settling = half * max(1, round(2.0 * wanted * _SETTLING))
+        phase = np.pi / half * np.arange(-settling, 2 * half)
+        frequency = 0.5 / (half * trained.sample_time)
+        dq = amplitudes[:, None] * np.cos(phase)
+        q = trained.middle + amplitudes[:, None] / (2.0 * np.pi * frequency) * np.sin(phase)
+        t = trained.sample_time * np.arange(dq.size)
+        for load in loads:
+            tau = _run(law, t, dq.ravel(), q.ravel(), load).reshape(dq.shape)
+            yield _Response(
+                amplitudes=amplitudes,
+                frequency=frequency,
+                tau_load=load,
+                rows=2 * half,
+                dq=dq,
+                tau=tau,
+            )
+
+
+def _cycles(response: _Response) -> Iterator[Cycle]:
+    """Return the work in the measured cycle of each amplitude."""
+    dt = 1.0 / (response.frequency * response.rows)
+    power = (response.tau * response.dq)[:, -response.rows :]
+    for amplitude, row in zip(response.amplitudes, power, strict=True):
+        work, moved = float(row.sum()) * dt, float(np.abs(row).sum()) * dt
+        share = work / moved if moved > 0.0 else 0.0
+        rounding = abs(share) < _NUMERICAL
+        yield Cycle(
+            amplitude=float(amplitude),
+            frequency=response.frequency,
+            tau_load=response.tau_load,
+            work=0.0 if rounding else work,
+            share=0.0 if rounding else share,
+        )
+
+
+def _largest(responses: Sequence[_Response]) -> float:
+    """Return the largest |tau|, not a number if any torque is none."""
+    return float(np.max([np.max(np.abs(r.tau)) for r in responses]))
+
+
+def _largest_outside(law: FrictionLaw, trained: TrainedRange) -> float:
+    """Return the largest |tau| up to `REACH` times outside, infinite where it cannot be run."""
+    amplitudes = trained.speed * np.linspace(1.0, REACH, 3)
+    try:
+        return _largest(list(_responses(law, trained, amplitudes, _loads(law, trained, REACH))))
+    except SimulationError:
+        return np.inf
+
+
+def _too_large(torque: float, trained: TrainedRange) -> bool:
+    # Not a number is too large as well.
+    return not torque <= EXPLODES * max(map(abs, trained.tau))
+
+
+def _steady(
+    law: FrictionLaw, trained: TrainedRange, loads: Sequence[float]
+) -> tuple[tuple[Range, ...], tuple[Range, ...]]:
+    """Return the velocities and the speeds at which steady sliding drives the joint."""
+    linear, slow = np.linspace(0.0, 1.0, 121)[1:], np.geomspace(SLOWEST, 1.0, 61)
+    speeds = trained.speed * np.union1d(linear, slow)
+    velocities = np.concatenate([-speeds[::-1], speeds])
+    known = _POSITIONS if Q in law.form.inputs else 1
+    # Multiples of the golden ratio keep out of step with any ripple.
+    places = trained.q[0] + np.ptp(trained.q) * ((0.5 + np.arange(known) * 0.6180339887) % 1.0)
+    v, load, q = (
+        part.ravel() for part in np.meshgrid(velocities, np.array(loads), places, indexing="ij")
+    )
+    # Held for ever, states reach drive / rate in one exact step from wherever they were; the
+    # first row has no step before it and is repeated for that.
+    settled = replace(law, discretisation="exact")
+    rows = np.concatenate([[0], np.arange(len(v))])
+    t = _STEADY * np.arange(len(rows), dtype=float)
+    tau = _run(settled, t, v[rows], q[rows], load[rows])[1:]
+    tau = tau.reshape(len(velocities), len(loads), known).mean(axis=2)
+    power = (tau * velocities[:, None]).min(axis=1)
+    round_trip = (speeds[:, None] * (tau - tau[::-1])[len(speeds) :]).min(axis=1)
+    return _negative(velocities, power), _negative(speeds, round_trip)
+
+
+def _negative(v: Array, power: Array) -> tuple[Range, ...]:
+    """Return the ranges of v with negative power; power crosses zero linearly or at rest."""
+    inside = np.concatenate([[False], power < 0.0, [False]])
+    edges = []
+    for k in np.flatnonzero(inside[1:] != inside[:-1]):
+        if k == 0:
+            edges.append(min(float(v[0]), 0.0))
+        elif k == len(v):
+            edges.append(float(v[-1]))
+        elif v[k - 1] < 0.0 < v[k]:
+            edges.append(0.0)
+        else:
+            back = power[k] / (power[k] - power[k - 1])
+            edges.append(float(v[k] - back * (v[k] - v[k - 1])))
+    return tuple(zip(edges[::2], edges[1::2], strict=True))
+
+
+def _at_rest(
+    law: FrictionLaw, trained: TrainedRange, loads: Sequence[float], dt: float
+) -> tuple[float, float | None]:
+    """Return (jump, slope) of the torque at zero velocity held over dt, at the worst load.
+
+    By differences: the derivative of `sgn` is 0, so symbolic ones would miss what jumps.
+    """
+    t, q = np.array([0.0, dt]), np.full(2, trained.middle)
+
+    def difference(speed: float, load: float) -> float:
+        ends = [_run(law, t, np.array([0.0, v]), q, load)[-1] for v in (speed, -speed)]
+        return float(ends[0] - ends[1])
+
+    near = max((difference(_SMALLER, load) for load in loads), key=abs)
+    far = max((difference(_SMALL, load) for load in loads), key=abs)
+    if abs(near) > max(0.5 * abs(far), _NUMERICAL):
+        return near, None
+    return 0.0, far / (2.0 * _SMALL)
+
+
+def _chatter(law: FrictionLaw, trained: TrainedRange, load: float) -> float:
+    """Return the standard deviation [N.m] of the torque at rest under encoder noise."""
+    settling = round(_SETTLING / trained.sample_time)
+    noise = ENCODER * standard_normal(0, 0, np.arange(settling + _NOISE_ROWS + 1))
+    t = trained.sample_time * np.arange(len(noise) - 1, dtype=float)
+    tau = _run(law, t, np.diff(noise) / trained.sample_time, trained.middle + noise[1:], load)
+    return float(np.std(tau[settling:]))

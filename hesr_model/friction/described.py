@@ -1,0 +1,90 @@
+"""Estimators that are only a description: a form and how its coefficients are searched."""
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hesr_model.errors import ArtifactError
+from hesr_model.friction import ripple
+from hesr_model.friction.estimator import Estimator
+from hesr_model.friction.evaluate import Array
+from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.friction.ripple import Ripple
+from hesr_model.friction.samples import Samples
+from hesr_model.friction.separable import SearchSpace, Separable
+from hesr_model.residual import FrictionRecord
+
+
+class Described(Estimator):
+    """A law that is linear in most coefficients, fitted by differential evolution.
+
+    A concrete law gives `core` and `space`; ripple in the joint angle and a start that follows from
+    the first samples are added here, so every law can have them.
+
+    Class attributes
+    ----------------
+    ripple : whether harmonics of the motor's angle are added, where the gear ratio is known.
+    start_samples : torque samples at the beginning of a log that set the start of the state.
+    """
+
+    ripple: ClassVar[bool] = False
+    start_samples: ClassVar[int] = 0
+
+    @staticmethod
+    @abstractmethod
+    def core(structure: Mapping[str, Any]) -> LawForm:
+        """Return the law's expressions without ripple."""
+
+    @abstractmethod
+    def space(self) -> SearchSpace:
+        """Return how the coefficients of the core without structure are searched."""
+
+    @classmethod
+    def form(cls, structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions of a structure; {"ripple": ...} adds harmonics."""
+        own = {key: value for key, value in structure.items() if key != "ripple"}
+        core = cls.core(own)
+        if "ripple" not in structure:
+            return core
+        return Ripple.from_json(structure["ripple"]).extend(core)
+
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Search the non-linear coefficients (seeded by `rng`) and solve the linear ones."""
+        form = self.core({})
+        samples = Samples.of(records, coefficients=len(form.coefficients))
+        problem = Separable(form, self.space(), samples)
+        point = problem.polish(problem.search(rng))
+        return self.finish({}, problem, point)
+
+    def finish(self, structure: Mapping[str, Any], problem: Separable, point: Array) -> FrictionLaw:
+        """Return the law at a point of a core's problem, with ripple added where it helps."""
+        complete = dict(structure)
+        samples = problem.samples
+        if self.ripple and samples.gear_ratio is not None:
+            chosen = ripple.select(
+                problem.columns(point), samples, samples.gear_ratio, samples.folds
+            )
+            if chosen is not None:
+                waves, lag = chosen
+                complete["ripple"] = waves.to_json()
+                numbers = dict(zip(problem.space.names, problem.numbers(point), strict=True))
+                problem = Separable(
+                    waves.extend(problem.form), waves.extend_space(problem.space), samples
+                )
+                point = problem.polish(problem.point({**numbers, ripple.LAG.name: lag}))
+        unknowns, _ = problem.solve(point)
+        return FrictionLaw(
+            name=self.name,
+            structure=complete,
+            form=problem.form,
+            values=problem.values(point, unknowns),
+            start_samples=self.start_samples,
+        )
+
+
+def no_structure(name: str, structure: Mapping[str, Any]) -> None:
+    """Refuse structure data for a law that has only one form."""
+    if structure:
+        raise ArtifactError(f"law '{name}' has no structure, found {dict(structure)}.")

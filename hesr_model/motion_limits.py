@@ -1,0 +1,211 @@
+"""Limits of a motion: given by the user or taken from the model, and how a motion is kept in them."""
+
+from dataclasses import dataclass, replace
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from hesr_model.config import Config
+from hesr_model.errors import FitError, RobotError
+from hesr_model.robot import RobotModel
+from hesr_model.trajectories import Fourier
+
+Array = NDArray[np.float64]
+
+Positive = Annotated[float, Field(gt=0)]
+
+_KEPT_FREE = 0.05
+"""Of a joint's range at either end, by default: no arm follows exactly."""
+
+_SECONDS_TO_FULL_SPEED = 0.5
+"""Model files know no acceleration; by default a joint may reach its speed in this time."""
+
+_MARGIN = 1e-3
+"""Of every limit, for peaks between the points at which a motion is looked at."""
+
+_POINTS = 256
+"""Per cycle of the highest harmonic: a velocity's peak is low by 8e-5 of itself at most."""
+
+_HALVINGS = 12
+_RESTS = 4000
+
+
+class MotionLimits(Config):
+    """Limits of a motion, one entry per joint; what is left out comes from the model.
+
+    Attributes
+    ----------
+    position
+        Lowest and highest [rad or m]; by default the model's range without 5 % at either end.
+    velocity
+        [rad/s or m/s]; by default the model's, 2 where it has none.
+    acceleration
+        [rad/s2 or m/s2]; by default twice the velocity per second.
+    torque
+        Of the rigid body, friction not counted [N.m or N]; by default the model's effort limit,
+        none where it has none. It can be kept only as well as the model file's inertias are known.
+    """
+
+    position: tuple[tuple[float, float], ...] | None = None
+    velocity: tuple[Positive, ...] | None = None
+    acceleration: tuple[Positive, ...] | None = None
+    torque: tuple[Positive, ...] | None = None
+
+    @model_validator(mode="after")
+    def _ranges_are_open(self) -> Self:
+        for joint, (lowest, highest) in enumerate(self.position or (), start=1):
+            if not lowest < highest:
+                raise ValueError(
+                    f"position of joint {joint} goes from {lowest:g} to {highest:g}, which admits "
+                    "no motion; the first must be the lower"
+                )
+        return self
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Limits:
+    """Limits of every joint of one robot, (n,) each, in its units.
+
+    Attributes
+    ----------
+    lower, upper
+        Position [rad or m].
+    velocity, acceleration
+        Absolute values [rad/s, rad/s2].
+    torque
+        Absolute value [N.m or N]; infinite where there is none.
+    """
+
+    lower: Array
+    upper: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+
+    @classmethod
+    def of(cls, model: RobotModel, given: MotionLimits) -> Self:
+        """Fill what the user left out from the model.
+
+        Raises
+        ------
+        RobotError
+            If a list has not one entry per joint, or a position lies outside the joint's range.
+        """
+        _require_one_per_joint(model, given)
+        lowest, highest, speed = model.limits
+        free = _KEPT_FREE * (highest - lowest)
+        position = np.array(given.position or np.column_stack([lowest + free, highest - free]))
+        _require_in_range(model, position)
+        velocity = np.array(given.velocity or speed)
+        return cls(
+            lower=position[:, 0],
+            upper=position[:, 1],
+            velocity=velocity,
+            acceleration=np.array(given.acceleration or velocity / _SECONDS_TO_FULL_SPEED),
+            torque=np.array(given.torque or _effort(model)),
+        )
+
+    def shrink(self, motion: Fourier, model: RobotModel, rest: Array) -> Fourier:
+        """Make a motion smaller until it keeps all limits, and leave one that does as it is.
+
+        Each joint's path is shrunk to its limits of position, velocity and acceleration and moved
+        into its range; then, for torque, all paths together towards the position `rest`.
+        """
+        inner = 1.0 - _MARGIN
+        q, dq, ddq = one_period(motion)
+        path = q - motion.offset
+        factor = inner * np.minimum.reduce(
+            [
+                np.full(model.n, 1.0 / inner),
+                (self.upper - self.lower) / np.ptp(path, axis=0),
+                self.velocity / np.abs(dq).max(axis=0),
+                self.acceleration / np.abs(ddq).max(axis=0),
+            ]
+        )
+        path = factor * path
+        offset = np.clip(
+            motion.offset, self.lower - path.min(axis=0), self.upper - path.max(axis=0)
+        )
+        fitting = replace(
+            motion, offset=offset, a=factor[:, None] * motion.a, b=factor[:, None] * motion.b
+        )
+        return self._shrunk_for_torque(fitting, model, rest)
+
+    def _shrunk_for_torque(self, motion: Fourier, model: RobotModel, rest: Array) -> Fourier:
+        def towards_rest(share: float) -> Fourier:
+            offset = rest + share * (motion.offset - rest)
+            return replace(motion, offset=offset, a=share * motion.a, b=share * motion.b)
+
+        def keeps(share: float) -> bool:
+            peak = peak_torque(model, towards_rest(share))
+            return bool(np.all(peak <= (1.0 - _MARGIN) * self.torque))
+
+        if not np.any(np.isfinite(self.torque)) or keeps(1.0):
+            return motion
+        low, high = 0.0, 1.0
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if keeps(middle) else (low, middle)
+        return towards_rest(low)
+
+    def rest(self, model: RobotModel) -> Array:
+        """Position (n,) within the limits where gravity takes the least share of the torque limits.
+
+        Raises
+        ------
+        FitError
+            If gravity alone passes a limit everywhere, so that no motion is admissible.
+        """
+        places = np.random.default_rng(0).uniform(self.lower, self.upper, (_RESTS, model.n))
+        places[0] = 0.5 * (self.lower + self.upper)
+        still = np.zeros_like(places)
+        gravity = model.torque(model.nominal_parameters, places, still, still)
+        shares = np.abs(gravity) / self.torque
+        best = int(np.argmin(shares.max(axis=1)))
+        joint = int(np.argmax(shares[best]))
+        if shares[best, joint] >= 1.0:
+            raise FitError(
+                f"robot '{model.description.name}': the limits admit no motion, because joint "
+                f"'{model.description.joints[joint]}' needs {abs(gravity[best, joint]):.3g} N.m "
+                f"against gravity even where it is least, and limits.torque is "
+                f"{self.torque[joint]:g} N.m."
+            )
+        return places[best]
+
+
+def one_period(motion: Fourier) -> tuple[Array, Array, Array]:
+    """Position, velocity and acceleration at points as close as peaks need."""
+    points = _POINTS * motion.a.shape[1]
+    return motion.sample(np.arange(points) * (motion.period / points))
+
+
+def peak_torque(model: RobotModel, motion: Fourier) -> Array:
+    """Largest absolute torque (n,) [N.m] of the model file's rigid body, without friction."""
+    return np.abs(model.torque(model.nominal_parameters, *one_period(motion))).max(axis=0)
+
+
+def _effort(model: RobotModel) -> Array:
+    """Effort limits (n,) of the model file; infinite where it gives none, or 0 as many do."""
+    effort = np.array(model._model.effortLimit, dtype=float)
+    return np.where(effort > 0, effort, np.inf)
+
+
+def _require_one_per_joint(model: RobotModel, given: MotionLimits) -> None:
+    for key, entries in given:
+        if entries is not None and len(entries) != model.n:
+            raise RobotError(
+                f"key 'limits.{key}' has {len(entries)} entries; the {model.n} joints of robot "
+                f"'{model.description.name}' need one each."
+            )
+
+
+def _require_in_range(model: RobotModel, position: Array) -> None:
+    lowest, highest, _ = model.limits
+    for k, joint in enumerate(model.description.joints):
+        if position[k, 0] < lowest[k] or position[k, 1] > highest[k]:
+            raise RobotError(
+                f"key 'limits.position' of joint '{joint}' is {position[k, 0]:g} to "
+                f"{position[k, 1]:g}; the model allows {lowest[k]:g} to {highest[k]:g}."
+            )

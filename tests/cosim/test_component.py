@@ -1,0 +1,173 @@
+"""One slave: values by name, errors that say what and when, always freed."""
+
+import math
+import shutil
+import tempfile
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.component import Component
+from hesr_model.errors import SimulationError
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Where FMUs are extracted."""
+    place = tmp_path / "extracted"
+    place.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    return place
+
+
+def without(fmu, copy, prefix):
+    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(copy, "w") as new:
+        for name in old.namelist():
+            if not name.startswith(prefix):
+                new.writestr(name, old.read(name))
+    return copy
+
+
+def test_values_are_set_and_read_by_name(friction_fmu):
+    with Component(friction_fmu) as friction:
+        friction.initialise(start={"dq[1]": 0.2, "discretisation": 1, "h[2]": 0.5})
+        assert friction.get(["h[2]", "dq[1]"]).tolist() == [0.5, 0.2]
+        friction.set({"dq[2]": 0.3, "dq[1]": 0.1})
+        friction.step(0.0, 0.005)
+        assert friction.time == 0.005
+        assert friction.get(["dq[1]", "dq[2]"]).tolist() == [0.1, 0.3]
+
+
+def test_batches_use_one_buffer(friction_fmu):
+    with Component(friction_fmu) as friction:
+        friction.initialise()
+        inputs, outputs = friction.batch(["dq[1]", "dq[2]"]), friction.batch(["tau[1]", "tau[2]"])
+        inputs.values[:] = 0.3, -0.3
+        inputs.write()
+        friction.step(0.0, 0.005)
+        values = outputs.read()
+        assert values is outputs.values
+        np.testing.assert_array_equal(values, friction.get(["tau[1]", "tau[2]"]))
+
+
+def test_outputs_can_be_read_during_the_initialisation(friction_fmu):
+    with Component(friction_fmu) as friction:
+        friction.enter_initialisation(time=2.0)
+        friction.set({"dq[1]": 0.4})
+        before = friction.get(["tau[1]"])
+        friction.exit_initialisation()
+        assert friction.get(["tau[1]"]) == before
+
+
+def test_reset_goes_back_to_the_start(friction_fmu):
+    with Component(friction_fmu) as friction:
+        friction.initialise(start={"dq[1]": 0.4})
+        friction.step(0.0, 0.005)
+        friction.reset()
+        friction.initialise()
+        assert friction.get(["dq[1]", "h[1]"]).tolist() == [0.0, 0.0]
+
+
+def test_errors_name_the_fmu_the_time_and_the_variable(friction_fmu):
+    with Component(friction_fmu, name="gear") as friction:
+        friction.initialise()
+        friction.step(0.0, 0.25e-1)
+        with pytest.raises(SimulationError) as error:
+            friction.set({"dq[2]": math.nan})
+    assert str(error.value) == (
+        "Friction.fmu ('gear') at t = 0.025 s: fmi2SetReal: dq[2] is nan; a finite number is "
+        "needed."
+    )
+    assert friction.messages == ["fmi2SetReal: dq[2] is nan; a finite number is needed."]
+
+
+def test_steps_that_fail_name_the_time_at_which_they_began(friction_fmu):
+    with Component(friction_fmu) as friction:
+        friction.initialise(time=1.5)
+        with pytest.raises(SimulationError, match=r"at t = 1\.5 s: h\[1\]: Euler needs rate \* st"):
+            friction.step(1.5, 1.0)
+
+
+def test_unknown_variables(friction_fmu):
+    with Component(friction_fmu) as friction:
+        with pytest.raises(SimulationError, match=r"no variable 'tau\[9\]'; did you mean tau\["):
+            friction.get(["tau[9]"])
+        with pytest.raises(SimulationError, match="'discretisation' is not a Real"):
+            friction.batch(["discretisation"])
+
+
+def test_nothing_stays_behind(friction_fmu, folder):
+    with Component(friction_fmu) as friction:
+        friction.initialise()
+        friction.step(0.0, 0.005)
+        assert list(folder.iterdir())
+    assert not list(folder.iterdir())
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SimulationError, ValueError])
+def test_nothing_stays_behind_after_an_error(friction_fmu, folder, error):
+    def use():
+        with Component(friction_fmu) as friction:
+            friction.initialise()
+            raise error
+
+    with pytest.raises(error):
+        use()
+    assert not list(folder.iterdir())
+
+
+def test_slaves_that_refuse_to_end_are_freed(friction_fmu, folder):
+    with Component(friction_fmu) as friction:
+        friction.initialise()
+        friction._slave.terminate()
+    assert friction.messages == ["fmi2Terminate is not allowed in this state of the instance."]
+    assert not list(folder.iterdir())
+
+
+def test_files_that_are_no_fmu(tmp_path, folder):
+    path = tmp_path / "X.fmu"
+    path.write_text("not an archive")
+    for fmu in (path, tmp_path / "missing.fmu"):
+        with pytest.raises(SimulationError, match="not a readable FMU"), Component(fmu):
+            pass
+    assert not list(folder.iterdir())
+
+
+def test_fmus_for_other_platforms(friction_fmu, tmp_path, folder):
+    fmu = without(friction_fmu, tmp_path / "X.fmu", "binaries/")
+    with pytest.raises(SimulationError, match="has no binary for this platform; needed is"):
+        Component(fmu).__enter__()
+    assert not list(folder.iterdir())
+
+
+def test_binaries_that_are_not_of_the_description(friction_fmu, tmp_path, folder):
+    fmu = without(friction_fmu, tmp_path / "X.fmu", "modelDescription")
+    with zipfile.ZipFile(friction_fmu) as old, zipfile.ZipFile(fmu, "a") as new:
+        text = old.read("modelDescription.xml").decode()
+        guid = text.split('guid="')[1].split('"')[0]
+        new.writestr("modelDescription.xml", text.replace(guid, "{other}"))
+    with pytest.raises(SimulationError, match="the GUID is not that of this binary"):
+        Component(fmu).__enter__()
+    assert not list(folder.iterdir())
+
+
+def test_binaries_that_are_broken(friction_fmu, tmp_path, folder):
+    fmu = without(friction_fmu, tmp_path / "X.fmu", "binaries/")
+    with zipfile.ZipFile(friction_fmu) as old, zipfile.ZipFile(fmu, "a") as new:
+        name = next(n for n in old.namelist() if n.startswith("binaries/"))
+        new.writestr(name, b"nothing")
+    with pytest.raises(SimulationError, match="its binary cannot be loaded"):
+        Component(fmu).__enter__()
+    assert not list(folder.iterdir())
+
+
+def test_many_components_of_one_file(friction_fmu, tmp_path):
+    copy = Path(shutil.copy(friction_fmu, tmp_path / "Copy.fmu"))
+    with Component(friction_fmu) as one, Component(friction_fmu) as two, Component(copy) as three:
+        for component, speed in ((one, 0.1), (two, 0.2), (three, 0.1)):
+            component.initialise(start={"dq[1]": speed})
+            component.step(0.0, 0.005)
+        first, second, third = (c.get(["tau[1]"])[0] for c in (one, two, three))
+    assert first == third != second

@@ -1,0 +1,63 @@
+"""Replaying a log through an FMU."""
+
+import time
+
+import numpy as np
+import pytest
+
+from cosim.replay import replay
+from fmu_src import model_file
+from hesr_model.artifacts import read_model
+from hesr_model.errors import SimulationError
+from hesr_model.friction.evaluate import predict
+
+
+@pytest.fixture(scope="module")
+def log():
+    t = 0.005 * np.arange(12_000)
+    return t, np.column_stack([np.sin(t), np.cos(2 * t), -np.sin(3 * t)])
+
+
+def test_replay_equals_the_prediction_of_the_model(friction_fmu, log):
+    t, dq = log
+    torque = replay(friction_fmu, t, dq)
+    for i, law in enumerate(read_model(model_file("uf850-table1")).laws):
+        expected = predict(law, t=t, dq=dq[:, i])
+        assert np.abs(torque[:, i] - expected).max() <= 1e-12 * np.abs(expected).max()
+
+
+def test_replay_takes_well_under_a_second(friction_fmu, log):
+    begin = time.perf_counter()
+    replay(friction_fmu, *log)
+    assert time.perf_counter() - begin < 1.0
+
+
+def test_the_first_sample_is_read_before_any_step(friction_fmu, log):
+    t, dq = log
+    both = replay(friction_fmu, t[:2], dq[:2])
+    np.testing.assert_array_equal(replay(friction_fmu, t[:1], dq[:1]), both[:1])
+
+
+def test_start_values(friction_fmu, log):
+    t, dq = (x[:50] for x in log)
+    start = {"h[1]": 0.9, "joint[2].c_0": 1.0}
+    assert not np.allclose(replay(friction_fmu, t, dq, start=start), replay(friction_fmu, t, dq))
+
+
+def test_logs_that_do_not_fit(friction_fmu, log):
+    t, dq = (x[:50] for x in log)
+    with pytest.raises(SimulationError, match=r"'dq' has the shape \(50, 2\); needed is \(50, 3\)"):
+        replay(friction_fmu, t, dq[:, :2])
+    with pytest.raises(SimulationError, match="'q' has the shape"):
+        replay(friction_fmu, t, dq, q=dq[:-1])
+    with pytest.raises(SimulationError, match="time does not increase at row 20 of the log"):
+        replay(friction_fmu, np.where(np.arange(50) == 20, t[19], t), dq)
+    with pytest.raises(SimulationError, match="has no samples"):
+        replay(friction_fmu, [], np.zeros((0, 3)))
+
+
+def test_values_that_are_missing_name_the_time(friction_fmu, log):
+    t, dq = (x[:50].copy() for x in log)
+    dq[30, 1] = np.nan
+    with pytest.raises(SimulationError, match=r"at t = 0\.145 s: fmi2SetReal: dq\[2\] is nan"):
+        replay(friction_fmu, t, dq)

@@ -1,0 +1,157 @@
+"""modelDescription.xml and the documentation say what the FMU is."""
+
+import zipfile
+from xml.etree import ElementTree as ET
+
+import pytest
+from fmpy import read_model_description
+from fmpy.validation import validate_fmu
+
+from fmu_src import export_fmu
+from fmu_src.description import si_exponents
+from hesr_model.errors import ExportError
+
+
+def described(fmu):
+    return read_model_description(fmu, validate=True, validate_model_structure=True)
+
+
+def indices(unknowns):
+    return [u.variable.name for u in unknowns]
+
+
+def dependencies(unknown):
+    return {v.name for v in unknown.dependencies}
+
+
+def test_fmpy_finds_no_problem(law, make_model, tmp_path):
+    assert validate_fmu(str(export_fmu(make_model(law), tmp_path / "F.fmu"))) == []
+
+
+def test_every_law_has_the_same_connectors(law, make_model, tmp_path):
+    about = described(export_fmu(make_model(law, law), tmp_path / "F.fmu"))
+    connectors = [
+        (v.name, v.causality, v.unit)
+        for v in about.modelVariables
+        if v.causality in ("input", "output")
+    ]
+    assert connectors == [
+        (f"{name}[{i}]", kind, unit)
+        for name, kind, unit in (
+            ("dq", "input", "rad/s"),
+            ("q", "input", "rad"),
+            ("tau_load", "input", "N.m"),
+            ("tau", "output", "N.m"),
+        )
+        for i in (1, 2)
+    ]
+
+
+def test_outputs_depend_on_what_the_law_uses_and_nothing_else(make_law, make_model, tmp_path):
+    model = make_model(make_law("lugre"), make_law("viscous"))
+    about = described(export_fmu(model, tmp_path / "F.fmu"))
+    first, second = about.outputs
+    assert dependencies(first) == {"dq[1]", "z[1]"}
+    assert dependencies(second) == {"dq[2]", "q[2]", "tau_load[2]"}
+    assert dependencies(about.derivatives[0]) == {"dq[1]", "z[1]"}
+
+
+def test_initial_unknowns_are_those_of_the_standard_in_order(table1_fmu):
+    about = described(table1_fmu)
+    assert indices(about.initialUnknowns) == [
+        "tau[1]", "tau[2]", "tau[3]", "der(h[1])", "der(h[2])", "der(h[3])",
+    ]  # fmt: skip
+    assert {"dq[1]", "h[1]", "joint[1].c_g1"} <= dependencies(about.initialUnknowns[0])
+    assert dependencies(about.initialUnknowns[3]) == {
+        "dq[1]", "h[1]", "joint[1].alpha", "joint[1].beta",
+    }  # fmt: skip
+
+
+def test_states_are_settable_and_linked_to_their_derivatives(make_law, make_model, tmp_path):
+    about = described(export_fmu(make_model(make_law("elements")), tmp_path / "F.fmu"))
+    variables = {v.name: v for v in about.modelVariables}
+    state = variables["x2[1]"]
+    assert (state.initial, state.start, state.causality) == ("exact", "-0.2", "local")
+    assert variables["der(x2[1])"].derivative is state
+    assert indices(about.derivatives) == ["der(x1[1])", "der(x2[1])"]
+    assert variables["der(x2[1])"].unit == "1/s"
+
+
+def test_parameters(table1, table1_fmu):
+    about = described(table1_fmu)
+    variables = {v.name: v for v in about.modelVariables}
+    for joint, law in enumerate(table1.laws, start=1):
+        for coefficient in law.form.coefficients:
+            parameter = variables[f"joint[{joint}].{coefficient.name}"]
+            assert float(parameter.start) == law.values[coefficient.name]
+            assert (parameter.variability, parameter.unit) == ("tunable", coefficient.unit)
+    choice = variables["discretisation"]
+    assert (choice.variability, choice.start) == ("fixed", "2")
+    assert [item.name for item in choice.declaredType.items] == ["exact", "euler"]
+
+
+def test_units_are_defined_in_si(table1_fmu):
+    units = {u.name: u.baseUnit for u in described(table1_fmu).unitDefinitions}
+    torque = units["N.m"]
+    assert (torque.kg, torque.m, torque.s, torque.rad) == (1, 2, -2, 0)
+    damping = units["N.m.s/rad"]
+    assert (damping.kg, damping.m, damping.s, damping.rad) == (1, 2, -1, -1)
+
+
+@pytest.mark.parametrize(
+    ("unit", "exponents"),
+    [
+        ("1", {}),
+        ("1/s", {"s": -1}),
+        ("rad/s2", {"rad": 1, "s": -2}),
+        ("N.m/(rad.s)", {"kg": 1, "m": 2, "s": -3, "rad": -1}),
+        ("s/rad", {"s": 1, "rad": -1}),
+    ],
+)
+def test_si_exponents(unit, exponents):
+    assert si_exponents(unit) == exponents
+
+
+def test_unknown_units_are_refused():
+    with pytest.raises(ExportError, match=r"unit 'lbf\.ft': 'lbf' is unknown"):
+        si_exponents("lbf.ft")
+
+
+def test_experiment_and_capabilities(table1_fmu):
+    about = described(table1_fmu)
+    assert float(about.defaultExperiment.stepSize) == 0.005
+    slave = about.coSimulation
+    assert slave.canGetAndSetFMUstate
+    assert slave.canSerializeFMUstate
+    assert slave.canInterpolateInputs
+    assert not slave.needsExecutionTool
+    assert about.generationDateAndTime.endswith("Z")
+
+
+def test_documentation_says_what_a_user_needs(table1, table1_fmu):
+    with zipfile.ZipFile(table1_fmu) as archive:
+        page = archive.read("documentation/index.html").decode()
+        licence = archive.read("documentation/licenses/license.txt").decode()
+    for law in table1.laws:
+        for value in law.values.values():
+            assert f"{value:.17g}" in page
+    assert "37.715" in page
+    assert "c_g1*tanh(" in page
+    assert "tau_load[i]</code>, which may" in " ".join(page.split())
+    assert "MIT License" in licence
+
+
+def test_text_of_a_model_is_escaped(make_law, make_model, tmp_path):
+    model = make_model(make_law("lugre"), robot='<b>"&', law="a-b c")
+    fmu = export_fmu(model, tmp_path / "F.fmu")
+    with zipfile.ZipFile(fmu) as archive:
+        root = ET.fromstring(archive.read("modelDescription.xml"))
+        assert "<b>" not in archive.read("documentation/index.html").decode()
+    assert root.get("modelName") == 'Friction of <b>"& by a-b c'
+    assert root.find("CoSimulation").get("modelIdentifier") == "friction_a_b_c"
+
+
+def test_licence_is_that_of_the_project(request):
+    root = request.config.rootpath
+    own = (root / "LICENSE").read_text(encoding="utf-8")
+    assert (root / "fmu_src/templates/license.txt").read_text(encoding="utf-8") == own

@@ -1,0 +1,262 @@
+"""Binaries and archives: small, reproducible, nothing exported but FMI, and buildable elsewhere."""
+
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+import zipfile
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.replay import replay
+from fmu_src import export_fmu
+from fmu_src.toolchain import CFLAGS, TARGETS, compile_c, universal
+from hesr_model.errors import ExportError
+
+FUNCTIONS = 34  # of FMI 2.0 for co-simulation
+
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
+
+
+@pytest.fixture
+def sources(table1_fmu, tmp_path):
+    with zipfile.ZipFile(table1_fmu) as archive:
+        members = [name for name in archive.namelist() if name.startswith("sources/")]
+        archive.extractall(tmp_path, members)
+    return tmp_path / "sources"
+
+
+def text_at(data, offset):
+    return data[offset : data.index(b"\0", offset)].decode()
+
+
+def elf_exports(data):
+    """Defined global symbols of .dynsym of a 64-bit ELF file."""
+    (table,) = struct.unpack_from("<Q", data, 40)
+    size, count = struct.unpack_from("<HH", data, 58)
+    sections = [struct.unpack_from("<IIQQQQIIQQ", data, table + i * size) for i in range(count)]
+    dynamic = next(s for s in sections if s[1] == 11)
+    strings = sections[dynamic[6]][4]
+    for offset in range(dynamic[4], dynamic[4] + dynamic[5], 24):
+        name, info, _, section, _, _ = struct.unpack_from("<IBBHQQ", data, offset)
+        if section and info >> 4:
+            yield text_at(data, strings + name)
+
+
+def pe_exports(data):
+    """Names in the export directory of a 64-bit PE file."""
+    (header,) = struct.unpack_from("<I", data, 60)
+    count, optional = struct.unpack_from("<xxxxxxHxxxxxxxxxxxxH", data, header)
+    (directory,) = struct.unpack_from("<I", data, header + 24 + 112)
+    sections = [
+        struct.unpack_from("<IIII", data, header + 24 + optional + 40 * i + 8) for i in range(count)
+    ]
+
+    def place(address):
+        start, raw = next((a, p) for n, a, _, p in sections if a <= address < a + n)
+        return address - start + raw
+
+    (names,) = struct.unpack_from("<I", data, place(directory) + 32)
+    (number,) = struct.unpack_from("<I", data, place(directory) + 24)
+    for i in range(number):
+        (address,) = struct.unpack_from("<I", data, place(names) + 4 * i)
+        yield text_at(data, place(address))
+
+
+def mach_o_exports(data):
+    """Defined external symbols of a 64-bit Mach-O file, and whether it carries a signature."""
+    commands, offset = struct.unpack_from("<I", data, 16)[0], 32
+    names, signed = set(), False
+    for _ in range(commands):
+        kind, size = struct.unpack_from("<II", data, offset)
+        if kind == 2:  # LC_SYMTAB
+            symbols, number, strings, _ = struct.unpack_from("<IIII", data, offset + 8)
+            for i in range(number):
+                name, flags, section = struct.unpack_from("<IBB", data, symbols + 16 * i)
+                if flags & 1 and section:
+                    names.add(text_at(data, strings + name).removeprefix("_"))
+        signed = signed or kind == 0x1D  # LC_CODE_SIGNATURE
+        offset += size
+    return names, signed
+
+
+def exports(folder, data):
+    if folder == "darwin64":
+        (count,) = struct.unpack_from(">I", data, 4)
+        slices = [struct.unpack_from(">IIIII", data, 8 + 20 * i) for i in range(count)]
+        parts = [data[offset : offset + size] for _, _, offset, size, _ in slices]
+        found = [mach_o_exports(part) for part in parts]
+        assert [s[0] for s in slices] == [0x01000007, 0x0100000C]  # Intel, ARM
+        assert found[1][1]  # ARM Macs run signed code only
+        assert found[0][0] == found[1][0]
+        assert b"@rpath/friction_parfam_h.dylib\0" in parts[0]
+        return found[0][0] - {"_mh_dylib_header", "__dso_handle", "_dso_handle"}  # the linker's own
+    return set(pe_exports(data) if folder == "win64" else elf_exports(data))
+
+
+@pytest.mark.parametrize("folder", list(TARGETS))
+def test_only_the_functions_of_fmi_are_exported(folder, table1, tmp_path):
+    fmu = export_fmu(table1, tmp_path / "F.fmu", platforms=[folder])
+    with zipfile.ZipFile(fmu) as archive:
+        (name,) = (n for n in archive.namelist() if n.startswith("binaries/"))
+        data = archive.read(name)
+    assert name == f"binaries/{folder}/friction_parfam_h{TARGETS[folder].suffix}"
+    names = exports(folder, data)
+    assert len(names) == FUNCTIONS
+    assert all(n.startswith("fmi2") for n in names)
+    assert str(Path.home()).encode() not in data
+    assert tempfile.gettempdir().encode() not in data
+
+
+def test_sizes(table1_fmu):
+    with zipfile.ZipFile(table1_fmu) as archive:
+        assert archive.getinfo("binaries/linux64/friction_parfam_h.so").file_size <= 40 * 1024
+    assert table1_fmu.stat().st_size <= 120 * 1024
+
+
+def test_the_same_model_gives_the_same_bytes(table1, table1_fmu, tmp_path):
+    again = export_fmu(table1, tmp_path / "again" / "Other.fmu")
+    assert again.read_bytes() == table1_fmu.read_bytes()
+
+
+def test_another_model_has_another_guid(table1, binary, load, tmp_path):
+    values = dict(table1.laws[0].values) | {"c_0": -2.129}
+    laws = (replace(table1.laws[0], values=values), *table1.laws[1:])
+    other = load(export_fmu(replace(table1, laws=laws), tmp_path / "F.fmu"))
+    assert other.about.guid != binary.about.guid
+
+
+@pytest.mark.parametrize(
+    ("epoch", "created", "expected"),
+    [
+        (None, None, "1980-01-01T00:00:00Z"),
+        (None, "2024-05-06T07:08:09+02:00", "2024-05-06T05:08:09Z"),
+        ("1700000000", "2024-05-06", "2023-11-14T22:13:20Z"),
+        ("0", None, "1980-01-01T00:00:00Z"),
+        ("99999999999", None, "2107-12-31T00:00:00Z"),
+    ],
+)
+def test_date(epoch, created, expected, table1, load, tmp_path, monkeypatch):
+    if epoch is None:
+        monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
+    else:
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", epoch)
+    model = replace(table1, provenance={"created": created} if created else {})
+    fmu = export_fmu(model, tmp_path / "F.fmu")
+    assert load(fmu).about.generationDateAndTime == expected
+
+
+def test_a_date_that_is_none_is_refused(table1, tmp_path, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "today")
+    with pytest.raises(ExportError, match="SOURCE_DATE_EPOCH is 'today'"):
+        export_fmu(table1, tmp_path / "F.fmu")
+
+
+def test_an_export_that_fails_leaves_the_old_file(table1, tmp_path, monkeypatch):
+    path = tmp_path / "F.fmu"
+    path.write_bytes(b"old")
+    monkeypatch.setattr("fmpy.validation.validate_fmu", lambda _: ["something is wrong"])
+    with pytest.raises(ExportError, match="not a valid FMU: something is wrong"):
+        export_fmu(table1, path)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_unknown_platform_is_refused(table1, tmp_path):
+    with pytest.raises(ExportError, match="platform 'amiga' is unknown; known are linux64"):
+        export_fmu(table1, tmp_path / "F.fmu", platforms=["amiga"])
+
+
+def test_name_of_the_file_ends_in_fmu(table1, tmp_path):
+    with pytest.raises(ExportError, match=r"ends in \.fmu"):
+        export_fmu(table1, tmp_path / "F.zip")
+
+
+def test_failure_of_the_compiler_is_told(tmp_path):
+    (tmp_path / "bad.c").write_text("int f(void) { return x; }\n")
+    with pytest.raises(ExportError, match="undeclared identifier 'x'"):
+        compile_c(tmp_path / "bad.c", ("-c",), tmp_path / "bad.o")
+
+
+def test_universal_files_hold_their_parts_at_pages():
+    parts = [struct.pack("<III", 0xFEEDFACF, cpu, 3) + b"x" * n for cpu, n in ((7, 5), (12, 20000))]
+    data = universal(parts)
+    for i, part in enumerate(parts):
+        cpu, _, offset, size, _ = struct.unpack_from(">IIIII", data, 8 + 20 * i)
+        assert offset % 0x4000 == 0
+        assert data[offset : offset + size] == part
+        assert cpu == (7, 12)[i]
+
+
+@needs_gcc
+def test_sources_compile_without_a_warning_by_another_compiler(sources):
+    flags = [f for f in CFLAGS if f != "-fvisibility=hidden"]
+    command = ["gcc", *flags, "-shared", "-fPIC", "-o", "own.so", "all.c", "-lm"]
+    subprocess.run(command, cwd=sources, check=True)
+    assert len(set(elf_exports((sources / "own.so").read_bytes()))) == FUNCTIONS
+
+
+def test_two_fmus_can_be_linked_into_one_program(sources):
+    for prefix in ("first_", "second_"):
+        flags = ("-c", *CFLAGS, f"-DFMI2_FUNCTION_PREFIX={prefix}")
+        compile_c(sources / "all.c", flags, sources / f"{prefix}.o")
+    main = (
+        "const char *first_fmi2GetVersion(void), *second_fmi2GetVersion(void);\n"
+        "int main(void) { return first_fmi2GetVersion()[0] - second_fmi2GetVersion()[0]; }\n"
+    )
+    (sources / "main.c").write_text(main)
+    compile_c(sources / "main.c", (), sources / "main", ("first_.o", "second_.o", "-lm"))
+    subprocess.run([str(sources / "main")], check=True)
+
+
+@needs_gcc
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="cmake is not installed")
+def test_fmpy_compiles_the_sources_to_an_fmu_that_gives_the_same(table1_fmu, make_motion, tmp_path):
+    fmu = Path(shutil.copy(table1_fmu, tmp_path / "F.fmu"))
+    subprocess.run([sys.executable, "-m", "fmpy", "compile", str(fmu)], check=True, cwd=tmp_path)
+    assert fmu.read_bytes() != table1_fmu.read_bytes()
+    t, dq, q, load = make_motion(3)
+    np.testing.assert_array_equal(replay(fmu, t, dq, q, load), replay(table1_fmu, t, dq, q, load))
+
+
+HOST = Path(__file__).with_name("host.c")
+
+
+def walk(program):
+    result = subprocess.run([program], capture_output=True, text=True, check=False, timeout=120)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_any_sequence_of_calls_is_free_of_undefined_behaviour(sources):
+    flags = ("-std=c99", "-g", "-I.", "-fsanitize=undefined", "-fno-sanitize-recover=all")
+    compile_c(sources / "all.c", flags, sources / "host", (str(HOST), "-lm"))
+    walk(sources / "host")
+
+
+@needs_gcc
+def test_any_sequence_of_calls_is_free_of_memory_errors(sources):
+    flags = ("-std=c99", "-g", "-I.", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    command = ["gcc", *flags, "-o", "host", "all.c", str(HOST), "-lm"]
+    subprocess.run(command, cwd=sources, check=True)
+    walk(sources / "host")
+
+
+def test_compilations_side_by_side_do_not_mix(tmp_path):
+    common = tmp_path / "main.c"
+    common.write_text('#include "number.h"\nint main(void) { return NUMBER; }\n')
+
+    def build(number):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        (folder / "number.h").write_text(f"#define NUMBER {number}\n")
+        (folder / "other.c").write_text("int other;\n")
+        compile_c(folder / "other.c", ("-I.",), folder / "program", (str(common),))
+        return subprocess.run([folder / "program"], check=False).returncode
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(build, range(10, 22))) == list(range(10, 22))

@@ -1,0 +1,405 @@
+"""Saved results: they come back bit for bit; what is wrong in a file is said in one sentence."""
+
+import json
+import platform
+from collections.abc import Callable
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hesr_model.artifacts import (
+    MODEL_FORMAT,
+    RIGID_BODY_FORMAT,
+    provenance,
+    read_json,
+    read_model,
+    read_rigid_body,
+    write_json,
+    write_model,
+    write_rigid_body,
+)
+from hesr_model.errors import ArtifactError
+from hesr_model.files import models_folder, sha256
+from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.parfam import family
+from hesr_model.rigid_body import RigidBody
+
+TABLE_1 = models_folder() / "uf850" / "table1.json"
+FULL = {
+    "linear": ["1", "dq", "h", "dh"],
+    "units": [{"g": "tanh", "arguments": ["1", "dq", "h", "dh"]}],
+}
+
+
+def parfam(values: list[float], **more: Any) -> FrictionLaw:
+    form = family.form(FULL)
+    names = [c.name for c in form.coefficients]
+    return FrictionLaw(
+        name="parfam_h",
+        structure=FULL,
+        form=form,
+        values=dict(zip(names, values, strict=True)),
+        **more,
+    )
+
+
+def model_of(*laws: FrictionLaw) -> FrictionModel:
+    return FrictionModel(
+        law="parfam_h",
+        robot="bench",
+        joints=tuple(f"j{k}" for k, _ in enumerate(laws, start=1)),
+        laws=laws,
+        sample_time=1.0 / 94.0,
+        provenance={"seed": 3, "files": [], "note": "é"},
+    )
+
+
+@pytest.fixture(scope="module")
+def table_1() -> FrictionModel:
+    return read_model(TABLE_1)
+
+
+# --- round trips ------------------------------------------------------------------------------
+
+
+def test_a_published_model_comes_back(table_1: FrictionModel, tmp_path: Path) -> None:
+    write_model(tmp_path / "law.json", table_1)
+    assert read_model(tmp_path / "law.json") == table_1
+
+
+@settings(max_examples=30)
+@given(
+    st.lists(st.floats(allow_nan=False, allow_infinity=False, width=64), min_size=11, max_size=11),
+    st.floats(-1e3, 1e3),
+    st.sampled_from(["exact", "euler"]),
+)
+def test_every_number_comes_back_bit_for_bit(
+    tmp_path_factory: pytest.TempPathFactory, values: list[float], start: float, how: str
+) -> None:
+    path = tmp_path_factory.mktemp("artifact") / "law.json"
+    model = model_of(parfam(values, discretisation=how, start=(start,)), parfam(values))
+    write_model(path, model)
+    found = read_model(path)
+    assert found == model
+    # Equality does not see the sign of a zero.
+    numbers = [np.array([*law.values.values(), *law.start]) for law in (*model.laws, *found.laws)]
+    assert numbers[0].tobytes() == numbers[2].tobytes()
+    assert numbers[1].tobytes() == numbers[3].tobytes()
+
+
+def test_the_same_model_gives_the_same_bytes(table_1: FrictionModel, tmp_path: Path) -> None:
+    for name in ("a.json", "b.json"):
+        write_model(tmp_path / name, table_1)
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+
+
+def test_a_file_says_what_it_is_and_holds_names_numbers_and_units(
+    table_1: FrictionModel, tmp_path: Path
+) -> None:
+    write_model(tmp_path / "law.json", table_1)
+    data = json.loads((tmp_path / "law.json").read_text(encoding="utf-8"))
+    assert data["format"] == MODEL_FORMAT
+    first = data["joints"][0]
+    assert first["joint"] == "joint1"
+    assert first["coefficients"]["alpha"] == {"value": 11.37, "unit": "1/s"}
+    assert first["structure"]["units"][0]["g"] == "tanh"
+    assert first["discretisation"] == "euler"
+    assert first["start"] == [0.0]
+
+
+@pytest.fixture
+def rigid_body() -> RigidBody:
+    rng = np.random.default_rng(0)
+    names = ("j1.m", "j1.mx", "j2.m", "j2.mx")
+    return RigidBody(
+        robot="bench",
+        joints=("j1", "j2"),
+        names=names,
+        parameters=rng.normal(size=4) / 3.0,
+        base=(0, 3),
+        standard_errors=rng.uniform(size=2),
+        condition=23.4567890123456789,
+        ridge=0.0,
+        friction=rng.normal(size=(2, 3)),
+        rmse=rng.uniform(size=2),
+        rows=4000,
+        logs=("one", "two"),
+        method="stacked",
+        weighting="wls",
+    )
+
+
+def test_a_rigid_body_comes_back_bit_for_bit(rigid_body: RigidBody, tmp_path: Path) -> None:
+    path = tmp_path / "rigid_body.json"
+    write_rigid_body(path, rigid_body, {"seed": None})
+    found = read_rigid_body(path)
+    for name in ("parameters", "standard_errors", "friction", "rmse"):
+        assert getattr(found, name).tobytes() == getattr(rigid_body, name).tobytes()
+        assert getattr(found, name).shape == getattr(rigid_body, name).shape
+    for name in (
+        *("robot", "joints", "names", "base", "condition", "ridge", "rows", "logs"),
+        *("method", "weighting"),
+    ):
+        assert getattr(found, name) == getattr(rigid_body, name)
+    data = json.loads(path.read_text())
+    assert data["format"] == RIGID_BODY_FORMAT
+    assert data["provenance"] == {"seed": None}
+    assert data["base"] == ["j1.m", "j2.mx"]
+
+
+def test_provenance_names_files_with_hashes_seed_and_versions(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t,q1\n")
+    source = provenance(files=[path], seed=7, note="x")
+    assert source["files"] == [{"name": "log.csv", "sha256": sha256(path)}]
+    assert source["seed"] == 7
+    assert source["note"] == "x"
+    assert source["versions"]["numpy"] == version("numpy")
+    assert source["versions"]["hesr"] == version("hesr")
+    assert source["versions"]["python"] == platform.python_version()
+    assert str(tmp_path) not in json.dumps(source)
+
+
+# --- what is refused --------------------------------------------------------------------------
+
+Change = Callable[[dict[str, Any]], object]
+
+
+def refused(path: Path, read: Callable[[Path], object] = read_model) -> str:
+    """What is said of a file, without its name, which must stand first."""
+    with pytest.raises(ArtifactError) as caught:
+        read(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).endswith(".")
+    return str(caught.value).removeprefix(f"{path}: ")
+
+
+def changed(folder: Path, change: Change) -> Path:
+    """Table I's file with one change."""
+    data = json.loads(TABLE_1.read_text(encoding="utf-8"))
+    change(data)
+    path = folder / "law.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    return path
+
+
+def first(data: dict[str, Any]) -> dict[str, Any]:
+    joint: dict[str, Any] = data["joints"][0]
+    return joint
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (
+            lambda d: d.update(format="hesr-rigid-body-1"),
+            "'format' is 'hesr-rigid-body-1', needed is 'hesr-friction-model-1'.",
+        ),
+        (lambda d: d.pop("format"), "'format' is None, needed is 'hesr-friction-model-1'."),
+        (lambda d: d.pop("robot"), "key 'robot' is missing."),
+        (lambda d: d.pop("provenance"), "key 'provenance' is missing."),
+        (lambda d: first(d).pop("joint"), "key 'joint' is missing."),
+        (lambda d: first(d).pop("structure"), "key 'structure' is missing."),
+        (lambda d: first(d).pop("discretisation"), "key 'discretisation' is missing."),
+        (lambda d: first(d)["coefficients"]["alpha"].pop("unit"), "key 'unit' is missing."),
+        (
+            lambda d: first(d).update(discretisation="rk4"),
+            "'discretisation' is 'rk4'; needed is 'exact' or 'euler'.",
+        ),
+        (
+            lambda d: first(d)["coefficients"]["alpha"].update(unit="1/min"),
+            "coefficient 'alpha' has the unit '1/min', needed is '1/s'.",
+        ),
+        (
+            lambda d: first(d)["coefficients"].pop("beta"),
+            "law 'parfam_h': coefficient 'beta' is missing; needed are c_0, c_h, c_dh, c_g1, "
+            "theta1_0, theta1_dq, theta1_h, theta1_dh, alpha, beta.",
+        ),
+        (
+            lambda d: first(d)["coefficients"].update(gamma={"value": 1.0, "unit": "1"}),
+            "law 'parfam_h': coefficient 'gamma' is unknown; needed are c_0, c_h, c_dh, c_g1, "
+            "theta1_0, theta1_dq, theta1_h, theta1_dh, alpha, beta.",
+        ),
+        (
+            lambda d: first(d)["coefficients"]["alpha"].update(value=float("nan")),
+            "law 'parfam_h': coefficient 'alpha' is nan.",
+        ),
+        (
+            lambda d: first(d)["coefficients"]["alpha"].update(value=float("inf")),
+            "law 'parfam_h': coefficient 'alpha' is inf.",
+        ),
+        (
+            lambda d: first(d)["coefficients"]["alpha"].update(value="fast"),
+            "not a friction model (could not convert string to float: 'fast').",
+        ),
+        (
+            lambda d: first(d).update(start=[0.0, 0.0]),
+            "law 'parfam_h': 2 start values for 1 states.",
+        ),
+        (
+            lambda d: first(d).update(start=[float("nan")]),
+            "law 'parfam_h': start value of 'h' is nan.",
+        ),
+        (
+            lambda d: d.update(sample_time=0.0),
+            "friction model 'parfam_h': sample time is 0.0 s; needed is a positive number.",
+        ),
+        (lambda d: d.update(joints=[]), "friction model 'parfam_h': 0 laws for 0 joints."),
+        (
+            lambda d: first(d)["structure"].update(linear=["1", "ddq"]),
+            "ParFam feature 'ddq' is unknown; known are 1, dq, h, dh.",
+        ),
+        (
+            lambda d: first(d)["structure"].update(linear=[["h"]]),
+            "ParFam feature '['h']' is unknown; known are 1, dq, h, dh.",
+        ),
+        (
+            lambda d: first(d)["structure"].update(linear=["h", "h"]),
+            "friction law: 'c_h' stands twice among its inputs, coefficients and states.",
+        ),
+        (
+            lambda d: first(d)["structure"].update(depth=2),
+            "ParFam structure has the keys ['depth', 'linear', 'units']; needed are 'linear' and "
+            "'units'.",
+        ),
+        (
+            lambda d: first(d)["structure"]["units"][0].update(g="tan"),
+            "ParFam unit {'g': 'tan', 'arguments': ['1', 'dq', 'h', 'dh']} needs 'g' from tanh, "
+            "sin, cos, exp and 'arguments'.",
+        ),
+        (
+            lambda d: first(d)["structure"]["units"][0].update(arguments=[]),
+            "ParFam unit {'g': 'tanh', 'arguments': []} needs 'g' from tanh, sin, cos, exp and "
+            "'arguments'.",
+        ),
+        (
+            lambda d: first(d).update(law="stribeck", structure={"k": 1}),
+            "law 'stribeck' has no structure, found {'k': 1}.",
+        ),
+    ],
+)
+def test_what_is_wrong_in_a_model_is_said(tmp_path: Path, change: Change, sentence: str) -> None:
+    assert refused(changed(tmp_path, change)) == sentence
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda d: d.update(joints=3),
+        lambda d: d.update(joints=["joint1"]),
+        lambda d: d.update(sample_time="soon"),
+        lambda d: d.update(sample_time=None),
+        lambda d: first(d).update(law=["parfam_h"]),
+        lambda d: first(d).update(coefficients=[1.0, 2.0]),
+        lambda d: first(d)["coefficients"].update(alpha=11.37),
+        lambda d: first(d).update(structure=None),
+        lambda d: first(d)["structure"].update(units=[3]),
+        lambda d: first(d)["structure"].update(linear=None),
+        lambda d: first(d).update(start=0.0),
+        lambda d: first(d).update(start=["h"]),
+        lambda d: d.update(provenance=[1]),
+    ],
+)
+def test_data_of_another_kind_are_refused(tmp_path: Path, change: Change) -> None:
+    assert refused(changed(tmp_path, change)).startswith("not a friction model (")
+
+
+def test_an_unknown_law_names_those_that_there_are(tmp_path: Path) -> None:
+    said = refused(changed(tmp_path, lambda d: first(d).update(law="lugree")))
+    assert said.startswith("law 'lugree' is unknown; known are ")
+    for name in ("stribeck", "lugre", "parfam_h"):
+        assert name in said
+
+
+def test_files_that_are_no_artifacts_are_refused(tmp_path: Path) -> None:
+    assert refused(tmp_path / "none.json") == "no such file."
+    path = tmp_path / "law.json"
+    for content in (b"", b"{", b"\xff\xfe{}", b"{'format': 1}"):
+        path.write_bytes(content)
+        assert refused(path).startswith("not a readable JSON file (")
+    for content in ("[]", "3", "null", '"hesr-friction-model-1"'):
+        path.write_text(content)
+        assert refused(path) == "'format' is None, needed is 'hesr-friction-model-1'."
+    assert refused(tmp_path).startswith("not a readable JSON file (")
+
+
+def test_what_is_wrong_in_a_rigid_body_is_said(rigid_body: RigidBody, tmp_path: Path) -> None:
+    path = tmp_path / "rigid_body.json"
+    write_rigid_body(path, rigid_body, {})
+    data = json.loads(path.read_text())
+
+    def said(change: Change) -> str:
+        copy = json.loads(json.dumps(data))
+        change(copy)
+        path.write_text(json.dumps(copy))
+        return refused(path, read_rigid_body)
+
+    assert said(lambda d: d.pop("parameters")) == "key 'parameters' is missing."
+    assert said(lambda d: d.pop("friction")) == "key 'friction' is missing."
+    assert said(lambda d: d.update(format=MODEL_FORMAT)) == (
+        "'format' is 'hesr-friction-model-1', needed is 'hesr-rigid-body-1'."
+    )
+    for change in (
+        lambda d: d.update(parameters=[1.0]),
+        lambda d: d["parameters"].update({"j1.m": "heavy"}),
+        lambda d: d.update(base=["j9.m"]),
+        lambda d: d.update(rows=None),
+        lambda d: d.update(friction=[["x"]]),
+    ):
+        assert said(change).startswith("not a rigid body (")
+
+
+def test_a_wrong_file_leaves_no_trace_of_another_error(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_text('{"format": "hesr-study-1"}')
+    with pytest.raises(ArtifactError, match="needed is 'a-format'"):
+        read_json(path, "a-format")
+
+
+def test_numbers_that_json_does_not_know_are_never_written(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_text("{}")
+    with pytest.raises(ValueError, match="JSON compliant"):
+        write_json(path, {"x": float("nan")})
+    assert path.read_text() == "{}"
+    assert [p.name for p in tmp_path.iterdir()] == ["x.json"]
+
+
+# --- no code from files -----------------------------------------------------------------------
+
+
+def test_nothing_in_a_file_is_run_as_code(tmp_path: Path) -> None:
+    """Every text of a file in turn is replaced by code that would leave a file behind."""
+    trace = tmp_path / "trace"
+    code = f"__import__('pathlib').Path({str(trace)!r}).touch()"
+
+    def places(data: Any) -> list[tuple[Any, Any]]:
+        items = data.items() if isinstance(data, dict) else enumerate(data)
+        found = []
+        for key, value in list(items):
+            if isinstance(value, (dict, list)):
+                found += places(value)
+            else:
+                found.append((data, key))
+        return found
+
+    exec(code)
+    assert trace.exists()  # the code is able to
+    trace.unlink()
+    for k in range(len(places(json.loads(TABLE_1.read_text())))):
+
+        def replace(data: dict[str, Any], k: int = k) -> None:
+            holder, key = places(data)[k]
+            holder[key] = code
+
+        path = changed(tmp_path, replace)
+        with suppress(ArtifactError):
+            read_model(path)
+        assert not trace.exists()

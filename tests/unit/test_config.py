@@ -1,0 +1,144 @@
+"""TOML files: what is read, and the sentence for each thing that can be wrong."""
+
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from pydantic import Field, ValidationError, field_validator
+
+from hesr_model.config import Config, RelativePath, read_toml
+from hesr_model.errors import ConfigError
+
+
+class Inner(Config):
+    unit: Literal["rad", "m"] = "rad"
+    gain: float = Field(default=1.0, gt=0)
+
+
+class Motion(Config):
+    name: str
+
+
+class Outer(Config):
+    name: str
+    count: int = 3
+    model: RelativePath | None = None
+    inner: Inner = Inner()
+    motions: tuple[Motion, ...] = ()
+    odd: int = 1
+
+    @field_validator("odd")
+    @classmethod
+    def _is_odd(cls, value: int) -> int:
+        if value % 2 == 0:
+            raise ValueError("an odd number is needed")
+        return value
+
+
+def read(folder: Path, text: str) -> Outer:
+    path = folder / "file.toml"
+    path.write_text(text, encoding="utf-8")
+    return read_toml(path, Outer)
+
+
+def sentence(folder: Path, text: str) -> str:
+    """What is said of a text, without the file's name, which must stand first."""
+    with pytest.raises(ConfigError) as caught:
+        read(folder, text)
+    start = f"{folder / 'file.toml'}: "
+    assert str(caught.value).startswith(start)
+    assert "\n" not in str(caught.value)
+    return str(caught.value).removeprefix(start)
+
+
+def test_a_file_is_read(tmp_path: Path) -> None:
+    text = 'name = "é"\ncount = 4\n[inner]\nunit = "m"\n[[motions]]\nname = "sine"\n'
+    found = read(tmp_path, text)
+    assert (found.name, found.count, found.inner.unit, found.inner.gain) == ("é", 4, "m", 1.0)
+    assert [motion.name for motion in found.motions] == ["sine"]
+
+
+def test_a_path_is_relative_to_its_toml(tmp_path: Path) -> None:
+    assert read(tmp_path, 'name = "x"\nmodel = "../a/b.xml"').model == (
+        tmp_path.parent / "a" / "b.xml"
+    )
+    assert read(tmp_path, 'name = "x"\nmodel = "/opt/b.xml"').model == Path("/opt/b.xml")
+
+
+def test_what_was_read_cannot_be_changed(tmp_path: Path) -> None:
+    with pytest.raises(ValidationError, match="frozen"):
+        read(tmp_path, 'name = "x"').name = "y"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "key 'name' is missing."),
+        (
+            'name = "x"\nnmae = "y"',
+            "unknown key 'nmae'; allowed here: count, inner, model, motions, name, odd.",
+        ),
+        (
+            'name = "x"\n[inner]\ngian = 2.0',
+            "unknown key 'inner.gian'; allowed here: gain, unit.",
+        ),
+        (
+            'name = "x"\n[[motions]]\nname = "a"\n[[motions]]\nname = "b"\nkind = "c"',
+            "unknown key 'motions.1.kind'; allowed here: name.",
+        ),
+        (
+            'name = "x"\ncount = "four"',
+            "key 'count' is 'four': Input should be a valid integer, unable to parse string as an "
+            "integer.",
+        ),
+        (
+            'name = "x"\n[inner]\nunit = "deg"',
+            "key 'inner.unit' is 'deg': Input should be 'rad' or 'm'.",
+        ),
+        (
+            'name = "x"\n[inner]\ngain = -1.5',
+            "key 'inner.gain' is -1.5: Input should be greater than 0.",
+        ),
+        (
+            'name = "x"\n[inner]\ngain = inf',
+            "key 'inner.gain' is inf: Input should be a finite number.",
+        ),
+        (
+            'name = "x"\n[inner]\ngain = nan',
+            "key 'inner.gain' is nan: Input should be a finite number.",
+        ),
+        ('name = "x"\nodd = 4', "key 'odd' is 4: an odd number is needed."),
+        (
+            'name = "x"\n[[motions]]\n',
+            "key 'motions.0.name' is missing.",
+        ),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_sentence(tmp_path: Path, text: str, expected: str) -> None:
+    assert sentence(tmp_path, text) == expected
+
+
+@pytest.mark.parametrize("text", ["name = ", 'name = "x"\nname = "y"', "[inner"])
+def test_text_that_is_no_toml_is_refused_with_its_place(tmp_path: Path, text: str) -> None:
+    said = sentence(tmp_path, text)
+    assert said.startswith("not valid TOML (")
+    assert "(at " in said
+    assert said.endswith(").")
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "none.toml"
+    with pytest.raises(ConfigError) as caught:
+        read_toml(path, Outer)
+    assert str(caught.value) == f"{path}: no such file."
+
+
+def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "file.toml"
+    path.write_bytes(b"name = '\xff\xfe'")
+    with pytest.raises(ConfigError) as caught:
+        read_toml(path, Outer)
+    assert str(caught.value).startswith(f"{path}: cannot be read (")
+    with pytest.raises(ConfigError) as caught:
+        read_toml(tmp_path, Outer)
+    assert str(caught.value).startswith(f"{tmp_path}: cannot be read (")

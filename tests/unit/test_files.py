@@ -1,0 +1,182 @@
+"""Files that are whole or not there, and the folder of shipped models."""
+
+import hashlib
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from hesr_model.errors import ArtifactError
+from hesr_model.files import folder_written_whole, models_folder, sha256, written_whole
+
+
+def everything_in(folder: Path) -> dict[str, str]:
+    """Every file below a folder, hidden ones too, and its text."""
+    return {str(p.relative_to(folder)): p.read_text() for p in folder.rglob("*") if p.is_file()} | {
+        f"{p.relative_to(folder)}/": "" for p in folder.rglob("*") if p.is_dir()
+    }
+
+
+def test_the_folder_of_models_holds_the_default_study() -> None:
+    assert (models_folder() / "studies" / "default.toml").is_file()
+    assert (models_folder() / "uf850" / "robot.toml").is_file()
+
+
+def test_sha256_is_that_of_the_bytes(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    path.write_bytes(b"\x00\xff friction \r\n")
+    assert sha256(path) == hashlib.sha256(b"\x00\xff friction \r\n").hexdigest()
+
+
+# --- one file ---------------------------------------------------------------------------------
+
+
+def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "folder" / "law.json"
+    with written_whole(path) as temporary:
+        temporary.write_text("done")
+        assert not path.exists()
+        assert temporary.suffix == ".json"  # writers that go by the suffix must see it
+        assert temporary.parent == path.parent  # so that the move stays on one file system
+    assert everything_in(tmp_path / "new" / "folder") == {"law.json": "done"}
+
+
+def test_a_file_replaces_what_stood_there(tmp_path: Path) -> None:
+    path = tmp_path / "law.json"
+    path.write_text("old")
+    with written_whole(path) as temporary:
+        temporary.write_text("new")
+        assert path.read_text() == "old"
+    assert everything_in(tmp_path) == {"law.json": "new"}
+
+
+def test_a_file_has_the_mode_of_any_new_file(tmp_path: Path) -> None:
+    ordinary = tmp_path / "ordinary"
+    ordinary.write_text("")
+    with written_whole(tmp_path / "law.json") as temporary:
+        temporary.write_text("")
+    modes = [stat.S_IMODE(path.stat().st_mode) for path in (ordinary, tmp_path / "law.json")]
+    assert modes[0] == modes[1]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+def test_nothing_is_left_of_a_file_that_was_not_finished(
+    tmp_path: Path, error: type[BaseException]
+) -> None:
+    path = tmp_path / "law.json"
+    path.write_text("old")
+
+    def interrupted() -> None:
+        with written_whole(path) as temporary:
+            temporary.write_text("half")
+            raise error
+
+    with pytest.raises(error):
+        interrupted()
+    assert everything_in(tmp_path) == {"law.json": "old"}
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(ArtifactError) as caught, written_whole(path) as temporary:
+        temporary.write_text("never")
+    return str(caught.value)
+
+
+def test_a_path_below_a_regular_file_is_refused(tmp_path: Path) -> None:
+    blocking = tmp_path / "file"
+    blocking.write_text("")
+    path = blocking / "sub" / "law.json"
+    assert refused(path) == f"{path}: cannot be written there (Not a directory)."
+    assert refused(blocking / "law.json").startswith(f"{blocking / 'law.json'}: cannot be written")
+
+
+def test_a_folder_in_the_place_of_the_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "law.json"
+    path.mkdir()
+    assert refused(path) == f"{path}: cannot be written there (Is a directory)."
+    assert everything_in(tmp_path) == {"law.json/": ""}
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="this system has no /proc")
+def test_a_file_system_that_takes_no_files_is_refused() -> None:
+    assert refused(Path("/proc/law.json")).startswith("/proc/law.json: cannot be written there (")
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_permission_is_refused(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    try:
+        assert "Permission denied" in refused(tmp_path / "law.json")
+    finally:
+        tmp_path.chmod(0o700)
+
+
+# --- a folder ---------------------------------------------------------------------------------
+
+
+def test_files_of_a_folder_appear_together(tmp_path: Path) -> None:
+    path = tmp_path / "results" / "study"
+    with folder_written_whole(path) as temporary:
+        (temporary / "a.json").write_text("a")
+        (temporary / "fmus").mkdir()
+        (temporary / "fmus" / "b.fmu").write_text("b")
+        assert not path.exists()
+        assert path.parent not in temporary.parents
+    assert everything_in(path) == {"a.json": "a", "fmus/": "", "fmus/b.fmu": "b"}
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["results"]
+
+
+def test_files_of_the_same_name_are_replaced_and_others_stay(tmp_path: Path) -> None:
+    (tmp_path / "fmus").mkdir()
+    (tmp_path / "fmus" / "b.fmu").write_text("old b")
+    (tmp_path / "notes.txt").write_text("mine")
+    with folder_written_whole(tmp_path) as temporary:
+        (temporary / "fmus").mkdir()
+        (temporary / "fmus" / "b.fmu").write_text("new b")
+    assert everything_in(tmp_path) == {"fmus/": "", "fmus/b.fmu": "new b", "notes.txt": "mine"}
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+def test_nothing_is_left_of_a_folder_that_was_not_finished(
+    tmp_path: Path, error: type[BaseException]
+) -> None:
+    (tmp_path / "a.json").write_text("old")
+
+    def interrupted(path: Path) -> None:
+        with folder_written_whole(path) as temporary:
+            (temporary / "a.json").write_text("half")
+            raise error
+
+    with pytest.raises(error):
+        interrupted(tmp_path)
+    with pytest.raises(error):
+        interrupted(tmp_path / "new" / "deep")
+    assert everything_in(tmp_path) == {"a.json": "old"}
+
+
+def test_a_file_in_the_place_of_a_folder_of_results_is_named(tmp_path: Path) -> None:
+    (tmp_path / "fmus").write_text("mine")
+
+    def write() -> None:
+        with folder_written_whole(tmp_path) as temporary:
+            (temporary / "fmus").mkdir()
+            (temporary / "fmus" / "b.fmu").write_text("b")
+
+    with pytest.raises(ArtifactError) as caught:
+        write()
+    assert str(caught.value) == (
+        f"{tmp_path / 'fmus' / 'b.fmu'}: cannot be written there (File exists)."
+    )
+    assert everything_in(tmp_path) == {"fmus": "mine"}
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_work(tmp_path: Path) -> None:
+    blocking = tmp_path / "file"
+    blocking.write_text("")
+    for path in (blocking, blocking / "results"):
+        worked = False
+        with pytest.raises(ArtifactError) as caught, folder_written_whole(path):
+            worked = True
+        assert str(caught.value) == f"{path}: cannot be written there (Not a directory)."
+        assert not worked
