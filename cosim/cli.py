@@ -67,6 +67,7 @@ def run(
 
     from cosim import tables
     from cosim.run import run_study
+    from cosim.scoring import inputs_of
     from cosim.study import Study
     from hesr_model.files import models_folder
 
@@ -79,9 +80,12 @@ def run(
         f"Rigid body: {len(outcome.rigid_body.base)} base parameters of "
         f"{len(outcome.rigid_body.names)}, from {', '.join(outcome.rigid_body.logs)}."
     )
+    inputs = {law: inputs_of(model) for law, model in outcome.models.items()}
     for name, comparison in outcome.comparisons.items():
-        for measure in ("rmse", "rmse_reversal"):
-            console.print(tables.comparison(name, comparison, measure))
+        for measure in ("rmse", "rmse_moving", "rmse_reversal"):
+            console.print(tables.comparison(name, comparison, measure, inputs))
+        if comparison.ratios:
+            console.print(tables.ratios(name, comparison, inputs))
     console.print("The figures are those of the FMUs, run through FMPy over the test logs:")
     for fmu in outcome.fmus.values():
         console.print(f"  {fmu}", soft_wrap=True, highlight=False)

@@ -4,9 +4,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
-from cosim.scoring import Comparison, by_joint, compare, predict_fmu
-from cosim.study import Study, Twin
+from cosim.scoring import Comparison, by_joint, compare, predict_fmu, within
+from cosim.study import Study
 from fmu_src import export_fmu
 from hesr_model.artifacts import provenance, write_json, write_model, write_rigid_body
 from hesr_model.errors import ConfigError
@@ -14,6 +15,7 @@ from hesr_model.files import folder_written_whole
 from hesr_model.friction.estimator import estimator, registry
 from hesr_model.friction.fit import fit_models
 from hesr_model.friction.law import FrictionModel
+from hesr_model.refinement import identify_again
 from hesr_model.residual import FrictionRecord, friction_records
 from hesr_model.rigid_body import RigidBody, identify
 from hesr_model.robot import RobotDescription, RobotModel
@@ -64,48 +66,25 @@ def run_study(
     HesrError
         If the study, a log or the data in it do not allow the run.
     """
-    progress = progress or _silent
     study = Study.read(path)
-    laws = study.laws or tuple(registry())
-    for law in (*laws, *study.options):
-        estimator(law)
+    job = _Job(study=study, path=path, progress=progress or _silent)
     description = RobotDescription.read(study.robot)
     model = RobotModel(description)
     with folder_written_whole(output) as folder:
-        files = _log_files(study, path, folder, progress)
+        files = job.log_files(folder)
         logs = {name: RobotLog.read(file, description) for name, file in files.items()}
-        progress("identifying the rigid body", 0, 1)
-        rigid_body = identify(
-            [logs[name] for name in study.logs.identification],
-            model,
-            reversed_logs=[logs[name] for name in study.logs.reversed],
-        )
-        progress("identifying the rigid body", 1, 1)
+        rigid_body = job.rigid_body(logs, model)
+        about = [study.robot, description.model, *(files[name] for name in job.trained_on)]
+        source = provenance(files=about, seed=study.seed)
+        write_rigid_body(folder / "rigid_body.json", rigid_body, source)
         records = {name: friction_records(log, model, rigid_body) for name, log in logs.items()}
-        about = [study.robot, description.model]
-        identified = (*study.logs.identification, *study.logs.reversed)
-        write_rigid_body(
-            folder / "rigid_body.json",
-            rigid_body,
-            provenance(files=[*about, *(files[name] for name in identified)]),
-        )
-        models = fit_models(
-            laws,
-            by_joint([records[name] for name in study.logs.training]),
-            robot=description.name,
-            seed=study.seed,
-            options=study.options,
-            provenance=provenance(
-                files=[*about, *(files[name] for name in _trained_on(study))], seed=study.seed
-            ),
-            progress=partial(progress, "fitting laws"),
-        )
+        models = job.fit(records, job.laws, "fitting laws", source)
         for k, (law, fitted) in enumerate(models.items()):
-            progress("building FMUs", k, len(models))
+            job.progress("building FMUs", k, len(models))
             write_model(folder / "laws" / f"{law}.json", fitted)
             export_fmu(fitted, folder / "fmus" / f"{law}.fmu", platforms=platforms)
-        progress("building FMUs", len(models), len(models))
-        comparisons = _compare(study, laws, records, folder / "fmus", progress)
+        job.progress("building FMUs", len(models), len(models))
+        comparisons = job.compare(records, folder / "fmus")
         write_json(
             folder / "evaluation.json", {name: c.to_json() for name, c in comparisons.items()}
         )
@@ -113,58 +92,120 @@ def run_study(
         rigid_body=rigid_body,
         comparisons=comparisons,
         models=models,
-        fmus={law: output / "fmus" / f"{law}.fmu" for law in laws},
+        fmus={law: output / "fmus" / f"{law}.fmu" for law in models},
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Job:
+    """The steps of a study."""
+
+    study: Study
+    path: Path
+    progress: Progress
+
+    def __post_init__(self) -> None:
+        variants = self.study.variants
+        kinds = {law: variants[law].law if law in variants else law for law in self.laws}
+        for law in (*kinds.values(), *self.study.options):
+            estimator(law)
+        if self.study.refinement:
+            estimator(self.study.refinement.law)
+
+    @property
+    def laws(self) -> tuple[str, ...]:
+        """Laws and variants of the study."""
+        return (*(self.study.laws or registry()), *self.study.variants)
+
+    @property
+    def trained_on(self) -> list[str]:
+        """Names of the logs from which anything is estimated."""
+        logs = self.study.logs
+        return list(dict.fromkeys((*logs.identification, *logs.reversed, *logs.training)))
+
+    def log_files(self, folder: Path) -> dict[str, Path]:
+        """Return the file of every log of the study; the twin's are made now."""
+        tested = (name for logs in self.study.logs.test.values() for name in logs)
+        names = dict.fromkeys((*self.trained_on, *tested))
+        if self.study.twin is None:
+            return {name: self.path.parent / name for name in names}
+        # MuJoCo is loaded for a twin only, not for measured logs.
+        from cosim.studies.excite import Motions, excite
+        from fmu_src.arm.plant import Plant
+
+        self.progress("running the arm", 0, 1)
+        motions = self.study.twin.motions
+        made = excite(Motions.read(motions), Plant.read(self.study.twin.plant), folder / "logs")
+        self.progress("running the arm", 1, 1)
+        for name in names:
+            if name not in made:
+                raise ConfigError(
+                    f"{self.path}: key 'logs' names '{name}', which is no motion of {motions}; "
+                    f"its motions give {', '.join(made)}."
+                )
+        return {name: made[name] for name in names}
+
+    def rigid_body(self, logs: Mapping[str, RobotLog], model: RobotModel) -> RigidBody:
+        """Identify the rigid body, again once friction is known where the study wants that."""
+        forward = [logs[name] for name in self.study.logs.identification]
+        backward = [logs[name] for name in self.study.logs.reversed]
+        self.progress("identifying the rigid body", 0, 1)
+        found = identify(forward, model, reversed_logs=backward)
+        self.progress("identifying the rigid body", 1, 1)
+        refinement = self.study.refinement
+        for _ in range(refinement.rounds if refinement else 0):
+            names = self.study.logs.training
+            records = {name: friction_records(logs[name], model, found) for name in names}
+            law = refinement.law if refinement else ""
+            friction = self.fit(records, (law,), "refining the rigid body", {})[law]
+            found = identify_again(forward, model, found, friction, reversed_logs=backward)
+        return found
+
+    def fit(
+        self,
+        records: Mapping[str, Sequence[FrictionRecord]],
+        laws: Sequence[str],
+        what: str,
+        source: Mapping[str, Any],
+    ) -> dict[str, FrictionModel]:
+        """Fit laws to the training logs."""
+        study = self.study
+        variants = study.variants
+        return fit_models(
+            laws,
+            by_joint([records[name] for name in study.logs.training]),
+            robot=RobotDescription.read(study.robot).name,
+            seed=study.seed,
+            options={**study.options, **{name: v.options for name, v in variants.items()}},
+            variants={name: v.law for name, v in variants.items()},
+            provenance=source,
+            progress=partial(self.progress, what),
+        )
+
+    def compare(
+        self, records: Mapping[str, Sequence[FrictionRecord]], fmus: Path
+    ) -> dict[str, Comparison]:
+        """Score the FMUs on every test set and on its bands."""
+        comparisons = {}
+        tests = self.study.logs.test
+        for k, (name, logs) in enumerate(tests.items()):
+            self.progress("replaying the FMUs", k, len(tests))
+            tested = by_joint([records[log] for log in logs])
+            predicted = {law: predict_fmu(fmus / f"{law}.fmu", tested) for law in self.laws}
+            comparisons[name] = compare(tested, predicted)
+            for band in self.study.bands:
+                if band.test == name:
+                    parts = {
+                        law: within(tested, whole, band.start, band.stop)
+                        for law, whole in predicted.items()
+                    }
+                    rows = next(iter(parts.values()))[0]
+                    comparisons[band.name] = compare(
+                        rows, {law: p for law, (_, p) in parts.items()}
+                    )
+        self.progress("replaying the FMUs", len(tests), len(tests))
+        return comparisons
 
 
 def _silent(what: str, done: int, total: int) -> None:
     """Tell nobody."""
-
-
-def _trained_on(study: Study) -> list[str]:
-    names = (*study.logs.identification, *study.logs.reversed, *study.logs.training)
-    return list(dict.fromkeys(names))
-
-
-def _log_files(study: Study, path: Path, folder: Path, progress: Progress) -> dict[str, Path]:
-    """Return the file of every log of the study; the twin's are made now."""
-    tested = (name for logs in study.logs.test.values() for name in logs)
-    names = dict.fromkeys((*_trained_on(study), *tested))
-    if study.twin is None:
-        return {name: path.parent / name for name in names}
-    made = _twin_logs(study.twin, folder / "logs", progress)
-    for name in names:
-        if name not in made:
-            raise ConfigError(
-                f"{path}: key 'logs' names '{name}', which is no motion of {study.twin.motions}; "
-                f"its motions give {', '.join(made)}."
-            )
-    return {name: made[name] for name in names}
-
-
-def _twin_logs(twin: Twin, folder: Path, progress: Progress) -> dict[str, Path]:
-    # MuJoCo is loaded for a twin only, not for measured logs.
-    from cosim.studies.excite import Motions, excite
-    from fmu_src.arm.plant import Plant
-
-    progress("running the arm", 0, 1)
-    made = excite(Motions.read(twin.motions), Plant.read(twin.plant), folder)
-    progress("running the arm", 1, 1)
-    return made
-
-
-def _compare(
-    study: Study,
-    laws: Sequence[str],
-    records: Mapping[str, Sequence[FrictionRecord]],
-    fmus: Path,
-    progress: Progress,
-) -> dict[str, Comparison]:
-    comparisons = {}
-    for k, (name, logs) in enumerate(study.logs.test.items()):
-        progress("replaying the FMUs", k, len(study.logs.test))
-        tested = by_joint([records[log] for log in logs])
-        predictions = {law: predict_fmu(fmus / f"{law}.fmu", tested) for law in laws}
-        comparisons[name] = compare(tested, predictions)
-    progress("replaying the FMUs", len(study.logs.test), len(study.logs.test))
-    return comparisons

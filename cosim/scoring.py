@@ -1,22 +1,38 @@
 """How well laws predict logs: as Python models, or as the FMUs made of them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.evaluate import Array, predict
+from hesr_model.friction.evaluate import Array
+from hesr_model.friction.functions import INPUTS
 from hesr_model.friction.law import FrictionModel
-from hesr_model.metrics import Score, score
+from hesr_model.friction.records import predict_record, record_start
+from hesr_model.metrics import Score, rmse, rmse_ratio_interval, score, time_band
 from hesr_model.residual import FrictionRecord
 
 Records = Sequence[Sequence[FrictionRecord]]
 """For each joint its records, one for each log."""
 
 MEASURES = ("rmse", "rmse_reversal", "rmse_moving", "r2")
+
+REFERENCE = "lugre"
+"""Law to which ratios are taken, the first one where it is not among the laws."""
+BLOCK = 1.0
+"""Length of a bootstrap's blocks [s]: errors of neighbouring rows are alike for about as long."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ratio:
+    """RMSE of a law over that of the reference, with its 95 % interval (block bootstrap)."""
+
+    value: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,10 +43,14 @@ class Comparison:
     ----------
     joints : names of the joints.
     laws : scores of each law, one for each joint.
+    reference : law to which the ratios are taken.
+    ratios : ratio of each other law to the reference, one for each joint.
     """
 
     joints: tuple[str, ...]
     laws: Mapping[str, tuple[Score, ...]]
+    reference: str
+    ratios: Mapping[str, tuple[Ratio, ...]]
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data, in Nm, per joint."""
@@ -42,6 +62,10 @@ class Comparison:
                 law: {measure: [getattr(s, measure) for s in scores] for measure in MEASURES}
                 for law, scores in self.laws.items()
             },
+            "ratios": {
+                "reference": self.reference,
+                "laws": {law: [asdict(r) for r in row] for law, row in self.ratios.items()},
+            },
         }
 
 
@@ -52,13 +76,71 @@ def by_joint(logs: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionReco
 
 def compare(records: Records, predictions: Mapping[str, Sequence[Sequence[Array]]]) -> Comparison:
     """Score predictions [law][joint][log], (N,) [N.m] each, on records [joint][log]."""
+    reference = REFERENCE if REFERENCE in predictions else next(iter(predictions))
+    errors = {
+        law: [
+            [p - r.tau for r, p in zip(*of_joint, strict=True)]
+            for of_joint in zip(records, predicted, strict=True)
+        ]
+        for law, predicted in predictions.items()
+    }
     return Comparison(
         joints=tuple(of_joint[0].joint for of_joint in records),
         laws={
             law: tuple(score(r, p) for r, p in zip(records, predicted, strict=True))
             for law, predicted in predictions.items()
         },
+        reference=reference,
+        ratios={
+            law: tuple(
+                _ratio(of_joint, below, records[joint])
+                for joint, (of_joint, below) in enumerate(zip(rows, errors[reference], strict=True))
+            )
+            for law, rows in errors.items()
+            if law != reference
+        },
     )
+
+
+def _ratio(errors: list[Array], below: list[Array], records: Sequence[FrictionRecord]) -> Ratio:
+    period = float(np.median(np.diff(records[0].t)))
+    low, high = rmse_ratio_interval(
+        errors, below, block=max(1, round(BLOCK / period)), rng=np.random.default_rng(0)
+    )
+    return Ratio(
+        value=rmse(np.concatenate(errors)) / rmse(np.concatenate(below)), low=low, high=high
+    )
+
+
+def within(
+    records: Records, torques: Sequence[Sequence[Array]], start: float, stop: float
+) -> tuple[list[list[FrictionRecord]], list[list[Array]]]:
+    """Return the rows of records and torques with start <= t < stop [s]."""
+    kept_records, kept_torques = [], []
+    for of_joint, predicted in zip(records, torques, strict=True):
+        rows = [time_band(r.t, start, stop) for r in of_joint]
+        kept_records.append([_rows(r, k) for r, k in zip(of_joint, rows, strict=True)])
+        kept_torques.append([p[k] for p, k in zip(predicted, rows, strict=True)])
+    return kept_records, kept_torques
+
+
+def _rows(record: FrictionRecord, rows: Any) -> FrictionRecord:
+    columns = ("t", "dq", "q", "tau_load", "tau")
+    return replace(record, **{name: getattr(record, name)[rows] for name in columns})
+
+
+def inputs_of(model: FrictionModel) -> str:
+    """Name the inputs that a model uses on any joint: laws of equal inputs compare fairly.
+
+    "start" stands for a start of the state from the first measured torques.
+    """
+    used = {symbol for law in model.laws for symbol in law.form.inputs}
+    names = [
+        label for symbol, label in zip(INPUTS, ("v", "q", "load"), strict=True) if symbol in used
+    ]
+    if any(law.start_samples for law in model.laws):
+        names.append("start")
+    return ", ".join(names)
 
 
 def predict_model(model: FrictionModel, records: Records) -> list[list[Array]]:
@@ -76,17 +158,29 @@ def predict_model(model: FrictionModel, records: Records) -> list[list[Array]]:
             f"has {', '.join(joints)}."
         )
     return [
-        [predict(law, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load) for r in of_joint]
+        [predict_record(law, r) for r in of_joint]
         for law, of_joint in zip(model.laws, records, strict=True)
     ]
 
 
 def predict_fmu(fmu: Path, records: Records) -> list[list[Array]]:
-    """Return the torque [joint][log] that an FMU computes for records, through FMPy."""
-    from cosim.replay import replay
+    """Return the torque [joint][log] that an FMU computes for records, through FMPy.
 
+    Where its laws take the start of their state from the first torque samples, that start is
+    estimated from the model that the FMU carries and set before the initialisation.
+    """
+    from cosim.replay import replay
+    from fmu_src.embedded import embedded_model
+
+    model = embedded_model(fmu)
     torques = []
     for log in zip(*records, strict=True):
+        start = {}
+        if model is not None and len(model.laws) == len(log):
+            for i, (law, record) in enumerate(zip(model.laws, log, strict=True), start=1):
+                values = record_start(law, record) if law.start_samples else ()
+                states = law.form.relaxations
+                start |= {f"{s.name}[{i}]": x for s, x in zip(states, values, strict=False)}
         columns = (np.column_stack([getattr(r, u) for r in log]) for u in ("dq", "q", "tau_load"))
-        torques.append(replay(fmu, log[0].t, *columns))
+        torques.append(replay(fmu, log[0].t, *columns, start=start))
     return [[torque[:, joint] for torque in torques] for joint in range(len(records))]

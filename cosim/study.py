@@ -2,11 +2,14 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
 from hesr_model.config import Config, RelativePath, read_toml
+
+# Names that become names of files.
+_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 
 
 class Twin(Config):
@@ -55,6 +58,48 @@ class StudyLogs(Config):
         return self
 
 
+class Variant(Config):
+    """A further row of the tables: a law with other options, for an ablation say.
+
+    Attributes
+    ----------
+    law : name in the registry.
+    options : hyper-parameters of its estimator.
+    """
+
+    law: str
+    options: Mapping[str, Any] = {}
+
+
+class Band(Config):
+    """A part of a test set in time, for instance one side of a chirp's middle frequency.
+
+    Attributes
+    ----------
+    test : name of the test set.
+    name : of the part.
+    start, stop : of the part [s], from the beginning of each log.
+    """
+
+    test: str
+    name: str
+    start: float = Field(default=0.0, ge=0.0)
+    stop: float = Field(default=1e9, gt=0.0)
+
+
+class Refinement(Config):
+    """Rigid body and friction in turn.
+
+    Attributes
+    ----------
+    law : whose torque is subtracted before the rigid body is identified again.
+    rounds : how often.
+    """
+
+    law: str
+    rounds: int = Field(default=1, ge=1)
+
+
 class Study(Config):
     """What `hesr run` does.
 
@@ -65,17 +110,30 @@ class Study(Config):
     seed : of every fit.
     laws : names in the registry; all laws if left out.
     options : hyper-parameters of estimators, by law.
+    variants : further rows, by their name.
+    refinement : whether the rigid body is identified again once friction is known.
+    bands : parts of test sets that are scored by themselves.
     twin : where the logs come from the digital twin.
     logs : which logs serve for what.
     """
 
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
+    name: str = Field(pattern=_NAME)
     robot: RelativePath
     seed: int = Field(default=0, ge=0)
     laws: tuple[str, ...] = ()
     options: Mapping[str, Mapping[str, Any]] = {}
+    variants: Mapping[Annotated[str, Field(pattern=_NAME)], Variant] = {}
+    refinement: Refinement | None = None
+    bands: tuple[Band, ...] = ()
     twin: Twin | None = None
     logs: StudyLogs
+
+    @model_validator(mode="after")
+    def _bands_are_of_tests(self) -> Self:
+        for band in self.bands:
+            if band.test not in self.logs.test:
+                raise ValueError(f"band '{band.name}' is of the unknown test set '{band.test}'")
+        return self
 
     @classmethod
     def read(cls, path: Path) -> Self:

@@ -1,36 +1,99 @@
 """Tables for the terminal."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
+from rich import box
 from rich.table import Table
 
 from cosim.scoring import Comparison
+from hesr_model.friction.audit import ENCODER, REACH, Audit
 from hesr_model.friction.estimator import registry
+from hesr_model.friction.functions import INPUT_UNITS
+from hesr_model.friction.trained import Excess, Range
 
 _TITLES = {
     "rmse": "RMSE of the predicted torque [N.m], all rows",
+    "rmse_moving": "RMSE [N.m] while moving (|dq| > 0.02 rad/s)",
     "rmse_reversal": "RMSE [N.m] within 0.1 s of velocity reversals",
 }
 
 
-def comparison(name: str, scores: Comparison, measure: str) -> Table:
-    """Return laws by joints of one measure on one test set; the best law of a joint is bold."""
-    table = Table(title=f"{name}: {_TITLES[measure]}", title_justify="left")
-    table.add_column("law")
-    for k, _ in enumerate(scores.joints, start=1):
-        table.add_column(f"J{k}", justify="right")
+def comparison(
+    name: str, scores: Comparison, measure: str, inputs: Mapping[str, str] | None = None
+) -> Table:
+    """Return laws by joints of one measure on one test set; the best law of a joint is bold.
+
+    Parameters
+    ----------
+    name : of the test set.
+    scores : of the laws.
+    measure : one of `scoring.MEASURES`.
+    inputs : inputs of each law; where given, laws of equal inputs stand together.
+    """
+    table = _by_joint(f"{name}: {_TITLES[measure]}", "law", len(scores.joints))
     values = {law: [getattr(s, measure) for s in row] for law, row in scores.laws.items()}
     if measure == "rmse":
         first = next(iter(scores.laws.values()))
         table.add_row("(std of friction)", *(_figure(s.tau_std) for s in first))
         table.add_section()
-    best = [min((v for v in column if v is not None), default=None)
-            for column in zip(*values.values(), strict=True)]  # fmt: skip
-    for law, row in values.items():
-        cells = [f"[bold]{_figure(v)}[/]" if v is not None and v == b else _figure(v)
-                 for v, b in zip(row, best, strict=True)]  # fmt: skip
-        table.add_row(title(law), *cells)
+    best = [
+        min((v for v in column if v is not None), default=None)
+        for column in zip(*values.values(), strict=True)
+    ]
+    for heading, laws_of_class in _classes(values, inputs):
+        if heading:
+            table.add_row(f"[italic]{heading}[/]")
+        for law in laws_of_class:
+            cells = [
+                f"[bold]{_figure(v)}[/]" if v is not None and v == b else _figure(v)
+                for v, b in zip(values[law], best, strict=True)
+            ]
+            table.add_row(title(law), *cells)
+        table.add_section()
     return table
+
+
+def ratios(name: str, scores: Comparison, inputs: Mapping[str, str] | None = None) -> Table:
+    """Return the RMSE of every law over that of the reference, with 95 % intervals below."""
+    heading = f"{name}: RMSE relative to {title(scores.reference)}, 95 % interval below"
+    table = _by_joint(heading, "law", len(scores.joints))
+    for label, laws_of_class in _classes(scores.ratios, inputs):
+        if label:
+            table.add_row(f"[italic]{label}[/]")
+        for law in laws_of_class:
+            cells = [f"{r.value:.2f}\n{r.low:.2f}-{r.high:.2f}" for r in scores.ratios[law]]
+            table.add_row(title(law), *cells)
+        table.add_section()
+    return table
+
+
+def audit(name: str, audits: Sequence[Audit]) -> Table:
+    """Return what a friction model must be known for before it is trusted, by joint."""
+    table = _by_joint(f"Audit of {title(name)}", "", len(audits))
+    rows = {
+        "steady torque drives for dq in [rad/s]": [_ranges(a.driving) for a in audits],
+        "the same without offset, |dq| in": [_ranges(a.driving_both_ways) for a in audits],
+        "most energy given per cycle [J]": [_generated(a) for a in audits],
+        "slope d tau/d dq at rest [N.m.s/rad]": [_slope(a) for a in audits],
+        f"chatter at rest, encoder {1e6 * ENCODER:.0f} urad [N.m]": [
+            f"{a.chatter:.3g}" for a in audits
+        ],
+        "largest |tau| in the trained range [N.m]": [f"{a.largest:.3g}" for a in audits],
+        f"largest |tau| up to {REACH:g} times outside": [_outside(a) for a in audits],
+    }
+    for label, cells in rows.items():
+        table.add_row(label, *cells)
+    return table
+
+
+def leaving(joints: Sequence[str], found: Sequence[Mapping[str, Excess]]) -> str:
+    """Return one line for each input that leaves the trained range in the logs, by joint."""
+    return "\n".join(
+        f"{joint}: {name} leaves the trained range in {100.0 * excess.rows:.1f} % of the rows, by "
+        f"up to {max(excess.below, excess.above):.3g} {INPUT_UNITS[name]}."
+        for joint, of_joint in zip(joints, found, strict=True)
+        for name, excess in of_joint.items()
+    )
 
 
 def laws() -> Table:
@@ -45,9 +108,49 @@ def laws() -> Table:
 
 def title(law: str) -> str:
     """Return the title of a law, or the name itself where it is none of the registry."""
-    known: Mapping[str, object] = registry()
-    return registry()[law].title if law in known else law
+    known = registry()
+    return known[law].title if law in known else law
+
+
+def _by_joint(heading: str, first: str, joints: int) -> Table:
+    table = Table(title=heading, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0))
+    table.add_column(first, no_wrap=True)
+    for k in range(1, joints + 1):
+        table.add_column(f"J{k}", justify="right")
+    return table
+
+
+def _classes(
+    laws_of_table: Mapping[str, object], inputs: Mapping[str, str] | None
+) -> list[tuple[str, list[str]]]:
+    """Return the laws in classes of equal inputs, the fewest inputs first."""
+    if inputs is None:
+        return [("", list(laws_of_table))]
+    classes: dict[str, list[str]] = {}
+    for law in laws_of_table:
+        classes.setdefault(inputs[law], []).append(law)
+    return sorted(classes.items(), key=lambda entry: entry[0].count(","))
 
 
 def _figure(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}" if value < 1.0 else f"{value:.3f}"
+    return "-" if value is None else f"{value:.3f}"
+
+
+def _ranges(ranges: Sequence[Range]) -> str:
+    return ", ".join(f"{low:.2g} to {high:.2g}" for low, high in ranges) or "none"
+
+
+def _generated(a: Audit) -> str:
+    c = a.generating
+    if c is None:
+        return "0"
+    return f"{a.generated:.3g} ({c.amplitude:.2g} rad/s, {c.frequency:.2g} Hz)"
+
+
+def _slope(a: Audit) -> str:
+    return f"jump of {a.jump:.3g} N.m" if a.slope is None else f"{a.slope:.4g}"
+
+
+def _outside(a: Audit) -> str:
+    torque = "not finite" if a.largest_outside is None else f"{a.largest_outside:.3g}"
+    return f"[bold]{torque}: explodes[/]" if a.explodes else torque

@@ -1,6 +1,7 @@
 """A friction model in, an FMU out: render, compile, zip, validate."""
 
 import hashlib
+import json
 import os
 import re
 import zipfile
@@ -13,8 +14,10 @@ from tempfile import TemporaryDirectory
 from fmu_src import friction
 from fmu_src.description import Description, to_xml
 from fmu_src.documentation import to_html
+from fmu_src.embedded import EMBEDDED_MODEL
 from fmu_src.interface import Interface, to_c
 from fmu_src.toolchain import build, targets
+from hesr_model.artifacts import model_to_json
 from hesr_model.errors import ExportError
 from hesr_model.files import written_whole
 from hesr_model.friction.law import FrictionModel
@@ -81,6 +84,7 @@ def export_fmu(
         "documentation/index.html": to_html(model, table, about).encode(),
         "documentation/licenses/license.txt": (_HERE / "templates/license.txt").read_bytes(),
     }
+    members[EMBEDDED_MODEL] = (json.dumps(model_to_json(model), indent=2) + "\n").encode()
     members |= {f"sources/{name}": text.encode() for name, text in sorted(sources.items())}
     with TemporaryDirectory(prefix="hesr-") as folder:
         for name, text in sources.items():

@@ -14,8 +14,10 @@ from typing import Any
 
 from hesr_model.errors import ArtifactError
 from hesr_model.files import sha256, written_whole
+from hesr_model.friction.audit import audit
 from hesr_model.friction.estimator import estimator
 from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.trained import TrainedRange
 from hesr_model.rigid_body import RigidBody
 
 MODEL_FORMAT = "hesr-friction-model-1"
@@ -79,20 +81,7 @@ def read_rigid_body(path: Path) -> RigidBody:
 
 def write_model(path: Path, model: FrictionModel) -> None:
     """Write a friction model."""
-    write_json(
-        path,
-        {
-            "format": MODEL_FORMAT,
-            "law": model.law,
-            "robot": model.robot,
-            "sample_time": model.sample_time,
-            "joints": [
-                {"joint": joint, **_law_to_json(law)}
-                for joint, law in zip(model.joints, model.laws, strict=True)
-            ],
-            "provenance": dict(model.provenance),
-        },
-    )
+    write_json(path, model_to_json(model))
 
 
 def read_model(path: Path) -> FrictionModel:
@@ -103,7 +92,33 @@ def read_model(path: Path) -> FrictionModel:
     ArtifactError
         Naming the file and what is missing or unknown in it.
     """
-    data = read_json(path, MODEL_FORMAT)
+    return model_from_json(path, read_json(path, MODEL_FORMAT))
+
+
+def model_to_json(model: FrictionModel) -> dict[str, Any]:
+    """Return a friction model as JSON data."""
+    ranges = model.trained or (None,) * len(model.laws)
+    return {
+        "format": MODEL_FORMAT,
+        "law": model.law,
+        "robot": model.robot,
+        "sample_time": model.sample_time,
+        "joints": [
+            {"joint": joint, **_law_to_json(law), **_trained_to_json(law, trained)}
+            for joint, law, trained in zip(model.joints, model.laws, ranges, strict=True)
+        ],
+        "provenance": dict(model.provenance),
+    }
+
+
+def model_from_json(path: Path, data: Mapping[str, Any]) -> FrictionModel:
+    """Return the friction model of JSON data that stood in a file.
+
+    Raises
+    ------
+    ArtifactError
+        Naming the file and what is missing or unknown in it.
+    """
     with _named(path, "friction model"):
         return FrictionModel(
             law=str(data["law"]),
@@ -111,7 +126,10 @@ def read_model(path: Path) -> FrictionModel:
             joints=tuple(str(j["joint"]) for j in data["joints"]),
             laws=tuple(_law_from_json(j) for j in data["joints"]),
             sample_time=float(data["sample_time"]),
-            provenance=dict(data["provenance"]),
+            trained=tuple(
+                TrainedRange.from_json(j["trained"]) for j in data["joints"] if "trained" in j
+            ),
+            provenance=data["provenance"],
         )
 
 
@@ -138,6 +156,13 @@ def _law_to_json(law: FrictionLaw) -> dict[str, Any]:
         "start": list(law.start),
         "start_samples": law.start_samples,
     }
+
+
+def _trained_to_json(law: FrictionLaw, trained: TrainedRange | None) -> dict[str, Any]:
+    """Return the trained range and the audit in it, which is for readers: it follows from both."""
+    if trained is None:
+        return {}
+    return {"trained": trained.to_json(), "audit": audit(law, trained).to_json()}
 
 
 def _law_from_json(data: Mapping[str, Any]) -> FrictionLaw:

@@ -12,7 +12,7 @@ from hesr_model.config import Config
 from hesr_model.errors import FitError
 from hesr_model.excitation_search import Search
 from hesr_model.motion_limits import Limits, MotionLimits, Positive, one_period, peak_torque
-from hesr_model.rigid_body import LEAST_PEAK, base_columns
+from hesr_model.rigid_body import LEAST_PEAK
 from hesr_model.robot import RobotModel
 from hesr_model.trajectories import Fourier
 
@@ -25,6 +25,8 @@ _COARSE, _FINE = 1e2, 1e4
 """Weights of what passes a limit, in the descents from all starts and in the last one."""
 
 _COARSE_STEPS, _FINE_STEPS = 100, 300
+
+_USUAL_RATE = 200.0
 
 _LARGE = 100.0
 """Of a random motion before it is shrunk into the limits, relative to its joint's speed."""
@@ -45,6 +47,9 @@ class ExcitationSettings(Config):
         Random motions from which the search begins.
     seed
         Of these.
+    sample_rate
+        Of the setpoints [Hz]; a period is a whole number of them. By default the logs' rate, and
+        200 where the robot file gives none.
     limits
         Of the motion; `MotionLimits` says what holds where they are left out.
     """
@@ -54,6 +59,7 @@ class ExcitationSettings(Config):
     periods: int = Field(default=1, ge=1)
     starts: int = Field(default=4, ge=1)
     seed: int = Field(default=0, ge=0)
+    sample_rate: Positive | None = None
     limits: MotionLimits = MotionLimits()
 
     @field_validator("period")
@@ -74,6 +80,8 @@ class Excitation:
         At rest at both ends; `motion.time_reversed()` is its counterpart.
     condition
         Of W_b, see `condition`.
+    sample_rate
+        Of its setpoints [Hz].
     limits
         Which the motion keeps.
     peak_torque
@@ -82,18 +90,29 @@ class Excitation:
 
     motion: Fourier
     condition: float
+    sample_rate: float
     limits: Limits
     peak_torque: Array
 
+    def setpoints(self) -> tuple[Array, Array, Array, Array]:
+        """Return times (N,) [s] from rest to rest and q, dq, ddq (N, n) [rad, rad/s, rad/s2]."""
+        t = np.arange(round(self.motion.duration * self.sample_rate) + 1) / self.sample_rate
+        return t, *self.motion.sample(t)
 
-def condition(model: RobotModel, motion: Fourier) -> float:
+
+def condition(model: RobotModel, base: tuple[int, ...], motion: Fourier) -> float:
     """Condition number of W_b: base columns of the regressor over one period, in SI, unscaled.
 
-    The base columns are those of `base_columns`; even samples of one period are stacked. Run
-    backwards, a motion has the same W_b, because rigid-body torque is even in velocity.
+    Even samples of one period are stacked. Run backwards, a motion has the same W_b, because
+    rigid-body torque is even in velocity.
+
+    Parameters
+    ----------
+    base
+        Indices of the base columns, see `rigid_body.base_columns`.
     """
-    t = np.arange(_SAMPLES) * (motion.period / _SAMPLES)
-    columns = model.regressor(*motion.sample(t))[:, :, list(base_columns(model))]
+    t = np.linspace(0.0, motion.period, _SAMPLES, endpoint=False)
+    columns = model.regressor(*motion.sample(t))[:, :, list(base)]
     return float(np.linalg.cond(columns.reshape(-1, columns.shape[2])))
 
 
@@ -112,34 +131,39 @@ def design(model: RobotModel, settings: ExcitationSettings | None = None) -> Exc
         If they admit no motion.
     """
     settings = settings or ExcitationSettings()
+    rate = settings.sample_rate or model.description.log.sample_rate or _USUAL_RATE
     limits = Limits.of(model, settings.limits)
     rest = limits.rest(model)
     search = Search.of(model, limits, harmonics=settings.harmonics, period=settings.period)
-
-    def descend(motion: Fourier, weight: float, steps: int) -> Fourier:
-        found = minimize(
-            search.value_and_gradient,
-            search.pack(motion),
-            args=(weight,),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=search.bounds,
-            options={"maxiter": steps},
-        )
-        return limits.shrink(search.unpack(found.x), model, rest)
-
     with threadpool_limits(1):
         starts = random_motions(model, settings, settings.starts, settings.seed)
-        rough = [descend(start, _COARSE, _COARSE_STEPS) for start in starts]
-        best = min(rough, key=lambda motion: condition(model, motion))
-        motion = descend(best, _FINE, _FINE_STEPS)
+        rough = [_descend(search, start, rest, _COARSE, _COARSE_STEPS) for start in starts]
+        best = min(rough, key=lambda motion: condition(model, search.base, motion))
+        period = round(best.period * rate) / rate
+        search = replace(search, period=(period, period))
+        motion = _descend(search, best, rest, _FINE, _FINE_STEPS)
     _require_speed(motion, model)
     return Excitation(
         motion=replace(motion, periods=settings.periods),
-        condition=condition(model, motion),
+        condition=condition(model, search.base, motion),
+        sample_rate=rate,
         limits=limits,
         peak_torque=peak_torque(model, motion),
     )
+
+
+def _descend(search: Search, motion: Fourier, rest: Array, weight: float, steps: int) -> Fourier:
+    """Descend from a motion and bring what is found within the limits."""
+    found = minimize(
+        search.value_and_gradient,
+        search.pack(motion),
+        args=(weight,),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=search.bounds,
+        options={"maxiter": steps},
+    )
+    return search.limits.shrink(search.unpack(found.x), search.model, rest)
 
 
 def random_motions(

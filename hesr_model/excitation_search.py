@@ -148,9 +148,10 @@ class Search:
         for k, values in enumerate(state):
             slope = np.empty_like(values)
             for joint in range(self.model.n):
-                moved = values.copy()
-                moved[:, joint] += _STEP
-                change = self.model.regressor(*state[:k], moved, *state[k + 1 :]) - regressor
+                moved = list(state)
+                moved[k] = values.copy()
+                moved[k][:, joint] += _STEP
+                change = self.model.regressor(*moved) - regressor
                 slope[:, joint] = np.sum(upstream * change, axis=(1, 2)) / _STEP
             slopes.append(slope)
         return value + weight * excess, slopes

@@ -1,4 +1,4 @@
-"""Limits of a motion: given by the user or taken from the model, and how a motion is kept in them."""
+"""Limits of a motion, given by the user or taken from the model, and how they are kept."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, Self
@@ -6,6 +6,7 @@ from typing import Annotated, Self
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
+from scipy.optimize import minimize
 
 from hesr_model.config import Config
 from hesr_model.errors import FitError, RobotError
@@ -19,7 +20,7 @@ Positive = Annotated[float, Field(gt=0)]
 _KEPT_FREE = 0.05
 """Of a joint's range at either end, by default: no arm follows exactly."""
 
-_SECONDS_TO_FULL_SPEED = 0.5
+_SECONDS_TO_FULL_SPEED = 1.0
 """Model files know no acceleration; by default a joint may reach its speed in this time."""
 
 _MARGIN = 1e-3
@@ -42,7 +43,7 @@ class MotionLimits(Config):
     velocity
         [rad/s or m/s]; by default the model's, 2 where it has none.
     acceleration
-        [rad/s2 or m/s2]; by default twice the velocity per second.
+        [rad/s2 or m/s2]; by default what reaches the velocity in one second.
     torque
         Of the rigid body, friction not counted [N.m or N]; by default the model's effort limit,
         none where it has none. It can be kept only as well as the model file's inertias are known.
@@ -112,6 +113,11 @@ class Limits:
 
         Each joint's path is shrunk to its limits of position, velocity and acceleration and moved
         into its range; then, for torque, all paths together towards the position `rest`.
+
+        Raises
+        ------
+        FitError
+            If not even a very small motion about `rest` keeps the torque limits.
         """
         inner = 1.0 - _MARGIN
         q, dq, ddq = one_period(motion)
@@ -148,6 +154,12 @@ class Limits:
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if keeps(middle) else (low, middle)
+        if low == 0.0:
+            raise FitError(
+                f"robot '{model.description.name}': the limits admit no motion, because "
+                "limits.torque leaves nothing for one beyond gravity even where that takes least; "
+                "larger torques are needed."
+            )
         return towards_rest(low)
 
     def rest(self, model: RobotModel) -> Array:
@@ -160,30 +172,41 @@ class Limits:
         """
         places = np.random.default_rng(0).uniform(self.lower, self.upper, (_RESTS, model.n))
         places[0] = 0.5 * (self.lower + self.upper)
-        still = np.zeros_like(places)
-        gravity = model.torque(model.nominal_parameters, places, still, still)
-        shares = np.abs(gravity) / self.torque
-        best = int(np.argmin(shares.max(axis=1)))
-        joint = int(np.argmax(shares[best]))
-        if shares[best, joint] >= 1.0:
+
+        def gravity(q: Array) -> Array:
+            still = np.zeros_like(q)
+            return np.abs(model.torque(model.nominal_parameters, q, still, still))
+
+        found = minimize(
+            lambda q: np.max(gravity(q[None, :]) / self.torque),
+            places[int(np.argmin(np.max(gravity(places) / self.torque, axis=1)))],
+            method="Nelder-Mead",
+            bounds=np.column_stack([self.lower, self.upper]),
+        )
+        rest: Array = found.x
+        needed = gravity(rest[None, :])[0]
+        joint = int(np.argmax(needed / self.torque))
+        if needed[joint] >= self.torque[joint]:
             raise FitError(
                 f"robot '{model.description.name}': the limits admit no motion, because joint "
-                f"'{model.description.joints[joint]}' needs {abs(gravity[best, joint]):.3g} N.m "
-                f"against gravity even where it is least, and limits.torque is "
+                f"'{model.description.joints[joint]}' needs {needed[joint]:.3g} N.m against "
+                f"gravity even where it takes least, but limits.torque is "
                 f"{self.torque[joint]:g} N.m."
             )
-        return places[best]
+        return rest
 
 
 def one_period(motion: Fourier) -> tuple[Array, Array, Array]:
     """Position, velocity and acceleration at points as close as peaks need."""
     points = _POINTS * motion.a.shape[1]
-    return motion.sample(np.arange(points) * (motion.period / points))
+    return motion.sample(np.linspace(0.0, motion.period, points, endpoint=False))
 
 
 def peak_torque(model: RobotModel, motion: Fourier) -> Array:
     """Largest absolute torque (n,) [N.m] of the model file's rigid body, without friction."""
-    return np.abs(model.torque(model.nominal_parameters, *one_period(motion))).max(axis=0)
+    q, dq, ddq = one_period(motion)
+    peaks: Array = np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0)
+    return peaks
 
 
 def _effort(model: RobotModel) -> Array:

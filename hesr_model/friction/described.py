@@ -18,10 +18,10 @@ from hesr_model.residual import FrictionRecord
 
 
 class Described(Estimator):
-    """A law that is linear in most coefficients, fitted by differential evolution.
+    """A law given by its core, to which ripple and an estimated start can be added.
 
-    A concrete law gives `core` and `space`; ripple in the joint angle and a start that follows from
-    the first samples are added here, so every law can have them.
+    A concrete law gives `core`; ripple in the joint angle and a start that follows from the first
+    samples are added here, so every law can have them.
 
     Class attributes
     ----------------
@@ -37,10 +37,6 @@ class Described(Estimator):
     def core(structure: Mapping[str, Any]) -> LawForm:
         """Return the law's expressions without ripple."""
 
-    @abstractmethod
-    def space(self) -> SearchSpace:
-        """Return how the coefficients of the core without structure are searched."""
-
     @classmethod
     def form(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions of a structure; {"ripple": ...} adds harmonics."""
@@ -49,14 +45,6 @@ class Described(Estimator):
         if "ripple" not in structure:
             return core
         return Ripple.from_json(structure["ripple"]).extend(core)
-
-    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
-        """Search the non-linear coefficients (seeded by `rng`) and solve the linear ones."""
-        form = self.core({})
-        samples = Samples.of(records, coefficients=len(form.coefficients))
-        problem = Separable(form, self.space(), samples)
-        point = problem.polish(problem.search(rng))
-        return self.finish({}, problem, point)
 
     def finish(self, structure: Mapping[str, Any], problem: Separable, point: Array) -> FrictionLaw:
         """Return the law at a point of a core's problem, with ripple added where it helps."""
@@ -82,6 +70,22 @@ class Described(Estimator):
             values=problem.values(point, unknowns),
             start_samples=self.start_samples,
         )
+
+
+class OneForm(Described):
+    """A law of one form, linear in most coefficients, fitted by differential evolution."""
+
+    @abstractmethod
+    def space(self) -> SearchSpace:
+        """Return how the coefficients of the core are searched."""
+
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Search the non-linear coefficients (seeded by `rng`) and solve the linear ones."""
+        form = self.core({})
+        samples = Samples.of(records, coefficients=len(form.coefficients))
+        problem = Separable(form, self.space(), samples)
+        point = problem.polish(problem.search(rng))
+        return self.finish({}, problem, point)
 
 
 def no_structure(name: str, structure: Mapping[str, Any]) -> None:

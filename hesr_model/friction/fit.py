@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from hesr_model.errors import FitError
 from hesr_model.friction.estimator import estimator
 from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.trained import TrainedRange
 from hesr_model.residual import FrictionRecord
 
 Progress = Callable[[int, int], None]
@@ -63,6 +64,7 @@ def fit_models(
     robot: str,
     seed: int,
     options: Mapping[str, Mapping[str, Any]] | None = None,
+    variants: Mapping[str, str] | None = None,
     provenance: Mapping[str, Any] | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
@@ -71,20 +73,22 @@ def fit_models(
 
     Parameters
     ----------
-    laws : names in the registry.
+    laws : names in the registry, or names of variants.
     records : for each joint its records, one for each training log.
     robot : name of the robot.
     seed : of every fit.
-    options : hyper-parameters by law.
+    options : hyper-parameters by law or variant.
+    variants : name in the registry of each variant, a law with other options.
     provenance : JSON data that the models carry.
     workers : processes; one for each core where not given, none of its own for 1.
 
     Returns
     -------
-    Model by name of the law. The result does not depend on `workers`.
+    Model by name of the law or variant. The result does not depend on `workers`.
     """
     jobs = [(law, joint) for law in laws for joint in range(len(records))]
     settings = options or {}
+    registered = {law: (variants or {}).get(law, law) for law in laws}
     count = min(workers or os.cpu_count() or 1, len(jobs))
     done: dict[tuple[str, int], FrictionLaw] = {}
 
@@ -97,14 +101,18 @@ def fit_models(
         progress(0, len(jobs))
     if count <= 1:
         for law, joint in jobs:
-            keep(law, joint, fit_joint(law, records[joint], seed=seed, options=settings.get(law)))
+            keep(
+                law,
+                joint,
+                fit_joint(registered[law], records[joint], seed=seed, options=settings.get(law)),
+            )
     else:
         # Fresh processes: forking one that already runs BLAS or logging threads may dead-lock.
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(count, context, initializer=_leave_interrupts_to_parent) as pool:
             futures: dict[tuple[str, int], Future[FrictionLaw]] = {
                 (law, joint): pool.submit(
-                    fit_joint, law, records[joint], seed=seed, options=settings.get(law)
+                    fit_joint, registered[law], records[joint], seed=seed, options=settings.get(law)
                 )
                 for law, joint in jobs
             }
@@ -123,6 +131,7 @@ def fit_models(
             joints=joints,
             laws=tuple(done[law, joint] for joint in range(len(records))),
             sample_time=round(float(np.median(periods)), 9),
+            trained=tuple(TrainedRange.of(of_joint) for of_joint in records),
             provenance=dict(provenance or {}),
         )
         for law in laws

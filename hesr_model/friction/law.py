@@ -13,12 +13,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf, isfinite
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import sympy
 
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.functions import INPUTS
+
+if TYPE_CHECKING:
+    from hesr_model.friction.trained import TrainedRange
 
 Discretisation = Literal["exact", "euler"]
 
@@ -165,6 +168,7 @@ class FrictionModel:
     joints : names of the joints.
     laws : the law of each joint.
     sample_time : sample period at which the laws were made [s].
+    trained : ranges of the records that each law was fitted to; empty where they are not known.
     provenance : JSON data on where the model comes from (files with hashes, seed, versions).
     """
 
@@ -173,12 +177,18 @@ class FrictionModel:
     joints: tuple[str, ...]
     laws: tuple[FrictionLaw, ...]
     sample_time: float
+    trained: "tuple[TrainedRange, ...]" = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.joints or len(self.joints) != len(self.laws):
             raise ArtifactError(
                 f"friction model '{self.law}': {len(self.laws)} laws for {len(self.joints)} joints."
+            )
+        if self.trained and len(self.trained) != len(self.joints):
+            raise ArtifactError(
+                f"friction model '{self.law}': {len(self.trained)} trained ranges for "
+                f"{len(self.joints)} joints."
             )
         if not 0.0 < self.sample_time < inf:
             raise ArtifactError(

@@ -1,6 +1,18 @@
-"""The laws that come with HESR: importing a module registers its estimator."""
+"""The laws that come with HESR, in the order in which tables show them."""
 
-from hesr_model.friction import lugre, stribeck
-from hesr_model.friction.parfam import estimator, extended
+from importlib import import_module
 
-__all__ = ["estimator", "extended", "lugre", "stribeck"]
+MODULES = (
+    "stribeck",
+    "parfam.velocity",
+    "lugre",
+    "dahl",
+    "networks",
+    "parfam.estimator",
+    "strain_wave",
+    "parfam.extended",
+)
+"""Modules of `hesr_model.friction` whose import registers estimators."""
+
+for _module in MODULES:
+    import_module(f"hesr_model.friction.{_module}")

@@ -6,7 +6,7 @@ from typing import Any
 
 import sympy
 
-from hesr_model.friction.described import Described, no_structure
+from hesr_model.friction.described import OneForm, no_structure
 from hesr_model.friction.estimator import register
 from hesr_model.friction.functions import DQ, TAU_LOAD, absolute
 from hesr_model.friction.law import Coefficient, LawForm, Relaxation
@@ -68,7 +68,7 @@ COEFFICIENTS = (SIGMA_0, SIGMA_1, SIGMA_2, F_C, F_S, V_S, TAU_0)
 
 
 @register
-class LuGre(Described):
+class LuGre(OneForm):
     """z' = v - sigma_0 |v|/g(v) z, tau = sigma_0 z + sigma_1 z' + sigma_2 v + tau_0."""
 
     name = "lugre"
@@ -87,7 +87,7 @@ class LuGre(Described):
 
 
 @register
-class LuGreLoad(Described):
+class LuGreLoad(OneForm):
     """LuGre whose bristle force rises with the load: tau = ... + mu sigma_0 z |tau_load|."""
 
     name = "lugre_load"
@@ -104,7 +104,7 @@ class LuGreLoad(Described):
         )
 
     def space(self) -> SearchSpace:
-        """Search the bristle; the product F_c mu is solved for, since the torque is linear in it."""
+        """Search the bristle; F_c mu is solved for, since the torque is linear in the product."""
         plain = bristle_space(("F_c", "sigma_1", "sigma_2", "tau_0", "F_c_mu"), non_negative=3)
         product = sympy.Symbol("F_c_mu", real=True)
         return replace(plain, values=(*plain.values, (MU.name, product / F_C.symbol)))

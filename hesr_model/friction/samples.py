@@ -10,7 +10,6 @@ from hesr_model.errors import FitError
 from hesr_model.friction.evaluate import Array, recurrence
 from hesr_model.residual import FrictionRecord, require_reversals
 
-
 Rows = NDArray[np.bool_]
 """(N,) mask of rows."""
 

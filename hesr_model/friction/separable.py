@@ -170,8 +170,8 @@ def _compiled(form: LawForm, space: SearchSpace) -> tuple[Any, Any]:
     replaced = {sympy.Symbol(name, real=True): e for name, e in space.values}
     searched = tuple(sympy.Symbol(name, real=True) for name in space.names)
     linear = tuple(sympy.Symbol(name, real=True) for name in space.linear)
-    # Products are multiplied out, so that factors cancel; nothing else is rewritten, because SymPy's
-    # other simplifications may turn exp(-x) into 1/exp(x), which overflows.
+    # Products are multiplied out, so that factors cancel; nothing else is rewritten, because
+    # SymPy's other simplifications may turn exp(-x) into 1/exp(x), which overflows.
     rates = tuple(e.subs(replaced) for r in form.relaxations for e in (r.drive, r.rate))
     output = sympy.expand_mul(form.output.subs(replaced))
     columns = tuple(sympy.diff(output, symbol) for symbol in linear)

@@ -5,7 +5,7 @@ from typing import Any
 
 import sympy
 
-from hesr_model.friction.described import Described, no_structure
+from hesr_model.friction.described import OneForm, no_structure
 from hesr_model.friction.estimator import register
 from hesr_model.friction.functions import DQ, sgn
 from hesr_model.friction.law import Coefficient, LawForm
@@ -22,7 +22,7 @@ VELOCITY_BOUNDS = (1e-3, 1.0)
 
 
 @register
-class Stribeck(Described):
+class Stribeck(OneForm):
     """tau = (F_c + (F_s - F_c) exp(-(v/v_s)^2)) sgn(v) + sigma_2 v + tau_0  (eq. 3 as a map).
 
     F_c, F_s and sigma_2 are kept non-negative. F_s < F_c is allowed: the level of lubricated gears

@@ -46,12 +46,12 @@ class Candidate:
         """Return the same law in the one form in which it is printed.
 
         The gain is positive: a sign moves into the argument of an odd g, or becomes half a turn of
-        a periodic one. The offset of a periodic argument lies within (-pi, pi].
+        a periodic one that has an offset, which lies within (-pi, pi].
         """
         theta, gain = self.theta.copy(), self.gain
         if self.g in ("tanh", "sin") and gain < 0.0:
             gain, theta = -gain, -theta
-        if self.g == "cos" and gain < 0.0:
+        if self.g == "cos" and self.theta_active[0] and gain < 0.0:
             gain, theta[0] = -gain, theta[0] + np.pi
         if self.g in ("sin", "cos") and self.theta_active[0]:
             theta[0] = np.pi - (np.pi - theta[0]) % (2.0 * np.pi)

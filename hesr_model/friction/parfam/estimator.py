@@ -13,6 +13,7 @@ from hesr_model.friction.parfam.calibrate import Cell
 from hesr_model.friction.parfam.candidate import Candidate
 from hesr_model.friction.parfam.features import HysteresisFeatures
 from hesr_model.friction.samples import Samples
+from hesr_model.friction.trained import TrainedRange
 from hesr_model.residual import FrictionRecord
 
 COEFFICIENTS = 11
@@ -55,6 +56,19 @@ class ParFamH(Estimator):
         if unknown:
             known = ", ".join(family.FUNCTIONS)
             raise FitError(f"ParFam function '{unknown[0]}' is unknown; known are {known}.")
+        if search == "paper" and not functions:
+            raise FitError("ParFam option 'functions' is empty; the paper's search needs one.")
+        for option, found, allowed in (
+            ("search", search, ("projection", "paper")),
+            ("discretisation", discretisation, ("exact", "euler")),
+        ):
+            if found not in allowed:
+                raise FitError(
+                    f"ParFam option '{option}' is '{found}'; allowed are {', '.join(allowed)}."
+                )
+        for option, count in (("cells", cells), ("starts", starts), ("candidates", candidates)):
+            if count < 1:
+                raise FitError(f"ParFam option '{option}' is {count}; needed is at least 1.")
         self.search = search
         self.functions = tuple(functions)
         self.discretisation = discretisation
@@ -74,7 +88,7 @@ class ParFamH(Estimator):
         found = (
             self._paper(features, rng) if self.search == "paper" else self._evolve(features, rng)
         )
-        chosen = refine.select(features, found, samples.folds)
+        chosen = refine.select(features, found, samples.folds, TrainedRange.of(records))
         return chosen.canonical().law(self.name, self.discretisation)
 
     def _evolve(self, features: HysteresisFeatures, rng: np.random.Generator) -> list[Candidate]:

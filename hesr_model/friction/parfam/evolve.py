@@ -56,7 +56,13 @@ def search(
 
 
 def arguments(
-    g: str, features: Array, linear: Array, tau: Array, starts: Array, keep: int
+    g: str,
+    features: Array,
+    linear: Array,
+    tau: Array,
+    starts: Array,
+    keep: int,
+    limit: float = ARGUMENT_LIMIT,
 ) -> list[Array]:
     """Return the best distinct arguments theta (F,) of a unit g beside a linear law, best first.
 
@@ -68,9 +74,10 @@ def arguments(
     tau : (M,) torque [N.m].
     starts : (S, F) starting points of theta for standardised features.
     keep : how many to return at most.
+    limit : bound on the standardised theta.
     """
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
-    problem = _Projected(g, features / scale, linear, tau)
+    problem = _Projected(g, features / scale, linear, tau, limit)
     theta, cost = problem.minimise(starts.T.copy())
     chosen: list[int] = []
     for i in np.argsort(cost):
@@ -108,9 +115,10 @@ def _candidate(cell: Cell, g: str, features: Array, tau: Array, theta: Array) ->
 class _Projected:
     """The problem of one g with everything linear projected out."""
 
-    def __init__(self, g: str, x: Array, linear: Array, tau: Array) -> None:
+    def __init__(self, g: str, x: Array, linear: Array, tau: Array, limit: float) -> None:
         self.g, self.dg = UNIT_FUNCTIONS[g]
         self.x = x
+        self.limit = limit
         self.q = np.linalg.qr(linear)[0]
         self.y = self._reject(tau[:, None])
 
@@ -137,7 +145,7 @@ class _Projected:
         cost = self.cost(theta)
         for iterations, share in ROUNDS:
             for _ in range(iterations):
-                trial = np.clip(theta + self._step(theta, damping), -ARGUMENT_LIMIT, ARGUMENT_LIMIT)
+                trial = np.clip(theta + self._step(theta, damping), -self.limit, self.limit)
                 trial_cost = self.cost(trial)
                 better = trial_cost < cost
                 theta = np.where(better, trial, theta)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from hesr_model.friction.audit import explodes
 from hesr_model.friction.described import Described
 from hesr_model.friction.estimator import register
 from hesr_model.friction.evaluate import Array
@@ -16,15 +17,16 @@ from hesr_model.friction.parfam.features import HysteresisFeatures
 from hesr_model.friction.samples import Samples
 from hesr_model.friction.separable import SearchSpace, Separable, left_out_cost
 from hesr_model.friction.stribeck import V_S, VELOCITY_BOUNDS
+from hesr_model.friction.trained import TrainedRange
 from hesr_model.residual import FrictionRecord
 
 MEMORY_BOUNDS = (0.05, 2000.0)
 """Bounds of kappa [1/rad]: from no memory in position to one of a milliradian."""
 REST_SPEED = 1e-3
 """Speed below which the state holds [rad/s]."""
-UNIT_GAIN = 0.005
+UNIT_GAIN = 0.05
 """A unit stays if it lowers the mean square on left-out rows by this share."""
-_ROWS = 1200
+_ROWS = 3000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,6 +37,14 @@ class _Trial:
     problem: Separable
     point: Array
 
+    def law(self) -> FrictionLaw:
+        """Return the law at the point."""
+        unknowns, _ = self.problem.solve(self.point)
+        values = self.problem.values(self.point, unknowns)
+        return FrictionLaw(
+            name="trial", structure=self.structure, form=self.problem.form, values=values
+        )
+
 
 @register
 class ParFamHX(Described):
@@ -44,7 +54,7 @@ class ParFamHX(Described):
         tau = c . (1, v, h, h', h |tau_load|, h exp(-(v/v_s)^2)) + c_g g(theta . (1, v, h, h'))
               + sum_k a_k cos(k N (q - lag v)) + b_k sin(k N (q - lag v))
 
-    Linear terms, the unit and the orders of the ripple stay only where left-out logs gain from them.
+    Linear terms, the unit and the ripple's orders stay only where left-out logs gain from them.
 
     Parameters
     ----------
@@ -91,10 +101,6 @@ class ParFamHX(Described):
         """Return the expressions without ripple."""
         return family.form(structure)
 
-    def space(self) -> SearchSpace:
-        """Not used: the space depends on the data."""
-        raise NotImplementedError
-
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Search state, terms, unit and ripple one after the other (seeded by `rng`)."""
         samples = Samples.of(records, coefficients=len(self.linear) + 6)
@@ -107,8 +113,10 @@ class ParFamHX(Described):
         bare = self._thinned(
             _Trial(structure=structure, problem=problem, point=problem.search(rng, effort=30))
         )
+        trained = TrainedRange.of(records)
+        tame = [t for t in self._with_unit(bare, rng) if not explodes(t.law(), trained)]
         best = min(
-            [bare, *self._with_unit(bare, rng)],
+            [bare, *tame],
             key=lambda trial: _left_out(trial) * (1.0 if trial is bare else 1.0 + UNIT_GAIN),
         )
         return self.finish(best.structure, best.problem, best.problem.polish(best.point))
@@ -150,7 +158,7 @@ class ParFamHX(Described):
         for g in self.functions:
             starts = evolve.starting_points(rng, self.starts, 4)
             found = evolve.arguments(
-                g, features[rows], columns[rows], samples.tau[rows], starts, keep=1
+                g, features[rows], columns[rows], samples.tau[rows], starts, keep=2
             )
             unit = {"g": g, "arguments": list(family.FEATURES)}
             structure = {**bare.structure, "units": [unit]}

@@ -69,7 +69,7 @@ def form(structure: Mapping[str, Any]) -> LawForm:
         If a feature, a function or a key is not of the family.
     """
     linear, units, state = _checked(structure)
-    hysteresis, own = _state(state)
+    hysteresis, own = hysteresis_state(state)
     h, dh = hysteresis.state, hysteresis.derivative
     symbols = {
         "1": sympy.Integer(1),
@@ -106,7 +106,7 @@ def form(structure: Mapping[str, Any]) -> LawForm:
     return LawForm(coefficients=(*coefficients, *own), relaxations=(hysteresis,), output=output)
 
 
-def _state(kind: str) -> tuple[Relaxation, tuple[Coefficient, ...]]:
+def hysteresis_state(kind: str) -> tuple[Relaxation, tuple[Coefficient, ...]]:
     """Return the hysteresis state and its coefficients.
 
     The generalised state adds position memory (kappa, as in Dahl's model) to the paper's relaxation

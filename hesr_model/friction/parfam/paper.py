@@ -48,8 +48,7 @@ class Objective:
         residual = self.x @ c
         residual += gain * unit
         residual -= self.y
-        slope = self.dg(argument, unit)
-        slope *= residual
+        slope = self.dg(argument, unit) * residual
         gradient = np.empty(9)
         gradient[:4] = residual @ self.x
         gradient[4] = residual @ unit

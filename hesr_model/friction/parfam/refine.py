@@ -8,11 +8,13 @@ from scipy.optimize import least_squares
 from scipy.special import expit, logit
 
 from hesr_model.errors import FitError
+from hesr_model.friction.audit import explodes
 from hesr_model.friction.evaluate import Array
 from hesr_model.friction.parfam.calibrate import bounds
 from hesr_model.friction.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.friction.parfam.features import HysteresisFeatures
 from hesr_model.friction.samples import Rows
+from hesr_model.friction.trained import TrainedRange
 
 SIGNIFICANCE = 2.0
 """A coefficient stays if it differs from zero by this many standard errors."""
@@ -31,12 +33,13 @@ HOPEFUL = 1.1
 """A candidate is refined to the end if its mean square is within this factor of the best one's."""
 SAME = 1e-6
 """Candidates whose mean squares agree to this are taken for the same law."""
-OUTSIDE, OUTSIDE_TORQUE = 1.5, 2.0
-"""At this multiple of the trained speeds, this multiple of the trained torque is an explosion."""
 
 
 def select(
-    features: HysteresisFeatures, found: Sequence[Candidate], folds: Sequence[Rows]
+    features: HysteresisFeatures,
+    found: Sequence[Candidate],
+    folds: Sequence[Rows],
+    trained: TrainedRange,
 ) -> Candidate:
     """Refine candidates, prune them and return the one that predicts left-out rows best.
 
@@ -45,12 +48,22 @@ def select(
     features : rows of the joint.
     found : candidates of stage 2.
     folds : (N,) masks of the rows that are left out in turn.
+    trained : ranges of the rows; a law that explodes just outside them is refused.
+
+    Raises
+    ------
+    FitError
+        If every candidate explodes.
     """
     looked = list(found)
     for evaluations, keep in ROUNDS:
         looked = distinct([Refinement(features, k).run(evaluations)[0] for k in looked])[:keep]
     hopeful = [k for k in looked if k.cost <= HOPEFUL * looked[0].cost]
-    finalists = [k for k in distinct([prune(features, k) for k in hopeful]) if tame(features, k)]
+    finalists = [
+        k
+        for k in distinct([prune(features, k) for k in hopeful])
+        if not explodes(k.law("candidate", features.discretisation), trained)
+    ]
     if not finalists:
         raise FitError("every ParFam candidate explodes just outside the trained speeds.")
     return min(finalists, key=lambda k: left_out_cost(features, k, folds))
@@ -63,15 +76,6 @@ def distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
         if not kept or candidate.cost > kept[-1].cost * (1.0 + SAME):
             kept.append(candidate)
     return kept
-
-
-def tame(features: HysteresisFeatures, candidate: Candidate) -> bool:
-    """Whether the torque of steady sliding stays bounded a little outside the trained speeds."""
-    s = features.samples
-    speeds = OUTSIDE * np.array([s.dq.min(), s.dq.max()])
-    sliding = np.stack([np.ones(2), speeds, np.sign(speeds), np.zeros(2)], axis=1)
-    limit = OUTSIDE_TORQUE * float(np.abs(s.tau).max())
-    return bool(np.all(np.abs(candidate.torque(sliding)) <= limit))
 
 
 def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:

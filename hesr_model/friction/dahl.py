@@ -1,0 +1,82 @@
+"""Dahl basis: parallel elements of rate-independent memory with fixed deflections, no search."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+import sympy
+
+from hesr_model.friction.described import OneForm, no_structure
+from hesr_model.friction.estimator import register
+from hesr_model.friction.functions import DQ, TAU_LOAD, absolute
+from hesr_model.friction.law import Coefficient, LawForm, Relaxation
+from hesr_model.friction.separable import SearchSpace
+from hesr_model.friction.stribeck import SIGMA_2, TAU_0
+
+DEFLECTIONS = np.geomspace(2e-4, 5e-2, 5)
+"""Sliding deflections 1 / kappa of the elements [rad]: from sharp to wide hysteresis loops."""
+
+_ELEMENTS = range(1, len(DEFLECTIONS) + 1)
+_KAPPA = tuple(
+    Coefficient(name=f"kappa_{i}", unit="1/rad", description="reciprocal of a sliding deflection")
+    for i in _ELEMENTS
+)
+_FORCE = tuple(
+    Coefficient(name=f"F_{i}", unit="N.m", description="sliding torque of an element")
+    for i in _ELEMENTS
+)
+_LOAD = tuple(
+    Coefficient(name=f"mu_{i}", unit="1", description="sliding torque of an element per load")
+    for i in _ELEMENTS
+)
+
+
+@register
+class DahlBasis(OneForm):
+    """x_i' = kappa_i (v - |v| x_i), tau = sum_i F_i x_i + sigma_2 v + tau_0."""
+
+    name = "dahl"
+    title = "Dahl basis"
+    equation = "sum_i F_i x_i + sigma_2 dq + tau_0, x_i' = kappa_i (dq - |dq| x_i), i = 1..5"
+    load: ClassVar[bool] = False
+
+    @classmethod
+    def core(cls, structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        no_structure(cls.name, structure)
+        elements = tuple(
+            Relaxation(name=f"x{i}", unit="1", drive=k.symbol * DQ, rate=k.symbol * absolute(DQ))
+            for i, k in zip(_ELEMENTS, _KAPPA, strict=True)
+        )
+        factors = [f.symbol for f in _FORCE]
+        if cls.load:
+            factors = [
+                f + m.symbol * absolute(TAU_LOAD) for f, m in zip(factors, _LOAD, strict=True)
+            ]
+        torque = sum(f * x.state for f, x in zip(factors, elements, strict=True))
+        return LawForm(
+            coefficients=(*_KAPPA, *_FORCE, *(_LOAD if cls.load else ()), SIGMA_2, TAU_0),
+            relaxations=elements,
+            output=torque + SIGMA_2.symbol * DQ + TAU_0.symbol,
+        )
+
+    def space(self) -> SearchSpace:
+        """Search nothing: everything is linear."""
+        linear = (*_FORCE, *(_LOAD if self.load else ()), SIGMA_2, TAU_0)
+        return SearchSpace(
+            bounds=(),
+            linear=tuple(c.name for c in linear),
+            values=tuple(
+                (k.name, sympy.Float(1.0 / d)) for k, d in zip(_KAPPA, DEFLECTIONS, strict=True)
+            ),
+        )
+
+
+@register
+class DahlBasisLoad(DahlBasis):
+    """The Dahl basis with F_i + mu_i |tau_load| in place of F_i."""
+
+    name = "dahl_load"
+    title = "Dahl basis+load"
+    equation = "Dahl basis with (F_i + mu_i |tau_load|) x_i"
+    load = True

@@ -1,0 +1,128 @@
+"""What a law has seen: the ranges of the records that it was fitted to."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, Self
+
+import numpy as np
+
+from hesr_model.errors import ArtifactError
+from hesr_model.residual import FrictionRecord
+
+Range = tuple[float, float]
+"""Least and greatest value."""
+
+INPUTS = ("dq", "q", "tau_load")
+"""Inputs of a law, under their names in records and ranges."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainedRange:
+    """What one joint did in the records that a law was fitted to.
+
+    Attributes
+    ----------
+    sample_time : median sample period [s].
+    dq, q, tau_load : ranges of the inputs [rad/s], [rad], [N.m].
+    tau : range of the friction torque [N.m].
+
+    Raises
+    ------
+    ArtifactError
+        If the ranges are not finite and in order, or the joint does not move in them.
+    """
+
+    sample_time: float
+    dq: Range
+    q: Range
+    tau_load: Range
+    tau: Range
+
+    def __post_init__(self) -> None:
+        for name in (*INPUTS, "tau"):
+            low, high = getattr(self, name)
+            if not (isfinite(low) and isfinite(high) and low <= high):
+                raise ArtifactError(f"trained range of '{name}' is {low} to {high}.")
+        if not (self.speed > 0.0 and self.sample_time > 0.0):
+            raise ArtifactError(
+                f"trained range of 'dq' is {self.dq[0]} to {self.dq[1]} rad/s at a sample time of "
+                f"{self.sample_time} s; needed are motion and a positive time."
+            )
+
+    @classmethod
+    def of(cls, records: Sequence[FrictionRecord]) -> Self:
+        """Return the ranges of the records of one joint, one at least."""
+        ranges = {
+            name: (
+                min(float(np.min(getattr(r, name))) for r in records),
+                max(float(np.max(getattr(r, name))) for r in records),
+            )
+            for name in (*INPUTS, "tau")
+        }
+        period = float(np.median(np.concatenate([np.diff(r.t) for r in records])))
+        return cls(sample_time=round(period, 9), **ranges)
+
+    @classmethod
+    def from_json(cls, data: Any) -> Self:
+        """Rebuild what `to_json` returned.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError, ArtifactError
+            If a part of the data is missing, or not what it should be.
+        """
+        ranges: dict[str, Range] = {}
+        for name in (*INPUTS, "tau"):
+            low, high = data[name]
+            ranges[name] = (float(low), float(high))
+        return cls(sample_time=float(data["sample_time"]), **ranges)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data in SI units."""
+        return {
+            "sample_time": self.sample_time,
+            **{name: list(getattr(self, name)) for name in (*INPUTS, "tau")},
+        }
+
+    @property
+    def speed(self) -> float:
+        """Largest trained speed [rad/s]."""
+        return max(map(abs, self.dq))
+
+    @property
+    def middle(self) -> float:
+        """Middle of the trained positions [rad]."""
+        return sum(self.q) / 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Excess:
+    """How far an input leaves the trained range.
+
+    Attributes
+    ----------
+    rows : share of the rows outside.
+    below, above : greatest distance below and above the range, in the input's unit.
+    """
+
+    rows: float
+    below: float
+    above: float
+
+
+def outside(trained: TrainedRange, records: Sequence[FrictionRecord]) -> dict[str, Excess]:
+    """Return which inputs leave the trained range in the records of one joint, and how far."""
+    found = {}
+    for name in INPUTS:
+        low, high = getattr(trained, name)
+        values = np.concatenate([getattr(record, name) for record in records])
+        below, above = low - values, values - high
+        beyond = (below > 0.0) | (above > 0.0)
+        if np.any(beyond):
+            found[name] = Excess(
+                rows=float(np.mean(beyond)),
+                below=max(0.0, float(np.max(below))),
+                above=max(0.0, float(np.max(above))),
+            )
+    return found

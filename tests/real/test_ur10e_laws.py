@@ -1,0 +1,94 @@
+"""The main job on measured logs: what the FMUs predict on motions that they have never seen."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.replay import replay
+from cosim.run import Outcome, run_study
+from hesr_model.artifacts import read_model
+from hesr_model.friction.estimator import registry
+from hesr_model.friction.evaluate import predict
+from hesr_model.residual import FrictionRecord, friction_records
+from hesr_model.robot import RobotModel
+from hesr_model.robot_log import RobotLog
+
+EXACT_ENOUGH = 1e-12
+"""Of the largest torque of a joint in a log."""
+
+MOST = {
+    "parfam_h": [2.73, 4.08, 1.99, 0.449, 0.826, 0.908],
+    "lugre": [2.76, 4.04, 1.96, 0.456, 0.732, 0.686],
+}
+"""RMSE of the predicted torque over all rows of all test logs [N.m]."""
+MOST_AT_REVERSALS = {"parfam_h": [3.0, 5.0, 1.95, 0.45, 0.70, 0.60]}
+
+
+@pytest.fixture(scope="module")
+def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+    study = Path(__file__).with_name("ur10e_study.toml")
+    return run_study(study, tmp_path_factory.mktemp("ur10e"))
+
+
+@pytest.fixture(scope="module")
+def records(
+    outcome: Outcome, unseen_logs: list[RobotLog], ur10e_model: RobotModel
+) -> list[list[FrictionRecord]]:
+    """Friction of every joint in every test log."""
+    return [friction_records(log, ur10e_model, outcome.rigid_body) for log in unseen_logs]
+
+
+def scores(outcome: Outcome, law: str, measure: str) -> list[float]:
+    return [getattr(score, measure) for score in outcome.comparisons["test"].laws[law]]
+
+
+def test_the_test_logs_are_those_that_are_known(outcome: Outcome) -> None:
+    spread = [score.tau_std for score in outcome.comparisons["test"].laws["parfam_h"]]
+    np.testing.assert_allclose(spread, [27.6, 23.9, 11.7, 4.33, 4.25, 3.73], rtol=0.005)
+
+
+@pytest.mark.parametrize("law", MOST)
+def test_torque_is_predicted_on_unseen_motions(outcome: Outcome, law: str) -> None:
+    np.testing.assert_array_less(scores(outcome, law, "rmse"), np.nextafter(MOST[law], np.inf))
+
+
+@pytest.mark.parametrize("law", MOST_AT_REVERSALS)
+def test_torque_is_predicted_around_reversals(outcome: Outcome, law: str) -> None:
+    most = np.nextafter(MOST_AT_REVERSALS[law], np.inf)
+    np.testing.assert_array_less(scores(outcome, law, "rmse_reversal"), most)
+
+
+def test_a_state_pays_at_reversals(outcome: Outcome) -> None:
+    """What the hysteresis state is for: J1 to J6 at least a tenth better than without."""
+    with_state = np.array(scores(outcome, "parfam_h", "rmse_reversal"))
+    without = np.array(scores(outcome, "stribeck", "rmse_reversal"))
+    assert np.all(with_state < 0.9 * without)
+
+
+@pytest.mark.parametrize("law", list(registry()))
+def test_the_fmu_is_the_law_over_every_test_log(
+    outcome: Outcome, records: list[list[FrictionRecord]], law: str
+) -> None:
+    fmu = outcome.fmus[law]
+    model = read_model(fmu.parents[1] / "laws" / f"{law}.json")
+    assert model == outcome.models[law]
+    for log in records:
+        columns = {
+            u: np.stack([getattr(r, u) for r in log], axis=1) for u in ("dq", "q", "tau_load")
+        }
+        torque = replay(fmu, log[0].t, **columns)
+        for joint, (own, r) in enumerate(zip(model.laws, log, strict=True)):
+            expected = predict(own, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load)
+            worst = np.abs(torque[:, joint] - expected).max() / np.abs(expected).max()
+            assert worst <= EXACT_ENOUGH, f"{r.log}, {r.joint}"
+
+
+def test_everything_is_written(outcome: Outcome) -> None:
+    for law, fmu in outcome.fmus.items():
+        assert fmu.is_file()
+        assert (fmu.parents[1] / "laws" / f"{law}.json").is_file()
+    folder = outcome.fmus["parfam_h"].parents[1]
+    assert {"rigid_body.json", "evaluation.json", "laws", "fmus"} <= {
+        path.name for path in folder.iterdir()
+    }

@@ -1,0 +1,381 @@
+"""The audit against laws whose verdict is known, and against the published ones."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import sympy
+
+from hesr_model.artifacts import read_model
+from hesr_model.errors import ArtifactError, SimulationError
+from hesr_model.files import models_folder
+from hesr_model.friction import audit as module
+from hesr_model.friction.audit import ENCODER, TrainedRange, audit, explodes, outside
+from hesr_model.friction.evaluate import Stepper
+from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute, sgn
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
+from hesr_model.friction.lugre import LuGre
+from hesr_model.friction.stribeck import Stribeck
+from hesr_model.residual import FrictionRecord
+
+TRAINED = TrainedRange(
+    sample_time=0.005, dq=(-1.2, 1.2), q=(-0.8, 0.8), tau_load=(-20.0, 40.0), tau=(-25.0, 25.0)
+)
+STRIBECK = {"F_c": 9.0, "F_s": 12.0, "v_s": 0.05, "sigma_2": 8.0, "tau_0": 0.0}
+LUGRE = STRIBECK | {"sigma_0": 4000.0, "sigma_1": 20.0}
+
+
+def law(
+    output: sympy.Expr,
+    *relaxations: Relaxation,
+    values: Mapping[str, float] | None = None,
+    **more: object,
+) -> FrictionLaw:
+    names = values or {}
+    form = LawForm(
+        coefficients=tuple(Coefficient(name=n, unit="1", description=n) for n in names),
+        relaxations=relaxations,
+        output=output,
+    )
+    return FrictionLaw(**({"name": "test", "form": form, "values": names} | more))
+
+
+def stribeck(**values: float) -> FrictionLaw:
+    return FrictionLaw(name="stribeck", form=Stribeck.form({}), values=STRIBECK | values)
+
+
+def lugre(**values: float) -> FrictionLaw:
+    return FrictionLaw(name="lugre", form=LuGre.form({}), values=LUGRE | values)
+
+
+def symbol(name: str) -> sympy.Symbol:
+    return sympy.Symbol(name, real=True)
+
+
+def first_order(rate: sympy.Expr, drive: sympy.Expr = DQ) -> Relaxation:
+    return Relaxation(name="x", unit="1", drive=drive, rate=rate)
+
+
+# --- the published laws -----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def table_1() -> tuple[FrictionLaw, ...]:
+    return read_model(models_folder() / "uf850" / "table1.json").laws
+
+
+@pytest.mark.parametrize(
+    ("joint", "driving", "generated", "at", "slope", "chatter"),
+    [
+        (0, (-0.68, 0.81), 12.4, (0.4, 0.05), 6557, 16),
+        (1, (-0.85, 0.81), 20.6, (0.6, 0.05), -4730, 16),
+        (2, (-0.0056, 0.0093), 0.0, None, 2282, 5),
+    ],
+)
+def test_table_1_drives_generates_and_chatters(
+    table_1: tuple[FrictionLaw, ...],
+    joint: int,
+    driving: tuple[float, float],
+    generated: float,
+    at: tuple[float, float] | None,
+    slope: float,
+    chatter: float,
+) -> None:
+    found = audit(table_1[joint], TRAINED)
+    assert len(found.driving) == 1
+    assert found.driving[0] == pytest.approx(driving, rel=0.01)
+    assert found.generated == pytest.approx(generated, abs=0.05)
+    if at is None:
+        assert found.generating is None
+    else:
+        assert found.generating is not None
+        assert (found.generating.amplitude, found.generating.frequency) == pytest.approx(at)
+        assert found.generating.work == -found.generated
+        assert found.generating.share < -0.99
+    assert found.slope == pytest.approx(slope, abs=0.6)
+    assert found.jump == 0.0
+    assert found.chatter == pytest.approx(chatter, abs=0.5)
+    assert not found.explodes
+
+
+@pytest.mark.parametrize(("joint", "inertia", "bound"), [(0, 3.0, 0.92e-3), (2, 0.6, 0.53e-3)])
+def test_the_slope_bounds_the_explicit_step(
+    table_1: tuple[FrictionLaw, ...], joint: int, inertia: float, bound: float
+) -> None:
+    slope = audit(table_1[joint], TRAINED).slope
+    assert slope is not None
+    assert 2.0 * inertia / slope == pytest.approx(bound, abs=0.006e-3)
+    assert coasting(table_1[joint], inertia, 0.95 * bound) < 1e-5
+    assert coasting(table_1[joint], inertia, 1.05 * bound) > 1e-4
+
+
+def coasting(of: FrictionLaw, inertia: float, dt: float) -> float:
+    """Largest speed of a joint after a kick of 1e-5 rad/s, its law coupled explicitly."""
+    stepper = Stepper(replace(of, discretisation="exact"))
+    offset = stepper.step(0.0, 0.0)
+    speeds = [1e-5]
+    for _ in range(200):
+        speeds.append(speeds[-1] - dt / inertia * (stepper.step(dt, speeds[-1]) - offset))
+    return max(map(abs, speeds[1:]))
+
+
+def test_the_slower_the_cycle_the_more_table_1_generates(
+    table_1: tuple[FrictionLaw, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "FREQUENCIES", (0.01,))
+    assert audit(table_1[0], TRAINED).generated == pytest.approx(63, abs=0.5)
+    assert audit(table_1[1], TRAINED).generated == pytest.approx(104, abs=0.5)
+
+
+# --- passivity --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sample_time", [0.001, 0.005, 0.0106])
+@pytest.mark.parametrize("passive", [stribeck(), stribeck(F_s=2.0), lugre(), lugre(F_s=5.0)])
+def test_stribeck_and_lugre_are_passive(passive: FrictionLaw, sample_time: float) -> None:
+    found = audit(passive, replace(TRAINED, sample_time=sample_time))
+    assert found.driving == ()
+    assert found.driving_both_ways == ()
+    assert found.generated == 0.0
+    assert found.generating is None
+    assert not found.explodes
+
+
+@pytest.mark.parametrize("biased", [stribeck(tau_0=-15.0), lugre(tau_0=-15.0)])
+def test_an_offset_drives_one_way_and_generates_nothing(biased: FrictionLaw) -> None:
+    found = audit(biased, TRAINED)
+    # Where 9 + 3 exp(-(v/0.05)^2) + 8 v < 15.
+    assert found.driving == (pytest.approx((0.0, 0.75), rel=1e-3),)
+    assert found.driving_both_ways == ()
+    assert found.generated == 0.0
+
+
+def test_a_torque_of_position_alone_does_no_work_however_fast_it_changes() -> None:
+    # Twelve times per turn of a motor behind 101:1: faster than the samples at full speed.
+    ripple = law(3.0 * sympy.cos(1212.0 * Q) + 5.0 + 2.0 * TAU_LOAD)
+    found = audit(ripple, TRAINED)
+    assert found.generated == 0.0
+    assert found.driving_both_ways == ()
+    braked = audit(law(3.0 * sympy.cos(1212.0 * Q) + sgn(DQ)), TRAINED)
+    assert (braked.driving, braked.generated) == ((), 0.0)
+    assert braked.largest == pytest.approx(4.0, rel=1e-3)
+
+
+def test_ranges_of_velocity_end_where_the_torque_changes_sign() -> None:
+    found = audit(law(DQ * (DQ - 0.3) * (DQ - 0.7) * (DQ + 0.501)), TRAINED)
+    assert found.driving == (
+        pytest.approx((-1.2, -0.501), rel=1e-3),
+        pytest.approx((0.3, 0.7), rel=1e-3),
+    )
+    both_ways = audit(law(DQ * (DQ**2 - 0.25)), TRAINED)
+    assert both_ways.driving == (pytest.approx((-0.5, 0.5), rel=1e-3),)
+    assert both_ways.driving_both_ways == (pytest.approx((0.0, 0.5), rel=1e-3),)
+    assert audit(law(-DQ), TRAINED).driving == ((-1.2, 1.2),)
+
+
+def test_the_worst_trained_load_counts() -> None:
+    found = audit(law((1.0 - TAU_LOAD / 20.0) * sgn(DQ)), TRAINED)
+    assert found.driving == ((-1.2, 1.2),)
+    assert found.generating is not None
+    assert found.generating.tau_load == 40.0
+    # Four quarters of amplitude / (2 pi frequency), each against -1 N.m.
+    assert found.generated == pytest.approx(4.0 * 1.2 / (2.0 * np.pi * 0.05), rel=1e-3)
+    assert audit(law(absolute(TAU_LOAD) * sgn(DQ)), TRAINED).generated == 0.0
+    # Without load this one drives.
+    unloaded = law((absolute(TAU_LOAD) - 5.0) * sgn(DQ))
+    assert audit(unloaded, TRAINED).driving == ((-1.2, 1.2),)
+    assert audit(unloaded, replace(TRAINED, tau_load=(6.0, 40.0))).driving == ()
+
+
+@pytest.mark.parametrize("discretisation", ["exact", "euler"])
+def test_a_state_counts_as_it_is_when_sliding_is_steady(discretisation: str) -> None:
+    # x settles at -dq / 2, which outweighs dq / 3.
+    slow = law(
+        DQ / 3.0 + symbol("x"),
+        first_order(sympy.Integer(2), -DQ),
+        discretisation=discretisation,
+    )
+    found = audit(slow, TRAINED)
+    assert found.driving == ((-1.2, 1.2),)
+    assert found.generating is not None
+    # The damping at w is Re(1/3 - 1/(2 + j w)), the work damping amplitude^2 / (2 f).
+    damping = 1.0 / 3.0 - 2.0 / (4.0 + (2.0 * np.pi * 0.05) ** 2)
+    assert found.generated == pytest.approx(-damping * 1.2**2 / (2.0 * 0.05), rel=0.03)
+
+
+# --- at rest ----------------------------------------------------------------------------------
+
+
+def test_slopes_at_rest() -> None:
+    viscous = audit(law(3.0 * DQ), TRAINED)
+    assert (viscous.slope, viscous.slope_of_step) == pytest.approx((3.0, 3.0))
+    bristles = audit(lugre(), TRAINED)
+    assert bristles.slope == pytest.approx(20.0 + 8.0, rel=1e-3)
+    assert bristles.slope_of_step == pytest.approx(4000.0 * 0.005 + 20.0 + 8.0, rel=1e-3)
+    constant = audit(law(sympy.Float(2.0)), TRAINED)
+    assert (constant.jump, constant.slope, constant.slope_of_step) == (0.0, 0.0, 0.0)
+
+
+def test_the_slope_is_that_of_the_start_states() -> None:
+    state = symbol("x")
+    # The derivative of the state follows the velocity before the state does.
+    of_start = law(DQ * state, first_order(sympy.Integer(40)), start=(3.0,))
+    assert audit(of_start, TRAINED).slope == pytest.approx(3.0)
+    assert audit(of_start, TRAINED).slope_of_step == pytest.approx(3.0 * np.exp(-0.2), rel=1e-3)
+    assert audit(law(symbol("dx"), first_order(sympy.Integer(40))), TRAINED).slope == 1.0
+
+
+def test_a_jump_has_no_slope() -> None:
+    found = audit(stribeck(), TRAINED)
+    assert found.jump == pytest.approx(24.0)
+    assert found.slope is None
+    assert found.slope_of_step is None
+    assert found.chatter == pytest.approx(12.0, rel=0.05)
+
+
+def test_the_worst_load_counts_at_rest() -> None:
+    found = audit(law(0.1 * absolute(TAU_LOAD) * DQ), TRAINED)
+    assert found.slope == pytest.approx(4.0)
+    assert found.chatter == pytest.approx(4.0 * np.sqrt(2.0) * ENCODER / 0.005, rel=0.03)
+
+
+def test_chatter_is_encoder_noise_through_the_law() -> None:
+    assert audit(law(3.0 * DQ), TRAINED).chatter == pytest.approx(
+        3.0 * np.sqrt(2.0) * ENCODER / 0.005, rel=0.03
+    )
+    assert audit(law(1e5 * Q), TRAINED).chatter == pytest.approx(1e5 * ENCODER, rel=0.03)
+
+
+# --- outside ----------------------------------------------------------------------------------
+
+
+def test_largest_torques_inside_and_just_outside() -> None:
+    found = audit(law(2.0 * DQ + 0.25 * TAU_LOAD), TRAINED)
+    assert found.largest == pytest.approx(2.0 * 1.2 + 0.25 * 40.0)
+    assert found.largest_outside == pytest.approx(2.0 * 1.8 + 0.25 * 55.0)
+    assert not found.explodes
+
+
+@pytest.mark.parametrize(
+    ("output", "refused"),
+    [
+        (25.0 / 1.2**2 * DQ * absolute(DQ), False),  # 2.25 times
+        (25.0 / 1.2**3 * DQ**3, True),  # 3.4 times
+        (25.0 / sympy.sinh(12) * sympy.sinh(10 * DQ), True),
+        (sympy.exp(500 * (DQ - 1.2)), True),  # overflows
+        (1 / (DQ - 1.8), True),  # infinite at the edge
+    ],
+)
+def test_what_explodes_outside_is_refused(output: sympy.Expr, refused: bool) -> None:
+    one = law(output)
+    assert explodes(one, TRAINED) is refused
+    found = audit(one, TRAINED)
+    assert found.explodes is refused
+    json.dumps(found.to_json(), allow_nan=False)
+
+
+def test_a_law_that_cannot_be_run_outside_explodes() -> None:
+    # rate * dt reaches 1 at 1.5 rad/s.
+    unstable = law(
+        symbol("x"), first_order(absolute(DQ) / 0.0075, DQ / 0.0075), discretisation="euler"
+    )
+    found = audit(unstable, TRAINED)
+    assert found.largest_outside is None
+    assert found.explodes
+    assert explodes(unstable, TRAINED)
+    growing = law(symbol("x"), first_order(1.5 - DQ))
+    assert explodes(growing, TRAINED)
+
+
+def test_what_fails_within_the_trained_range_cannot_be_audited() -> None:
+    with pytest.raises(SimulationError, match=r"^law 'test': torque is not finite within"):
+        audit(law(sympy.exp(2000 * DQ)), TRAINED)
+    with pytest.raises(SimulationError, match="rate"):
+        audit(law(symbol("x"), first_order(0.5 - DQ)), TRAINED)
+
+
+# --- results ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("audited", [stribeck(), lugre(), law(-DQ)])
+def test_an_audit_is_json_and_reproducible(audited: FrictionLaw) -> None:
+    found = audit(audited, TRAINED)
+    data = found.to_json()
+    assert json.loads(json.dumps(data, allow_nan=False))["generated"] == found.generated
+    assert (data["lowest_frequency"], data["encoder"], data["reach"]) == (0.05, 2e-5, 1.5)
+    assert audit(audited, TRAINED) == found
+
+
+def test_the_work_of_a_cycle_is_that_of_the_frequency_that_it_states(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # A damper of -1 N.m.s/rad gives amplitude^2 / (2 f).
+    for sample_time, frequency in ((0.005, 0.05), (0.0106, 0.0507), (0.1, 1.0)):
+        monkeypatch.setattr(module, "FREQUENCIES", (frequency,))
+        found = audit(law(-DQ), replace(TRAINED, sample_time=sample_time)).generating
+        assert found is not None
+        assert found.frequency == pytest.approx(frequency, rel=0.3)
+        assert found.work == pytest.approx(-(1.2**2) / (2.0 * found.frequency))
+        assert found.share == pytest.approx(-1.0)
+
+
+def record(dq: list[float], log: str = "run", dt: float = 0.01) -> FrictionRecord:
+    rows = np.array(dq)
+    return FrictionRecord(
+        log=log,
+        joint="j1",
+        t=5.0 + dt * np.arange(len(rows)),
+        dq=rows,
+        q=2.0 * rows,
+        tau_load=rows - 1.0,
+        tau=10.0 * rows,
+    )
+
+
+def test_ranges_are_those_of_all_records() -> None:
+    trained = TrainedRange.of([record([-0.5, 0.0, 0.1, 0.2]), record([0.0, 0.7, 0.1], dt=0.02)])
+    assert trained.sample_time == 0.01
+    assert trained.dq == (-0.5, 0.7)
+    assert trained.q == (-1.0, 1.4)
+    assert trained.tau_load == pytest.approx((-1.5, -0.3))
+    assert trained.tau == (-5.0, 7.0)
+    assert trained.speed == 0.7
+    assert trained.middle == pytest.approx(0.2)
+    assert TrainedRange.from_json(json.loads(json.dumps(trained.to_json()))) == trained
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"q": (1.0, -1.0)}, "^trained range of 'q' is 1.0 to -1.0"),
+        ({"tau": (0.0, np.inf)}, "^trained range of 'tau' is 0.0 to inf"),
+        ({"dq": (0.0, 0.0)}, "needed are motion and a positive time"),
+        ({"sample_time": 0.0}, "needed are motion and a positive time"),
+    ],
+)
+def test_ranges_that_are_none_are_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(ArtifactError, match=message):
+        replace(TRAINED, **change)
+
+
+@pytest.mark.parametrize("wrong", [{}, {"dq": [1.0]}, {"dq": 3}, {"dq": ["a", "b"]}])
+def test_range_data_that_are_none_are_refused(wrong: dict[str, object]) -> None:
+    data = TRAINED.to_json() | wrong
+    if not wrong:
+        del data["tau"]
+    with pytest.raises((KeyError, TypeError, ValueError)):
+        TrainedRange.from_json(data)
+
+
+def test_which_inputs_leave_the_trained_range_and_how_far() -> None:
+    trained = TrainedRange.of([record([-0.5, 0.5])])
+    assert outside(trained, [record([-0.4, 0.5, -0.5])]) == {}
+    wider = replace(trained, q=(-9.0, 9.0))
+    found = outside(wider, [record([-0.5, 0.6, -0.9, 0.1]), record([0.0] * 4)])
+    assert list(found) == ["dq", "tau_load"]
+    assert found["dq"].rows == 0.25
+    assert (found["dq"].below, found["dq"].above) == pytest.approx((0.4, 0.1))
+    upwards = outside(wider, [record([0.0, 0.75])])
+    assert (upwards["dq"].below, upwards["dq"].above) == (0.0, 0.25)
