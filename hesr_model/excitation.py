@@ -144,7 +144,7 @@ def design(model: RobotModel, settings: ExcitationSettings | None = None) -> Exc
         motion = _descend(search, best, rest, _FINE, _FINE_STEPS)
     _require_speed(motion, model)
     return Excitation(
-        motion=replace(motion, periods=settings.periods),
+        motion=replace(motion, period=period, periods=settings.periods),
         condition=condition(model, search.base, motion),
         sample_rate=rate,
         limits=limits,

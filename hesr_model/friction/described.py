@@ -55,13 +55,17 @@ class Described(Estimator):
                 problem.columns(point), samples, samples.gear_ratio, samples.folds
             )
             if chosen is not None:
-                waves, lag = chosen
+                waves, (lag, smoothing) = chosen
                 complete["ripple"] = waves.to_json()
                 numbers = dict(zip(problem.space.names, problem.numbers(point), strict=True))
                 problem = Separable(
                     waves.extend(problem.form), waves.extend_space(problem.space), samples
                 )
-                point = problem.polish(problem.point({**numbers, ripple.LAG.name: lag}))
+                point = problem.polish(
+                    problem.point(
+                        {**numbers, ripple.LAG.name: lag, ripple.SMOOTHING.name: smoothing}
+                    )
+                )
         unknowns, _ = problem.solve(point)
         return FrictionLaw(
             name=self.name,

@@ -22,8 +22,8 @@ FEATURES = ("1", "dq", "h", "dh")
 LINEAR = (*FEATURES, "h_load", "h_bump")
 """Features of the linear part: also h |tau_load| and h exp(-(dq/v_s)^2)."""
 
-STATES = ("paper", "generalised")
-"""Hysteresis states."""
+STATES = ("paper", "generalised", "bristle")
+"""Hysteresis states: that of eq. 9; one with memory in position beside it; LuGre's bristle."""
 
 FUNCTIONS = {"tanh": sympy.tanh, "sin": sympy.sin, "cos": sympy.cos, "exp": sympy.exp}
 """Functions g that a unit may have."""
@@ -61,7 +61,7 @@ def argument_name(unit: int, feature: str) -> str:
 def form(structure: Mapping[str, Any]) -> LawForm:
     """Return the expressions of a structure {"linear": [...], "units": [{"g", "arguments"}]}.
 
-    A third key "state" selects the hysteresis state: "paper" (eq. 9, the default) or "generalised".
+    A third key "state" selects the hysteresis state: one of `STATES`, by default that of eq. 9.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def form(structure: Mapping[str, Any]) -> LawForm:
         argument = sum(c.symbol * symbols[x] for c, x in zip(inner, arguments, strict=True))
         output += gain.symbol * FUNCTIONS[g](argument)
         coefficients += [gain, *inner]
-    if "h_bump" in linear:
+    if "h_bump" in linear and state != "bristle":
         coefficients.append(V_S)
     if not output.free_symbols & {h, dh}:
         return LawForm(coefficients=tuple(coefficients), output=output)
@@ -110,24 +110,24 @@ def hysteresis_state(kind: str) -> tuple[Relaxation, tuple[Coefficient, ...]]:
     """Return the hysteresis state and its coefficients.
 
     The generalised state adds position memory (kappa, as in Dahl's model) to the paper's relaxation
-    in time, and a gate that stops the latter at rest, where friction does not forget.
+    in time, and a gate that stops the latter at rest, where friction does not forget. The bristle
+    has memory in position alone, and the Stribeck curve inside the state (eq. 2-3, with h = 1 at
+    Coulomb friction).
     """
     target = sympy.tanh(_BETA * DQ)
     if kind == "paper":
         return Relaxation(name="h", unit="1", drive=_ALPHA * target, rate=_ALPHA), _HYSTERESIS
+    drive, rate = KAPPA.symbol * DQ, KAPPA.symbol * absolute(DQ)
+    if kind == "bristle":
+        level = 1 + (RHO.symbol - 1) * sympy.exp(-((DQ / V_S.symbol) ** 2))
+        return Relaxation(name="h", unit="1", drive=drive, rate=rate / level), (KAPPA, RHO, V_S)
     gated = _ALPHA * (1 - sympy.exp(-((DQ / V_0.symbol) ** 2)))
-    return (
-        Relaxation(
-            name="h",
-            unit="1",
-            drive=gated * target + KAPPA.symbol * DQ,
-            rate=gated + KAPPA.symbol * absolute(DQ),
-        ),
-        (*_HYSTERESIS, KAPPA, V_0),
-    )
+    both = Relaxation(name="h", unit="1", drive=gated * target + drive, rate=gated + rate)
+    return both, (*_HYSTERESIS, KAPPA, V_0)
 
 
 KAPPA = Coefficient(name="kappa", unit="1/rad", description="memory of the state in position")
+RHO = Coefficient(name="rho", unit="1", description="static over Coulomb friction")
 V_0 = Coefficient(name="v_0", unit="rad/s", description="speed below which the state holds")
 _HYSTERESIS = (
     Coefficient(name="alpha", unit="1/s", description="rate of the hysteresis state (eq. 9)"),

@@ -1,0 +1,115 @@
+"""Design an excitation for a robot and write what is sent to it: setpoints and a picture."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.config import read_toml
+from hesr_model.errors import ConfigError, HesrError
+from hesr_model.excitation import (
+    Excitation,
+    ExcitationSettings,
+    condition,
+    random_motions,
+)
+from hesr_model.excitation import design as design_excitation
+from hesr_model.files import written_whole
+from hesr_model.rigid_body import base_columns
+from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.tables import write_table
+
+Array = NDArray[np.float64]
+
+_COMPARED = 200
+_TABLES = {".csv", ".parquet", ".pq"}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Design:
+    """A designed excitation and its files.
+
+    Attributes
+    ----------
+    excitation
+        The motion.
+    random_condition
+        Median condition number of W_b over 200 random motions within the same limits.
+    forward, backward
+        Setpoints of the motion and of its time-reversed counterpart.
+    picture
+        Position and velocity with their limits.
+    """
+
+    excitation: Excitation
+    random_condition: float
+    forward: Path
+    backward: Path
+    picture: Path
+
+
+def design(robot: Path, output: Path, settings: Path | None = None) -> Design:
+    """Design an excitation and write it.
+
+    The files are `output` and, beside it, ``<name>_reversed`` with the same suffix and
+    ``<name>.png``. Columns are ``t, q1.., dq1.., ddq1..`` [s, rad, rad/s, rad/s2; m for prismatic
+    joints]; rows run from rest to rest at the settings' sample rate. Collisions, with itself or
+    its surroundings, are not looked at: position limits must exclude them.
+
+    Parameters
+    ----------
+    robot
+        Robot file.
+    output
+        CSV or Parquet file.
+    settings
+        TOML of `hesr_model.excitation.ExcitationSettings`; the defaults if left out.
+
+    Raises
+    ------
+    ConfigError
+        If a file is missing or wrong, or `output` is neither CSV nor Parquet.
+    RobotError
+        If the limits do not fit the robot.
+    FitError
+        If the limits admit no motion.
+    ArtifactError
+        If a file cannot be written.
+    """
+    from cosim import figures
+
+    if output.suffix.lower() not in _TABLES:
+        raise ConfigError(
+            f"{output}: the motion is written as a table; the suffix must be one of "
+            f"{', '.join(sorted(_TABLES))}."
+        )
+    model = RobotModel(RobotDescription.read(robot))
+    chosen = read_toml(settings, ExcitationSettings) if settings else ExcitationSettings()
+    try:
+        found = design_excitation(model, chosen)
+    except HesrError as error:
+        raise type(error)(f"{settings or robot}: {error}") from error
+    base = base_columns(model)
+    random = random_motions(model, chosen, _COMPARED, chosen.seed)
+    backward = output.with_stem(f"{output.stem}_reversed")
+    picture = output.with_suffix(".png")
+    t, q, dq, ddq = found.setpoints()
+    _write(output, t, q, dq, ddq)
+    _write(backward, t, q[::-1], -dq[::-1], ddq[::-1])
+    figures.excitation(picture, found, model.description.joints)
+    return Design(
+        excitation=found,
+        random_condition=float(np.median([condition(model, base, motion) for motion in random])),
+        forward=output,
+        backward=backward,
+        picture=picture,
+    )
+
+
+def _write(path: Path, t: Array, q: Array, dq: Array, ddq: Array) -> None:
+    columns = {"t": t}
+    for name, values in (("q", q), ("dq", dq), ("ddq", ddq)):
+        columns |= {f"{name}{k}": column for k, column in enumerate(values.T, start=1)}
+    with written_whole(path) as temporary:
+        write_table(temporary, columns)
