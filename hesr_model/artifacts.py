@@ -148,10 +148,15 @@ def _named(path: Path, kind: str) -> Iterator[None]:
 
 def _law_to_json(law: FrictionLaw) -> dict[str, Any]:
     units = {c.name: c.unit for c in law.form.coefficients}
+    errors = law.standard_errors
     return {
         "law": law.name,
         "structure": dict(law.structure),
-        "coefficients": {n: {"value": v, "unit": units[n]} for n, v in law.values.items()},
+        "coefficients": {
+            name: {"value": value, "unit": units[name]}
+            | ({"standard_error": errors[name]} if name in errors else {})
+            for name, value in law.values.items()
+        },
         "discretisation": law.discretisation,
         "start": list(law.start),
         "start_samples": law.start_samples,
@@ -186,4 +191,9 @@ def _law_from_json(data: Mapping[str, Any]) -> FrictionLaw:
         discretisation=data["discretisation"],
         start=tuple(float(x) for x in data["start"]),
         start_samples=int(data.get("start_samples", 0)),
+        standard_errors={
+            name: float(entry["standard_error"])
+            for name, entry in data["coefficients"].items()
+            if "standard_error" in entry
+        },
     )

@@ -14,6 +14,7 @@ from hesr_model.errors import FitError
 from hesr_model.friction.estimator import estimator
 from hesr_model.friction.law import FrictionLaw, FrictionModel
 from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.uncertainty import with_standard_errors
 from hesr_model.residual import FrictionRecord
 
 Progress = Callable[[int, int], None]
@@ -54,7 +55,8 @@ def fit_joint(
     except TypeError as error:
         raise FitError(f"law '{law}' does not take these options ({error}).") from error
     with threadpool_limits(1):
-        return configured.fit(records, np.random.default_rng(seed))
+        fitted = configured.fit(records, np.random.default_rng(seed))
+        return with_standard_errors(fitted, records)
 
 
 def fit_models(

@@ -116,6 +116,7 @@ class FrictionLaw:
     start : value of each state before the first sample, zero by default.
     start_samples : how many measured torques at the beginning of a log set the start in its place,
         where they are known (`evaluate.estimated_start`); 0 for none.
+    standard_errors : of the coefficients, in their units, as far as they are known.
 
     Raises
     ------
@@ -130,6 +131,7 @@ class FrictionLaw:
     discretisation: Discretisation = "exact"
     start: tuple[float, ...] = ()
     start_samples: int = 0
+    standard_errors: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         needed = [c.name for c in self.form.coefficients]

@@ -15,6 +15,7 @@ from hesr_model.friction.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.friction.parfam.features import HysteresisFeatures
 from hesr_model.friction.samples import Rows
 from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.uncertainty import standard_errors
 
 SIGNIFICANCE = 2.0
 """A coefficient stays if it differs from zero by this many standard errors."""
@@ -213,34 +214,6 @@ class Refinement:
         )
         cost = float(np.mean(solution.fun**2))
         statistics = np.zeros(11)
-        statistics[self.active] = t_statistics(solution.x, solution.jac, solution.fun)
+        errors = standard_errors(solution.jac, solution.fun)
+        statistics[self.active] = np.abs(solution.x) / np.maximum(errors, 1e-300)
         return self.unpack(solution.x, cost), statistics
-
-
-def t_statistics(point: Array, jacobian: Array, residual: Array) -> Array:
-    """Return each coefficient over its standard error, for autocorrelated residuals.
-
-    The variance is that of independent rows times the integrated autocorrelation of the residual,
-    since neighbouring rows of a log do not err independently.
-    """
-    _, s, vt = np.linalg.svd(np.linalg.qr(jacobian, mode="r"))
-    inverse = np.where(s > 1e-13 * s[0], 1.0 / np.maximum(s, 1e-300), 1.0 / (1e-13 * s[0]))
-    spread = np.sqrt(np.sum((vt.T * inverse) ** 2, axis=1))
-    rows, parameters = jacobian.shape
-    variance = float(residual @ residual) / max(rows - parameters, 1)
-    error = spread * np.sqrt(variance * correlation_length(residual))
-    return np.asarray(np.abs(point) / np.maximum(error, 1e-300))
-
-
-def correlation_length(residual: Array) -> float:
-    """Integrated autocorrelation of a residual in rows, at least 1 (cut at the first crossing)."""
-    centred = residual - residual.mean()
-    size = 2 ** int(np.ceil(np.log2(2 * len(centred))))
-    spectrum = np.abs(np.fft.rfft(centred, size)) ** 2
-    correlation = np.fft.irfft(spectrum)[: len(centred) // 4]
-    if correlation[0] <= 0.0:
-        return 1.0
-    correlation = correlation / correlation[0]
-    negative = np.flatnonzero(correlation <= 0.0)
-    stop = int(negative[0]) if len(negative) else len(correlation)
-    return float(max(1.0, 1.0 + 2.0 * correlation[1:stop].sum()))
