@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from rich import box
+from rich.markup import escape
 from rich.table import Table
 
 from cosim.scoring import Comparison
@@ -10,6 +11,7 @@ from hesr_model.friction.audit import ENCODER, REACH, Audit
 from hesr_model.friction.estimator import registry
 from hesr_model.friction.functions import INPUT_UNITS
 from hesr_model.friction.trained import Excess, Range
+from hesr_model.rigid_body import RigidBody
 
 _TITLES = {
     "rmse": "RMSE of the predicted torque [N.m], all rows",
@@ -82,7 +84,7 @@ def audit(name: str, audits: Sequence[Audit]) -> Table:
         f"largest |tau| up to {REACH:g} times outside": [_outside(a) for a in audits],
     }
     for label, cells in rows.items():
-        table.add_row(label, *cells)
+        table.add_row(escape(label), *cells)
     return table
 
 
@@ -93,6 +95,17 @@ def leaving(joints: Sequence[str], found: Sequence[Mapping[str, Excess]]) -> str
         f"up to {max(excess.below, excess.above):.3g} {INPUT_UNITS[name]}."
         for joint, of_joint in zip(joints, found, strict=True)
         for name, excess in of_joint.items()
+    )
+
+
+def rigid_body(found: RigidBody) -> str:
+    """Return what was identified, in a sentence or two."""
+    rotors = sum(name.endswith(".Ir") for name in found.names)
+    more = f" ({rotors} of them rotor inertias)" if rotors else ""
+    errors = ", ".join(f"{e:.3g}" for e in found.rmse)
+    return (
+        f"Rigid body: {len(found.base)} base parameters of {len(found.names)}{more}, condition "
+        f"{found.condition:.3g}, from {', '.join(found.logs)}; residual RMSE {errors} N.m."
     )
 
 

@@ -109,7 +109,7 @@ def condition(model: RobotModel, base: tuple[int, ...], motion: Fourier) -> floa
     Parameters
     ----------
     base
-        Indices of the base columns, see `rigid_body.base_columns`.
+        Indices of the base columns, see `base_parameters.base_columns`.
     """
     t = np.linspace(0.0, motion.period, _SAMPLES, endpoint=False)
     columns = model.regressor(*motion.sample(t))[:, :, list(base)]

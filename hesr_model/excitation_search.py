@@ -13,8 +13,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from hesr_model.base_parameters import base_columns
 from hesr_model.motion_limits import Limits
-from hesr_model.rigid_body import base_columns
 from hesr_model.robot import RobotModel
 from hesr_model.trajectories import Fourier
 

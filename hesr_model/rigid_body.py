@@ -2,15 +2,16 @@
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
 
+from hesr_model import physical as consistent
+from hesr_model.base_parameters import at_random_states, base_columns
 from hesr_model.errors import FitError, RobotError
-from hesr_model.least_squares import solve
+from hesr_model.least_squares import Block, solve
 from hesr_model.observations import averaged, peaks, stacked
 from hesr_model.robot import RobotModel
 from hesr_model.robot_log import RobotLog, require_moving
@@ -22,9 +23,6 @@ Weighting = Literal["wls", "ols"]
 
 LEAST_PEAK = 0.02
 """[rad/s, m/s] A joint that is never faster tells nothing of its inertia."""
-
-_RANK_TOLERANCE = 1e-8
-_RANDOM_STATES = 300
 
 _log = logging.getLogger(__name__)
 
@@ -38,12 +36,14 @@ class RigidBody:
     robot, joints
         Whose parameters they are.
     names, parameters
-        All standard parameters (P,) and rotor inertias; those outside `base` are zero.
+        All standard parameters (P,) and rotor inertias. As a rule those outside `base` are zero;
+        not so in a physically consistent body, nor in one that carries a payload.
     base
         Indices of the base parameters, which carry the others linearly (eq. 6).
     standard_errors
-        Of the base parameters, (len(base),), from the residual's variance. Residuals of
-        neighbouring samples are alike, so these are too small by some factor.
+        Of the base parameters, (len(base),), what the parameters outside `base` add to them
+        included, from the residual's variance. Residuals of neighbouring samples are alike, so
+        these are too small by some factor.
     condition
         Condition number of the weighted observation matrix, each column relative to its size
         over random states of the robot.
@@ -59,6 +59,8 @@ class RigidBody:
         Samples that were offered to the fit.
     logs
         Names of the logs.
+    physical
+        Whether the parameters are those of bodies of positive mass density.
     """
 
     robot: str
@@ -75,6 +77,7 @@ class RigidBody:
     logs: tuple[str, ...]
     method: Method
     weighting: Weighting
+    physical: bool = False
 
     def torque(self, model: RobotModel, motion: Motion) -> Array:
         """Rigid-body torque Y_b pi_b (eq. 6) over a motion, (N, n) [N.m].
@@ -108,6 +111,7 @@ class RigidBody:
             "logs": list(self.logs),
             "method": self.method,
             "weighting": self.weighting,
+            "physical": self.physical,
         }
 
     @classmethod
@@ -135,35 +139,8 @@ class RigidBody:
             logs=tuple(str(log) for log in data["logs"]),
             method=data["method"],
             weighting=data["weighting"],
+            physical=bool(data.get("physical", False)),
         )
-
-
-def base_columns(model: RobotModel) -> tuple[int, ...]:
-    """Find a largest set of independent columns of the regressor; indices, in their order.
-
-    Pivoted QR of the regressor stacked over random states within the joints' limits, columns
-    scaled to unit length: the rank does not depend on a log, nor on units.
-    """
-    columns = _at_random_states(model)
-    lengths = np.linalg.norm(columns, axis=0)
-    # A column of nothing but rounding errors must not be scaled up to a full one.
-    columns[:, lengths < _RANK_TOLERANCE * np.max(lengths)] = 0.0
-    lengths[lengths == 0.0] = 1.0
-    _, r, order = qr(columns / lengths, mode="economic", pivoting=True)
-    sizes = np.abs(np.diag(r))
-    rank = int(np.sum(sizes > _RANK_TOLERANCE * sizes[0]))
-    return tuple(sorted(int(k) for k in order[:rank]))
-
-
-def _at_random_states(model: RobotModel) -> Array:
-    """Regressor stacked over random states within the joints' limits, (samples * n, P)."""
-    rng = np.random.default_rng(0)
-    lower, upper, speed = model.limits
-    shape = (_RANDOM_STATES, model.n)
-    q = rng.uniform(lower, upper, shape)
-    dq = rng.uniform(-speed, speed, shape)
-    ddq = rng.uniform(-2 * speed, 2 * speed, shape)
-    return model.regressor(q, dq, ddq).reshape(-1, len(model.parameter_names))
 
 
 def identify(
@@ -173,6 +150,7 @@ def identify(
     method: Method = "stacked",
     weighting: Weighting | None = None,
     reversed_logs: Sequence[RobotLog] = (),
+    physical: bool = False,
 ) -> RigidBody:
     """Identify the rigid-body parameters from logs; see `identify_motions`.
 
@@ -191,6 +169,7 @@ def identify(
         method=method,
         weighting=weighting,
         reversed_motions=[smooth(log, cutoff) for log in reversed_logs],
+        physical=physical,
     )
 
 
@@ -201,6 +180,7 @@ def identify_motions(
     method: Method = "stacked",
     weighting: Weighting | None = None,
     reversed_motions: Sequence[Motion] = (),
+    physical: bool = False,
 ) -> RigidBody:
     """Identify the rigid-body parameters from smooth motions.
 
@@ -217,6 +197,10 @@ def identify_motions(
         By default ``"wls"`` for the stacked method and ``"ols"`` for the paper's.
     reversed_motions
         Time-reversed counterparts of `motions`, in their order; needed by ``"paper"``.
+    physical
+        Whether every link must be a body of positive mass density and every rotor inertia
+        positive (`hesr_model.physical`). All standard parameters are then estimated, weakly pulled
+        towards the model file's: it pays on short logs and changes little on long ones.
 
     Raises
     ------
@@ -228,15 +212,18 @@ def identify_motions(
     base = base_columns(model)
     _require_samples(everything, len(base) + (3 * model.n if method == "stacked" else 0))
     _require_speed(everything, model)
-    if method == "paper":
-        blocks = averaged(motions, reversed_motions, model, base)
-    else:
-        blocks = stacked(everything, model, base)
+
+    def blocks_of(columns: tuple[int, ...]) -> list[Block]:
+        if method == "paper":
+            return averaged(motions, reversed_motions, model, columns)
+        return stacked(everything, model, columns)
+
+    blocks = blocks_of(base)
     weighting = weighting or ("ols" if method == "paper" else "wls")
     scale = np.ones(blocks[0].matrix.shape[1])  # of friction: 1 N.m, 1 N.m.s/rad
-    scale[: len(base)] = np.sqrt(np.mean(_at_random_states(model)[:, list(base)] ** 2, axis=0))
+    scale[: len(base)] = np.sqrt(np.mean(at_random_states(model)[:, list(base)] ** 2, axis=0))
     solution = solve(blocks, scale=scale, weighted=weighting == "wls")
-    if solution.ridge:
+    if solution.ridge and not physical:
         _log.warning(
             "%s: the motion does not determine all parameters (condition number %.2g); "
             "a ridge of %.2g of the largest singular value was used",
@@ -246,8 +233,7 @@ def identify_motions(
         )
     parameters = np.zeros(len(model.parameter_names))
     parameters[list(base)] = solution.x[: len(base)]
-    friction = solution.x[len(base) :].reshape(-1, 3)
-    return RigidBody(
+    body = RigidBody(
         robot=model.description.name,
         joints=model.description.joints,
         names=model.parameter_names,
@@ -256,12 +242,34 @@ def identify_motions(
         standard_errors=solution.standard_errors[: len(base)],
         condition=solution.condition,
         ridge=solution.ridge,
-        friction=friction if len(friction) else np.zeros((model.n, 3)),
+        friction=_per_joint(solution.x[len(base) :], model.n),
         rmse=solution.rmse,
         rows=sum(len(motion.t) for motion in everything),
         logs=tuple(motion.name for motion in everything),
         method=method,
         weighting=weighting,
+    )
+    return _consistent(body, blocks_of(tuple(range(len(body.names)))), model) if physical else body
+
+
+def _per_joint(friction: Array, n: int) -> Array:
+    """Friction coefficients (n, 3), zero where the method has no columns for them."""
+    return friction.reshape(n, 3) if len(friction) else np.zeros((n, 3))
+
+
+def _consistent(body: RigidBody, blocks: Sequence[Block], model: RobotModel) -> RigidBody:
+    """Replace an estimate by the physically consistent one from the same rows."""
+    found = consistent.fit(
+        blocks, model, body.base, rmse=body.rmse, weighted=body.weighting == "wls"
+    )
+    return replace(
+        body,
+        parameters=found.parameters,
+        standard_errors=found.standard_errors,
+        ridge=0.0,
+        friction=_per_joint(found.friction, model.n),
+        rmse=found.rmse,
+        physical=True,
     )
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hesr_model.base_parameters import base_columns
 from hesr_model.config import read_toml
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.excitation import (
@@ -16,7 +17,6 @@ from hesr_model.excitation import (
 )
 from hesr_model.excitation import design as design_excitation
 from hesr_model.files import written_whole
-from hesr_model.rigid_body import base_columns
 from hesr_model.robot import RobotDescription, RobotModel
 from hesr_model.tables import write_table
 

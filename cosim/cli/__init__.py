@@ -1,0 +1,22 @@
+"""The command line: parses, calls, prints. Everything else is imported when a command runs."""
+
+import sys
+from typing import NoReturn
+
+import typer
+
+from cosim.cli import job, steps
+from cosim.cli.app import app
+from hesr_model.errors import HesrError
+
+__all__ = ["app", "job", "main", "steps"]
+
+
+def main() -> NoReturn:
+    """Run the command line; an error that a user can mend is one sentence and exit code 2."""
+    try:
+        app()
+    except HesrError as error:
+        typer.echo(f"hesr: {error}", err=True)
+        sys.exit(2)
+    sys.exit(0)

@@ -1,0 +1,245 @@
+"""Commands of the single steps: identify, fit, evaluate, replay."""
+
+import tomllib
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cosim.cli.app import (
+    Body,
+    Json,
+    Logs,
+    Output,
+    Robot,
+    app,
+    read_records,
+    shown_progress,
+)
+from hesr_model.errors import ConfigError
+
+if TYPE_CHECKING:
+    from cosim.scoring import Comparison, Records
+    from hesr_model.friction.law import FrictionModel
+
+
+@app.command()
+def identify(
+    logs: Logs,
+    robot: Robot,
+    output: Output,
+    reversed_logs: Annotated[
+        list[Path] | None,
+        typer.Option("--reversed", metavar="LOG", help="Time-reversed counterpart; repeatable."),
+    ] = None,
+    method: Annotated[
+        str,
+        typer.Option(help="stacked (least squares with friction columns) or paper (averaging)."),
+    ] = "stacked",
+    friction: Annotated[
+        Path | None,
+        typer.Option(metavar="LAW.json", help="Refine: subtract this law's torque first."),
+    ] = None,
+    rigid_body: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Refine: the rigid body that the law was fitted with."),
+    ] = None,
+) -> None:
+    """Identify the rigid body from logs.
+
+    Example: hesr identify excitation.csv --robot robot.toml -o rigid_body.json
+    """
+    from cosim import tables
+    from hesr_model.artifacts import provenance, read_model, read_rigid_body, write_rigid_body
+    from hesr_model.refinement import identify_again
+    from hesr_model.rigid_body import identify as identify_rigid_body
+    from hesr_model.robot import RobotDescription, RobotModel
+    from hesr_model.robot_log import RobotLog
+
+    if method not in ("stacked", "paper"):
+        raise ConfigError(f"--method is '{method}'; allowed are 'stacked' and 'paper'.")
+    if (friction is None) != (rigid_body is None):
+        raise ConfigError("--friction and --rigid-body go together; only one of them was given.")
+    description = RobotDescription.read(robot)
+    model = RobotModel(description)
+    counterparts = reversed_logs or []
+    forward = [RobotLog.read(log, description) for log in logs]
+    backward = [RobotLog.read(log, description) for log in counterparts]
+    files = [robot, description.model, *logs, *counterparts]
+    if friction is not None and rigid_body is not None:
+        law, body = read_model(friction), read_rigid_body(rigid_body)
+        found = identify_again(forward, model, body, law, reversed_logs=backward)
+        files += [friction, rigid_body]
+    else:
+        found = identify_rigid_body(forward, model, method=method, reversed_logs=backward)
+    write_rigid_body(output, found, provenance(files=files))
+    typer.echo(f"{tables.rigid_body(found)}\nwritten to {output}.")
+
+
+@app.command()
+def fit(
+    logs: Logs,
+    robot: Robot,
+    rigid_body: Body,
+    law: Annotated[str, typer.Option(help="Name of a law; see 'hesr laws'.")],
+    output: Output,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the fit.")] = 0,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="Option of the law, as in TOML; repeatable."),
+    ] = None,
+) -> None:
+    """Fit a friction law to the joints of a robot; print its equations and its audit.
+
+    Example: hesr fit sweep.csv --robot robot.toml --rigid-body rigid_body.json --law parfam_h
+    -o law.json --option 'search="paper"'
+    """
+    from hesr_model.artifacts import provenance, write_model
+    from hesr_model.friction.estimator import estimator
+    from hesr_model.friction.fit import fit_models
+
+    estimator(law)
+    options = _options(option or [])
+    records, name, model_file = read_records(logs, robot, rigid_body)
+    files = [robot, model_file, rigid_body, *logs]
+    source = provenance(files=files, seed=seed, options=options)
+    with shown_progress() as progress:
+        model = fit_models(
+            [law],
+            records,
+            robot=name,
+            seed=seed,
+            options={law: options},
+            provenance=source,
+            progress=partial(progress, f"fitting {law}"),
+        )[law]
+    write_model(output, model)
+    _print_law(model)
+    typer.echo(f"written to {output}.")
+
+
+@app.command()
+def evaluate(
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="LOG... LAW.json...", help="Logs, and friction models (.json)."),
+    ],
+    robot: Robot,
+    rigid_body: Body,
+    json_file: Json = None,
+) -> None:
+    """Score friction models on logs, and audit them.
+
+    Example: hesr evaluate test.csv --robot robot.toml --rigid-body rigid_body.json law.json
+    """
+    from cosim.scoring import compare, inputs_of, predict_model
+    from hesr_model.artifacts import read_model
+
+    law_files = [file for file in files if file.suffix == ".json"]
+    logs = [file for file in files if file.suffix != ".json"]
+    if not law_files or not logs:
+        missing = "friction model (.json)" if logs else "log (.csv or .parquet)"
+        raise ConfigError(f"evaluate: no {missing} among the files; both kinds are needed.")
+    models = [read_model(file) for file in law_files]
+    unique = len({model.law for model in models}) == len(models)
+    named = {
+        model.law if unique else file.stem: model
+        for file, model in zip(law_files, models, strict=True)
+    }
+    records, _, _ = read_records(logs, robot, rigid_body)
+    scores = compare(records, {name: predict_model(m, records) for name, m in named.items()})
+    _write_scores(scores, json_file)
+    _print_scores("evaluation", scores, {name: inputs_of(m) for name, m in named.items()})
+    for name, model in named.items():
+        _print_audit(name, model, records)
+
+
+@app.command()
+def replay(
+    fmu: Annotated[Path, typer.Argument(metavar="Friction.fmu", help="A friction FMU.")],
+    logs: Logs,
+    robot: Robot,
+    rigid_body: Body,
+    json_file: Json = None,
+) -> None:
+    """Run a friction FMU over logs through FMPy and score it.
+
+    Example: hesr replay law.fmu test.csv --robot robot.toml --rigid-body rigid_body.json
+    """
+    from cosim.scoring import compare, predict_fmu
+
+    records, _, _ = read_records(logs, robot, rigid_body)
+    scores = compare(records, {fmu.stem: predict_fmu(fmu, records)})
+    _write_scores(scores, json_file)
+    _print_scores("replay", scores)
+
+
+def _options(pairs: list[str]) -> dict[str, Any]:
+    """Return options written as KEY=VALUE, the value as in TOML."""
+    options: dict[str, Any] = {}
+    for pair in pairs:
+        try:
+            options |= tomllib.loads(pair)
+        except tomllib.TOMLDecodeError as error:
+            raise ConfigError(
+                f"--option is '{pair}'; needed is KEY=VALUE with a value as in TOML, for instance "
+                'ripple=false or search="paper".'
+            ) from error
+    return options
+
+
+def _write_scores(scores: "Comparison", json_file: Path | None) -> None:
+    from hesr_model.artifacts import write_json
+
+    if json_file is not None:
+        write_json(json_file, scores.to_json())
+
+
+def _print_scores(name: str, scores: "Comparison", inputs: dict[str, str] | None = None) -> None:
+    from rich.console import Console
+
+    from cosim import tables
+
+    console = Console()
+    for measure in ("rmse", "rmse_moving", "rmse_reversal"):
+        console.print(tables.comparison(name, scores, measure, inputs))
+    if scores.ratios:
+        console.print(tables.ratios(name, scores, inputs))
+
+
+def _print_law(model: "FrictionModel") -> None:
+    from hesr_model.friction.equation import coefficient_lines, equations
+    from hesr_model.friction.uncertainty import MOST_COEFFICIENTS
+
+    for joint, law in zip(model.joints, model.laws, strict=True):
+        if len(law.values) > MOST_COEFFICIENTS:
+            typer.echo(f"{joint}: {len(law.values)} coefficients")
+            continue
+        typer.echo(f"{joint}:")
+        for line in equations(law):
+            typer.echo(f"  {line}")
+        typer.echo("  95 % intervals (linearised least squares, autocorrelated residual):")
+        for line in coefficient_lines(law):
+            typer.echo(f"    {line}")
+    _print_audit(model.law, model)
+
+
+def _print_audit(name: str, model: "FrictionModel", records: "Records | None" = None) -> None:
+    from rich.console import Console
+
+    from cosim import tables
+    from hesr_model.friction.audit import audit
+    from hesr_model.friction.trained import outside
+
+    if not model.trained:
+        return
+    pairs = list(zip(model.laws, model.trained, strict=True))
+    Console().print(tables.audit(name, [audit(law, trained) for law, trained in pairs]))
+    if records is not None:
+        found = [
+            {k: v for k, v in outside(trained, r).items() if k in map(str, law.form.inputs)}
+            for (law, trained), r in zip(pairs, records, strict=True)
+        ]
+        if any(found):
+            typer.echo(tables.leaving(model.joints, found))

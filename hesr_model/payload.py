@@ -1,0 +1,214 @@
+"""Payload: the ten inertial parameters of what the last link carries, from logs under load.
+
+With an unloaded rigid body known, what a payload adds to the torque is linear in its parameters,
+with the regressor's ten columns of the last link (eq. 5)::
+
+    tau - Y pi_unloaded = Y_last pi_payload + friction
+
+They are independent for any robot whose last link turns freely enough, so that mass, centre of
+mass and inertia are all found. Friction has columns of its own, because a load changes it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.base_parameters import at_random_states, dependence
+from hesr_model.errors import FitError
+from hesr_model.least_squares import Block, Solution, solve
+from hesr_model.observations import SLOW, SLOW_SHARE, peaks, stacked
+from hesr_model.rigid_body import RigidBody
+from hesr_model.robot import RobotModel
+from hesr_model.robot_log import RobotLog, require_moving
+from hesr_model.signals import Motion, smooth
+
+Array = NDArray[np.float64]
+
+_SEGMENT = 1.0
+"""[s] Residuals further apart than this are taken as independent. On measured logs without payload
+the estimated mass was then within 1.1 standard errors of zero; with single rows up to 5."""
+
+_LEAST_SEGMENTS = 10
+
+_SIGNIFICANT = 3.0
+"""Standard errors."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Payload:
+    """An identified payload.
+
+    Attributes
+    ----------
+    parameters
+        (10,) as in `robot.LINK_PARAMETERS`, in the frame of the last joint [kg, kg.m, kg.m2].
+    covariance
+        (10, 10) of them, from residuals that are alike within a second. Errors of the unloaded
+        rigid body are not part of it.
+    condition
+        Of the weighted observation matrix, as in `RigidBody`.
+    friction
+        (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] under load.
+    rmse
+        (n,) [N.m] residual over the rows that were used.
+    rows
+        Samples that were offered to the fit.
+    logs
+        Names of the logs.
+    """
+
+    parameters: Array
+    covariance: Array
+    condition: float
+    friction: Array
+    rmse: Array
+    rows: int
+    logs: tuple[str, ...]
+
+    @property
+    def standard_errors(self) -> Array:
+        """Standard errors (10,) of the parameters."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def mass(self) -> float:
+        """Mass [kg]."""
+        return float(self.parameters[0])
+
+    @property
+    def centre_of_mass(self) -> Array:
+        """Centre of mass (3,) in the frame of the last joint [m]."""
+        return self.parameters[1:4] / self.mass
+
+
+def identify_payload(logs: Sequence[RobotLog], model: RobotModel, unloaded: RigidBody) -> Payload:
+    """Identify the payload that the last link carries in the logs.
+
+    Raises
+    ------
+    LogError
+        If a joint moves in none of the logs, or a log is too slow or short for the low pass.
+    RobotError
+        If `unloaded` is of another robot.
+    FitError
+        As `identify_payload_motions`.
+    """
+    require_moving(logs, model.description.joints)
+    cutoff = model.description.log.filter_cutoff
+    return identify_payload_motions([smooth(log, cutoff) for log in logs], model, unloaded)
+
+
+def identify_payload_motions(
+    motions: Sequence[Motion], model: RobotModel, unloaded: RigidBody
+) -> Payload:
+    """Identify the payload that the last link carries in smooth motions.
+
+    Weighted least squares as in `rigid_body.identify_motions`, slow rows dropped, too.
+
+    Raises
+    ------
+    RobotError
+        If `unloaded` is of another robot.
+    FitError
+        If the motions are too short, do not determine the parameters, or hold no payload.
+    """
+    name = "log " + ", ".join(motion.name for motion in motions)
+    segments = _segments(motions)
+    if len(np.unique(segments)) < _LEAST_SEGMENTS:
+        raise FitError(
+            f"{name}: lasts {sum(motion.t[-1] - motion.t[0] for motion in motions):.3g} s; a "
+            f"payload needs at least {_LEAST_SEGMENTS * _SEGMENT:g} s."
+        )
+    added = [replace(motion, tau=motion.tau - unloaded.torque(model, motion)) for motion in motions]
+    columns = _last_link(model)
+    blocks = stacked(added, model, columns)
+    scale = np.ones(blocks[0].matrix.shape[1])
+    scale[:10] = np.sqrt(np.mean(at_random_states(model)[:, list(columns)] ** 2, axis=0))
+    solution = solve(blocks, scale=scale, weighted=True)
+    if solution.ridge:
+        raise FitError(
+            f"{name}: the motion does not determine the payload (condition number "
+            f"{solution.condition:.2g}); all joints must move fast and far at once."
+        )
+    payload = Payload(
+        parameters=solution.x[:10],
+        covariance=_covariance(blocks, solution, _kept(motions, segments))[:10, :10],
+        condition=solution.condition,
+        friction=solution.x[10:].reshape(-1, 3),
+        rmse=solution.rmse,
+        rows=len(segments),
+        logs=tuple(motion.name for motion in motions),
+    )
+    error = float(payload.standard_errors[0])
+    if not payload.mass > _SIGNIFICANT * error:
+        raise FitError(
+            f"{name}: holds no payload that can be told from none; its mass is found as "
+            f"{payload.mass:.3g} kg with a standard error of {error:.2g} kg, and more than "
+            f"{_SIGNIFICANT:g} standard errors are needed."
+        )
+    return payload
+
+
+def loaded(unloaded: RigidBody, payload: Payload, model: RobotModel) -> RigidBody:
+    """Rigid body with the payload: its parameters are added to those of the last link.
+
+    All ten are, also where a column depends on others and the unloaded body has a zero: torque is
+    linear in all of them. Friction, residuals and logs are those under load.
+    """
+    columns = list(_last_link(model))
+    parameters = unloaded.parameters.copy()
+    parameters[columns] += payload.parameters
+    carried = dependence(model, unloaded.base)[:, columns]
+    more = np.sum(carried @ payload.covariance * carried, axis=1)
+    return replace(
+        unloaded,
+        parameters=parameters,
+        standard_errors=np.sqrt(unloaded.standard_errors**2 + more),
+        friction=payload.friction,
+        rmse=payload.rmse,
+        rows=payload.rows,
+        logs=(*unloaded.logs, *payload.logs),
+    )
+
+
+def _last_link(model: RobotModel) -> tuple[int, ...]:
+    return tuple(range(10 * (model.n - 1), 10 * model.n))
+
+
+def _segments(motions: Sequence[Motion]) -> NDArray[np.int_]:
+    """Number of the segment of time that each row of all motions belongs to."""
+    parts: list[NDArray[np.int_]] = []
+    first = 0
+    for motion in motions:
+        parts.append(first + ((motion.t - motion.t[0]) // _SEGMENT).astype(int))
+        first = parts[-1][-1] + 1
+    return np.concatenate(parts)
+
+
+def _kept(motions: Sequence[Motion], segments: NDArray[np.int_]) -> list[NDArray[np.int_]]:
+    """Segments of the rows that `stacked` keeps, one array per joint."""
+    speed = np.abs(np.concatenate([motion.dq for motion in motions]))
+    slow = np.minimum(SLOW, SLOW_SHARE * peaks(motions))
+    return [segments[rows] for rows in (speed > slow).T]
+
+
+def _covariance(
+    blocks: Sequence[Block], solution: Solution, segments: Sequence[NDArray[np.int_]]
+) -> Array:
+    """Covariance of the unknowns when residuals of one segment, of any joint, hang together.
+
+    The sandwich H^-1 (sum g g') H^-1 of cluster-robust regression (Liang and Zeger 1986), g being
+    the gradient of one segment.
+    """
+    unknowns = len(solution.x)
+    hessian = np.zeros((unknowns, unknowns))
+    gradients = np.zeros((1 + max(int(np.max(own)) for own in segments), unknowns))
+    for block, size, own in zip(blocks, solution.rmse, segments, strict=True):
+        hessian += block.matrix.T @ block.matrix / size**2
+        residual = (block.target - block.matrix @ solution.x) / size**2
+        np.add.at(gradients, own, block.matrix * residual[:, None])
+    inverse = np.linalg.inv(hessian)
+    count = len(gradients)
+    return np.asarray(inverse @ (gradients.T @ gradients) @ inverse * (count / (count - 1)))

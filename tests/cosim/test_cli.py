@@ -1,0 +1,308 @@
+"""Every command of the command line, end to end on a small study of the digital twin."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+from small_study import Answer, Hesr, contents, hesr_here, hesr_in_a_process, uf850, write_study
+
+from hesr_model.artifacts import read_model, read_rigid_body
+from hesr_model.files import sha256
+from hesr_model.friction.estimator import registry
+from hesr_model.robot import RobotDescription
+from hesr_model.robot_log import RobotLog
+
+ROBOT = uf850("robot.toml")
+MEASURES = {"rmse", "rmse_reversal", "rmse_moving", "r2"}
+JOINTS = ["joint1", "joint2", "joint3"]
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+class Ran:
+    """A run of the small study."""
+
+    def __init__(self, folder: Path) -> None:
+        self.study = write_study(folder)
+        self.folder = folder / "results"
+        self.answer: Answer = hesr_in_a_process("run", self.study, "-o", self.folder)
+
+    def log(self, name: str) -> Path:
+        return self.folder / "logs" / f"{name}.csv"
+
+    def law(self, name: str) -> Path:
+        return self.folder / "laws" / f"{name}.json"
+
+    @property
+    def rigid_body(self) -> Path:
+        return self.folder / "rigid_body.json"
+
+    @property
+    def options(self) -> list[object]:
+        return ["--robot", ROBOT, "--rigid-body", self.rigid_body]
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ran]:
+    made = Ran(tmp_path_factory.mktemp("study"))
+    assert made.answer.code == 0, made.answer.err
+    return made
+
+
+def read(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def assert_scores(data: Any, laws: set[str]) -> None:
+    """The format of section 7 of the design, whatever else there is beside it."""
+    assert data["joints"] == JOINTS
+    assert len(data["tau_std"]) == 3
+    assert set(data["laws"]) == laws
+    for scores in data["laws"].values():
+        assert set(scores) >= MEASURES
+        for measure in MEASURES:
+            assert len(scores[measure]) == 3
+        assert all(0.0 < e < s for e, s in zip(scores["rmse"], data["tau_std"], strict=True))
+        for r2, e, s in zip(scores["r2"], scores["rmse"], data["tau_std"], strict=True):
+            assert r2 == pytest.approx(1.0 - (e / s) ** 2, rel=1e-9)
+
+
+# --- run --------------------------------------------------------------------------------------
+
+
+def test_run_ends_with_a_table_of_laws_and_the_fmus_that_it_wrote(ran: Ran) -> None:
+    out = ran.answer.out
+    for text in ("Stribeck", "ParFam-H", "J1", "J2", "J3", "unseen", "[N.m]"):
+        assert text in out
+    assert "base parameters of 33, from excitation, excitation_reversed." in out
+    for law in ("stribeck", "parfam_h"):
+        fmu = ran.folder / "fmus" / f"{law}.fmu"
+        assert str(fmu) in out
+        assert fmu.is_file()
+    assert str(ran.folder) in out.splitlines()[-1]
+    assert "Traceback" not in ran.answer.err
+
+
+def test_run_writes_everything_and_nothing_else(ran: Ran) -> None:
+    names = set(contents(ran.folder))
+    logs = {f"logs/{n}.csv" for n in ("excitation", "excitation_reversed", "sweep", "trial")}
+    laws = {"laws/stribeck.json", "laws/parfam_h.json"}
+    fmus = {"fmus/stribeck.fmu", "fmus/parfam_h.fmu"}
+    assert names >= {"rigid_body.json", "evaluation.json"} | logs | laws | fmus
+    # No temporary folder is left, here or beside the results.
+    assert not [name for name in names if "/." in f"/{name}"]
+    assert {p.name for p in ran.folder.parent.iterdir()} == {
+        "results",
+        "study.toml",
+        "motions.toml",
+    }
+
+
+def test_run_scores_every_law_on_every_test_set(ran: Ran) -> None:
+    data = read(ran.folder / "evaluation.json")
+    assert list(data) == ["unseen"]
+    assert_scores(data["unseen"], {"stribeck", "parfam_h"})
+
+
+def test_run_writes_valid_fmus(ran: Ran) -> None:
+    for law in ("stribeck", "parfam_h"):
+        assert validate_fmu(str(ran.folder / "fmus" / f"{law}.fmu")) == []
+
+
+def test_results_say_where_they_come_from(ran: Ran) -> None:
+    source = read_model(ran.law("parfam_h")).provenance
+    assert source["seed"] == 3
+    hashes = {entry["name"]: entry["sha256"] for entry in source["files"]}
+    assert hashes["sweep.csv"] == sha256(ran.log("sweep"))
+    assert hashes["robot.toml"] == sha256(ROBOT)
+    assert "trial.csv" not in hashes
+    body = {entry["name"] for entry in read(ran.rigid_body)["provenance"]["files"]}
+    assert {"excitation.csv", "excitation_reversed.csv"} <= body
+
+
+def test_the_same_study_gives_the_same_bytes(ran: Ran, tmp_path: Path) -> None:
+    again = hesr_in_a_process("run", ran.study, "-o", tmp_path / "again")
+    assert again.code == 0, again.err
+    one, other = contents(ran.folder), contents(tmp_path / "again")
+    assert set(one) == set(other)
+    assert [name for name in one if one[name] != other[name]] == []
+
+
+def test_run_without_an_output_writes_below_the_current_folder(
+    ran: Ran, tmp_path: Path, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On measured logs this time: those that the twin wrote."""
+    study = tmp_path / "measured.toml"
+    study.write_text(
+        f"""
+        name = "measured"
+        robot = "{ROBOT}"
+        laws = ["stribeck"]
+        [logs]
+        identification = ["{ran.log("excitation")}"]
+        [logs.test]
+        unseen = ["{ran.log("trial")}"]
+        """,
+        encoding="utf-8",
+    )
+    monkeypatch.chdir(tmp_path)
+    answer = hesr("run", study)
+    assert answer.code == 0, answer.err
+    written = set(contents(tmp_path / "results" / "measured"))
+    assert {"fmus/stribeck.fmu", "laws/stribeck.json", "evaluation.json"} <= written
+    assert not any(name.startswith("logs/") for name in written)
+
+
+# --- one step at a time -----------------------------------------------------------------------
+
+
+def test_identify_gives_the_rigid_body_of_the_run(ran: Ran, tmp_path: Path, hesr: Hesr) -> None:
+    output = tmp_path / "new" / "rigid_body.json"
+    answer = hesr(
+        *("identify", ran.log("excitation"), "--robot", ROBOT, "-o", output),
+        *("--reversed", ran.log("excitation_reversed")),
+    )
+    assert answer.code == 0, answer.err
+    assert "16 base parameters of 33" in answer.out
+    assert str(output) in answer.out
+    found, expected = read_rigid_body(output), read_rigid_body(ran.rigid_body)
+    np.testing.assert_array_equal(found.parameters, expected.parameters)
+
+
+def test_identify_by_the_papers_method(ran: Ran, tmp_path: Path, hesr: Hesr) -> None:
+    output = tmp_path / "rigid_body.json"
+    answer = hesr(
+        *("identify", ran.log("excitation"), "--robot", ROBOT, "-o", output, "--method", "paper"),
+        *("--reversed", ran.log("excitation_reversed")),
+    )
+    assert answer.code == 0, answer.err
+    assert read_rigid_body(output).method == "paper"
+
+
+def test_fit_gives_the_law_of_the_run(ran: Ran, tmp_path: Path, hesr: Hesr) -> None:
+    output = tmp_path / "law.json"
+    answer = hesr(
+        *("fit", ran.log("sweep"), *ran.options, "--law", "stribeck", "--seed", 3, "-o", output)
+    )
+    assert answer.code == 0, answer.err
+    assert "stribeck for joint1, joint2, joint3" in answer.out
+    assert read_model(output).laws == read_model(ran.law("stribeck")).laws
+
+
+def test_evaluate_agrees_with_the_fmus_of_the_run(ran: Ran, tmp_path: Path, hesr: Hesr) -> None:
+    scores = tmp_path / "scores.json"
+    answer = hesr(
+        *("evaluate", ran.log("trial"), *ran.options, "--json", scores),
+        *(ran.law("stribeck"), ran.law("parfam_h")),
+    )
+    assert answer.code == 0, answer.err
+    assert "Stribeck" in answer.out
+    data, expected = read(scores), read(ran.folder / "evaluation.json")["unseen"]
+    assert_scores(data, {"stribeck", "parfam_h"})
+    for law, of_law in data["laws"].items():
+        for measure in MEASURES:
+            np.testing.assert_allclose(of_law[measure], expected["laws"][law][measure], rtol=1e-9)
+
+
+def test_evaluate_pools_the_rows_of_all_logs(ran: Ran, tmp_path: Path, hesr: Hesr) -> None:
+    def squares(*logs: str) -> np.ndarray:
+        scores = tmp_path / "scores.json"
+        files = [ran.log(log) for log in logs]
+        assert (
+            hesr("evaluate", *files, ran.law("stribeck"), *ran.options, "--json", scores).code == 0
+        )
+        rows = sum(len(path.read_text().splitlines()) - 1 for path in files)
+        return rows * np.array(read(scores)["laws"]["stribeck"]["rmse"]) ** 2
+
+    together = squares("trial", "sweep")
+    np.testing.assert_allclose(together, squares("trial") + squares("sweep"), rtol=1e-9)
+
+
+def test_evaluate_names_models_of_one_law_by_their_files(
+    ran: Ran, tmp_path: Path, hesr: Hesr
+) -> None:
+    scores, other = tmp_path / "scores.json", tmp_path / "other.json"
+    other.write_bytes(ran.law("stribeck").read_bytes())
+    answer = hesr(
+        "evaluate", ran.log("trial"), ran.law("stribeck"), other, *ran.options, "--json", scores
+    )
+    assert answer.code == 0, answer.err
+    assert set(read(scores)["laws"]) == {"stribeck", "other"}
+
+
+def test_evaluate_reads_parquet(ran: Ran, tmp_path: Path, hesr: Hesr) -> None:
+    log = RobotLog.read(ran.log("trial"), RobotDescription.read(ROBOT))
+    log.write(tmp_path / "trial.parquet")
+    results = []
+    for path in (ran.log("trial"), tmp_path / "trial.parquet"):
+        scores = tmp_path / "scores.json"
+        answer = hesr("evaluate", path, ran.law("stribeck"), *ran.options, "--json", scores)
+        assert answer.code == 0, answer.err
+        results.append(read(scores))
+    assert results[0] == results[1]
+
+
+def test_export_gives_the_fmu_of_the_run(ran: Ran, tmp_path: Path, hesr: Hesr) -> None:
+    output = tmp_path / "new" / "Friction.fmu"
+    answer = hesr("export", ran.law("parfam_h"), "-o", output)
+    assert answer.code == 0, answer.err
+    assert str(output) in answer.out
+    assert output.read_bytes() == (ran.folder / "fmus" / "parfam_h.fmu").read_bytes()
+
+
+def test_the_papers_model_is_exported_by_name_from_any_folder(
+    tmp_path: Path, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    answer = hesr("export", "uf850-table1", "-o", "Friction.fmu")
+    assert answer.code == 0, answer.err
+    assert validate_fmu("Friction.fmu") == []
+    assert [p.name for p in tmp_path.iterdir()] == ["Friction.fmu"]
+
+
+def test_replay_agrees_with_evaluate(ran: Ran, tmp_path: Path, hesr: Hesr) -> None:
+    scores = tmp_path / "scores.json"
+    fmu = ran.folder / "fmus" / "parfam_h.fmu"
+    answer = hesr("replay", fmu, ran.log("trial"), *ran.options, "--json", scores)
+    assert answer.code == 0, answer.err
+    assert "ParFam-H" in answer.out
+    data, expected = read(scores), read(ran.folder / "evaluation.json")["unseen"]
+    assert_scores(data, {"parfam_h"})
+    for measure in MEASURES:
+        np.testing.assert_allclose(
+            data["laws"]["parfam_h"][measure], expected["laws"]["parfam_h"][measure], rtol=1e-12
+        )
+
+
+def test_laws_lists_the_registry(hesr: Hesr) -> None:
+    answer = hesr("laws")
+    assert answer.code == 0
+    for name, entry in registry().items():
+        assert name in answer.out
+        assert entry.title in answer.out
+
+
+def test_help_shows_every_command(hesr: Hesr) -> None:
+    answer = hesr("--help")
+    assert answer.code == 0
+    commands = ("run", "identify", "fit", "evaluate", "export", "replay", "laws")
+    for command in commands:
+        assert command in answer.out
+        assert hesr(command, "--help").code == 0
+
+
+@pytest.mark.parametrize(
+    "arguments", [["no-such-command"], ["fit"], ["run", "--no-such-option"], ["export", "x"]]
+)
+def test_wrong_usage_exits_with_2(hesr: Hesr, arguments: list[str]) -> None:
+    answer = hesr(*arguments)
+    assert answer.code == 2
+    assert "Usage" in answer.err
+    assert answer.out == ""
