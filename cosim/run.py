@@ -3,14 +3,16 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
 from cosim.scoring import Comparison, by_joint, compare, predict_fmu, within
 from cosim.study import Study
 from fmu_src import export_fmu
+from fmu_src.toolchain import targets
 from hesr_model.artifacts import provenance, write_json, write_model, write_rigid_body
-from hesr_model.errors import ConfigError
+from hesr_model.errors import ConfigError, HesrError
 from hesr_model.files import folder_written_whole
 from hesr_model.friction.estimator import estimator, registry
 from hesr_model.friction.fit import fit_models
@@ -67,6 +69,7 @@ def run_study(
         If the study, a log or the data in it do not allow the run.
     """
     study = Study.read(path)
+    targets(platforms)
     job = _Job(study=study, path=path, progress=progress or _silent)
     description = RobotDescription.read(study.robot)
     model = RobotModel(description)
@@ -105,12 +108,34 @@ class _Job:
     progress: Progress
 
     def __post_init__(self) -> None:
-        variants = self.study.variants
-        kinds = {law: variants[law].law if law in variants else law for law in self.laws}
-        for law in (*kinds.values(), *self.study.options):
-            estimator(law)
-        if self.study.refinement:
-            estimator(self.study.refinement.law)
+        study = self.study
+        for law in study.laws:
+            self._require_law("laws", law, {})
+        for law, options in study.options.items():
+            self._require_law(f"options.{law}", law, options)
+        for name, variant in study.variants.items():
+            self._require_law(f"variants.{name}.law", variant.law, {})
+            self._require_law(f"variants.{name}.options", variant.law, variant.options)
+        if study.refinement:
+            self._require_law("refinement.law", study.refinement.law, {})
+
+    def _require_law(self, key: str, law: str, options: Mapping[str, Any]) -> None:
+        """Check that there is the law and that it takes the options."""
+        if law not in registry():
+            raise ConfigError(
+                f"{self.path}: key '{key}': law '{law}' is unknown; known are "
+                f"{', '.join(registry())}."
+            )
+        allowed = signature(estimator(law)).parameters
+        if unknown := [name for name in options if name not in allowed]:
+            raise ConfigError(
+                f"{self.path}: unknown key '{key}.{unknown[0]}'; allowed here: "
+                f"{', '.join(allowed) or 'none'}."
+            )
+        try:
+            estimator(law)(**options)
+        except (HesrError, TypeError) as error:
+            raise ConfigError(f"{self.path}: table '{key}': {str(error).rstrip('.')}.") from error
 
     @property
     def laws(self) -> tuple[str, ...]:

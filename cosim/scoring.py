@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hesr_model.errors import ArtifactError
+from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.friction.evaluate import Array
 from hesr_model.friction.functions import INPUTS
 from hesr_model.friction.law import FrictionModel
@@ -115,12 +115,27 @@ def _ratio(errors: list[Array], below: list[Array], records: Sequence[FrictionRe
 def within(
     records: Records, torques: Sequence[Sequence[Array]], start: float, stop: float
 ) -> tuple[list[list[FrictionRecord]], list[list[Array]]]:
-    """Return the rows of records and torques with start <= t < stop [s]."""
+    """Return the rows of records and torques with start <= t < stop [s].
+
+    Time counts from the beginning of each log; logs that end before are left out.
+
+    Raises
+    ------
+    ConfigError
+        If no log has such rows.
+    """
     kept_records, kept_torques = [], []
     for of_joint, predicted in zip(records, torques, strict=True):
-        rows = [time_band(r.t, start, stop) for r in of_joint]
-        kept_records.append([_rows(r, k) for r, k in zip(of_joint, rows, strict=True)])
-        kept_torques.append([p[k] for p, k in zip(predicted, rows, strict=True)])
+        rows = [time_band(r.t - r.t[0], start, stop) for r in of_joint]
+        kept = [k for k, mask in enumerate(rows) if np.count_nonzero(mask) > 1]
+        if not kept:
+            longest = max(float(r.t[-1] - r.t[0]) for r in of_joint)
+            raise ConfigError(
+                f"the band from {start:g} to {stop:g} s holds no rows; the longest log of its test "
+                f"set lasts {longest:.3g} s."
+            )
+        kept_records.append([_rows(of_joint[k], rows[k]) for k in kept])
+        kept_torques.append([predicted[k][rows[k]] for k in kept])
     return kept_records, kept_torques
 
 

@@ -129,7 +129,7 @@ def model_from_json(path: Path, data: Mapping[str, Any]) -> FrictionModel:
             trained=tuple(
                 TrainedRange.from_json(j["trained"]) for j in data["joints"] if "trained" in j
             ),
-            provenance=data["provenance"],
+            provenance=dict(data["provenance"]),
         )
 
 

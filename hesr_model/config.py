@@ -2,7 +2,7 @@
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, ValidationInfo
 
@@ -49,8 +49,9 @@ def read_toml(path: Path, schema: type[Schema]) -> Schema:
 
 
 def _sentence(path: Path, schema: type[BaseModel], error: ValidationError) -> str:
-    """Say the first problem in one sentence; the others usually follow from it."""
-    first = error.errors()[0]
+    """Say one problem in one sentence: an unknown key first, since others may follow from it."""
+    problems = error.errors()
+    first = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
     key = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         holder = _holder(schema, first["loc"])
@@ -59,15 +60,30 @@ def _sentence(path: Path, schema: type[BaseModel], error: ValidationError) -> st
     if first["type"] == "missing":
         return f"{path}: key '{key}' is missing."
     reason = first["msg"].removeprefix("Value error, ")
+    if isinstance(first["input"], dict):  # a rule of a whole table, too long to be shown
+        where = f"table '{key}': " if key else ""
+        return f"{path}: {where}{reason}."
     return f"{path}: key '{key}' is {first['input']!r}: {reason}."
 
 
 def _holder(schema: type[BaseModel], location: tuple[Any, ...]) -> type[BaseModel] | None:
     """Return the schema of the table in which the last part of `location` stands."""
-    holder: type[BaseModel] | None = schema
+    holders = [schema]
     for part in location[:-1]:
-        field = holder.model_fields.get(str(part)) if holder else None
-        kinds = [field.annotation, *getattr(field.annotation, "__args__", ())] if field else []
-        inner = [k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)]
-        holder = inner[0] if inner else holder if isinstance(part, int) else None
-    return holder
+        fields = [h.model_fields[part] for h in holders if part in h.model_fields]
+        if fields:
+            holders = [inner for field in fields for inner in _schemas_in(field.annotation)]
+        else:  # an index, a name that the user gives, or the kind of one of several schemas
+            holders = [h for h in holders if _is_of_kind(h, part)] or holders
+    return holders[0] if holders else None
+
+
+def _schemas_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [schema for inner in get_args(annotation) for schema in _schemas_in(inner)]
+
+
+def _is_of_kind(schema: type[BaseModel], kind: Any) -> bool:
+    annotations = [field.annotation for field in schema.model_fields.values()]
+    return any(get_origin(a) is Literal and kind in get_args(a) for a in annotations)

@@ -141,10 +141,10 @@ def design(model: RobotModel, settings: ExcitationSettings | None = None) -> Exc
         best = min(rough, key=lambda motion: condition(model, search.base, motion))
         period = round(best.period * rate) / rate
         search = replace(search, period=(period, period))
-        motion = _descend(search, best, rest, _FINE, _FINE_STEPS)
+        motion = replace(_descend(search, best, rest, _FINE, _FINE_STEPS), period=period)
     _require_speed(motion, model)
     return Excitation(
-        motion=replace(motion, period=period, periods=settings.periods),
+        motion=replace(motion, periods=settings.periods),
         condition=condition(model, search.base, motion),
         sample_rate=rate,
         limits=limits,

@@ -131,8 +131,11 @@ class Limits:
             ]
         )
         path = factor * path
+        free = 0.5 * _MARGIN * (self.upper - self.lower)
         offset = np.clip(
-            motion.offset, self.lower - path.min(axis=0), self.upper - path.max(axis=0)
+            motion.offset,
+            self.lower + free - path.min(axis=0),
+            self.upper - free - path.max(axis=0),
         )
         fitting = replace(
             motion, offset=offset, a=factor[:, None] * motion.a, b=factor[:, None] * motion.b
@@ -211,7 +214,7 @@ def peak_torque(model: RobotModel, motion: Fourier) -> Array:
 
 def _effort(model: RobotModel) -> Array:
     """Effort limits (n,) of the model file; infinite where it gives none, or 0 as many do."""
-    effort = np.array(model._model.effortLimit, dtype=float)
+    effort = model.torque_limits
     return np.where(effort > 0, effort, np.inf)
 
 

@@ -26,7 +26,7 @@ def peaks(motions: Sequence[Motion]) -> Array:
     return fastest
 
 
-def _slow(motions: Sequence[Motion]) -> Array:
+def slow_speeds(motions: Sequence[Motion]) -> Array:
     """Speed (n,) below which a joint's rows are dropped."""
     return np.minimum(SLOW, SLOW_SHARE * peaks(motions))
 
@@ -39,7 +39,7 @@ def stacked(motions: Sequence[Motion], model: RobotModel, base: tuple[int, ...])
         for name in ("q", "dq", "ddq", "tau")
     )
     rigid = model.regressor(q, dq, ddq)[:, :, list(base)]
-    slow = _slow(motions)
+    slow = slow_speeds(motions)
     blocks = []
     for joint in range(n):
         rows = np.abs(dq[:, joint]) > slow[joint]
@@ -73,7 +73,7 @@ def averaged(
     target = np.concatenate([0.5 * (pair.forward.tau + pair.backward.tau) for pair in pairs])
     forward = np.concatenate([pair.forward.dq for pair in pairs])
     backward = np.concatenate([pair.backward.dq for pair in pairs])
-    slow = _slow([*motions, *counterparts])
+    slow = slow_speeds([*motions, *counterparts])
     kept = (np.minimum(np.abs(forward), np.abs(backward)) > slow) & (forward * backward < 0)
     for joint, rows in zip(model.description.joints, kept.T, strict=True):
         if not np.any(rows):

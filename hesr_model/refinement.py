@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hesr_model.errors import ArtifactError
 from hesr_model.friction.law import FrictionModel
 from hesr_model.friction.records import predict_record
 from hesr_model.residual import friction_records
@@ -36,9 +37,17 @@ def identify_again(
 
     Raises
     ------
+    ArtifactError
+        If `friction` is not of these joints.
     HesrError
         As `identify` and `friction_records`.
     """
+    joints = tuple(model.description.joints)
+    if friction.joints != joints:
+        raise ArtifactError(
+            f"friction model '{friction.law}' is for the joints {', '.join(friction.joints)}; the "
+            f"robot has {', '.join(joints)}."
+        )
 
     def without_friction(log: RobotLog) -> RobotLog:
         records = friction_records(log, model, rigid_body)

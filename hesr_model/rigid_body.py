@@ -7,6 +7,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from hesr_model import physical as consistent
 from hesr_model.base_parameters import at_random_states, base_columns
@@ -259,9 +260,10 @@ def _per_joint(friction: Array, n: int) -> Array:
 
 def _consistent(body: RigidBody, blocks: Sequence[Block], model: RobotModel) -> RigidBody:
     """Replace an estimate by the physically consistent one from the same rows."""
-    found = consistent.fit(
-        blocks, model, body.base, rmse=body.rmse, weighted=body.weighting == "wls"
-    )
+    with threadpool_limits(1):
+        found = consistent.fit(
+            blocks, model, body.base, rmse=body.rmse, weighted=body.weighting == "wls"
+        )
     return replace(
         body,
         parameters=found.parameters,

@@ -207,6 +207,11 @@ class RobotModel:
                 speed[k] = fastest
         return lower, upper, speed
 
+    @property
+    def torque_limits(self) -> Array:
+        """Largest torques (n,) [N.m or N] that the model file gives; 0 where it gives none."""
+        return np.array(self._model.effortLimit, dtype=float)
+
     @cached_property
     def tree(self) -> tuple[JointFrame, ...]:
         """The joints' places in the kinematic tree, from base to tip."""

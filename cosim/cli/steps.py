@@ -45,6 +45,17 @@ def identify(
         Path | None,
         typer.Option(metavar="FILE", help="Refine: the rigid body that the law was fitted with."),
     ] = None,
+    payload: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Find the payload carried in the logs; FILE is the rigid body without it.",
+        ),
+    ] = None,
+    physical: Annotated[
+        bool,
+        typer.Option("--physical", help="Only bodies that can exist; pays on short logs."),
+    ] = False,
 ) -> None:
     """Identify the rigid body from logs.
 
@@ -52,6 +63,7 @@ def identify(
     """
     from cosim import tables
     from hesr_model.artifacts import provenance, read_model, read_rigid_body, write_rigid_body
+    from hesr_model.payload import identify_payload, loaded
     from hesr_model.refinement import identify_again
     from hesr_model.rigid_body import identify as identify_rigid_body
     from hesr_model.robot import RobotDescription, RobotModel
@@ -61,18 +73,37 @@ def identify(
         raise ConfigError(f"--method is '{method}'; allowed are 'stacked' and 'paper'.")
     if (friction is None) != (rigid_body is None):
         raise ConfigError("--friction and --rigid-body go together; only one of them was given.")
+    if payload is not None and (physical or friction is not None or method != "stacked"):
+        raise ConfigError(
+            "--payload does not go with --physical, --friction or --method paper; give it alone."
+        )
+    if physical and friction is not None:
+        raise ConfigError("--physical does not go with --friction; give one of them.")
     description = RobotDescription.read(robot)
     model = RobotModel(description)
     counterparts = reversed_logs or []
     forward = [RobotLog.read(log, description) for log in logs]
     backward = [RobotLog.read(log, description) for log in counterparts]
     files = [robot, description.model, *logs, *counterparts]
+    if payload is not None:
+        without = read_rigid_body(payload)
+        carried = identify_payload([*forward, *backward], model, without)
+        source = provenance(files=[*files, payload], payload=carried.to_dict())
+        write_rigid_body(output, loaded(without, carried, model), source)
+        centre = ", ".join(f"{c:.4f}" for c in carried.centre_of_mass)
+        typer.echo(
+            f"Payload of {carried.mass:.4g} +- {carried.standard_errors[0]:.2g} kg, centre of mass "
+            f"{centre} m in the frame of {description.joints[-1]}; written to {output}."
+        )
+        return
     if friction is not None and rigid_body is not None:
         law, body = read_model(friction), read_rigid_body(rigid_body)
         found = identify_again(forward, model, body, law, reversed_logs=backward)
         files += [friction, rigid_body]
     else:
-        found = identify_rigid_body(forward, model, method=method, reversed_logs=backward)
+        found = identify_rigid_body(
+            forward, model, method=method, reversed_logs=backward, physical=physical
+        )
     write_rigid_body(output, found, provenance(files=files))
     typer.echo(f"{tables.rigid_body(found)}\nwritten to {output}.")
 
@@ -116,7 +147,7 @@ def fit(
         )[law]
     write_model(output, model)
     _print_law(model)
-    typer.echo(f"written to {output}.")
+    typer.echo(f"{law} for {', '.join(model.joints)}; written to {output}.")
 
 
 @app.command()
@@ -142,11 +173,10 @@ def evaluate(
         missing = "friction model (.json)" if logs else "log (.csv or .parquet)"
         raise ConfigError(f"evaluate: no {missing} among the files; both kinds are needed.")
     models = [read_model(file) for file in law_files]
-    unique = len({model.law for model in models}) == len(models)
-    named = {
-        model.law if unique else file.stem: model
-        for file, model in zip(law_files, models, strict=True)
-    }
+    # By the law where that tells them apart, else by the file's name, else by its path.
+    namings = [[m.law for m in models], [f.stem for f in law_files], [str(f) for f in law_files]]
+    names = next((n for n in namings if len(set(n)) == len(n)), namings[-1])
+    named = dict(zip(names, models, strict=True))
     records, _, _ = read_records(logs, robot, rigid_body)
     scores = compare(records, {name: predict_model(m, records) for name, m in named.items()})
     _write_scores(scores, json_file)

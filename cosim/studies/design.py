@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from hesr_model.base_parameters import base_columns
 from hesr_model.config import read_toml
@@ -91,7 +92,9 @@ def design(robot: Path, output: Path, settings: Path | None = None) -> Design:
     except HesrError as error:
         raise type(error)(f"{settings or robot}: {error}") from error
     base = base_columns(model)
-    random = random_motions(model, chosen, _COMPARED, chosen.seed)
+    with threadpool_limits(1):  # these problems are so small that threads cost more than they save
+        random = random_motions(model, chosen, _COMPARED, chosen.seed)
+        conditions = [condition(model, base, motion) for motion in random]
     backward = output.with_stem(f"{output.stem}_reversed")
     picture = output.with_suffix(".png")
     t, q, dq, ddq = found.setpoints()
@@ -100,7 +103,7 @@ def design(robot: Path, output: Path, settings: Path | None = None) -> Design:
     figures.excitation(picture, found, model.description.joints)
     return Design(
         excitation=found,
-        random_condition=float(np.median([condition(model, base, motion) for motion in random])),
+        random_condition=float(np.median(conditions)),
         forward=output,
         backward=backward,
         picture=picture,

@@ -3,8 +3,9 @@
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,35 @@ Progress = Callable[[int, int], None]
 def _leave_interrupts_to_parent() -> None:
     """Let Ctrl-C be answered once, by the parent, which stops its workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """Hold Ctrl-C back, also in processes that are started meanwhile: they inherit that."""
+    if not hasattr(signal, "pthread_sigmask"):  # not on Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _workers(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Yield a pool of processes, which are stopped at once where the block fails."""
+    others = set(multiprocessing.active_children())
+    # Fresh processes: forking one that already runs BLAS or logging threads may dead-lock.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(count, context, initializer=_leave_interrupts_to_parent) as pool:
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in set(multiprocessing.active_children()) - others:
+                worker.terminate()
+            raise
 
 
 def fit_joint(
@@ -109,21 +139,20 @@ def fit_models(
                 fit_joint(registered[law], records[joint], seed=seed, options=settings.get(law)),
             )
     else:
-        # Fresh processes: forking one that already runs BLAS or logging threads may dead-lock.
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(count, context, initializer=_leave_interrupts_to_parent) as pool:
-            futures: dict[tuple[str, int], Future[FrictionLaw]] = {
-                (law, joint): pool.submit(
-                    fit_joint, registered[law], records[joint], seed=seed, options=settings.get(law)
-                )
-                for law, joint in jobs
-            }
-            try:
-                for (law, joint), future in futures.items():
-                    keep(law, joint, future.result())
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+        with _workers(count) as pool:
+            with _interrupts_held_back():
+                futures: dict[tuple[str, int], Future[FrictionLaw]] = {
+                    (law, joint): pool.submit(
+                        fit_joint,
+                        registered[law],
+                        records[joint],
+                        seed=seed,
+                        options=settings.get(law),
+                    )
+                    for law, joint in jobs
+                }
+            for (law, joint), future in futures.items():
+                keep(law, joint, future.result())
     joints = tuple(of_joint[0].joint for of_joint in records)
     periods = [float(np.median(np.diff(r.t))) for of_joint in records for r in of_joint]
     return {

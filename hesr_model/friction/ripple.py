@@ -32,6 +32,8 @@ MOST = 6
 """Orders that a joint gets at the most."""
 GAIN = 0.002
 """An order stays if it lowers the mean square on left-out logs by this share."""
+CHANCE = 18.0
+"""And by this many times what a row has: the best of so many orders and lags gains by chance."""
 LAG = Coefficient(name="lag", unit="s", description="lag of the torque behind the position")
 SMOOTHING = Coefficient(name="smoothing", unit="s", description="time constant over fast ripple")
 Times = tuple[float, float]
@@ -142,6 +144,7 @@ def select(
     folds : (N,) masks of the rows that are left out in turn.
     """
     tau = samples.tau
+    gain = max(GAIN, CHANCE / len(tau))
     chosen, times = Ripple(gear_ratio=gear_ratio, orders=()), _TIMES[0]
     columns, cost = base, left_out_cost(base, tau, folds)
 
@@ -157,7 +160,7 @@ def select(
             extended
             for order, at in ranked[:_ATTEMPTS]
             for extended in [replace(chosen, orders=(*chosen.orders, order))]
-            if left_out(extended, at) < (1.0 - GAIN) * cost
+            if left_out(extended, at) < (1.0 - gain) * cost
         )
         extended = next(better, None)
         if extended is None:

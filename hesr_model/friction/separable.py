@@ -17,7 +17,7 @@ from scipy.optimize import least_squares as minimise_squares
 
 from hesr_model.friction.evaluate import Array, step_coefficients
 from hesr_model.friction.functions import INPUTS, lowered
-from hesr_model.friction.law import LawForm
+from hesr_model.friction.law import Discretisation, LawForm
 from hesr_model.friction.samples import Samples, non_negative_least_squares
 
 
@@ -60,9 +60,17 @@ class Separable:
     form : the law's expressions.
     space : how its coefficients are searched.
     samples : rows of the joint.
+    discretisation : of the states.
     """
 
-    def __init__(self, form: LawForm, space: SearchSpace, samples: Samples) -> None:
+    def __init__(
+        self,
+        form: LawForm,
+        space: SearchSpace,
+        samples: Samples,
+        discretisation: Discretisation = "exact",
+    ) -> None:
+        self.discretisation = discretisation
         self.form = form
         self.space = space
         self.samples = samples
@@ -93,7 +101,7 @@ class Separable:
         relaxed = [np.broadcast_to(e, s.dq.shape) for e in self._states(*numbers, *inputs)]
         states: list[Array] = []
         for b, r in zip(relaxed[::2], relaxed[1::2], strict=True):
-            x = s.recurrence(*step_coefficients(b, r, s.dt, "exact"))
+            x = s.recurrence(*step_coefficients(b, r, s.dt, self.discretisation))
             states += [x, b - r * x]
         columns = np.empty((len(s.dq), len(self.space.linear)), order="F")
         for i, column in enumerate(self._columns(*numbers, *inputs, *states)):

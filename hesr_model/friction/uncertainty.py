@@ -36,6 +36,8 @@ def with_standard_errors(law: FrictionLaw, records: Sequence[FrictionRecord]) ->
     names, columns = [], []
     for name, value in law.values.items():
         step = _STEP * max(abs(value), 1e-3)
+        if value:  # laws divide by some of their coefficients, so none may become zero
+            step = min(step, 0.5 * abs(value))
         sides = [
             np.concatenate([predict_record(_moved(law, name, value + d), r) for r in records])
             for d in (step, -step)

@@ -228,13 +228,20 @@ def test_evaluate_pools_the_rows_of_all_logs(ran: Ran, tmp_path: Path, hesr: Hes
 def test_evaluate_names_models_of_one_law_by_their_files(
     ran: Ran, tmp_path: Path, hesr: Hesr
 ) -> None:
-    scores, other = tmp_path / "scores.json", tmp_path / "other.json"
-    other.write_bytes(ran.law("stribeck").read_bytes())
-    answer = hesr(
-        "evaluate", ran.log("trial"), ran.law("stribeck"), other, *ran.options, "--json", scores
-    )
-    assert answer.code == 0, answer.err
-    assert set(read(scores)["laws"]) == {"stribeck", "other"}
+    scores = tmp_path / "scores.json"
+    first = ran.law("stribeck")
+
+    def names(other: Path) -> set[str]:
+        other.parent.mkdir(exist_ok=True)
+        other.write_bytes(first.read_bytes())
+        answer = hesr("evaluate", ran.log("trial"), first, other, *ran.options, "--json", scores)
+        assert answer.code == 0, answer.err
+        return set(read(scores)["laws"])
+
+    assert names(tmp_path / "other.json") == {"stribeck", "other"}
+    # As two runs leave them.
+    same = tmp_path / "run2" / "stribeck.json"
+    assert names(same) == {str(first), str(same)}
 
 
 def test_evaluate_reads_parquet(ran: Ran, tmp_path: Path, hesr: Hesr) -> None:

@@ -254,11 +254,11 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
         (lambda d: d.update(joints=[]), "friction model 'parfam_h': 0 laws for 0 joints."),
         (
             lambda d: first(d)["structure"].update(linear=["1", "ddq"]),
-            "ParFam feature 'ddq' is unknown; known are 1, dq, h, dh.",
+            "ParFam feature 'ddq' is unknown; known are 1, dq, h, dh, h_load, h_bump.",
         ),
         (
             lambda d: first(d)["structure"].update(linear=[["h"]]),
-            "ParFam feature '['h']' is unknown; known are 1, dq, h, dh.",
+            "ParFam feature '['h']' is unknown; known are 1, dq, h, dh, h_load, h_bump.",
         ),
         (
             lambda d: first(d)["structure"].update(linear=["h", "h"]),
@@ -267,7 +267,7 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
         (
             lambda d: first(d)["structure"].update(depth=2),
             "ParFam structure has the keys ['depth', 'linear', 'units']; needed are 'linear' and "
-            "'units'.",
+            "'units', and 'state' and 'denominator' are allowed.",
         ),
         (
             lambda d: first(d)["structure"]["units"][0].update(g="tan"),

@@ -1,10 +1,11 @@
 """TOML files: what is read, and the sentence for each thing that can be wrong."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal, Self
 
 import pytest
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from hesr_model.config import Config, RelativePath, read_toml
 from hesr_model.errors import ConfigError
@@ -19,6 +20,27 @@ class Motion(Config):
     name: str
 
 
+class Circle(Config):
+    kind: Literal["circle"]
+    radius: float = 1.0
+
+
+class Square(Config):
+    kind: Literal["square"]
+    side: float = 1.0
+
+
+class Pair(Config):
+    low: int = 0
+    high: int = 1
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.low > self.high:
+            raise ValueError(f"low is {self.low}, more than high, which is {self.high}")
+        return self
+
+
 class Outer(Config):
     name: str
     count: int = 3
@@ -26,6 +48,9 @@ class Outer(Config):
     inner: Inner = Inner()
     motions: tuple[Motion, ...] = ()
     odd: int = 1
+    pair: Pair = Pair()
+    shapes: tuple[Annotated[Circle | Square, Field(discriminator="kind")], ...] = ()
+    named: Mapping[str, Inner] = {}
 
     @field_validator("odd")
     @classmethod
@@ -33,6 +58,15 @@ class Outer(Config):
         if value % 2 == 0:
             raise ValueError("an odd number is needed")
         return value
+
+    @model_validator(mode="after")
+    def _not_both(self) -> Self:
+        if self.motions and self.model:
+            raise ValueError("'motions' and 'model' exclude each other")
+        return self
+
+
+KEYS = "count, inner, model, motions, name, named, odd, pair, shapes"
 
 
 def read(folder: Path, text: str) -> Outer:
@@ -76,7 +110,12 @@ def test_what_was_read_cannot_be_changed(tmp_path: Path) -> None:
         ("", "key 'name' is missing."),
         (
             'name = "x"\nnmae = "y"',
-            "unknown key 'nmae'; allowed here: count, inner, model, motions, name, odd.",
+            f"unknown key 'nmae'; allowed here: {KEYS}.",
+        ),
+        # A misspelt key that is needed: that it is missing follows from it.
+        (
+            'nmae = "y"',
+            f"unknown key 'nmae'; allowed here: {KEYS}.",
         ),
         (
             'name = "x"\n[inner]\ngian = 2.0',
@@ -108,6 +147,22 @@ def test_what_was_read_cannot_be_changed(tmp_path: Path) -> None:
             "key 'inner.gain' is nan: Input should be a finite number.",
         ),
         ('name = "x"\nodd = 4', "key 'odd' is 4: an odd number is needed."),
+        (
+            'name = "x"\n[[shapes]]\nkind = "square"\nradius = 2.0',
+            "unknown key 'shapes.0.square.radius'; allowed here: kind, side.",
+        ),
+        (
+            'name = "x"\n[named.first]\ngain = 2.0\n[named.second]\ngian = 2.0',
+            "unknown key 'named.second.gian'; allowed here: gain, unit.",
+        ),
+        (
+            'name = "x"\n[pair]\nlow = 3',
+            "table 'pair': low is 3, more than high, which is 1.",
+        ),
+        (
+            'name = "x"\nmodel = "m.xml"\n[[motions]]\nname = "a"',
+            "'motions' and 'model' exclude each other.",
+        ),
         (
             'name = "x"\n[[motions]]\n',
             "key 'motions.0.name' is missing.",

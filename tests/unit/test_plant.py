@@ -404,7 +404,7 @@ def test_noise_of_a_sample_does_not_depend_on_its_neighbours(plant):
         ("torque = [1.5,", "torque = [-1.5,", "must not be negative"),
         ("seed = 1", "seed = 1\nsead = 2", "unknown key 'noise.sead'; allowed here: encoder, seed"),
         ("sample_rate = 200.0", "sample_rate = 0", "'sample_rate' is 0"),
-        ("[noise]", "[nois]", "key 'noise' is missing"),
+        ("[noise]", "[nois]", "unknown key 'nois'; allowed here: joints, model, noise,"),
     ],
 )
 def test_plant_file_that_is_wrong_is_refused_with_a_sentence(tmp_path, old, new, sentence):

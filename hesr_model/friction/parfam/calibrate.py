@@ -13,7 +13,8 @@ MEMORY = 1.0
 """Longest memory of h [s], 1 / alpha. A slower state follows the load instead of the reversals."""
 STEEPNESS = (1.0, 2000.0)
 """Bounds of beta times the joint's typical speed."""
-_LOG2 = float(np.log(2.0))
+COURSE = 200
+"""Rows after a reversal that are looked at."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,34 +80,64 @@ def distinct(cells: list[Cell], count: int) -> list[Cell]:
 def geometric(features: HysteresisFeatures) -> tuple[float, float]:
     """Return (alpha, beta) by the geometry of the loop, as the paper's stage 1 does.
 
-    The width of the loop is the speed at which friction changes sign after a reversal. Reached at
-    the acceleration of the reversal it is a time, the half-life of h, which gives alpha. The slope
-    of the torque over the speed at this crossing, relative to the level of sliding, gives beta.
+    The width of the loop is the time that friction takes to settle after a reversal, in the mean of
+    all reversals: the area between its course and where it settles, over the height. For h this is
+    1 / alpha. The slope of the torque over the speed where friction changes sign, relative to the
+    level of sliding, gives beta.
     """
     s = features.samples
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
     level = 0.5 * float(np.quantile(s.tau, 0.9) - np.quantile(s.tau, 0.1))
-    tau = s.tau - float(np.median(s.tau))
-    flips = np.flatnonzero((s.dq[:-1] * s.dq[1:] < 0.0) & ~s.begins[1:])
-    delays, slopes = [], []
-    for k in flips:
-        stop = min(k + 200, len(tau) - 1)
-        after = np.sign(s.dq[k + 1]) * tau[k + 1 : stop]
-        crossing = np.flatnonzero(after >= 0.0)
-        if len(crossing) and not s.begins[k + 1 : stop].any():
-            i = k + 1 + int(crossing[0])
-            delays.append(float(s.dt[k + 1 : i + 1].sum()))
-            step = s.dq[i] - s.dq[i - 1]
-            if step != 0.0:
-                slopes.append(abs(float((tau[i] - tau[i - 1]) / step)))
-    delay = float(np.median(delays)) if delays else 0.0
+    courses = _courses(features)
+    slopes = [slope for _, slope in courses if slope is not None]
     slope = float(np.median(slopes)) if slopes else 0.0
-    alpha = _LOG2 / delay if delay > 0.0 else alpha_high / 2.0
+    alpha = _settling_rate(features, [course for course, _ in courses])
     beta = slope / level if level > 0.0 else beta_low
     return (
         float(np.clip(alpha, alpha_low, 0.9 * alpha_high)),
         float(np.clip(beta, beta_low, beta_high)),
     )
+
+
+def _courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
+    """Torque after each reversal, positive along the motion, and its slope where it changes sign.
+
+    A course ends at the next reversal, at the end of the record, or after `COURSE` rows.
+    """
+    s = features.samples
+    tau = s.tau - float(np.median(s.tau))
+    flips = np.flatnonzero((s.dq[:-1] * s.dq[1:] < 0.0) & ~s.begins[1:])
+    ends = np.flatnonzero(np.append(s.begins[1:], True)) + 1
+    courses: list[tuple[Array, float | None]] = []
+    for k, following in zip(flips, np.append(flips[1:], len(tau) - 1), strict=True):
+        stop = min(int(following), k + 1 + COURSE, int(ends[np.searchsorted(ends, k + 1)]))
+        after = np.sign(s.dq[k + 1]) * tau[k + 1 : stop]
+        crossing = np.flatnonzero(after >= 0.0)
+        slope = None
+        if len(crossing):
+            i = k + 1 + int(crossing[0])
+            step = s.dq[i] - s.dq[i - 1]
+            slope = abs(float((tau[i] - tau[i - 1]) / step)) if step else None
+        courses.append((after, slope))
+    return courses
+
+
+def _settling_rate(features: HysteresisFeatures, courses: list[Array]) -> float:
+    """Return height over area [1/s] of the mean course after a reversal; 0 where there is none."""
+    s = features.samples
+    total, count = np.zeros(COURSE), np.zeros(COURSE)
+    for course in courses:
+        total[: len(course)] += course
+        count[: len(course)] += 1.0
+    # As far as half of the reversals go, so that the mean is one of many.
+    seen = count >= max(1.0, 0.5 * count[0])
+    mean = total[seen] / count[seen]
+    if len(mean) < 10:
+        return 0.0
+    way = np.abs(mean - mean[-(len(mean) // 10) :].mean())
+    start = int(np.argmax(way[: len(mean) // 4 + 1]))
+    area = float(way[start:].sum() * np.median(s.dt[~s.begins]))
+    return float(way[start]) / area if area > 0.0 else 0.0
 
 
 def _cubic(features: Array) -> Array:

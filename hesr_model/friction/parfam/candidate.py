@@ -46,16 +46,20 @@ class Candidate:
         """Return the same law in the one form in which it is printed.
 
         The gain is positive: a sign moves into the argument of an odd g, or becomes half a turn of
-        a periodic one that has an offset, which lies within (-pi, pi].
+        a cosine. The offset lies within a quarter turn of zero for sin, half a turn for cos.
         """
         theta, gain = self.theta.copy(), self.gain
+        if self.g == "sin" and self.theta_active[0]:
+            half_turns = np.round(theta[0] / np.pi)
+            theta[0] -= half_turns * np.pi
+            gain *= (-1.0) ** half_turns
         if self.g in ("tanh", "sin") and gain < 0.0:
             gain, theta = -gain, -theta
-        if self.g == "cos" and self.theta_active[0] and gain < 0.0:
-            gain, theta[0] = -gain, theta[0] + np.pi
-        if self.g in ("sin", "cos") and self.theta_active[0]:
+        if self.g == "cos" and self.theta_active[0]:
+            if gain < 0.0:
+                gain, theta[0] = -gain, theta[0] + np.pi
             theta[0] = np.pi - (np.pi - theta[0]) % (2.0 * np.pi)
-        return replace(self, theta=theta, gain=gain)
+        return replace(self, theta=theta, gain=float(gain))
 
     def torque(self, features: Array) -> Array:
         """Return the (N,) torque for (N, 4) features."""

@@ -1,17 +1,20 @@
 """ParFam-H: the paper's symbolic friction law, found in three stages."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 
 from hesr_model.errors import FitError
+from hesr_model.friction.audit import explodes
 from hesr_model.friction.estimator import Estimator, register
 from hesr_model.friction.law import Discretisation, FrictionLaw, LawForm
 from hesr_model.friction.parfam import calibrate, evolve, family, paper, refine
 from hesr_model.friction.parfam.calibrate import Cell
 from hesr_model.friction.parfam.candidate import Candidate
 from hesr_model.friction.parfam.features import HysteresisFeatures
+from hesr_model.friction.parfam.trial import UNIT_GAIN, Trial, choose, pose, with_unit
 from hesr_model.friction.samples import Samples
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.residual import FrictionRecord
@@ -36,6 +39,8 @@ class ParFamH(Estimator):
     discretisation : of the hysteresis state.
     cells, starts : how many (alpha, beta) and how many random starts for each of them and each g.
     candidates : how many laws of each g go into stage 3.
+    units : how many units g the law may have, 1 or 2.
+    denominator : whether a denominator is tried: slower, and it rarely helps.
     """
 
     name = "parfam_h"
@@ -51,6 +56,8 @@ class ParFamH(Estimator):
         cells: int = 10,
         starts: int = 16,
         candidates: int = 8,
+        units: int = 1,
+        denominator: bool = False,
     ) -> None:
         unknown = sorted(set(functions) - set(family.FUNCTIONS))
         if unknown:
@@ -69,6 +76,10 @@ class ParFamH(Estimator):
         for option, count in (("cells", cells), ("starts", starts), ("candidates", candidates)):
             if count < 1:
                 raise FitError(f"ParFam option '{option}' is {count}; needed is at least 1.")
+        if units not in (1, 2):
+            raise FitError(f"ParFam option 'units' is {units}; allowed are 1 and 2.")
+        self.units = units
+        self.denominator = denominator
         self.search = search
         self.functions = tuple(functions)
         self.discretisation = discretisation
@@ -88,8 +99,33 @@ class ParFamH(Estimator):
         found = (
             self._paper(features, rng) if self.search == "paper" else self._evolve(features, rng)
         )
-        chosen = refine.select(features, found, samples.folds, TrainedRange.of(records))
-        return chosen.canonical().law(self.name, self.discretisation)
+        trained = TrainedRange.of(records)
+        chosen = refine.select(features, found, samples.folds, trained)
+        law = chosen.canonical().law(self.name, self.discretisation)
+        return self._enlarged(law, features, trained, rng)
+
+    def _enlarged(
+        self,
+        law: FrictionLaw,
+        features: HysteresisFeatures,
+        trained: TrainedRange,
+        rng: np.random.Generator,
+    ) -> FrictionLaw:
+        """Add a second unit and a denominator where that is wanted and left-out logs gain."""
+        if self.units < 2 and not self.denominator:
+            return law
+        problem = pose(law.structure, features.samples, self.discretisation)
+        point = problem.point({name: law.values[name] for name in problem.space.names})
+        best = Trial(structure=law.structure, problem=problem, point=point)
+        if self.units > 1 and "alpha" in law.values:
+            columns = features.columns(law.values["alpha"], law.values["beta"])
+            more = with_unit(best, columns, self.functions, self.starts, rng)
+            best = choose([best, *(t for t in more if not explodes(t.law(), trained))], UNIT_GAIN)
+        if self.denominator and "alpha" in law.values:
+            rational = best.changed({**best.structure, "denominator": list(family.DIVISORS)}, {})
+            tame = [] if explodes(rational.law(), trained) else [rational]
+            best = choose([best, *tame], UNIT_GAIN)
+        return law if best.structure == law.structure else replace(best.law(), name=self.name)
 
     def _evolve(self, features: HysteresisFeatures, rng: np.random.Generator) -> list[Candidate]:
         tau = features.samples.tau

@@ -22,6 +22,9 @@ FEATURES = ("1", "dq", "h", "dh")
 LINEAR = (*FEATURES, "h_load", "h_bump")
 """Features of the linear part: also h |tau_load| and h exp(-(dq/v_s)^2)."""
 
+DIVISORS = ("dq", "h")
+"""Features of a denominator; h' is left out, since it has no bound that keeps the pole away."""
+
 STATES = ("paper", "generalised", "bristle")
 """Hysteresis states: that of eq. 9; one with memory in position beside it; LuGre's bristle."""
 
@@ -58,17 +61,23 @@ def argument_name(unit: int, feature: str) -> str:
     return f"theta{unit}_{_suffix(feature)}"
 
 
+def denominator_name(feature: str) -> str:
+    """Name of the coefficient of a feature in the denominator."""
+    return f"d_{_suffix(feature)}"
+
+
 def form(structure: Mapping[str, Any]) -> LawForm:
     """Return the expressions of a structure {"linear": [...], "units": [{"g", "arguments"}]}.
 
-    A third key "state" selects the hysteresis state: one of `STATES`, by default that of eq. 9.
+    Two further keys may stand: "state", one of `STATES`, by default that of eq. 9; "denominator",
+    features x of a denominator 1 + sum_i d_i x_i under the whole output.
 
     Raises
     ------
     ArtifactError
         If a feature, a function or a key is not of the family.
     """
-    linear, units, state = _checked(structure)
+    linear, units, state, below = _checked(structure)
     hysteresis, own = hysteresis_state(state)
     h, dh = hysteresis.state, hysteresis.derivative
     symbols = {
@@ -101,6 +110,16 @@ def form(structure: Mapping[str, Any]) -> LawForm:
         coefficients += [gain, *inner]
     if "h_bump" in linear and state != "bristle":
         coefficients.append(V_S)
+    divisors = [
+        Coefficient(
+            name=denominator_name(x), unit=_ARGUMENT_UNIT[x], description=f"{x} in the denominator"
+        )
+        for x in below
+    ]
+    output = output / sum(
+        (c.symbol * symbols[x] for c, x in zip(divisors, below, strict=True)), sympy.Integer(1)
+    )
+    coefficients += divisors
     if not output.free_symbols & {h, dh}:
         return LawForm(coefficients=tuple(coefficients), output=output)
     return LawForm(coefficients=(*coefficients, *own), relaxations=(hysteresis,), output=output)
@@ -136,11 +155,13 @@ _HYSTERESIS = (
 _ALPHA, _BETA = (c.symbol for c in _HYSTERESIS)
 
 
-def _checked(structure: Mapping[str, Any]) -> tuple[list[str], list[tuple[str, list[str]]], str]:
-    if not {"linear", "units"} <= set(structure) <= {"linear", "units", "state"}:
+def _checked(
+    structure: Mapping[str, Any],
+) -> tuple[list[str], list[tuple[str, list[str]]], str, list[str]]:
+    if not {"linear", "units"} <= set(structure) <= {"linear", "units", "state", "denominator"}:
         raise ArtifactError(
             f"ParFam structure has the keys {sorted(structure)}; needed are 'linear' and 'units', "
-            "and 'state' is allowed."
+            "and 'state' and 'denominator' are allowed."
         )
     state = structure.get("state", "paper")
     if state not in STATES:
@@ -153,10 +174,12 @@ def _checked(structure: Mapping[str, Any]) -> tuple[list[str], list[tuple[str, l
                 f"ParFam unit {dict(unit)} needs 'g' from {', '.join(FUNCTIONS)} and 'arguments'."
             )
         units.append((unit["g"], list(unit["arguments"])))
-    for features, known in ((linear, LINEAR), *((a, FEATURES) for _, a in units)):
+    below = list(structure.get("denominator", ()))
+    checks = ((linear, LINEAR), *((a, FEATURES) for _, a in units), (below, DIVISORS))
+    for features, known in checks:
         for feature in features:
             if feature not in known:
                 raise ArtifactError(
                     f"ParFam feature '{feature}' is unknown; known are {', '.join(known)}."
                 )
-    return linear, units, state
+    return linear, units, state, below

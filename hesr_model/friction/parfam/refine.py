@@ -15,7 +15,7 @@ from hesr_model.friction.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.friction.parfam.features import HysteresisFeatures
 from hesr_model.friction.samples import Rows
 from hesr_model.friction.trained import TrainedRange
-from hesr_model.friction.uncertainty import standard_errors
+from hesr_model.friction.uncertainty import correlation_length, standard_errors
 
 SIGNIFICANCE = 2.0
 """A coefficient stays if it differs from zero by this many standard errors."""
@@ -32,6 +32,8 @@ LONG, PRUNED, FOLD = 60, 12, 8
 """Evaluations to the end, after a coefficient was dropped, and with a fold left out."""
 HOPEFUL = 1.1
 """A candidate is refined to the end if its mean square is within this factor of the best one's."""
+ROUNDING = 1e-15
+"""Mean squares below this share of the torque's variance are zero."""
 SAME = 1e-6
 """Candidates whose mean squares agree to this are taken for the same law."""
 
@@ -59,15 +61,19 @@ def select(
     looked = list(found)
     for evaluations, keep in ROUNDS:
         looked = distinct([Refinement(features, k).run(evaluations)[0] for k in looked])[:keep]
-    hopeful = [k for k in looked if k.cost <= HOPEFUL * looked[0].cost]
-    finalists = [
-        k
-        for k in distinct([prune(features, k) for k in hopeful])
-        if not explodes(k.law("candidate", features.discretisation), trained)
-    ]
-    if not finalists:
-        raise FitError("every ParFam candidate explodes just outside the trained speeds.")
-    return min(finalists, key=lambda k: left_out_cost(features, k, folds))
+    best = looked[0].cost
+    hopeful = [k for k in looked if k.cost <= HOPEFUL * best]
+    # Should they all explode: the others, and linear laws, which hardly do.
+    linear = sorted((k for k in found if k.g is None), key=lambda k: k.cost)[:1]
+    for group in (hopeful, [k for k in looked if k.cost > HOPEFUL * best], linear):
+        finalists = [
+            k
+            for k in distinct([prune(features, k) for k in group])
+            if not explodes(k.law("candidate", features.discretisation), trained)
+        ]
+        if finalists:
+            return min(finalists, key=lambda k: left_out_cost(features, k, folds))
+    raise FitError("every ParFam candidate explodes just outside the trained speeds.")
 
 
 def distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -80,30 +86,49 @@ def distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
-    """Refine to the end, then drop insignificant coefficients, the least significant first."""
+    """Refine to the end, then drop insignificant coefficients, the least significant first.
+
+    A coefficient stays, however, without which the fit turns out worse than its significance says:
+    the problem is not linear, and the way to the optimum without it may be barred.
+    """
     refined, statistics = Refinement(features, candidate).run(LONG)
+    needed = np.zeros(11, bool)
     while True:
         removable = np.concatenate(
             [[False, False], refined.c_active, [False], refined.theta_active]
         ).astype(bool)
+        removable &= ~needed
+        if refined.theta_active.sum() == 1:
+            removable[7:] = False
         weakest = int(np.argmin(np.where(removable, statistics, np.inf)))
         if not removable.any() or statistics[weakest] >= SIGNIFICANCE:
             return refined
-        c_active, theta_active = refined.c_active.copy(), refined.theta_active.copy()
-        if weakest < 6:
-            c_active[weakest - 2] = False
-        elif theta_active.sum() > 1:
-            theta_active[weakest - 7] = False
+        smaller, its_statistics = Refinement(features, _without(refined, weakest)).run(PRUNED)
+        if smaller.cost <= _still_as_good(features, refined):
+            refined, statistics = smaller, its_statistics
         else:
-            return refined
-        smaller = replace(
-            refined,
-            c=refined.c * c_active,
-            theta=refined.theta * theta_active,
-            c_active=c_active,
-            theta_active=theta_active,
-        )
-        refined, statistics = Refinement(features, smaller).run(PRUNED)
+            needed[weakest] = True
+
+
+def _without(candidate: Candidate, coefficient: int) -> Candidate:
+    """Return the candidate without one coefficient, numbered as in `Refinement`."""
+    kept = np.arange(11) != coefficient
+    c_active, theta_active = candidate.c_active & kept[2:6], candidate.theta_active & kept[7:]
+    return replace(
+        candidate,
+        c=candidate.c * c_active,
+        theta=candidate.theta * theta_active,
+        c_active=c_active,
+        theta_active=theta_active,
+    )
+
+
+def _still_as_good(features: HysteresisFeatures, candidate: Candidate) -> float:
+    """Mean square up to which a fit with one coefficient less is not significantly worse."""
+    tau = features.samples.tau
+    residual = candidate.torque(features.columns(candidate.alpha, candidate.beta)) - tau
+    rise = SIGNIFICANCE**2 * correlation_length(residual) / len(tau)
+    return candidate.cost * (1.0 + rise) + ROUNDING * float(np.var(tau))
 
 
 def left_out_cost(

@@ -1,0 +1,222 @@
+"""How fast the product is. Figures are recorded, beside what was aimed at; none is a test.
+
+Run by `make benchmark`; `make test` leaves this folder out.
+"""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
+from threadpoolctl import threadpool_limits
+
+from cosim.component import Component
+from cosim.replay import replay
+from fmu_src import export_fmu, model_file
+from hesr_model.artifacts import read_model
+from hesr_model.friction.evaluate import predict
+from hesr_model.friction.fit import fit_joint
+from hesr_model.friction.parfam import paper, refine
+from hesr_model.friction.parfam.candidate import Candidate
+from hesr_model.friction.parfam.features import HysteresisFeatures
+from hesr_model.friction.samples import Samples
+from hesr_model.residual import FrictionRecord
+
+STEP, ROWS = 0.005, 4000
+
+HESR_RUN = """
+import json, resource, sys, time
+from cosim.cli import main
+start = time.perf_counter()
+try:
+    main()
+except SystemExit as ended:
+    code = ended.code
+kinds = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+print(json.dumps({
+    "code": code,
+    "seconds": time.perf_counter() - start,
+    "MB": [resource.getrusage(kind).ru_maxrss / 1024 for kind in kinds],
+    "CPU seconds": sum(resource.getrusage(kind).ru_utime for kind in kinds),
+}))
+"""
+
+
+Tell = Callable[[str], None]
+
+
+@pytest.fixture
+def tell(capsys: pytest.CaptureFixture[str]) -> Tell:
+    """Print a line past the capture: figures that the table of times has no column for."""
+
+    def line(text: str) -> None:
+        with capsys.disabled():
+            sys.stdout.write(f"\n{text}\n")
+
+    return line
+
+
+@pytest.fixture(scope="module")
+def data() -> FrictionRecord:
+    """Twenty seconds of joint 1 of Table I along a sweep, with the noise of its torque sensor."""
+    law = read_model(model_file("uf850-table1")).laws[0]
+    t = STEP * np.arange(ROWS)
+    dq = (0.75 + 0.45 * np.sin(2.0 * np.pi * t / 7.0)) * np.sin(
+        2.0 * np.pi * (0.1 * t + 0.35 * t**2 / (2.0 * t[-1]))
+    )
+    tau = predict(law, t=t, dq=dq) + 1.5 * np.random.default_rng(0).normal(size=ROWS)
+    zero = np.zeros(ROWS)
+    return FrictionRecord(log="sweep", joint="joint1", t=t, dq=dq, q=zero, tau_load=zero, tau=tau)
+
+
+@pytest.fixture(scope="module")
+def features(data: FrictionRecord) -> HysteresisFeatures:
+    samples = Samples.of([data], coefficients=11)
+    return HysteresisFeatures(samples=samples, discretisation="exact")
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("fmu")
+    return export_fmu(read_model(model_file("uf850-table1")), folder / "Friction.fmu")
+
+
+def candidate() -> Candidate:
+    return Candidate(
+        g="tanh",
+        alpha=11.0,
+        beta=200.0,
+        c=np.array([-2.0, 0.1, 16.0, -0.2]),
+        theta=np.array([0.06, 0.2, -0.6, 0.06]),
+        gain=38.0,
+        c_active=np.ones(4, bool),
+        theta_active=np.ones(4, bool),
+        cost=np.nan,
+    )
+
+
+def test_three_stage_fit_of_a_joint(
+    benchmark: BenchmarkFixture, data: FrictionRecord, tell: Tell
+) -> None:
+    """Aim: 1 s of CPU time at 4000 samples."""
+    benchmark.extra_info["aim"] = "1 s of CPU time"
+    start = time.process_time()
+    rounds = 3
+    law = benchmark.pedantic(
+        fit_joint, args=("parfam_h", [data]), kwargs={"seed": 0}, rounds=rounds, warmup_rounds=1
+    )
+    runs = rounds + 1 if benchmark.enabled else 1
+    seconds = (time.process_time() - start) / runs
+    benchmark.extra_info["CPU seconds"] = seconds
+    tell(f"three-stage fit of a joint: {seconds:.2f} s of CPU")
+    assert law.name == "parfam_h"
+
+
+@pytest.mark.parametrize("law", ["stribeck", "lugre"])
+def test_fit_of_a_classical_law(
+    benchmark: BenchmarkFixture, data: FrictionRecord, law: str
+) -> None:
+    fitted = benchmark.pedantic(fit_joint, args=(law, [data]), kwargs={"seed": 0}, rounds=3)
+    assert fitted.name == law
+
+
+def test_objective_with_gradient(benchmark: BenchmarkFixture, features: HysteresisFeatures) -> None:
+    """Aim: 75 us at 4000 samples (eq. 12 with one unit)."""
+    benchmark.extra_info["aim"] = "75 us"
+    x, tau = features.columns(11.0, 200.0), features.samples.tau
+    scale = np.concatenate([[1.0], x[:, 1:].std(axis=0)])
+    objective = paper.Objective("tanh", x / scale, tau, 1e-3, np.ones(9, bool))
+    point = np.random.default_rng(0).normal(size=9)
+    with threadpool_limits(1):
+        value, gradient = benchmark(objective, point)
+    assert np.isfinite(value)
+    assert gradient.shape == (9,)
+
+
+def test_residual_and_jacobian_of_the_last_stage(
+    benchmark: BenchmarkFixture, features: HysteresisFeatures
+) -> None:
+    problem = refine.Refinement(features, candidate())
+    point = problem.pack()
+    with threadpool_limits(1):
+        jacobian = benchmark(lambda: (problem.residual(point), problem.jacobian(point)))[1]
+    assert jacobian.shape == (ROWS, 11)
+
+
+def test_prediction_over_a_log(benchmark: BenchmarkFixture, data: FrictionRecord) -> None:
+    law = read_model(model_file("uf850-table1")).laws[0]
+    torque = benchmark(predict, law, t=data.t, dq=data.dq)
+    assert torque.shape == (ROWS,)
+
+
+def test_step_of_the_fmu(benchmark: BenchmarkFixture, fmu: Path) -> None:
+    """Known of another C FMU through FMPy: 0.94 us."""
+    with Component(fmu) as component:
+        component.initialise(start={"dq[1]": 0.3})
+        counter = iter(range(10**9))
+        benchmark(lambda: component.step(next(counter) * STEP, STEP))
+        assert component.get(["h[1]"])[0] != 0.0
+
+
+def test_set_step_get_of_the_fmu(benchmark: BenchmarkFixture, fmu: Path) -> None:
+    """Known of another C FMU through FMPy: 4.5 us."""
+    with Component(fmu) as component:
+        component.initialise()
+        inputs = component.batch([f"dq[{i}]" for i in (1, 2, 3)])
+        outputs = component.batch([f"tau[{i}]" for i in (1, 2, 3)])
+        counter = iter(range(10**9))
+
+        def sample() -> None:
+            inputs.values[:] = 0.3
+            inputs.write()
+            component.step(next(counter) * STEP, STEP)
+            outputs.read()
+
+        benchmark(sample)
+        assert np.all(np.isfinite(outputs.values))
+
+
+def test_replay_of_a_log(benchmark: BenchmarkFixture, fmu: Path, data: FrictionRecord) -> None:
+    dq = np.stack([data.dq] * 3, axis=1)
+    torque = benchmark.pedantic(replay, args=(fmu, data.t, dq), rounds=5, warmup_rounds=1)
+    assert torque.shape == (ROWS, 3)
+
+
+def test_export_for_this_platform(benchmark: BenchmarkFixture, fmu: Path, tmp_path: Path) -> None:
+    """After a first export, so that the compiler's own libraries are built."""
+    model = read_model(model_file("uf850-table1"))
+    path = benchmark.pedantic(
+        export_fmu, args=(model, tmp_path / "Friction.fmu"), rounds=3, warmup_rounds=1
+    )
+    assert path.read_bytes() == fmu.read_bytes()
+
+
+def test_help(benchmark: BenchmarkFixture) -> None:
+    """Aim: 0.3 s."""
+    benchmark.extra_info["aim"] = "0.3 s"
+    command = [sys.executable, "-c", "from cosim.cli import main; main()", "--help"]
+    result = benchmark.pedantic(
+        subprocess.run, args=(command,), kwargs={"capture_output": True}, rounds=5, warmup_rounds=1
+    )
+    assert result.returncode == 0
+
+
+def test_whole_default_run(benchmark: BenchmarkFixture, tmp_path: Path, tell: Tell) -> None:
+    """Aim: 60 s and at most 500 MB in any process."""
+    command = [sys.executable, "-c", HESR_RUN, "run", "-o", str(tmp_path / "results")]
+    result: subprocess.CompletedProcess[str] = benchmark.pedantic(
+        subprocess.run, args=(command,), kwargs={"capture_output": True, "text": True}, rounds=1
+    )
+    assert result.returncode == 0, result.stderr
+    measured = json.loads(result.stdout.splitlines()[-1])
+    assert measured["code"] == 0
+    benchmark.extra_info |= {"aim": "60 s, 500 MB a process", **measured}
+    tell(
+        f"default run: {measured['seconds']:.1f} s, {measured['CPU seconds']:.1f} s of CPU, "
+        f"at most {max(measured['MB']):.0f} MB in a process"
+    )

@@ -1,0 +1,862 @@
+"""What a user can get wrong, through the real command line.
+
+Each mistake ends with exit code 2, one sentence that names the file, the column or key and the row
+where it applies, no traceback, and nothing written.
+"""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_study import Hesr, contents, hesr_here, hesr_in_a_process, uf850, write_study
+
+from cosim.studies.excite import Motions, excite
+from fmu_src import export_fmu, model_file
+from fmu_src.arm.plant import Plant
+from hesr_model.artifacts import read_model, write_model, write_rigid_body
+from hesr_model.friction.fit import fit_models
+from hesr_model.residual import friction_records
+from hesr_model.rigid_body import identify
+from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.robot_log import RobotLog
+
+JOINTS = ("joint1", "joint2", "joint3")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """Files that are right, to be spoiled one at a time."""
+
+    folder: Path
+    robot: Path
+    rigid_body: Path
+    law: Path
+    fmu: Path
+    excitation: Path
+    log: Path
+    trial: Path
+
+    def command(
+        self, name: str, *, output: Path, log: Path | None = None, study: Path | None = None
+    ) -> list[object]:
+        """A command that works, or would if `log` were right; a study stands beside the output."""
+        log = log or self.log
+        if name == "run":
+            return ["run", self.study(study or output.parent, log), "-o", output]
+        common = ["--robot", self.robot, "--rigid-body", self.rigid_body]
+        return {
+            "identify": ["identify", log, "--robot", self.robot, "-o", output / "body.json"],
+            "fit": ["fit", log, *common, "--law", "stribeck", "-o", output / "law.json"],
+            "evaluate": ["evaluate", log, self.law, *common, "--json", output / "scores.json"],
+            "replay": ["replay", self.fmu, log, *common, "--json", output / "scores.json"],
+            "export": ["export", self.law, "-o", output / "Friction.fmu"],
+        }[name]
+
+    def study(self, folder: Path, log: Path, *, more: str = "") -> Path:
+        path = folder / "study.toml"
+        path.write_text(
+            f"name = 'bad'\nrobot = '{self.robot}'\nlaws = ['stribeck']\n{more}\n"
+            f"[logs]\nidentification = ['{self.excitation}']\nfriction = ['{log}']\n"
+            f"[logs.test]\nunseen = ['{self.trial}']\n",
+            encoding="utf-8",
+        )
+        return path
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    folder = tmp_path_factory.mktemp("bench")
+    write_study(folder)
+    logs = excite(Motions.read(folder / "motions.toml"), Plant.read(uf850("plant.toml")), folder)
+    robot = folder / "robot.toml"
+    text = uf850("robot.toml").read_text(encoding="utf-8")
+    robot.write_text(text.replace('"uf850.xml"', f'"{uf850("uf850.xml")}"'), encoding="utf-8")
+    description = RobotDescription.read(robot)
+    model = RobotModel(description)
+    read = {name: RobotLog.read(path, description) for name, path in logs.items()}
+    body = identify([read["excitation"]], model, reversed_logs=[read["excitation_reversed"]])
+    write_rigid_body(folder / "body.json", body, {})
+    records = [[r] for r in friction_records(read["sweep"], model, body)]
+    fitted = fit_models(["stribeck"], records, robot="uf850", seed=0, workers=1)["stribeck"]
+    write_model(folder / "law.json", fitted)
+    return Bench(
+        folder=folder,
+        robot=robot,
+        rigid_body=folder / "body.json",
+        law=folder / "law.json",
+        fmu=export_fmu(fitted, folder / "Friction.fmu"),
+        excitation=logs["excitation"],
+        log=logs["sweep"],
+        trial=logs["trial"],
+    )
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+@pytest.fixture
+def refused(hesr: Hesr, tmp_path: Path) -> Callable[..., str]:
+    """Run a command that must fail and return its sentence; what stood there must not change."""
+
+    def call(*arguments: object) -> str:
+        before = contents(tmp_path)
+        answer = hesr(*arguments)
+        assert answer.code == 2, answer
+        assert answer.out == ""
+        lines = answer.err.strip().splitlines()
+        assert len(lines) == 1, answer.err
+        assert lines[0].startswith("hesr: ")
+        sentence = lines[0].removeprefix("hesr: ")
+        assert sentence.endswith(".")
+        assert contents(tmp_path) == before
+        assert not list(tmp_path.rglob(".*"))
+        return sentence
+
+    return call
+
+
+# --- logs -------------------------------------------------------------------------------------
+
+Rows = list[list[str]]
+
+
+def cell(row: int, column: str, value: str) -> Callable[[Rows], None]:
+    """Set a cell; rows are counted as an editor does, the header being row 1."""
+
+    def change(rows: Rows) -> None:
+        rows[row - 1][rows[0].index(column)] = value
+
+    return change
+
+
+def without(*columns: str) -> Callable[[Rows], None]:
+    def change(rows: Rows) -> None:
+        kept = [k for k, name in enumerate(rows[0]) if name not in columns]
+        rows[:] = [[row[k] for k in kept] for row in rows]
+
+    return change
+
+
+def shifted(row: int, seconds: float) -> Callable[[Rows], None]:
+    """Move the time of a row and of all rows after it."""
+
+    def change(rows: Rows) -> None:
+        for line in rows[row - 1 :]:
+            line[0] = repr(float(line[0]) + seconds)
+
+    return change
+
+
+def fourth_joint(rows: Rows) -> None:
+    rows[:] = [[*row, name if k == 0 else "0.0"] for k, row in enumerate(rows) for name in ["q4"]]
+
+
+def in_milliseconds(rows: Rows) -> None:
+    for row in rows[1:]:
+        row[0] = repr(1e3 * float(row[0]))
+
+
+def few(rows: Rows) -> None:
+    """In the middle of the motion, so that every joint moves."""
+    rows[1:] = rows[700:719]
+
+
+LOG_FAULTS: dict[str, tuple[Callable[[Rows], object], str]] = {
+    "a missing column": (without("q2"), "column 'q2' is missing; it has t, q1, q3, dq1, dq2,"),
+    "no torque": (
+        without("tau1", "tau2", "tau3"),
+        "column 'tau1' (torque) or 'i1' (current) is missing; it has t, q1,",
+    ),
+    "no time": (without("t"), "column 't' is missing; it has q1,"),
+    "no velocity": (without("dq1", "dq2", "dq3"), "column 'dq1' is missing; it has t,"),
+    "NaN": (cell(17, "dq2", "nan"), "column 'dq2', row 17: an empty cell or NaN where a finite"),
+    "an empty cell": (cell(301, "tau3", ""), "column 'tau3', row 301: an empty cell or NaN where"),
+    "infinity": (cell(2, "q1", "inf"), "column 'q1', row 2: infinity where a finite number is"),
+    "minus infinity": (cell(40, "tau1", "-inf"), "column 'tau1', row 40: infinity where a finite"),
+    "text": (cell(99, "tau2", "high"), "column 'tau2', row 99: 'high' where a number is needed."),
+    "time that stands still": (
+        lambda rows: cell(52, "t", rows[50][0])(rows),
+        "column 't', row 52: time must increase, but",
+    ),
+    "time that goes back": (shifted(500, -0.5), "column 't', row 500: time must increase, but"),
+    "a gap": (
+        shifted(77, 0.06),
+        "column 't', row 77: a gap of 0.065 s; at most 10 sample periods of 0.005 s may be",
+    ),
+    "a short row": (lambda rows: rows[41].pop(), "row 42 has 9 cells; the header has 10 columns."),
+    "a long row": (
+        lambda rows: rows[41].append("1"),
+        "row 42 has 11 cells; the header has 10 columns.",
+    ),
+    "more joints than the robot": (
+        fourth_joint,
+        "has column 'q4', but the robot has 3 joints; name the columns one by one",
+    ),
+    "fewer joints than the robot": (
+        without("q3", "dq3", "tau3"),
+        "column 'q3' is missing; it has 2 joints, but the robot has 3.",
+    ),
+    "two columns of one name": (
+        cell(1, "q3", "q2"),
+        "column 'q2' stands twice; names must differ.",
+    ),
+    "time in milliseconds": (
+        in_milliseconds,
+        "column 't': rows are 5 s apart, but the robot file's sample_rate of 200 Hz means 0.005 s;",
+    ),
+    "a header alone": (lambda rows: rows.__delitem__(slice(1, None)), "has no rows of data below"),
+    "one row": (lambda rows: rows.__delitem__(slice(2, None)), "has 1 rows of data; at least 2"),
+    "a few rows": (few, "has 19 rows; a low pass at 15 Hz needs more than 41 at this rate."),
+}
+
+READERS = ("identify", "fit", "evaluate", "replay", "run")
+
+
+def spoiled(bench: Bench, folder: Path, change: Callable[[Rows], object]) -> Path:
+    text = bench.log.read_text(encoding="utf-8").replace('"', "")
+    rows = [line.split(",") for line in text.splitlines()]
+    change(rows)
+    path = folder / "spoiled.csv"
+    path.write_text("".join(",".join(row) + "\n" for row in rows), encoding="utf-8")
+    return path
+
+
+def test_commands_work_where_nothing_is_wrong(bench: Bench, hesr: Hesr, tmp_path: Path) -> None:
+    """Otherwise every test below could pass for a wrong reason."""
+    log = spoiled(bench, tmp_path, len)
+    for name in (*READERS, "export"):
+        output = tmp_path / f"output_{name}"
+        answer = hesr(*bench.command(name, output=output, log=log))
+        assert answer.code == 0, answer.err
+        assert contents(output)
+
+
+@pytest.mark.parametrize("command", READERS)
+@pytest.mark.parametrize("fault", LOG_FAULTS)
+def test_a_log_with(
+    fault: str, command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    change, expected = LOG_FAULTS[fault]
+    log = spoiled(bench, tmp_path, change)
+    arguments = bench.command(command, output=tmp_path / "output", log=log)
+    assert refused(*arguments).startswith(f"{log}: {expected}")
+
+
+@pytest.mark.parametrize("command", READERS)
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (None, "no such log file."),
+        (b"", "is empty; a log needs a header and rows of data."),
+        (b"\x00\xff\xfe\x89PNG", "cannot be read as CSV text."),
+    ],
+)
+def test_a_file_that_is_no_log(
+    content: bytes | None,
+    expected: str,
+    command: str,
+    bench: Bench,
+    refused: Callable[..., str],
+    tmp_path: Path,
+) -> None:
+    log = tmp_path / "log.csv"
+    if content is not None:
+        log.write_bytes(content)
+    arguments = bench.command(command, output=tmp_path / "output", log=log)
+    assert refused(*arguments) == f"{log}: {expected}"
+
+
+def test_a_parquet_file_that_is_none(
+    bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    log = tmp_path / "log.parquet"
+    log.write_bytes(b"PAR1 not really")
+    assert refused(*bench.command("fit", output=tmp_path / "o", log=log)) == (
+        f"{log}: cannot be read as Parquet."
+    )
+
+
+def rewritten(bench: Bench, folder: Path, change: Callable[[RobotLog], RobotLog]) -> Path:
+    """A log that is well formed, but of a motion that does not serve."""
+    log = RobotLog.read(bench.log, RobotDescription.read(bench.robot))
+    path = folder / "log.csv"
+    change(log).write(path)
+    return path
+
+
+def one_way(log: RobotLog) -> RobotLog:
+    """Joint 2 moves forwards all the time."""
+    q, dq = log.q.copy(), log.dq.copy()
+    q[:, 1] = np.linspace(-0.5, 1.0, len(log.t)) + 0.02 * np.sin(log.t)
+    dq[:, 1] = 1.5 / log.t[-1] + 0.02 * np.cos(log.t)
+    return replace(log, q=q, dq=dq)
+
+
+def constant(log: RobotLog) -> RobotLog:
+    """Joint 3 stands still."""
+    q, dq = log.q.copy(), log.dq.copy()
+    q[:, 2], dq[:, 2] = -1.9, 0.0
+    return replace(log, q=q, dq=dq)
+
+
+@pytest.mark.parametrize("command", ["fit", "run"])
+def test_a_log_without_a_velocity_reversal(
+    command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    log = rewritten(bench, tmp_path, one_way)
+    sentence = refused(*bench.command(command, output=tmp_path / "output", log=log))
+    assert re.match(r"log log: the velocity of joint 'joint2' never reverses between", sentence)
+
+
+def test_a_constant_joint_cannot_be_identified(
+    bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    log = rewritten(bench, tmp_path, constant)
+    sentence = refused(*bench.command("identify", output=tmp_path / "output", log=log))
+    assert sentence == (
+        f"{log}: the position of joint 'joint3' is constant (it moves by 0 rad); at least one log "
+        "must move it."
+    )
+
+
+@pytest.mark.parametrize("command", ["fit", "run"])
+def test_the_friction_of_a_constant_joint_cannot_be_fitted(
+    command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    log = rewritten(bench, tmp_path, constant)
+    sentence = refused(*bench.command(command, output=tmp_path / "output", log=log))
+    assert "joint 'joint3'" in sentence
+    assert "log" in sentence
+
+
+@pytest.mark.parametrize(
+    ("command", "rows", "expected"),
+    [
+        (
+            "identify",
+            18,
+            "log spoiled: 18 samples cannot determine 25 parameters; longer logs are needed.",
+        ),
+        ("fit", 10, "joint 'joint1': 10 rows for 11 coefficients; more data needed."),
+    ],
+)
+def test_fewer_samples_than_parameters(
+    command: str,
+    rows: int,
+    expected: str,
+    bench: Bench,
+    refused: Callable[..., str],
+    tmp_path: Path,
+) -> None:
+    """Few, slow rows of the whole motion, and a low pass that is content with them."""
+
+    def thin(lines: Rows) -> None:
+        lines[1:] = lines[1 :: len(lines) // rows][:rows]
+
+    log = spoiled(bench, tmp_path, thin)
+    robot = tmp_path / "robot.toml"
+    text = bench.robot.read_text(encoding="utf-8").replace("sample_rate = 200.0", "")
+    robot.write_text(text.replace("filter_cutoff = 15.0", "filter_cutoff = 0.45"))
+    arguments = replace(bench, robot=robot).command(command, output=tmp_path / "output", log=log)
+    arguments = ["parfam_h" if a == "stribeck" else a for a in arguments]
+    assert refused(*arguments) == expected
+
+
+# --- TOML files -------------------------------------------------------------------------------
+
+
+def toml_fault(
+    bench: Bench, folder: Path, old: str, new: str, *, source: Path, name: str
+) -> Path:  # fmt: skip
+    text = source.read_text(encoding="utf-8")
+    assert old in text
+    path = folder / name
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        (
+            "[log]",
+            '[log.units]\nq = "deg"\n[log]',
+            "key 'log.units.q' is 'deg': Input should be 'rad'.",
+        ),
+        (
+            "[log]",
+            '[log.units]\ntau = "mN.m"\n[log]',
+            "key 'log.units.tau' is 'mN.m': Input should be 'N.m'.",
+        ),
+        (
+            "[log]",
+            '[log.units]\nt = "ms"\n[log]',
+            "key 'log.units.t' is 'ms': Input should be 's'.",
+        ),
+        ("[log]", "[log]\nrate = 1.0", "unknown key 'log.rate'; allowed here: columns, "),
+        ("gravity", "gravitation", "unknown key 'gravitation'; allowed here: "),
+        ("sample_rate = 200.0", "sample_rate = -1.0", "key 'log.sample_rate' is -1.0: "),
+        ("sample_rate = 200.0", "sample_rate = nan", "key 'log.sample_rate' is nan: "),
+        ("sample_rate = 200.0", "sample_rate = 200.0.0", "not valid TOML ("),
+        ('name = "uf850"\n', "", "key 'name' is missing."),
+        (
+            "[log]",
+            "[log]\ntorque_per_ampere = [1.0, 2.0]",
+            "key 'log.torque_per_ampere' of robot 'uf850' has 2 entries; its 3 joints need one",
+        ),
+    ],
+)
+@pytest.mark.parametrize("command", ["identify", "fit", "run"])
+def test_a_robot_file_that_is_wrong(
+    command: str,
+    old: str,
+    new: str,
+    expected: str,
+    bench: Bench,
+    refused: Callable[..., str],
+    tmp_path: Path,
+) -> None:
+    robot = toml_fault(bench, tmp_path, old, new, source=bench.robot, name="robot.toml")
+    spoiled_bench = replace(bench, robot=robot)
+    sentence = refused(*spoiled_bench.command(command, output=tmp_path / "output"))
+    assert sentence.startswith(f"{robot}: {expected}")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ('"joint1", ', '"joint9", ', "has no joint 'joint9'; it has "),
+        ('"joint1", "joint2"', '"joint2", "joint1"', "the joints joint2, joint1, joint3 must be"),
+        ("uf850.xml", "none.xml", "no such model file."),
+        ("uf850.xml", "LICENSE.figures", "cannot be parsed as a URDF ("),
+    ],
+)
+def test_a_robot_that_does_not_fit_its_model(
+    old: str, new: str, expected: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    robot = toml_fault(bench, tmp_path, old, new, source=bench.robot, name="robot.toml")
+    sentence = refused(*replace(bench, robot=robot).command("fit", output=tmp_path / "output"))
+    model = new if new.endswith((".xml", ".figures")) else "uf850.xml"
+    assert sentence.startswith(f"{uf850(model)}: {expected}")
+
+
+def test_a_log_of_another_joint_count(
+    bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    """The log has three joints, the robot two."""
+    robot = toml_fault(
+        bench, tmp_path, '"joint2", "joint3"', '"joint2"', source=bench.robot, name="robot.toml"
+    )
+    text = robot.read_text(encoding="utf-8")
+    robot.write_text(re.sub(r"(?m)^gear_ratio.*$", "", text), encoding="utf-8")
+    sentence = refused(*replace(bench, robot=robot).command("identify", output=tmp_path / "o"))
+    assert sentence.startswith(f"{bench.log}: has column 'q3', but the robot has 2 joints;")
+
+
+STUDY_FAULTS = {
+    "an unknown key": ("seed = 3", "sead = 3", "unknown key 'sead'; allowed here: "),
+    "an unknown key in a table": (
+        "[twin]",
+        "[twin]\nplan = 1",
+        "unknown key 'twin.plan'; allowed here: motions, plant.",
+    ),
+    "no logs": ("[logs]", "[log]", "unknown key 'log'; allowed here: "),
+    "an unknown law": (
+        '["stribeck", "parfam_h"]',
+        '["lugree"]',
+        "key 'laws': law 'lugree' is unknown; known are ",
+    ),
+    "options of an unknown law": (
+        "[options.parfam_h]",
+        "[options.lugree]",
+        "key 'options.lugree': law 'lugree' is unknown; known are ",
+    ),
+    "an unknown option": (
+        "cells = 2",
+        "sells = 2",
+        "unknown key 'options.parfam_h.sells'; allowed here: search, functions, ",
+    ),
+    "an option of no use": (
+        "cells = 2",
+        "cells = 0",
+        "table 'options.parfam_h': ParFam option 'cells' is 0; needed is at least 1.",
+    ),
+    "a negative seed": ("seed = 3", "seed = -3", "key 'seed' is -3: "),
+    "a name that is no name": ('"small"', '"../small"', "key 'name' is '../small': "),
+    "a test set that is trained on": (
+        '["trial"]',
+        '["sweep"]',
+        "log 'sweep' of test set 'unseen' is also trained on",
+    ),
+    "a log that no motion gives": (
+        '["trial"]',
+        '["tiral"]',
+        "key 'logs' names 'tiral', which is no motion of ",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", STUDY_FAULTS)
+def test_a_study_with(
+    fault: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    old, new, expected = STUDY_FAULTS[fault]
+    study = write_study(tmp_path)
+    study = toml_fault(bench, tmp_path, old, new, source=study, name="study.toml")
+    sentence = refused("run", study, "-o", tmp_path / "output")
+    assert sentence.startswith(f"{study}: ")
+    assert expected in sentence
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "expected"),
+    [
+        (
+            "motions.toml",
+            "harmonics = 5",
+            "harmonic = 5",
+            "unknown key 'motions.0.fourier.harmonic'; allowed here: also_reversed, harmonics, ",
+        ),
+        ("motions.toml", 'kind = "sweep"', 'kind = "swoop"', "'swoop'"),
+        ("motions.toml", "period = 6.0", "period = -6.0", "period' is -6.0"),
+        ("plant.toml", "[noise]", "[nose]", "unknown key 'nose'; allowed here: joints, "),
+        ("plant.toml", "seed = 1", "seed = 1\nlevel = 2", "noise.level"),
+    ],
+)
+def test_a_file_of_the_twin_that_is_wrong(
+    file: str,
+    old: str,
+    new: str,
+    expected: str,
+    bench: Bench,
+    refused: Callable[..., str],
+    tmp_path: Path,
+) -> None:
+    study = write_study(tmp_path)
+    source = tmp_path / file if file == "motions.toml" else uf850(file)
+    path = toml_fault(bench, tmp_path, old, new, source=source, name=file)
+    text = study.read_text(encoding="utf-8")
+    study.write_text(text.replace(str(uf850("plant.toml")), str(path), file == "plant.toml"))
+    sentence = refused("run", study, "-o", tmp_path / "output")
+    assert sentence.startswith(f"{path}: ")
+    assert expected in sentence
+
+
+@pytest.mark.parametrize("key", ["robot", "plant", "motions"])
+def test_a_study_that_names_a_missing_file(
+    key: str, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    study = write_study(tmp_path)
+    text = study.read_text(encoding="utf-8")
+    study.write_text(re.sub(rf'(?m)^{key} = ".*"$', f'{key} = "none.toml"', text))
+    sentence = refused("run", study, "-o", tmp_path / "output")
+    assert sentence == f"{tmp_path / 'none.toml'}: no such file."
+
+
+def test_a_missing_study(refused: Callable[..., str], tmp_path: Path) -> None:
+    assert refused("run", tmp_path / "none.toml") == f"{tmp_path / 'none.toml'}: no such file."
+
+
+# --- laws and platforms -----------------------------------------------------------------------
+
+
+def test_an_unknown_law_is_named_with_those_that_there_are(
+    bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    arguments = bench.command("fit", output=tmp_path / "output")
+    arguments[arguments.index("stribeck")] = "lugree"
+    expected = r"law 'lugree' is unknown; known are .*stribeck.*\."
+    assert re.fullmatch(expected, refused(*arguments))
+
+
+@pytest.mark.parametrize("command", ["export", "run"])
+def test_an_unknown_platform(
+    command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    arguments = bench.command(command, output=tmp_path / "output")
+    assert refused(*arguments, "--platform", "solaris") == (
+        "platform 'solaris' is unknown; known are linux64, win64, darwin64, aarch64-linux and "
+        "'all'."
+    )
+
+
+def test_an_fmu_of_another_name(bench: Bench, refused: Callable[..., str], tmp_path: Path) -> None:
+    output = tmp_path / "Friction.zip"
+    assert refused("export", bench.law, "-o", output) == (
+        f"{output}: the name of an FMU ends in .fmu."
+    )
+
+
+def test_an_unknown_method(bench: Bench, refused: Callable[..., str], tmp_path: Path) -> None:
+    arguments = bench.command("identify", output=tmp_path / "output")
+    assert refused(*arguments, "--method", "guess") == (
+        "--method is 'guess'; allowed are 'stacked' and 'paper'."
+    )
+
+
+def test_a_counterpart_that_is_none(
+    bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    arguments = bench.command("identify", output=tmp_path / "output")
+    assert refused(*arguments, "--method", "paper").startswith(
+        "1 logs come with 0 time-reversed ones"
+    )
+    sentence = refused(*arguments, "--method", "paper", "--reversed", bench.excitation)
+    assert sentence.startswith("log excitation: is not the time-reversed counterpart of sweep;")
+
+
+# --- artifacts --------------------------------------------------------------------------------
+
+
+def changed_json(path: Path, folder: Path, **values: object) -> Path:
+    data = json.loads(path.read_text(encoding="utf-8"))
+    data.update(values)
+    changed = folder / path.name
+    changed.write_text(json.dumps(data), encoding="utf-8")
+    return changed
+
+
+def test_a_model_in_the_place_of_a_rigid_body_and_the_other_way_round(
+    bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    swapped = replace(bench, rigid_body=bench.law, law=bench.rigid_body)
+    for command in ("fit", "replay"):
+        assert refused(*swapped.command(command, output=tmp_path / "output")) == (
+            f"{bench.law}: 'format' is 'hesr-friction-model-1', needed is 'hesr-rigid-body-1'."
+        )
+    for command in ("evaluate", "export"):
+        assert refused(*swapped.command(command, output=tmp_path / "output")) == (
+            f"{bench.rigid_body}: 'format' is 'hesr-rigid-body-1', needed is "
+            "'hesr-friction-model-1'."
+        )
+
+
+@pytest.mark.parametrize("content", ["", "{", "[1, 2]", "null"])
+@pytest.mark.parametrize("command", ["fit", "evaluate", "replay"])
+def test_a_rigid_body_that_is_no_artifact(
+    command: str, content: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    path = tmp_path / "body.json"
+    path.write_text(content)
+    arguments = replace(bench, rigid_body=path).command(command, output=tmp_path / "output")
+    sentence = refused(*arguments)
+    assert sentence.startswith(
+        (f"{path}: not a readable JSON file (", f"{path}: 'format' is None, needed is ")
+    )
+
+
+@pytest.mark.parametrize("command", ["evaluate", "export"])
+def test_a_model_of_an_unknown_law(
+    command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    data = json.loads(bench.law.read_text(encoding="utf-8"))
+    for joint in data["joints"]:
+        joint["law"] = "lugree"
+    path = changed_json(bench.law, tmp_path, joints=data["joints"])
+    arguments = replace(bench, law=path).command(command, output=tmp_path / "output")
+    assert refused(*arguments).startswith(f"{path}: law 'lugree' is unknown; known are ")
+
+
+def test_artifacts_that_are_missing(
+    bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    for key, command in (
+        ("rigid_body", "fit"),
+        ("law", "evaluate"),
+        ("law", "export"),
+    ):
+        missing = tmp_path / "none.json"
+        arguments = replace(bench, **{key: missing}).command(command, output=tmp_path / "output")
+        assert refused(*arguments) == f"{missing}: no such file."
+
+
+def test_a_model_for_other_joints(
+    bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    data = json.loads(bench.law.read_text(encoding="utf-8"))
+    for joint, name in zip(data["joints"], ("a", "b", "c"), strict=True):
+        joint["joint"] = name
+    path = changed_json(bench.law, tmp_path, joints=data["joints"])
+    sentence = refused(*replace(bench, law=path).command("evaluate", output=tmp_path / "output"))
+    assert sentence == (
+        "friction model 'stribeck' is for the joints a, b, c; the robot has joint1, joint2, joint3."
+    )
+
+
+def test_a_rigid_body_of_another_robot(
+    bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    data = json.loads(bench.rigid_body.read_text(encoding="utf-8"))
+    parameters = {name.replace("joint", "axis"): v for name, v in data["parameters"].items()}
+    base = [name.replace("joint", "axis") for name in data["base"]]
+    path = changed_json(bench.rigid_body, tmp_path, parameters=parameters, base=base)
+    sentence = refused(*replace(bench, rigid_body=path).command("fit", output=tmp_path / "output"))
+    assert sentence.startswith("the rigid body of 'uf850' with 33 parameters does not fit robot")
+
+
+def test_evaluate_needs_both_logs_and_models(
+    bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    options = ["--robot", bench.robot, "--rigid-body", bench.rigid_body]
+    assert "no friction model (.json) among" in refused("evaluate", bench.log, *options)
+    assert "no log (.csv or .parquet) among" in refused("evaluate", bench.law, *options)
+
+
+# --- FMUs -------------------------------------------------------------------------------------
+
+
+def test_files_that_are_no_fmus(bench: Bench, refused: Callable[..., str], tmp_path: Path) -> None:
+    missing = tmp_path / "none.fmu"
+    for path in (missing, bench.log):
+        arguments = replace(bench, fmu=path).command("replay", output=tmp_path / "output")
+        assert refused(*arguments).startswith(f"{path}: ")
+
+
+def test_an_fmu_for_another_number_of_joints(
+    bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    whole = read_model(model_file("uf850-table1"))
+    model = replace(
+        whole, joints=whole.joints[:2], laws=whole.laws[:2], trained=whole.trained[:2]
+    )  # fmt: skip
+    fmu = export_fmu(model, tmp_path / "Two.fmu")
+    sentence = refused(*replace(bench, fmu=fmu).command("replay", output=tmp_path / "output"))
+    assert sentence.startswith(f"{fmu}: ")
+    assert "2 joints" in sentence
+
+
+# --- where nothing can be written -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", [*READERS, "export"])
+def test_a_folder_below_a_regular_file(
+    command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    """Not a matter of permissions, which root has everywhere."""
+    blocking = tmp_path / "file"
+    blocking.write_text("mine")
+    output = blocking / "output"
+    sentence = refused(*bench.command(command, output=output, study=tmp_path))
+    assert re.match(
+        rf"{re.escape(str(output))}\S*: cannot be written there \(Not a directory\)\.", sentence
+    )
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="this system has no /proc")
+@pytest.mark.parametrize("command", [*READERS, "export"])
+def test_a_file_system_that_takes_no_files(
+    command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    output = Path("/proc/hesr")
+    sentence = refused(*bench.command(command, output=output, study=tmp_path))
+    assert sentence.startswith("/proc/hesr")
+    assert ": cannot be written there (" in sentence
+
+
+@pytest.mark.parametrize("command", ["identify", "fit", "evaluate", "export"])
+def test_a_folder_in_the_place_of_the_output(
+    command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    arguments = bench.command(command, output=tmp_path)
+    Path(str(arguments[-1])).mkdir()
+    assert refused(*arguments) == f"{arguments[-1]}: cannot be written there (Is a directory)."
+
+
+# --- a process of its own ---------------------------------------------------------------------
+
+
+def test_the_installed_command_answers_the_same(bench: Bench, tmp_path: Path) -> None:
+    log = spoiled(bench, tmp_path, cell(17, "dq2", "nan"))
+    for command in ("identify", "run"):
+        arguments = bench.command(command, output=tmp_path / "o", log=log)
+        before = contents(tmp_path)
+        answer = hesr_in_a_process(*arguments)
+        assert (answer.code, answer.out) == (2, "")
+        assert answer.err.strip() == (
+            f"hesr: {log}: column 'dq2', row 17: an empty cell or NaN where a finite number is "
+            "needed."
+        )
+        assert contents(tmp_path) == before
+
+
+def wait_for(what: Callable[[], object], process: subprocess.Popen[str]) -> None:
+    for _ in range(3000):
+        if what():
+            return
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.01)
+    raise AssertionError("nothing happened for half a minute")
+
+
+def running(group: int) -> list[str]:
+    """Processes of a group, without those that have ended and wait to be forgotten."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            # After the name, which stands in brackets: state, parent, group.
+            state, _, of_group = status.read_text().rpartition(")")[2].split()[:3]
+            if int(of_group) == group and state not in "ZX":
+                found.append(status.parent.name)
+    return found
+
+
+@pytest.mark.skipif(os.name != "posix", reason="interrupts are sent to a group of processes")
+@pytest.mark.parametrize("after", [0.05, 0.6, 3.0])
+def test_an_interrupt_ends_a_run_quietly_and_at_once(after: float, tmp_path: Path) -> None:
+    """Ctrl-C reaches the command and its workers alike, here while they fit for minutes."""
+    study = write_study(tmp_path)
+    text = study.read_text(encoding="utf-8")
+    assert "starts = 4\n" in text
+    study.write_text(text.replace("cells = 2", "cells = 50").replace("starts = 4", "starts = 3000"))
+    results, temporary = tmp_path / "results", tmp_path / "tmp"
+    temporary.mkdir()
+    results.mkdir()
+    (results / "evaluation.json").write_text("old")
+    before = contents(tmp_path)
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            *("-c", "from cosim.cli import main; main()", "run", str(study), "-o", str(results)),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env=os.environ | {"TMPDIR": str(temporary)},
+    )
+    try:
+        # Written just before the fits begin.
+        wait_for(lambda: list(results.glob(".hesr-*/rigid_body.json")), process)
+        time.sleep(after)
+        os.killpg(process.pid, signal.SIGINT)
+        start = time.monotonic()
+        out, err = process.communicate(timeout=30)
+        taken = time.monotonic() - start
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+    assert process.returncode == 130
+    assert out == ""
+    assert "Traceback" not in err
+    assert len(err.strip().splitlines()) <= 1
+    assert taken < 10.0
+    assert contents(tmp_path) == before
+    assert not list(temporary.iterdir())
+    for _ in range(100):
+        if not (left := running(process.pid)):
+            break
+        time.sleep(0.05)
+    assert not left

@@ -1,0 +1,306 @@
+"""Scores: what is compared, with which certainty, and that an FMU scores as its model does."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.scoring import (
+    MEASURES,
+    by_joint,
+    compare,
+    inputs_of,
+    predict_fmu,
+    predict_model,
+    within,
+)
+from cosim.tables import comparison, ratios
+from fmu_src import export_fmu
+from hesr_model.errors import ArtifactError, ConfigError, SimulationError
+from hesr_model.friction.estimator import estimator
+from hesr_model.friction.evaluate import predict
+from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.metrics import rmse
+from hesr_model.residual import FrictionRecord
+
+BRISTLE = {
+    "linear": ["1", "dq", "h", "h_load"],
+    "units": [],
+    "state": "bristle",
+    "ripple": {"gear_ratio": 101.0, "orders": [2]},
+}
+BRISTLE_VALUES = {
+    "c_0": 0.4, "c_dq": 5.0, "c_h": 9.0, "c_h_load": 0.2, "kappa": 40.0, "rho": 1.3, "v_s": 0.1,
+    "ripple2_cos": 0.5, "ripple2_sin": -0.3, "lag": 3e-3, "smoothing": 1e-3,
+}  # fmt: skip
+STRIBECK_VALUES = {"F_c": 6.0, "F_s": 9.0, "v_s": 0.1, "sigma_2": 4.0, "tau_0": -0.3}
+
+
+def law(name: str, structure: Mapping[str, object], values: Mapping[str, float]) -> FrictionLaw:
+    form = estimator(name).form(structure)
+    return FrictionLaw(name=name, structure=structure, form=form, values=values)
+
+
+def bristle(*, start_samples: int = 5) -> FrictionLaw:
+    return replace(law("parfam_hx", BRISTLE, BRISTLE_VALUES), start_samples=start_samples)
+
+
+def stribeck() -> FrictionLaw:
+    return law("stribeck", {}, STRIBECK_VALUES)
+
+
+def model_of(*laws: FrictionLaw) -> FrictionModel:
+    joints = tuple(f"j{k}" for k, _ in enumerate(laws, start=1))
+    return FrictionModel(law="made", robot="bench", joints=joints, laws=laws, sample_time=0.008)
+
+
+def record(joint: str, seed: int, rows: int = 700) -> FrictionRecord:
+    """Rows of uneven time steps; the torque is that of a bristle which is bent at the start."""
+    rng = np.random.default_rng(seed)
+    t = 3.0 + np.cumsum(rng.uniform(0.005, 0.011, rows))
+    phase = rng.uniform(0.0, 2.0 * np.pi)
+    dq = 0.7 * np.sin(1.9 * t + phase) + 0.2 * np.sin(6.0 * t)
+    dq[:20] = 0.0
+    q = np.cumsum(dq) * 0.008
+    load = 12.0 * np.cos(0.8 * t)
+    tau = predict(bristle(), t=t, dq=dq, q=q, tau_load=load, start=(-0.7,))
+    tau += 0.2 * rng.normal(size=rows)
+    return FrictionRecord(log=f"log{seed}", joint=joint, t=t, dq=dq, q=q, tau_load=load, tau=tau)
+
+
+@pytest.fixture(scope="module")
+def records() -> list[list[FrictionRecord]]:
+    """Two joints, two logs; the joints of a log share its time stamps."""
+    logs = []
+    for seed in (0, 1):
+        first = record("j1", seed)
+        logs.append([first, replace(first, joint="j2", dq=-0.8 * first.dq, tau=-first.tau)])
+    return by_joint(logs)
+
+
+# --- comparing --------------------------------------------------------------------------------
+
+
+def wrong_by(
+    records: list[list[FrictionRecord]], size: float, seed: int, memory: float = 0.9
+) -> list[list[np.ndarray]]:
+    """Predictions whose errors have this RMSE and a memory of several rows."""
+    from scipy.signal import lfilter
+
+    rng = np.random.default_rng(seed)
+    scale = size * np.sqrt(1.0 - memory**2)
+    return [
+        [r.tau + lfilter([scale], [1.0, -memory], rng.normal(size=len(r.tau))) for r in of_joint]
+        for of_joint in records
+    ]
+
+
+def test_the_interval_of_a_ratio_contains_the_truth() -> None:
+    """Errors of known size, many times over: about 95 of 100 intervals hold the true ratio."""
+    rows = [[record("j1", 0, rows=2500), record("j1", 1, rows=2500)]]
+    held, widths = [], []
+    for seed in range(40):
+        lugre, other = wrong_by(rows, 1.0, 2 * seed), wrong_by(rows, 0.7, 2 * seed + 1)
+        (found,) = compare(rows, {"lugre": lugre, "other": other}).ratios["other"]
+        held.append(found.low <= 0.7 <= found.high)
+        widths.append(found.high - found.low)
+        assert found.low < found.value < found.high
+    assert np.mean(held) >= 0.85
+    assert np.mean(widths) < 0.3
+
+
+def test_ratios_are_taken_to_lugre_or_else_to_the_first_law(
+    records: list[list[FrictionRecord]],
+) -> None:
+    wrong = {name: wrong_by(records, size, k) for k, (name, size) in
+             enumerate({"stribeck": 2.0, "lugre": 1.0, "parfam_h": 0.8}.items())}  # fmt: skip
+    scores = compare(records, wrong)
+    assert scores.reference == "lugre"
+    assert set(scores.ratios) == {"stribeck", "parfam_h"}
+    for joint in range(2):
+        for name, row in scores.ratios.items():
+            errors = [score[joint].rmse for score in (scores.laws[name], scores.laws["lugre"])]
+            assert row[joint].value == pytest.approx(errors[0] / errors[1], rel=1e-12)
+    del wrong["lugre"]
+    assert compare(records, wrong).reference == "stribeck"
+    assert compare(records, {"parfam_h": wrong["parfam_h"]}).ratios == {}
+
+
+def test_scores_pool_the_logs_of_a_joint(records: list[list[FrictionRecord]]) -> None:
+    wrong = wrong_by(records, 1.0, 0)
+    scores = compare(records, {"made": wrong})
+    assert scores.joints == ("j1", "j2")
+    for joint, (of_joint, predicted) in enumerate(zip(records, wrong, strict=True)):
+        pooled = np.concatenate([p - r.tau for r, p in zip(of_joint, predicted, strict=True)])
+        assert scores.laws["made"][joint].rmse == pytest.approx(rmse(pooled), rel=1e-12)
+
+
+def test_a_comparison_is_json(records: list[list[FrictionRecord]]) -> None:
+    scores = compare(
+        records, {"lugre": wrong_by(records, 1.0, 0), "other": wrong_by(records, 0.5, 1)}
+    )
+    data = json.loads(json.dumps(scores.to_json(), allow_nan=False))
+    assert data["joints"] == ["j1", "j2"]
+    assert set(data["laws"]) == {"lugre", "other"}
+    for of_law in data["laws"].values():
+        assert set(of_law) == set(MEASURES)
+        assert all(len(values) == 2 for values in of_law.values())
+    assert data["ratios"]["reference"] == "lugre"
+    for entry in data["ratios"]["laws"]["other"]:
+        assert entry["low"] < entry["value"] < entry["high"]
+    assert scores.to_json() == compare(
+        records, {"lugre": wrong_by(records, 1.0, 0), "other": wrong_by(records, 0.5, 1)}
+    ).to_json()  # fmt: skip
+
+
+def test_records_turn_from_logs_to_joints_and_back(records: list[list[FrictionRecord]]) -> None:
+    assert [[r.joint for r in of_joint] for of_joint in records] == [["j1", "j1"], ["j2", "j2"]]
+    assert by_joint(by_joint(records)) == records
+
+
+# --- bands ------------------------------------------------------------------------------------
+
+
+def test_bands_divide_the_rows(records: list[list[FrictionRecord]]) -> None:
+    """Time counts from the beginning of each log, whatever the log's own time says."""
+    wrong = wrong_by(records, 1.0, 0)
+    middle = 2.0
+    bands = [within(records, wrong, *band) for band in ((0.0, middle), (middle, 1e9))]
+    for joint in range(2):
+        for log in range(2):
+            whole = records[joint][log]
+            since = whole.t - whole.t[0]
+            parts = [rows[joint][log] for rows, _ in bands]
+            assert [len(p.t) for p in parts] == [(since < middle).sum(), (since >= middle).sum()]
+            np.testing.assert_array_equal(np.concatenate([p.tau for p in parts]), whole.tau)
+            np.testing.assert_array_equal(
+                np.concatenate([torques[joint][log] for _, torques in bands]), wrong[joint][log]
+            )
+
+
+def test_a_band_is_scored_on_its_own_rows(records: list[list[FrictionRecord]]) -> None:
+    """An error that is only in the second half is not seen in the first."""
+    wrong = [
+        [r.tau + np.where(r.t - r.t[0] < 2.0, 0.1, 1.0) for r in of_joint] for of_joint in records
+    ]
+    for band, expected in (((0.0, 2.0), 0.1), ((2.0, 1e9), 1.0)):
+        rows, torques = within(records, wrong, *band)
+        for score in compare(rows, {"made": torques}).laws["made"]:
+            assert score.rmse == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_log_that_ends_before_a_band_is_left_out_of_it(
+    records: list[list[FrictionRecord]],
+) -> None:
+    wrong = wrong_by(records, 1.0, 0)
+    short = [[r, _first(r, 200)] for r, _ in records]
+    cut = [[p, q[:200]] for p, q in wrong]
+    rows, torques = within(short, cut, 3.0, 1e9)
+    assert [len(of_joint) for of_joint in rows] == [len(p) for p in torques] == [1, 1]
+    assert compare(rows, {"lugre": torques, "other": torques}).ratios["other"][0].value == 1.0
+
+
+def test_a_band_without_rows_is_refused(records: list[list[FrictionRecord]]) -> None:
+    with pytest.raises(ConfigError, match=r"^the band from 60 to 70 s holds no rows.* lasts 5\."):
+        within(records, wrong_by(records, 1.0, 0), 60.0, 70.0)
+
+
+def _first(data: FrictionRecord, rows: int) -> FrictionRecord:
+    columns = {n: v[:rows] for n, v in vars(data).items() if isinstance(v, np.ndarray)}
+    return replace(data, **columns)
+
+
+# --- classes of inputs ------------------------------------------------------------------------
+
+
+def test_a_class_is_named_by_what_any_joint_uses() -> None:
+    loaded = law("lugre_load", {}, {"sigma_0": 2e3, "sigma_1": 1.0, "sigma_2": 1.0, "F_c": 5.0,
+                                    "F_s": 6.0, "v_s": 0.1, "tau_0": 0.0, "mu": 0.1})  # fmt: skip
+    assert inputs_of(model_of(stribeck(), stribeck())) == "v"
+    assert inputs_of(model_of(stribeck(), loaded)) == "v, load"
+    assert inputs_of(model_of(stribeck(), bristle(start_samples=0))) == "v, q, load"
+    assert inputs_of(model_of(stribeck(), bristle())) == "v, q, load, start"
+
+
+def shown(table: object) -> str:
+    from io import StringIO
+
+    from rich.console import Console
+
+    out = StringIO()
+    Console(file=out, width=120).print(table)
+    return out.getvalue()
+
+
+def test_tables_group_laws_of_equal_inputs_the_fewest_first(
+    records: list[list[FrictionRecord]],
+) -> None:
+    sizes = {"parfam_hx": 0.5, "lugre": 1.0, "hx_bare": 0.9, "lugre_load": 0.8}
+    scores = compare(
+        records, {name: wrong_by(records, size, k) for k, (name, size) in enumerate(sizes.items())}
+    )
+    classes = {"parfam_hx": "v, q, load, start", "lugre": "v", "hx_bare": "v",
+               "lugre_load": "v, load"}  # fmt: skip
+    for text in (
+        shown(comparison("unseen", scores, "rmse", classes)),
+        shown(ratios("unseen", scores, classes)),
+    ):
+        lines = [line.strip() for line in text.splitlines()]
+        headings = [line for line in lines if line in set(classes.values())]
+        # In the ratios the reference itself has no row, and its class one law less.
+        assert headings == ["v", "v, load", "v, q, load, start"]
+        places = [
+            next(k for k, line in enumerate(lines) if line.startswith(row))
+            for row in ("hx_bare", "v, load", "LuGre+load", "v, q, load, start", "ParFam-HX")
+        ]
+        assert places == sorted(places)
+
+
+# --- FMUs -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory: pytest.TempPathFactory) -> tuple[FrictionModel, Path]:
+    """A model of which one joint takes its start from the first torques."""
+    model = model_of(bristle(), stribeck())
+    return model, export_fmu(model, tmp_path_factory.mktemp("fmu") / "made.fmu")
+
+
+def test_an_fmu_with_estimated_start_predicts_what_its_model_does(
+    fmu: tuple[FrictionModel, Path], records: list[list[FrictionRecord]]
+) -> None:
+    model, path = fmu
+    expected, found = predict_model(model, records), predict_fmu(path, records)
+    for joint in range(2):
+        for log in range(2):
+            worst = np.abs(found[joint][log] - expected[joint][log]).max()
+            assert worst <= 1e-12 * np.abs(expected[joint][log]).max()
+
+
+def test_the_estimated_start_reaches_the_fmu(
+    fmu: tuple[FrictionModel, Path],
+    records: list[list[FrictionRecord]],
+    tmp_path: Path,
+) -> None:
+    """Without it the first torques are wrong by most of the friction."""
+    model, path = fmu
+    plain = replace(model, laws=(bristle(start_samples=0), stribeck()))
+    from_zero = predict_fmu(export_fmu(plain, tmp_path / "plain.fmu"), records)
+    estimated = predict_fmu(path, records)
+    for log, r in enumerate(records[0]):
+        resting = slice(0, 20)
+        assert np.abs(estimated[0][log] - r.tau)[resting].mean() < 0.4
+        assert np.abs(from_zero[0][log] - r.tau)[resting].mean() > 4.0
+
+
+def test_records_of_other_joints_are_refused(
+    fmu: tuple[FrictionModel, Path], records: list[list[FrictionRecord]]
+) -> None:
+    model, path = fmu
+    with pytest.raises(ArtifactError, match="is for the joints j1, j2; the robot has j1"):
+        predict_model(model, records[:1])
+    with pytest.raises(SimulationError, match="2 joints"):
+        predict_fmu(path, records[:1])

@@ -1,0 +1,344 @@
+"""Studies: what may stand in their files, and what variants, refinement and bands do in a run."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_study import MOTIONS, uf850
+
+from cosim.run import Outcome, run_study
+from cosim.study import Study
+from hesr_model.artifacts import read_model, read_rigid_body
+from hesr_model.errors import ConfigError
+
+LOGS = """
+[logs]
+identification = ["one.csv"]
+[logs.test]
+unseen = ["two.csv"]
+"""
+
+WHOLE = """
+name = "whole-1"
+robot = "robots/arm.toml"
+seed = 4
+laws = ["stribeck", "lugre"]
+bands = [{ test = "unseen", name = "early", stop = 2.5 }, { test = "unseen", name = "late", start = 2.5 }]
+refinement = { law = "lugre", rounds = 2 }
+
+[options.lugre]
+depth = 3
+
+[variants.plain_hx]
+law = "parfam_hx"
+options = { ripple = false, functions = ["tanh"] }
+
+[twin]
+plant = "plant.toml"
+motions = "../motions.toml"
+
+[logs]
+identification = ["one", "three"]
+reversed = ["one_reversed", "three_reversed"]
+friction = ["sweep"]
+
+[logs.test]
+unseen = ["two"]
+other = ["four", "five"]
+"""  # noqa: E501
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[[str], Path]:
+    def write(text: str) -> Path:
+        file = tmp_path / "study.toml"
+        file.write_text(text, encoding="utf-8")
+        return file
+
+    return write
+
+
+# --- the schema -------------------------------------------------------------------------------
+
+
+def test_everything_that_may_stand_in_a_study(write: Callable[[str], Path]) -> None:
+    path = write(WHOLE)
+    study = Study.read(path)
+    assert study.name == "whole-1"
+    assert study.robot == path.parent / "robots" / "arm.toml"
+    assert study.seed == 4
+    assert study.laws == ("stribeck", "lugre")
+    assert study.options == {"lugre": {"depth": 3}}
+    assert study.variants["plain_hx"].law == "parfam_hx"
+    assert study.variants["plain_hx"].options == {"ripple": False, "functions": ["tanh"]}
+    assert study.refinement is not None
+    assert (study.refinement.law, study.refinement.rounds) == ("lugre", 2)
+    assert [(b.test, b.name, b.start, b.stop) for b in study.bands] == [
+        ("unseen", "early", 0.0, 2.5),
+        ("unseen", "late", 2.5, 1e9),
+    ]
+    assert study.twin is not None
+    assert study.twin.plant == path.parent / "plant.toml"
+    assert study.twin.motions == path.parent.parent / "motions.toml"
+    assert study.logs.identification == ("one", "three")
+    assert study.logs.reversed == ("one_reversed", "three_reversed")
+    assert study.logs.training == ("sweep",)
+    assert dict(study.logs.test) == {"unseen": ("two",), "other": ("four", "five")}
+
+
+def test_what_may_be_left_out(write: Callable[[str], Path]) -> None:
+    study = Study.read(write(f'name = "x"\nrobot = "r.toml"\n{LOGS}'))
+    assert (study.seed, study.laws, study.options, study.variants) == (0, (), {}, {})
+    assert (study.refinement, study.bands, study.twin) == (None, (), None)
+    assert study.logs.training == study.logs.identification == ("one.csv",)
+    assert study.logs.reversed == ()
+
+
+HEAD = 'name = "x"\nrobot = "r.toml"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (f'robot = "r.toml"\n{LOGS}', "key 'name' is missing"),
+        (f'name = "x"\n{LOGS}', "key 'robot' is missing"),
+        (HEAD, "key 'logs' is missing"),
+        (f'name = "../x"\nrobot = "r.toml"\n{LOGS}', "key 'name' is '../x'"),
+        (f'name = ""\nrobot = "r.toml"\n{LOGS}', "key 'name' is ''"),
+        (f"{HEAD}seed = -1\n{LOGS}", "key 'seed' is -1"),
+        (f"{HEAD}sead = 1\n{LOGS}", "unknown key 'sead'; allowed here: bands, "),
+        (f'{HEAD}laws = "lugre"\n{LOGS}', "key 'laws' is 'lugre'"),
+        (f"{HEAD}options = 3\n{LOGS}", "key 'options' is 3"),
+        (f"{HEAD}{LOGS}[variants.a]\noptions = {{}}", "key 'variants.a.law' is missing"),
+        (f'{HEAD}{LOGS}[variants.a]\nlaw = "x"\nextra = 1', "unknown key 'variants.a.extra'"),
+        (f'{HEAD}{LOGS}[variants."a b"]\nlaw = "x"', "a b"),
+        (f"{HEAD}refinement = {{ rounds = 1 }}\n{LOGS}", "key 'refinement.law' is missing"),
+        (
+            f'{HEAD}refinement = {{ law = "x", rounds = 0 }}\n{LOGS}',
+            "key 'refinement.rounds' is 0",
+        ),
+        (
+            f'{HEAD}bands = [{{ test = "seen", name = "b" }}]\n{LOGS}',
+            "band 'b' is of the unknown test set 'seen'",
+        ),
+        (
+            f'{HEAD}bands = [{{ test = "unseen", name = "b", start = -1.0 }}]\n{LOGS}',
+            "key 'bands.0.start' is -1.0",
+        ),
+        (
+            f'{HEAD}bands = [{{ test = "unseen", name = "b", stop = inf }}]\n{LOGS}',
+            "key 'bands.0.stop' is inf",
+        ),
+        (f'{HEAD}bands = [{{ test = "unseen" }}]\n{LOGS}', "key 'bands.0.name' is missing"),
+        (f'{HEAD}{LOGS}[twin]\nplant = "p.toml"', "key 'twin.motions' is missing"),
+        (
+            f'{HEAD}[logs]\nidentification = []\n[logs.test]\nunseen = ["two.csv"]',
+            "key 'logs.identification' is []",
+        ),
+        (f'{HEAD}[logs]\nidentification = ["a"]\n[logs.test]\n', "'logs.test'"),
+        (
+            f'{HEAD}[logs]\nidentification = ["a"]\n[logs.test]\nunseen = []',
+            "test set 'unseen' has no log",
+        ),
+        *(
+            (
+                f'{HEAD}[logs]\nidentification = ["a"]\nreversed = ["b"]\nfriction = ["c"]\n'
+                f'[logs.test]\nunseen = ["d", "{log}"]',
+                f"log '{log}' of test set 'unseen' is also trained on",
+            )
+            for log in ("a", "b", "c")
+        ),
+        (f"{HEAD}[logs", "not valid TOML"),
+    ],
+)
+def test_what_may_not_stand_in_a_study(write: Callable[[str], Path], text: str, said: str) -> None:
+    path = write(text)
+    with pytest.raises(ConfigError) as caught:
+        Study.read(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_study_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"nowhere.toml: no such file\.$"):
+        Study.read(tmp_path / "nowhere.toml")
+
+
+# --- a run ------------------------------------------------------------------------------------
+
+TINY = """
+name = "tiny"
+robot = "{robot}"
+seed = 3
+laws = ["stribeck", "lugre"]
+bands = [
+  {{ test = "unseen", name = "early", stop = 2.0 }},
+  {{ test = "unseen", name = "late", start = 2.0 }},
+]
+refinement = {{ law = "{refining}", rounds = 1 }}
+
+[variants.hx]
+law = "parfam_hx"
+options = {{ functions = [], ripple = {ripple}, initial_state = true }}
+
+[variants.hx_bare]
+law = "parfam_hx"
+options = {{ functions = [], ripple = false, load = false, bump = false, initial_state = false }}
+
+[twin]
+plant = "{plant}"
+motions = "motions.toml"
+
+[logs]
+identification = ["excitation"]
+reversed = ["excitation_reversed"]
+friction = ["sweep"]
+
+[logs.test]
+unseen = ["trial"]
+"""
+
+
+def tiny(folder: Path, *, refining: str = "dahl", ripple: str = "true") -> Path:
+    (folder / "motions.toml").write_text(MOTIONS, encoding="utf-8")
+    study = folder / "study.toml"
+    text = TINY.format(
+        robot=uf850("robot.toml"), plant=uf850("plant.toml"), refining=refining, ripple=ripple
+    )
+    study.write_text(text, encoding="utf-8")
+    return study
+
+
+@pytest.fixture(scope="module")
+def told() -> list[tuple[str, int, int]]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def outcome(tmp_path_factory: pytest.TempPathFactory, told: list[tuple[str, int, int]]) -> Outcome:
+    folder = tmp_path_factory.mktemp("tiny")
+    return run_study(tiny(folder), folder / "results", progress=lambda *step: told.append(step))
+
+
+def test_variants_are_rows_like_laws(outcome: Outcome) -> None:
+    rows = ["stribeck", "lugre", "hx", "hx_bare"]
+    assert list(outcome.models) == rows
+    for compared in outcome.comparisons.values():
+        assert list(compared.laws) == rows
+        assert compared.reference == "lugre"
+        assert list(compared.ratios) == ["stribeck", "hx", "hx_bare"]
+    folder = outcome.fmus["hx"].parents[1]
+    for row, fmu in outcome.fmus.items():
+        assert fmu.is_file()
+        assert read_model(folder / "laws" / f"{row}.json") == outcome.models[row]
+
+
+def test_variants_have_their_options(outcome: Outcome) -> None:
+    for one in outcome.models["hx"].laws:
+        assert one.name == "parfam_hx"
+        assert one.start_samples == 5
+    for one in outcome.models["hx_bare"].laws:
+        assert one.name == "parfam_hx"
+        assert one.start_samples == 0
+        assert [u.name for u in one.form.inputs] == ["dq"]
+    assert outcome.models["hx"].law == "hx"
+
+
+def test_bands_are_scored_beside_the_whole(outcome: Outcome) -> None:
+    assert list(outcome.comparisons) == ["unseen", "early", "late"]
+    for row in outcome.models:
+        for joint in range(3):
+            whole, early, late = (
+                outcome.comparisons[name].laws[row][joint].rmse
+                for name in ("unseen", "early", "late")
+            )
+            assert min(early, late) < whole < max(early, late)
+    # 2 s of 5 s: the squares of the parts, weighted by their rows, are those of the whole.
+    squares = {
+        name: np.array([s.rmse**2 for s in compared.laws["lugre"]])
+        for name, compared in outcome.comparisons.items()
+    }
+    share = (squares["unseen"] - squares["late"]) / (squares["early"] - squares["late"])
+    np.testing.assert_allclose(share, 0.4, atol=0.005)
+
+
+def test_the_rigid_body_is_the_refined_one(outcome: Outcome, tmp_path: Path) -> None:
+    """Its residual is the noise of the arm and little more."""
+    folder = outcome.fmus["hx"].parents[1]
+    written = read_rigid_body(folder / "rigid_body.json")
+    np.testing.assert_array_equal(written.parameters, outcome.rigid_body.parameters)
+    study = tiny(tmp_path)
+    text = study.read_text()
+    lines = [line for line in text.splitlines() if not line.startswith("refinement")]
+    short = "\n".join(lines).replace('laws = ["stribeck", "lugre"]', 'laws = ["stribeck"]')
+    cut = short.index("[variants.hx]"), short.index("[twin]")
+    study.write_text(short[: cut[0]] + short[cut[1] :], encoding="utf-8")
+    once = run_study(study, tmp_path / "once").rigid_body
+    assert np.all(outcome.rigid_body.rmse < once.rmse)
+    assert np.any(outcome.rigid_body.parameters != once.parameters)
+
+
+def test_laws_with_a_state_pay_on_the_twin(outcome: Outcome) -> None:
+    errors = {
+        row: np.array([s.rmse for s in scores])
+        for row, scores in outcome.comparisons["unseen"].laws.items()
+    }
+    assert np.all(errors["lugre"] < 0.9 * errors["stribeck"])
+    assert np.all(errors["hx"] < 0.9 * errors["stribeck"])
+
+
+def test_scores_are_written(outcome: Outcome) -> None:
+    data = json.loads((outcome.fmus["hx"].parents[1] / "evaluation.json").read_text())
+    assert data == {name: c.to_json() for name, c in outcome.comparisons.items()}
+    assert set(data["unseen"]["ratios"]["laws"]) == {"stribeck", "hx", "hx_bare"}
+
+
+def test_progress_is_told_for_every_step(
+    outcome: Outcome, told: list[tuple[str, int, int]]
+) -> None:
+    steps = list(dict.fromkeys(what for what, _, _ in told))
+    assert steps == [
+        "running the arm",
+        "identifying the rigid body",
+        "refining the rigid body",
+        "fitting laws",
+        "building FMUs",
+        "replaying the FMUs",
+    ]
+    for step in steps:
+        of_step = [(done, total) for what, done, total in told if what == step]
+        assert of_step[0][0] == 0
+        assert of_step[-1][0] == of_step[-1][1] > 0
+        assert [done for done, _ in of_step] == sorted(done for done, _ in of_step)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('law = "parfam_hx"', 'law = "parfam_x"', "law 'parfam_x' is unknown"),
+        ('laws = ["stribeck", "lugre"]', 'laws = ["striebeck"]', "law 'striebeck' is unknown"),
+        ('law = "dahl"', 'law = "dall"', "law 'dall' is unknown"),
+        ("[variants.hx]", "[options.lugra]\na = 1\n[variants.hx]", "law 'lugra' is unknown"),
+    ],
+)
+def test_unknown_laws_are_found_before_the_arm_runs(
+    tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    study = tiny(tmp_path)
+    study.write_text(study.read_text().replace(old, new), encoding="utf-8")
+    told: list[str] = []
+    with pytest.raises(ConfigError, match=said):
+        run_study(study, tmp_path / "results", progress=lambda what, *_: told.append(what))
+    assert told == []
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_test_log_that_is_no_motion_is_named(tmp_path: Path) -> None:
+    study = tiny(tmp_path)
+    study.write_text(study.read_text().replace('["trial"]', '["trail"]'), encoding="utf-8")
+    with pytest.raises(ConfigError, match="'trail', which is no motion of"):
+        run_study(study, tmp_path / "results")
+    assert {p.name for p in tmp_path.iterdir()} == {"study.toml", "motions.toml"}

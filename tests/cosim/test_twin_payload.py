@@ -1,0 +1,108 @@
+"""A payload on the twin: known to MuJoCo, unknown to the robot file, found from logs."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from cosim.studies.excite import record
+from fmu_src.arm.plant import Arm, Plant
+from hesr_model.errors import FitError
+from hesr_model.files import models_folder
+from hesr_model.payload import identify_payload, loaded
+from hesr_model.rigid_body import identify
+from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.trajectories import random_fourier
+
+FOLDER = models_folder() / "uf850"
+LAST_LINK = '<inertial pos="0.000484 -0.000334 -0.014217"'
+PAYLOAD = """
+<body name="payload" gravcomp="1">
+  <inertial pos="0.02 -0.01 0.08" mass="1.5"
+    fullinertia="0.004 0.005 0.003 0.0002 0.0001 -0.0003"/>
+</body>
+"""
+
+
+def fourier(seed, periods, velocity):
+    return random_fourier(
+        seed=seed,
+        harmonics=10,
+        period=20.0,
+        peak_velocity=np.array(velocity),
+        offset=np.array([0.0, 0.3, -1.9]),
+        periods=periods,
+    )
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """The arm as it is, and with a payload on its flange."""
+    with_payload = tmp_path_factory.mktemp("loaded") / "uf850"
+    shutil.copytree(FOLDER, with_payload)
+    text = (FOLDER / "uf850.xml").read_text()
+    place = text.index("</body>", text.index(LAST_LINK))
+    (with_payload / "uf850.xml").write_text(text[:place] + PAYLOAD + text[place:])
+    return FOLDER, with_payload
+
+
+@pytest.fixture(scope="module")
+def models(folders):
+    return [RobotModel(RobotDescription.read(folder / "robot.toml")) for folder in folders]
+
+
+@pytest.fixture(scope="module")
+def logs(folders):
+    """Excitation, forward and time-reversed, of either arm."""
+    motion = fourier(86, 2, [1.3, 1.2, 1.3])
+    both = []
+    for folder in folders:
+        plant = Plant.read(folder / "plant.toml")
+        both.append(
+            [
+                record(Arm(plant), run, plant.noise, name=f"{folder.parent.name}_{k}", unlogged=20)
+                for k, run in enumerate((motion, motion.time_reversed()))
+            ]
+        )
+    return [[recording.log for recording in pair] for pair in both]
+
+
+@pytest.fixture(scope="module")
+def unloaded(models, logs):
+    (forward, backward), _ = logs
+    return identify([forward], models[0], reversed_logs=[backward])
+
+
+def test_mass_and_centre_are_found(models, logs, unloaded):
+    payload = identify_payload(logs[1], models[0], unloaded)
+    true = (models[1].nominal_parameters - models[0].nominal_parameters)[20:30]
+    assert payload.mass == pytest.approx(1.5, rel=0.012)
+    assert abs(payload.mass - 1.5) < 3 * payload.standard_errors[0]
+    # In the plane in which this joint moves; along its axis gravity says little.
+    np.testing.assert_allclose(payload.centre_of_mass[:2], true[1:3] / 1.5, atol=5e-3)
+
+
+def test_torque_under_load_is_predicted_as_well_as_without(models, logs, unloaded):
+    model, truth = models
+    body = loaded(unloaded, identify_payload(logs[1], model, unloaded), model)
+    states = fourier(5, 1, [1.2, 1.0, 1.2]).sample(np.arange(4000) / 200)
+
+    def error(parameters, nominal):
+        return np.sqrt(np.mean(model.torque(parameters - nominal, *states) ** 2, axis=0))
+
+    ignored = error(unloaded.parameters, truth.nominal_parameters)
+    assert np.all(ignored[1:] > 5.0)
+    assert np.all(error(body.parameters, truth.nominal_parameters) < [0.25, 0.4, 0.15])
+    assert np.all(error(unloaded.parameters, model.nominal_parameters) < [0.25, 0.4, 0.15])
+
+
+def test_a_log_without_payload_is_refused(models, logs, unloaded):
+    with pytest.raises(FitError, match=r"^log .*_0: holds no payload that can be told from none;"):
+        identify_payload(logs[0][:1], models[0], unloaded)
+
+
+def test_another_motion_without_payload_is_refused_too(folders, models, unloaded):
+    plant = Plant.read(folders[0] / "plant.toml")
+    recording = record(Arm(plant), fourier(3, 1, [1.2, 1.0, 1.2]), plant.noise, name="other")
+    with pytest.raises(FitError, match=r"^log other: holds no payload"):
+        identify_payload([recording.log], models[0], unloaded)

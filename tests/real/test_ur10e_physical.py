@@ -1,0 +1,47 @@
+"""Physical consistency on measured logs: it pays on one short log, costs nothing on long ones."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from test_ur10e_rigid_body import static_errors
+
+from hesr_model.physical import pseudo_inertia
+from hesr_model.rigid_body import identify
+from hesr_model.robot import RobotModel
+from hesr_model.robot_log import RobotLog
+
+
+def ratios(train: Sequence[RobotLog], test: Sequence[RobotLog], model: RobotModel) -> np.ndarray:
+    """Error on `test` of the consistent over that of the free fit, joint by joint."""
+    free, consistent = (
+        static_errors(train, test, model, identify(train, model, physical=physical))
+        for physical in (False, True)
+    )
+    return consistent / free
+
+
+def test_one_log_of_20_s_gains_a_tenth(id_logs: list[RobotLog], ur10e_model: RobotModel) -> None:
+    found = ratios([id_logs[2]], id_logs[:2], ur10e_model)
+    assert np.all(found < 1.0)
+    assert np.exp(np.mean(np.log(found))) < 0.90
+    assert np.all(found[[0, 2, 3]] < [0.85, 0.75, 0.90])
+
+
+@pytest.mark.parametrize("left_out", [1, 2])
+def test_two_longer_logs_lose_nothing(
+    left_out: int, id_logs: list[RobotLog], ur10e_model: RobotModel
+) -> None:
+    train = [log for k, log in enumerate(id_logs) if k != left_out]
+    found = ratios(train, [id_logs[left_out]], ur10e_model)
+    assert np.all(found < 1.01)
+    assert np.exp(np.mean(np.log(found))) < 1.0
+
+
+def test_every_link_is_a_body_that_can_exist(
+    id_logs: list[RobotLog], ur10e_model: RobotModel
+) -> None:
+    body = identify([id_logs[2]], ur10e_model, physical=True)
+    for link in body.parameters[:60].reshape(-1, 10):
+        assert np.linalg.eigvalsh(pseudo_inertia(link))[0] > 0
+    assert np.all(body.parameters[60:] >= 0)

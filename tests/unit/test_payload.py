@@ -1,0 +1,160 @@
+"""Payload identification on motions whose payload is known."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hesr_model.errors import FitError, LogError, RobotError
+from hesr_model.payload import identify_payload, identify_payload_motions, loaded
+from hesr_model.rigid_body import RigidBody, identify_motions
+from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.robot_log import RobotLog
+from hesr_model.signals import Motion
+
+MakeMotion = Callable[..., Motion]
+
+PAYLOAD = np.array([1.5, 0.12, -0.06, 0.09, 0.02, 0.002, 0.03, -0.001, 0.003, 0.025])
+NOISE = np.array([0.5, 0.5, 0.2])
+
+
+@pytest.fixture
+def unloaded(arm_model: RobotModel, make_motion: MakeMotion) -> RigidBody:
+    return identify_motions([make_motion(name="free", friction=3.0)], arm_model)
+
+
+@pytest.fixture
+def carried(arm_model: RobotModel, make_motion: MakeMotion) -> Motion:
+    return under_load(make_motion(name="run", friction=3.5, seconds=12.0), arm_model, PAYLOAD)
+
+
+def under_load(motion: Motion, model: RobotModel, payload: np.ndarray) -> Motion:
+    columns = model.regressor(motion.q, motion.dq, motion.ddq)[:, :, 20:30]
+    return replace(motion, tau=motion.tau + columns @ payload)
+
+
+def noisy(motion: Motion, seed: int) -> Motion:
+    noise = NOISE * np.random.default_rng(seed).standard_normal(motion.tau.shape)
+    return replace(motion, tau=motion.tau + noise)
+
+
+def test_without_noise_all_ten_parameters_are_found(
+    arm_model: RobotModel, unloaded: RigidBody, carried: Motion
+) -> None:
+    payload = identify_payload_motions([carried], arm_model, unloaded)
+    np.testing.assert_allclose(payload.parameters, PAYLOAD, atol=1e-8)
+    assert payload.mass == pytest.approx(1.5)
+    np.testing.assert_allclose(payload.centre_of_mass, [0.08, -0.04, 0.06], atol=1e-8)
+    np.testing.assert_allclose(payload.friction, [[3.5, 1.75, 0.0]] * 3, atol=1e-7)
+    assert payload.rows == len(carried.t)
+    assert payload.logs == ("run",)
+    assert payload.to_dict()["parameters"]["m"] == payload.mass
+
+
+def test_the_loaded_body_predicts_torque_under_load(
+    arm_model: RobotModel, unloaded: RigidBody, carried: Motion, make_motion: MakeMotion
+) -> None:
+    payload = identify_payload_motions([carried], arm_model, unloaded)
+    body = loaded(unloaded, payload, arm_model)
+    other = make_motion(seconds=7.0)
+    other = replace(other, q=1.2 * other.q - 0.1, dq=1.2 * other.dq, ddq=1.2 * other.ddq)
+    nominal = arm_model.torque(arm_model.nominal_parameters, other.q, other.dq, other.ddq)
+    expected = under_load(replace(other, tau=nominal), arm_model, PAYLOAD).tau
+    np.testing.assert_allclose(body.torque(arm_model, other), expected, atol=1e-7)
+    assert body.logs == ("free", "run")
+    assert body.base == unloaded.base
+    assert np.all(body.standard_errors >= unloaded.standard_errors)
+    np.testing.assert_array_equal(body.friction, payload.friction)
+    assert RigidBody.from_dict(body.to_dict()).to_dict() == body.to_dict()
+
+
+def test_standard_errors_are_what_repetition_shows(
+    arm_model: RobotModel, carried: Motion, make_motion: MakeMotion
+) -> None:
+    found, stated = [], []
+    for seed in range(20):
+        free = noisy(make_motion(name="free", friction=3.0), 1000 + seed)
+        body = identify_motions([free], arm_model)
+        payload = identify_payload_motions([noisy(carried, seed)], arm_model, body)
+        found.append(payload.parameters)
+        stated.append(payload.standard_errors)
+    spread = np.std(found, axis=0)
+    # Those of the unloaded body are taken as independent, which errs to the safe side.
+    ratio = np.mean(stated, axis=0) / spread
+    assert np.all(ratio > 0.5)
+    assert ratio[0] < 2.5
+
+
+def test_residuals_that_hang_together_widen_the_errors(
+    arm_model: RobotModel, unloaded: RigidBody, carried: Motion
+) -> None:
+    noise = np.random.default_rng(0).standard_normal(carried.tau.shape)
+    window = np.ones(60) / np.sqrt(60)
+    slow = np.column_stack([np.convolve(column, window, mode="same") for column in noise.T])
+    white, coloured = (
+        identify_payload_motions(
+            [replace(carried, tau=carried.tau + 0.3 * errors)], arm_model, unloaded
+        )
+        for errors in (noise, slow)
+    )
+    np.testing.assert_allclose(coloured.rmse, white.rmse, rtol=0.3)
+    assert np.median(coloured.standard_errors / white.standard_errors) > 3.0
+
+
+def test_from_logs_the_filter_is_all_that_is_lost(
+    arm_model: RobotModel, unloaded: RigidBody, carried: Motion
+) -> None:
+    log = RobotLog(name="run", t=carried.t, q=carried.q, dq=carried.dq, tau=carried.tau)
+    payload = identify_payload([log], arm_model, unloaded)
+    assert payload.mass == pytest.approx(1.5, abs=0.01)
+
+
+def test_a_log_without_payload_is_refused(
+    arm_model: RobotModel, unloaded: RigidBody, make_motion: MakeMotion
+) -> None:
+    message = (
+        r"^log run: holds no payload that can be told from none; its mass is found as "
+        r"-?[\d.e-]+ kg with a standard error of [\d.e-]+ kg, and more than 4 standard errors "
+        r"are needed\.$"
+    )
+    for seed in range(5):
+        empty = noisy(make_motion(name="run", friction=3.0, seconds=12.0), seed)
+        with pytest.raises(FitError, match=message):
+            identify_payload_motions([empty], arm_model, unloaded)
+
+
+def test_a_short_log_is_refused(
+    arm_model: RobotModel, unloaded: RigidBody, make_motion: MakeMotion
+) -> None:
+    message = r"^log run: lasts 4 s; a payload needs at least 10 s\.$"
+    with pytest.raises(FitError, match=message):
+        identify_payload_motions([make_motion(name="run", seconds=4.0)], arm_model, unloaded)
+
+
+def test_a_motion_that_leaves_the_payload_open_is_refused(
+    arm_model: RobotModel, unloaded: RigidBody, carried: Motion
+) -> None:
+    poor = replace(carried, q=0 * carried.q, ddq=0 * carried.ddq)
+    message = (
+        r"^log run: the motion does not determine the payload \(condition number \d\.?\d?e\+\d+\); "
+        r"all joints must move fast and far at once\.$"
+    )
+    with pytest.raises(FitError, match=message):
+        identify_payload_motions([poor], arm_model, unloaded)
+
+
+def test_a_joint_that_never_moves_is_named(
+    arm_model: RobotModel, unloaded: RigidBody, arm_log: RobotLog
+) -> None:
+    still = replace(arm_log, q=arm_log.q * [1.0, 1.0, 0.0])
+    with pytest.raises(LogError, match=r"^log 'run': the position of joint 'j3' is constant"):
+        identify_payload([still], arm_model, unloaded)
+
+
+def test_the_body_of_another_robot_is_refused(
+    arm: RobotDescription, unloaded: RigidBody, carried: Motion
+) -> None:
+    other = RobotModel(arm.model_copy(update={"name": "bare", "rotor_inertia": False}))
+    with pytest.raises(RobotError, match=r"^the rigid body of 'arm' with 33 parameters does not"):
+        identify_payload_motions([carried], other, unloaded)

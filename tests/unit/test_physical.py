@@ -1,0 +1,181 @@
+"""Physically consistent identification: parameters of bodies that can exist."""
+
+import json
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from hesr_model.base_parameters import dependence
+from hesr_model.physical import _Chart, link_parameters, pseudo_inertia
+from hesr_model.rigid_body import RigidBody, identify_motions
+from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.signals import Motion
+
+MakeMotion = Callable[..., Motion]
+
+
+@pytest.fixture
+def guessed(arm: RobotDescription, tmp_path: Path) -> RobotModel:
+    """The arm, but the model file's masses are off by a third and its inertias by more."""
+    text = arm.model.read_text(encoding="utf-8")
+    for old, new in (
+        ('mass="4"', 'mass="5.3"'),
+        ('mass="2.5"', 'mass="1.7"'),
+        ('mass="1.2"', 'mass="1.6"'),
+        ("0.02 0.04 0.03 0.002", "0.04 0.05 0.06 0.002"),
+        ('armature="0.4"', 'armature="0.2"'),
+        ('armature="0.1"', 'armature="0.2"'),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "guessed.xml"
+    path.write_text(text, encoding="utf-8")
+    return RobotModel(arm.model_copy(update={"model": path}))
+
+
+def noisy(motion: Motion, sigma: float, seed: int) -> Motion:
+    noise = sigma * np.random.default_rng(seed).standard_normal(motion.tau.shape)
+    return replace(motion, tau=motion.tau + noise)
+
+
+def least_eigenvalues(body: RigidBody) -> np.ndarray:
+    """Least eigenvalue of each link's pseudo-inertia, relative to its largest."""
+    values = [np.linalg.eigvalsh(pseudo_inertia(p)) for p in body.parameters[:30].reshape(-1, 10)]
+    return np.array([v[0] / v[-1] for v in values])
+
+
+# --- the parametrisation ----------------------------------------------------------------------
+
+
+def test_pseudo_inertia_is_the_librarys_and_can_be_inverted() -> None:
+    body = pin.Inertia.Random()
+    parameters = np.asarray(body.toDynamicParameters())
+    expected = pin.PseudoInertia.FromDynamicParameters(parameters).toMatrix()
+    np.testing.assert_allclose(pseudo_inertia(parameters), expected, atol=1e-12)
+    np.testing.assert_allclose(link_parameters(expected), parameters, atol=1e-12)
+
+
+def test_coordinates_start_at_the_model_file(arm_model: RobotModel) -> None:
+    chart = _Chart.of(arm_model)
+    np.testing.assert_allclose(chart.parameters(chart.start), arm_model.nominal_parameters)
+
+
+def test_slopes_are_those_of_the_parameters(arm_model: RobotModel) -> None:
+    chart = _Chart.of(arm_model)
+    x = chart.start + 0.3 * np.random.default_rng(1).standard_normal(len(chart.start))
+    slopes = chart.slopes(x)
+    for k in range(len(x)):
+        step = np.zeros_like(x)
+        step[k] = 1e-6
+        expected = (chart.parameters(x + step) - chart.parameters(x - step)) / 2e-6
+        np.testing.assert_allclose(slopes[:, k], expected, atol=1e-7)
+
+
+def test_links_without_mass_or_with_impossible_inertia_still_start(
+    arm: RobotDescription, tmp_path: Path
+) -> None:
+    text = arm.model.read_text(encoding="utf-8")
+    point = text.replace("0.01 0.02 0.015 0 0.001 0", "1e-9 1e-9 1e-9 0 0 0")
+    path = tmp_path / "point.xml"
+    path.write_text(point, encoding="utf-8")
+    model = RobotModel(arm.model_copy(update={"model": path}))
+    model.nominal_parameters[:10] = 0.0
+    chart = _Chart.of(model)
+    started = chart.parameters(chart.start)
+    assert started[0] == pytest.approx(1.0)
+    for link in started[:30].reshape(-1, 10):
+        assert np.linalg.eigvalsh(pseudo_inertia(link))[0] > 0
+    np.testing.assert_allclose(started[20:24], model.nominal_parameters[20:24])
+
+
+# --- identification ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["stacked", "paper"])
+def test_without_noise_the_torque_is_recovered(
+    method: str, guessed: RobotModel, arm_model: RobotModel, make_motion: MakeMotion
+) -> None:
+    forward, backward = make_motion(friction=3.0), make_motion(friction=3.0, reverse=True)
+    body = identify_motions(
+        [forward], guessed, method=method, reversed_motions=[backward], physical=True
+    )
+    other = make_motion(seconds=7.0)
+    other = replace(other, q=1.2 * other.q + 0.1, dq=1.2 * other.dq, ddq=1.2 * other.ddq)
+    truth = arm_model.torque(arm_model.nominal_parameters, other.q, other.dq, other.ddq)
+    np.testing.assert_allclose(body.torque(guessed, other), truth, atol=2e-3)
+    assert np.all(least_eigenvalues(body) > 0)
+    if method == "stacked":
+        np.testing.assert_allclose(body.friction, [[3.0, 1.5, 0.0]] * 3, atol=2e-3)
+
+
+def test_where_data_suffice_it_is_the_free_fit(
+    guessed: RobotModel, make_motion: MakeMotion
+) -> None:
+    motions = [noisy(make_motion(friction=3.0, seconds=s), 0.3, k) for k, s in enumerate((20, 30))]
+    free = identify_motions(motions, guessed)
+    body = identify_motions(motions, guessed, physical=True)
+    assert body.physical
+    assert not free.physical
+    difference = body.torque(guessed, motions[0]) - free.torque(guessed, motions[0])
+    spread = np.std(motions[0].tau, axis=0)
+    assert np.all(np.sqrt(np.mean(difference**2, axis=0)) < [0.05 * s for s in spread])
+    np.testing.assert_allclose(body.rmse, free.rmse, rtol=0.01)
+
+
+def test_short_and_noisy_logs_give_bodies_that_exist_and_predict_better(
+    guessed: RobotModel, arm_model: RobotModel, make_motion: MakeMotion
+) -> None:
+    other = make_motion(seconds=10.0)
+    errors: dict[bool, list[np.ndarray]] = {False: [], True: []}
+    for seed in range(6):
+        short = noisy(make_motion(friction=3.0, seconds=2.0), 1.0, seed)
+        for physical, found in errors.items():
+            body = identify_motions([short], guessed, physical=physical)
+            found.append(np.sqrt(np.mean((body.torque(guessed, other) - other.tau) ** 2, axis=0)))
+            if physical:
+                assert np.all(least_eigenvalues(body) > 0)
+                assert np.all(body.parameters[30:] >= 0)
+    assert np.all(np.mean(errors[True], axis=0) < np.mean(errors[False], axis=0))
+
+
+def test_what_the_motion_leaves_open_stays_as_in_the_model_file(
+    guessed: RobotModel, make_motion: MakeMotion, caplog: pytest.LogCaptureFixture
+) -> None:
+    motion = make_motion(friction=3.0)
+    still = replace(motion, q=0 * motion.q, ddq=0 * motion.ddq)
+    with caplog.at_level(logging.WARNING):
+        body = identify_motions([still], guessed, physical=True)
+    assert body.ridge == 0.0
+    assert not caplog.records
+    ratio = body.parameters[[0, 10, 20]] / guessed.nominal_parameters[[0, 10, 20]]
+    assert np.all((ratio > 0.2) & (ratio < 5.0))
+
+
+def test_errors_shrink_with_more_data_and_cover_the_truth(
+    arm_model: RobotModel, make_motion: MakeMotion
+) -> None:
+    short, long = (
+        identify_motions([noisy(make_motion(friction=3.0, seconds=s), 0.5, 0)], arm_model,
+                         physical=True)
+        for s in (5.0, 40.0)
+    )  # fmt: skip
+    assert np.all(long.standard_errors < short.standard_errors)
+    carried = dependence(arm_model, long.base)
+    error = carried @ (long.parameters - arm_model.nominal_parameters)
+    assert np.all(np.abs(error) < 5 * long.standard_errors)
+
+
+def test_it_survives_json_and_repeats(arm_model: RobotModel, make_motion: MakeMotion) -> None:
+    motion = noisy(make_motion(friction=3.0), 0.3, 0)
+    body, again = (identify_motions([motion], arm_model, physical=True) for _ in range(2))
+    np.testing.assert_array_equal(body.parameters, again.parameters)
+    back = RigidBody.from_dict(json.loads(json.dumps(body.to_dict(), allow_nan=False)))
+    assert back.physical
+    np.testing.assert_array_equal(back.parameters, body.parameters)
+    older = {key: value for key, value in body.to_dict().items() if key != "physical"}
+    assert not RigidBody.from_dict(older).physical

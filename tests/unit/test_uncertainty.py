@@ -1,0 +1,142 @@
+"""Standard errors against what repeated measurements really scatter."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from joint_data import along, law, path, with_tau
+from scipy.signal import lfilter
+
+from hesr_model.friction.dahl import DahlBasis
+from hesr_model.friction.fit import fit_joint
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.samples import Samples
+from hesr_model.friction.separable import Separable
+from hesr_model.friction.strain_wave import StrainWave
+from hesr_model.friction.uncertainty import (
+    MOST_COEFFICIENTS,
+    correlation_length,
+    standard_errors,
+    with_standard_errors,
+)
+
+TRUTH = law(
+    "strain_wave", {}, x_0=4e-3, mu_avg=0.12, mu_dif=0.03, F_c=5.0, sigma_2=7.0, tau_0=0.5
+)  # fmt: skip
+CLEAN = along(TRUTH, path(0))
+
+
+def noise(seed: int, memory: float) -> np.ndarray:
+    """White noise of 0.5 N.m, or the same with a memory from row to row."""
+    white = np.random.default_rng(seed).normal(size=len(CLEAN.tau))
+    coloured = lfilter([1.0], [1.0, -memory], white) * np.sqrt(1.0 - memory**2)
+    return np.asarray(0.5 * coloured)
+
+
+def refitted(tau: np.ndarray) -> FrictionLaw:
+    """The law fitted from the truth on, so that no search comes in between."""
+    samples = Samples.of([with_tau(CLEAN, tau)], coefficients=6)
+    problem = Separable(StrainWave.core({}), StrainWave().space(), samples)
+    point = problem.polish(problem.point({"x_0": 4e-3}), evaluations=20)
+    return replace(TRUTH, values=problem.values(point, problem.solve(point)[0]))
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.7])
+def test_standard_errors_are_the_scatter_of_repeated_fits(memory: float) -> None:
+    fits = [refitted(CLEAN.tau + noise(seed, memory)) for seed in range(60)]
+    scatter = {name: np.std([f.values[name] for f in fits], ddof=1) for name in TRUTH.values}
+    stated = [
+        with_standard_errors(f, [with_tau(CLEAN, CLEAN.tau + noise(seed, memory))]).standard_errors
+        for seed, f in enumerate(fits[:10])
+    ]
+    for name in TRUTH.values:
+        ratio = np.mean([s[name] for s in stated]) / scatter[name]
+        # 60 fits know their scatter to a tenth; the memory of what fast columns see is short.
+        assert 0.7 < ratio < (1.45 if memory == 0.0 else 2.5), (name, ratio)
+
+
+def test_the_truth_lies_within_two_errors_most_of_the_time() -> None:
+    inside = []
+    for seed in range(100, 130):
+        tau = CLEAN.tau + noise(seed, 0.0)
+        found = with_standard_errors(refitted(tau), [with_tau(CLEAN, tau)])
+        inside += [
+            abs(found.values[n] - v) < 1.96 * found.standard_errors[n]
+            for n, v in TRUTH.values.items()
+        ]
+    assert 0.9 < np.mean(inside) < 0.99
+
+
+def test_errors_of_a_linear_problem_are_those_of_regression() -> None:
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(400, 3)) * [1.0, 1e4, 1e-5]
+    residual = rng.normal(size=400)
+    residual -= x @ np.linalg.lstsq(x, residual)[0]
+    variance = residual @ residual / 397 * correlation_length(residual)
+    expected = np.sqrt(variance * np.diag(np.linalg.inv(x.T @ x)))
+    np.testing.assert_allclose(standard_errors(x, residual), expected, rtol=1e-6)
+
+
+def test_equal_columns_leave_each_of_them_undetermined() -> None:
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(400, 2))
+    residual = rng.normal(size=400)
+    twice = standard_errors(np.column_stack([x, x[:, 1]]), residual)
+    plain = standard_errors(x, residual)
+    assert twice[0] == pytest.approx(plain[0], rel=0.05)
+    assert np.all(twice[1:] > 1e6 * plain[1])
+
+
+# --- correlation ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.8, 0.95])
+def test_the_correlation_length_of_a_known_process(memory: float) -> None:
+    """(1 + a) / (1 - a) for x[k] = a x[k-1] + noise."""
+    found = [
+        correlation_length(lfilter([1.0], [1.0, -memory], rng.normal(size=8000)))
+        for rng in map(np.random.default_rng, range(8))
+    ]
+    assert np.mean(found) == pytest.approx((1.0 + memory) / (1.0 - memory), rel=0.25)
+
+
+def test_the_correlation_length_is_at_least_one() -> None:
+    assert correlation_length(np.ones(100)) == 1.0
+    assert correlation_length(np.zeros(100)) == 1.0
+    assert correlation_length(np.tile([1.0, -1.0], 50)) == 1.0
+    white = np.random.default_rng(0).normal(size=1000)
+    assert correlation_length(white) == pytest.approx(correlation_length(7.0 * white + 3.0))
+
+
+# --- what has an error ------------------------------------------------------------------------
+
+
+def test_what_has_no_effect_has_no_error() -> None:
+    still = replace(CLEAN, tau_load=np.zeros_like(CLEAN.tau))
+    found = with_standard_errors(TRUTH, [still])
+    assert set(found.standard_errors) == set(TRUTH.values) - {"mu_avg", "mu_dif"}
+    assert found.values == TRUTH.values
+
+
+def test_more_data_lower_the_errors() -> None:
+    records = [with_tau(r, r.tau + 0.3 * np.random.default_rng(k).normal(size=len(r.tau)))
+               for k, r in enumerate(along(TRUTH, path(k)) for k in range(4))]  # fmt: skip
+    one = with_standard_errors(TRUTH, records[:1]).standard_errors
+    four = with_standard_errors(TRUTH, records).standard_errors
+    assert np.mean([four[n] / one[n] for n in one]) == pytest.approx(0.5, rel=0.3)
+
+
+def test_a_fit_states_the_errors_of_its_law() -> None:
+    record = with_tau(CLEAN, CLEAN.tau + noise(0, 0.0))
+    bare = DahlBasis().fit([record], np.random.default_rng(0))
+    assert bare.standard_errors == {}
+    found = fit_joint("dahl", [record], seed=0)
+    assert set(found.standard_errors) == set(found.values)
+    assert all(error > 0.0 for error in found.standard_errors.values())
+
+
+def test_single_coefficients_of_networks_mean_nothing() -> None:
+    record = with_tau(CLEAN, CLEAN.tau + noise(0, 0.0))
+    network = fit_joint("rbfnn_h", [record], seed=0)
+    assert len(network.values) > MOST_COEFFICIENTS
+    assert network.standard_errors == {}
