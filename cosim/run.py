@@ -7,7 +7,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any
 
-from cosim.scoring import Comparison, by_joint, compare, predict_fmu, within
+from cosim.scoring import ORACLE, Comparison, by_joint, compare, predict_fmu, within
 from cosim.study import Study
 from fmu_src import export_fmu
 from fmu_src.toolchain import targets
@@ -15,6 +15,7 @@ from hesr_model.artifacts import provenance, write_json, write_model, write_rigi
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.files import folder_written_whole
 from hesr_model.friction.estimator import estimator, registry
+from hesr_model.friction.evaluate import Array
 from hesr_model.friction.fit import fit_models
 from hesr_model.friction.law import FrictionModel
 from hesr_model.refinement import identify_again
@@ -22,6 +23,7 @@ from hesr_model.residual import FrictionRecord, friction_records
 from hesr_model.rigid_body import RigidBody, identify
 from hesr_model.robot import RobotDescription, RobotModel
 from hesr_model.robot_log import RobotLog
+from hesr_model.tables import read_table
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much of it is done, and how much there is."""
@@ -87,7 +89,7 @@ def run_study(
             write_model(folder / "laws" / f"{law}.json", fitted)
             export_fmu(fitted, folder / "fmus" / f"{law}.fmu", platforms=platforms)
         job.progress("building FMUs", len(models), len(models))
-        comparisons = job.compare(records, folder / "fmus")
+        comparisons = job.compare(records, files, folder / "fmus")
         write_json(
             folder / "evaluation.json", {name: c.to_json() for name, c in comparisons.items()}
         )
@@ -208,15 +210,20 @@ class _Job:
         )
 
     def compare(
-        self, records: Mapping[str, Sequence[FrictionRecord]], fmus: Path
+        self,
+        records: Mapping[str, Sequence[FrictionRecord]],
+        files: Mapping[str, Path],
+        fmus: Path,
     ) -> dict[str, Comparison]:
-        """Score the FMUs on every test set and on its bands."""
+        """Score the FMUs on every test set and on its bands; of a twin the truth as well."""
         comparisons = {}
         tests = self.study.logs.test
         for k, (name, logs) in enumerate(tests.items()):
             self.progress("replaying the FMUs", k, len(tests))
             tested = by_joint([records[log] for log in logs])
             predicted = {law: predict_fmu(fmus / f"{law}.fmu", tested) for law in self.laws}
+            if self.study.twin:
+                predicted[ORACLE] = self._true_friction([files[log] for log in logs])
             comparisons[name] = compare(tested, predicted)
             for band in self.study.bands:
                 if band.test == name:
@@ -230,6 +237,15 @@ class _Job:
                     )
         self.progress("replaying the FMUs", len(tests), len(tests))
         return comparisons
+
+    def _true_friction(self, logs: Sequence[Path]) -> list[list[Array]]:
+        """Return the true friction [joint][log] of the twin's logs [N.m]."""
+        from cosim.studies.excite import truth_of
+
+        joints = len(RobotDescription.read(self.study.robot).joints)
+        names = [f"tau_f{k}" for k in range(1, joints + 1)]
+        truths = [read_table(truth_of(log)).numbers(names) for log in logs]
+        return [[truth[:, joint] for truth in truths] for joint in range(joints)]
 
 
 def _silent(what: str, done: int, total: int) -> None:

@@ -22,6 +22,8 @@ MEASURES = ("rmse", "rmse_reversal", "rmse_moving", "r2")
 
 REFERENCE = "lugre"
 """Law to which ratios are taken, the first one where it is not among the laws."""
+ORACLE = "true friction"
+"""Row of the twin's own friction: what is left is noise and the error of the rigid body."""
 BLOCK = 1.0
 """Length of a bootstrap's blocks [s]: errors of neighbouring rows are alike for about as long."""
 

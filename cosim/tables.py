@@ -6,7 +6,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from cosim.scoring import Comparison
+from cosim.scoring import ORACLE, Comparison
 from hesr_model.friction.audit import ENCODER, REACH, Audit
 from hesr_model.friction.estimator import registry
 from hesr_model.friction.functions import INPUT_UNITS
@@ -40,7 +40,7 @@ def comparison(
         table.add_section()
     best = [
         min((v for v in column if v is not None), default=None)
-        for column in zip(*values.values(), strict=True)
+        for column in zip(*(row for law, row in values.items() if law != ORACLE), strict=True)
     ]
     for heading, laws_of_class in _classes(values, inputs):
         if heading:
@@ -141,8 +141,10 @@ def _classes(
         return [("", list(laws_of_table))]
     classes: dict[str, list[str]] = {}
     for law in laws_of_table:
-        classes.setdefault(inputs[law], []).append(law)
-    return sorted(classes.items(), key=lambda entry: entry[0].count(","))
+        classes.setdefault(inputs.get(law, "for comparison"), []).append(law)
+    return sorted(
+        classes.items(), key=lambda entry: (not entry[0].startswith("v"), entry[0].count(","))
+    )
 
 
 def _figure(value: float | None) -> str:

@@ -14,8 +14,10 @@ from pydantic import Field, field_validator
 from fmu_src.arm.plant import Arm, ArmOutput, Noise, Plant
 from hesr_model.config import Config, read_toml
 from hesr_model.errors import ConfigError
+from hesr_model.files import written_whole
 from hesr_model.noise import words
 from hesr_model.robot_log import RobotLog
+from hesr_model.tables import write_table
 from hesr_model.trajectories import Sine, Sweep, Trajectory, chirp, random_fourier
 
 Array = NDArray[np.float64]
@@ -205,7 +207,7 @@ class Recording:
 def excite(
     motions: Motions, plant: Plant, folder: Path, *, seed: int | None = None
 ) -> dict[str, Path]:
-    """Run the arm along every motion and write one CSV each.
+    """Run the arm along every motion and write one CSV each, with the true friction beside it.
 
     Parameters
     ----------
@@ -234,6 +236,7 @@ def excite(
     for recording in recordings(motions, plant, seed=seed):
         path = folder / f"{recording.log.name}.csv"
         recording.log.write(path)
+        _write_truth(truth_of(path), recording)
         paths[recording.log.name] = path
         worst = np.abs(recording.tracking_error).max() * 1e3
         _log.info("%s: %d samples, at most %.0f mrad off", path, len(recording.log.t), worst)
@@ -306,6 +309,18 @@ def record(
         tau=truth.tau_meas + own.torque_error(counter),
     )
     return Recording(log=log, truth=truth, desired=desired[first:count])
+
+
+def truth_of(log: Path) -> Path:
+    """File of the true friction that belongs to a log of the twin: columns t, tau_f1.."""
+    return log.parent / "truth" / log.name
+
+
+def _write_truth(path: Path, recording: Recording) -> None:
+    columns = {"t": recording.log.t}
+    columns |= {f"tau_f{k}": f for k, f in enumerate(recording.truth.tau_f_true.T, start=1)}
+    with written_whole(path) as temporary:
+        write_table(temporary, columns)
 
 
 def _names(motion: Motion) -> tuple[str, ...]:
