@@ -9,6 +9,7 @@ import pytest
 from small_study import MOTIONS, uf850
 
 from cosim.run import Outcome, run_study
+from cosim.scoring import ORACLE
 from cosim.study import Study
 from hesr_model.artifacts import read_model, read_rigid_body
 from hesr_model.errors import ConfigError
@@ -227,9 +228,9 @@ def test_variants_are_rows_like_laws(outcome: Outcome) -> None:
     rows = ["stribeck", "lugre", "hx", "hx_bare"]
     assert list(outcome.models) == rows
     for compared in outcome.comparisons.values():
-        assert list(compared.laws) == rows
+        assert list(compared.laws) == [*rows, ORACLE]
         assert compared.reference == "lugre"
-        assert list(compared.ratios) == ["stribeck", "hx", "hx_bare"]
+        assert list(compared.ratios) == ["stribeck", "hx", "hx_bare", ORACLE]
     folder = outcome.fmus["hx"].parents[1]
     for row, fmu in outcome.fmus.items():
         assert fmu.is_file()
@@ -293,7 +294,18 @@ def test_laws_with_a_state_pay_on_the_twin(outcome: Outcome) -> None:
 def test_scores_are_written(outcome: Outcome) -> None:
     data = json.loads((outcome.fmus["hx"].parents[1] / "evaluation.json").read_text())
     assert data == {name: c.to_json() for name, c in outcome.comparisons.items()}
-    assert set(data["unseen"]["ratios"]["laws"]) == {"stribeck", "hx", "hx_bare"}
+    assert set(data["unseen"]["ratios"]["laws"]) == {"stribeck", "hx", "hx_bare", ORACLE}
+
+
+def test_the_true_friction_is_the_floor_of_the_twin(outcome: Outcome) -> None:
+    """What is left then is noise and the rigid body's error; no law is much below it."""
+    for name in ("unseen", "early", "late"):
+        scores = outcome.comparisons[name].laws
+        floor = np.array([s.rmse for s in scores[ORACLE]])
+        np.testing.assert_array_less([1.4, 1.4, 0.55], floor)  # noise of the arm: 1.5, 1.5, 0.6
+        np.testing.assert_array_less(floor, [2.2, 2.2, 1.2])
+        for row in outcome.models:
+            assert np.all([s.rmse for s in scores[row]] > 0.9 * floor), row
 
 
 def test_progress_is_told_for_every_step(

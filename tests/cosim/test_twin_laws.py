@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.run import Outcome, run_study
-from cosim.scoring import Comparison
+from cosim.scoring import ORACLE, Comparison
 from hesr_model.files import models_folder
 
 STUDY = models_folder() / "studies" / "default.toml"
@@ -49,7 +49,7 @@ def test_the_extended_law_beats_the_papers(fourier: Comparison) -> None:
 def test_both_bands_of_the_chirp_are_scored_for_every_law(outcome: Outcome) -> None:
     low, high = (outcome.comparisons[f"chirp {band}"] for band in ("to 0.6 Hz", "from 0.6 Hz"))
     whole = outcome.comparisons["chirp"]
-    assert set(low.laws) == set(high.laws) == set(whole.laws) == set(outcome.models)
+    assert set(low.laws) == set(high.laws) == set(whole.laws) == {*outcome.models, ORACLE}
     for law in whole.laws:
         between = (errors(low, law), errors(high, law))
         assert np.all(np.minimum(*between) <= errors(whole, law))
