@@ -169,8 +169,10 @@ def in_milliseconds(rows: Rows) -> None:
 
 
 def few(rows: Rows) -> None:
-    """In the middle of the motion, so that every joint moves."""
-    rows[1:] = rows[700:719]
+    """From where every joint moves."""
+    q = np.array([row[1:4] for row in rows[1:]], dtype=float)
+    k = int(np.argmax(np.abs(q[18:] - q[:-18]).min(axis=1)))
+    rows[1:] = rows[k + 1 : k + 20]
 
 
 LOG_FAULTS: dict[str, tuple[Callable[[Rows], object], str]] = {
@@ -218,7 +220,7 @@ LOG_FAULTS: dict[str, tuple[Callable[[Rows], object], str]] = {
     ),
     "a header alone": (lambda rows: rows.__delitem__(slice(1, None)), "has no rows of data below"),
     "one row": (lambda rows: rows.__delitem__(slice(2, None)), "has 1 rows of data; at least 2"),
-    "a few rows": (few, "has 19 rows; a low pass at 15 Hz needs more than 41 at this rate."),
+    "a few rows": (few, "has 19 rows; a low pass at 15 Hz needs more than 42 at this rate."),
 }
 
 READERS = ("identify", "fit", "evaluate", "replay", "run")

@@ -1,6 +1,7 @@
 """Every command of the command line, end to end on a small study of the digital twin."""
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -64,7 +65,7 @@ def assert_scores(data: Any, laws: set[str]) -> None:
     """The format of section 7 of the design, whatever else there is beside it."""
     assert data["joints"] == JOINTS
     assert len(data["tau_std"]) == 3
-    assert set(data["laws"]) == laws
+    assert set(data["laws"]) >= laws
     for scores in data["laws"].values():
         assert set(scores) >= MEASURES
         for measure in MEASURES:
@@ -81,7 +82,7 @@ def test_run_ends_with_a_table_of_laws_and_the_fmus_that_it_wrote(ran: Ran) -> N
     out = ran.answer.out
     for text in ("Stribeck", "ParFam-H", "J1", "J2", "J3", "unseen", "[N.m]"):
         assert text in out
-    assert "base parameters of 33, from excitation, excitation_reversed." in out
+    assert re.search(r"16 base parameters of 33\b.* from excitation, excitation_reversed\b", out)
     for law in ("stribeck", "parfam_h"):
         fmu = ran.folder / "fmus" / f"{law}.fmu"
         assert str(fmu) in out
@@ -206,7 +207,8 @@ def test_evaluate_agrees_with_the_fmus_of_the_run(ran: Ran, tmp_path: Path, hesr
     assert "Stribeck" in answer.out
     data, expected = read(scores), read(ran.folder / "evaluation.json")["unseen"]
     assert_scores(data, {"stribeck", "parfam_h"})
-    for law, of_law in data["laws"].items():
+    for law in ("stribeck", "parfam_h"):
+        of_law = data["laws"][law]
         for measure in MEASURES:
             np.testing.assert_allclose(of_law[measure], expected["laws"][law][measure], rtol=1e-9)
 
