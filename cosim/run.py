@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from inspect import signature
 from pathlib import Path
 from typing import Any
@@ -72,7 +72,7 @@ def run_study(
     """
     study = Study.read(path)
     targets(platforms)
-    job = _Job(study=study, path=path, progress=progress or _silent)
+    job = Job(study=study, path=path, progress=progress or _silent)
     description = RobotDescription.read(study.robot)
     model = RobotModel(description)
     with folder_written_whole(output) as folder:
@@ -102,7 +102,7 @@ def run_study(
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Job:
+class Job:
     """The steps of a study."""
 
     study: Study
@@ -139,10 +139,16 @@ class _Job:
         except (HesrError, TypeError) as error:
             raise ConfigError(f"{self.path}: table '{key}': {str(error).rstrip('.')}.") from error
 
-    @property
+    @cached_property
     def laws(self) -> tuple[str, ...]:
-        """Laws and variants of the study."""
-        return (*(self.study.laws or registry()), *self.study.variants)
+        """Laws and variants of the study: where it names none, all that the robot file allows."""
+        robot = RobotDescription.read(self.study.robot)
+        possible = (
+            name
+            for name, law in registry().items()
+            if all(getattr(robot, need) is not None for need in law.needs)
+        )
+        return (*(self.study.laws or possible), *self.study.variants)
 
     @property
     def trained_on(self) -> list[str]:

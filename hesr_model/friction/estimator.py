@@ -24,11 +24,13 @@ class Estimator(ABC):
     name : key in the registry and in artifacts.
     title : the name that people use.
     equation : the law in one line of text.
+    needs : fields of a `FrictionRecord` that may be unknown, and that the law cannot do without.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
     equation: ClassVar[str]
+    needs: ClassVar[tuple[str, ...]] = ()
 
     @staticmethod
     @abstractmethod

@@ -77,13 +77,19 @@ def fit_joint(
     ArtifactError
         If the law is unknown.
     FitError
-        If the records do not determine the law.
+        If the records do not determine the law, or lack what it needs.
     """
     chosen = estimator(law)
     try:
         configured = chosen(**(options or {}))
     except TypeError as error:
         raise FitError(f"law '{law}' does not take these options ({error}).") from error
+    for need in chosen.needs:
+        if any(getattr(record, need) is None for record in records):
+            raise FitError(
+                f"joint '{records[0].joint}': law '{law}' needs the key '{need}', which the robot "
+                "file does not give."
+            )
     with threadpool_limits(1):
         fitted = configured.fit(records, np.random.default_rng(seed))
         return with_standard_errors(fitted, records)

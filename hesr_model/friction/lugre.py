@@ -117,5 +117,6 @@ class LuGreLoadRipple(LuGreLoad):
     name = "lugre_load_ripple"
     title = "LuGre+load+ripple"
     equation = "LuGre+load + sum_k a_k cos(k N (q - lag dq)) + b_k sin(k N (q - lag dq))"
+    needs = ("gear_ratio",)
     ripple = True
     start_samples = 5

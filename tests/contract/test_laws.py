@@ -274,3 +274,15 @@ def test_the_fmu_gives_the_torque_of_the_law(law: FrictionLaw, tmp_path: Path) -
         expected = torque(own, replace(data, t=unseen().t))
         worst = np.abs(found[:, joint] - expected).max() / np.abs(expected).max()
         assert worst <= EXACT_ENOUGH, f"joint {joint + 1}"
+
+
+@pytest.mark.parametrize(
+    ("law", "need"), [(name, need) for name, law in registry().items() for need in law.needs]
+)
+def test_a_law_says_which_input_the_records_lack(law: str, need: str) -> None:
+    lacking = replace(measured("log", 0), **{need: None})
+    with pytest.raises(HesrError) as caught:
+        fit_joint(law, [lacking], seed=0)
+    assert str(caught.value) == (
+        f"joint 'j1': law '{law}' needs the key '{need}', which the robot file does not give."
+    )

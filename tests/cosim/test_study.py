@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from small_study import MOTIONS, uf850
 
-from cosim.run import Outcome, run_study
+from cosim.run import Job, Outcome, run_study
 from cosim.scoring import ORACLE
 from cosim.study import Study
 from hesr_model.artifacts import read_model, read_rigid_body
 from hesr_model.errors import ConfigError
+from hesr_model.files import models_folder
 
 LOGS = """
 [logs]
@@ -352,3 +353,16 @@ def test_a_test_log_that_is_no_motion_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="'trail', which is no motion of"):
         run_study(study, tmp_path / "results")
     assert {p.name for p in tmp_path.iterdir()} == {"study.toml", "motions.toml"}
+
+
+def test_a_study_without_laws_runs_those_that_the_robot_file_allows(tmp_path: Path) -> None:
+    robot = (models_folder() / "uf850" / "robot.toml").read_text()
+    lines = [line for line in robot.splitlines() if not line.startswith("gear_ratio")]
+    text = "\n".join(lines).replace('"uf850.xml"', f'"{models_folder() / "uf850" / "uf850.xml"}"')
+    (tmp_path / "robot.toml").write_text(text)
+    path = tmp_path / "study.toml"
+    for name, ripple in (("robot.toml", False), (str(models_folder() / "uf850/robot.toml"), True)):
+        path.write_text(f'name = "n"\nrobot = "{name}"\n{LOGS}')
+        laws = Job(study=Study.read(path), path=path, progress=lambda *_: None).laws
+        assert ("lugre_load_ripple" in laws) == ripple
+        assert {"stribeck", "parfam_h", "parfam_hx"} <= set(laws)
