@@ -29,6 +29,10 @@ Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much of it is done, and how much there is."""
 
 
+QUICK_LAWS = ("stribeck", "lugre", "parfam_h")
+"""Laws of a quick run: the paper's law and its classic baselines."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
     """What a run made.
@@ -52,6 +56,7 @@ def run_study(
     output: Path,
     *,
     platforms: Sequence[str] = ("linux64",),
+    quick: bool = False,
     progress: Progress | None = None,
 ) -> Outcome:
     """Run a study and write everything that it makes into a folder, or nothing on an error.
@@ -63,6 +68,7 @@ def run_study(
     path : study file.
     output : folder of the results.
     platforms : for which the FMUs hold a binary.
+    quick : run `QUICK_LAWS` only, without variants and without refining the rigid body.
     progress : told how far the run has come.
 
     Raises
@@ -71,6 +77,8 @@ def run_study(
         If the study, a log or the data in it do not allow the run.
     """
     study = Study.read(path)
+    if quick:
+        study = study.model_copy(update={"laws": QUICK_LAWS, "variants": {}, "refinement": None})
     targets(platforms)
     job = Job(study=study, path=path, progress=progress or _silent)
     description = RobotDescription.read(study.robot)

@@ -17,6 +17,9 @@ def run(
         Path | None, typer.Option("-o", "--output", help="Folder; default: results/NAME.")
     ] = None,
     platform: Platforms = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Stribeck, LuGre and ParFam-H only.")
+    ] = False,
 ) -> None:
     """Do the main job: identify, fit all laws, build FMUs and score them on unseen motions.
 
@@ -33,7 +36,9 @@ def run(
     path = study or models_folder() / "studies" / "default.toml"
     folder = output or Path("results") / Study.read(path).name
     with shown_progress() as progress:
-        outcome = run_study(path, folder, platforms=platform or ["linux64"], progress=progress)
+        outcome = run_study(
+            path, folder, platforms=platform or ["linux64"], quick=quick, progress=progress
+        )
     console = Console()
     console.print(tables.rigid_body(outcome.rigid_body))
     inputs = {law: inputs_of(model) for law, model in outcome.models.items()}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_study import MOTIONS, uf850
 
-from cosim.run import Job, Outcome, run_study
+from cosim.run import QUICK_LAWS, Job, Outcome, run_study
 from cosim.scoring import ORACLE
 from cosim.study import Study
 from hesr_model.artifacts import read_model, read_rigid_body
@@ -366,3 +366,9 @@ def test_a_study_without_laws_runs_those_that_the_robot_file_allows(tmp_path: Pa
         laws = Job(study=Study.read(path), path=path, progress=lambda *_: None).laws
         assert ("lugre_load_ripple" in laws) == ripple
         assert {"stribeck", "parfam_h", "parfam_hx"} <= set(laws)
+
+
+def test_a_quick_run_has_the_classic_laws_only(tmp_path: Path) -> None:
+    found = run_study(tiny(tmp_path), tmp_path / "results", quick=True)
+    assert tuple(found.models) == QUICK_LAWS
+    assert all(found.fmus[law].is_file() for law in QUICK_LAWS)
