@@ -1,0 +1,132 @@
+"""What the command line does with the rigid body beyond the plain identification."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_study import MOTIONS, Hesr, hesr_here, uf850
+
+from cosim.studies.excite import Motions, excite
+from fmu_src.arm.plant import Plant
+from hesr_model.artifacts import read_rigid_body
+
+ROBOT = uf850("robot.toml")
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("logs")
+    (folder / "motions.toml").write_text(MOTIONS, encoding="utf-8")
+    return excite(Motions.read(folder / "motions.toml"), Plant.read(uf850("plant.toml")), folder)
+
+
+def test_excite_writes_a_motion_its_reverse_and_a_picture(hesr: Hesr, tmp_path: Path) -> None:
+    settings = tmp_path / "settings.toml"
+    settings.write_text("harmonics = 4\nperiod = [10.0, 12.0]\nstarts = 1\n", encoding="utf-8")
+    answer = hesr("excite", ROBOT, "-o", tmp_path / "motion.csv", "--settings", settings)
+    assert answer.code == 0, answer.err
+    condition, median = map(
+        float, re.findall(r"condition number ([\d.]+).*?: ([\d.]+) in the median", answer.out)[0]
+    )
+    assert condition < median
+    for name in ("motion.csv", "motion_reversed.csv", "motion.png"):
+        assert (tmp_path / name).stat().st_size > 1000
+    rows = np.genfromtxt(tmp_path / "motion.csv", delimiter=",", names=True)
+    assert abs(rows["dq1"][0]) < 1e-9
+
+
+def test_limits_that_admit_no_motion_are_refused(hesr: Hesr, tmp_path: Path) -> None:
+    settings = tmp_path / "settings.toml"
+    settings.write_text("[limits]\ntorque = [200.0, 1.0, 90.0]\n", encoding="utf-8")
+    answer = hesr("excite", ROBOT, "-o", tmp_path / "motion.csv", "--settings", settings)
+    assert answer.code == 2
+    assert answer.err.count("\n") == 1
+    assert "the limits admit no motion" in answer.err
+    assert not (tmp_path / "motion.csv").exists()
+
+
+def test_a_physical_body_says_that_it_is_one(
+    hesr: Hesr, logs: dict[str, Path], tmp_path: Path
+) -> None:
+    output = tmp_path / "body.json"
+    answer = hesr("identify", logs["excitation"], "--robot", ROBOT, "--physical", "-o", output)
+    assert answer.code == 0, answer.err
+    assert read_rigid_body(output).physical
+
+
+def test_a_body_is_refined_with_the_friction_that_was_fitted(
+    hesr: Hesr, logs: dict[str, Path], tmp_path: Path
+) -> None:
+    first, law, second = (tmp_path / f"{n}.json" for n in ("first", "law", "second"))
+    runs = [
+        ("identify", logs["excitation"], "--robot", ROBOT, "-o", first),
+        ("fit", logs["sweep"], "--robot", ROBOT, "--rigid-body", first, "--law", "lugre",
+         "-o", law),
+        ("identify", logs["excitation"], "--robot", ROBOT, "--friction", law, "--rigid-body",
+         first, "-o", second),
+    ]  # fmt: skip
+    for run in runs:
+        answer = hesr(*run)
+        assert answer.code == 0, answer.err
+    before, after = read_rigid_body(first), read_rigid_body(second)
+    assert np.all(np.abs(after.friction[:, 0]) < np.abs(before.friction[:, 0]))
+    names = [file["name"] for file in json.loads(second.read_text())["provenance"]["files"]]
+    assert {"law.json", "first.json"} <= set(names)
+
+
+def test_a_log_without_payload_holds_none(
+    hesr: Hesr, logs: dict[str, Path], tmp_path: Path
+) -> None:
+    body, loaded = tmp_path / "body.json", tmp_path / "loaded.json"
+    pair = (logs["excitation"], "--reversed", logs["excitation_reversed"], "--robot", ROBOT)
+    assert hesr("identify", *pair, "-o", body).code == 0
+    answer = hesr("identify", *pair, "--payload", body, "-o", loaded)
+    assert answer.code == 2
+    assert answer.err.count("\n") == 1
+    assert "payload" in answer.err
+    assert not loaded.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (("--friction", "law.json"), "--friction and --rigid-body go together"),
+        (("--rigid-body", "b.json"), "--friction and --rigid-body go together"),
+        (("--payload", "b.json", "--physical"), "--payload does not go with --physical"),
+        (("--payload", "b.json", "--method", "paper"), "--payload does not go with"),
+        (
+            ("--physical", "--friction", "law.json", "--rigid-body", "b.json"),
+            "--physical does not go with --friction",
+        ),
+    ],
+)
+def test_options_that_exclude_each_other(
+    hesr: Hesr, logs: dict[str, Path], tmp_path: Path, options: tuple[str, ...], sentence: str
+) -> None:
+    output = tmp_path / "body.json"
+    answer = hesr("identify", logs["excitation"], "--robot", ROBOT, *options, "-o", output)
+    assert answer.code == 2
+    assert answer.err.startswith(f"hesr: {sentence}")
+    assert answer.err.count("\n") == 1
+    assert not output.exists()
+
+
+def test_an_option_of_a_law_is_written_as_in_toml(
+    hesr: Hesr, logs: dict[str, Path], tmp_path: Path
+) -> None:
+    body, law = tmp_path / "body.json", tmp_path / "law.json"
+    assert hesr("identify", logs["excitation"], "--robot", ROBOT, "-o", body).code == 0
+    fit = ("fit", logs["sweep"], "--robot", ROBOT, "--rigid-body", body, "-o", law)
+    answer = hesr(*fit, "--law", "parfam_v", "--option", "functions=tanh")
+    assert answer.code == 2
+    assert answer.err.startswith("hesr: --option is 'functions=tanh'; needed is KEY=VALUE")
+    answer = hesr(*fit, "--law", "parfam_v", "--option", 'functions=["tanh"]')
+    assert answer.code == 0, answer.err
+    assert json.loads(law.read_text())["provenance"]["options"] == {"functions": ["tanh"]}
