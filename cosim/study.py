@@ -1,12 +1,11 @@
 """A study: which logs identify, train and test, on which robot, with which laws."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
-from hesr_model.config import Config, RelativePath, read_toml
+from hesr_model.config import Config, RelativePath
 
 # Names that become names of files.
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
@@ -134,14 +133,3 @@ class Study(Config):
             if band.test not in self.logs.test:
                 raise ValueError(f"band '{band.name}' is of the unknown test set '{band.test}'")
         return self
-
-    @classmethod
-    def read(cls, path: Path) -> Self:
-        """Read a study.
-
-        Raises
-        ------
-        ConfigError
-            Naming the file, the key, what was found and what is needed.
-        """
-        return read_toml(path, cls)

@@ -2,7 +2,7 @@
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, ValidationInfo
 
@@ -13,6 +13,17 @@ class Config(BaseModel):
     """Base of every schema: immutable, unknown keys refused, infinities and NaN refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read and validate a TOML file.
+
+        Raises
+        ------
+        ConfigError
+            Naming the file, the key, what was found and what is needed.
+        """
+        return read_toml(path, cls)
 
 
 def _beside_the_toml(path: Path, info: ValidationInfo) -> Path:

@@ -5,14 +5,14 @@ import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from fmu_src.arm.plant import Arm, ArmOutput, Noise, Plant
-from hesr_model.config import Config, read_toml
+from hesr_model.config import Config
 from hesr_model.errors import ConfigError
 from hesr_model.files import written_whole
 from hesr_model.noise import words
@@ -166,17 +166,6 @@ class Motions(Config):
             if names.count(name) > 1:
                 raise ValueError(f"two logs would be named '{name}'; names must differ")
         return motions
-
-    @classmethod
-    def read(cls, path: Path) -> Self:
-        """Read a file of motions.
-
-        Raises
-        ------
-        ConfigError
-            Naming the file, the key, what was found and what is needed.
-        """
-        return read_toml(path, cls)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
-from hesr_model.config import Config, RelativePath, read_toml
+from hesr_model.config import Config, RelativePath
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.noise import standard_normal
 
@@ -102,17 +102,6 @@ class Plant(Config):
                     f"{key} has {len(entries)} entries; {len(joints)} are needed, one per joint"
                 )
         return table
-
-    @classmethod
-    def read(cls, path: Path) -> Self:
-        """Read a plant file.
-
-        Raises
-        ------
-        ConfigError
-            Naming the file, the key, what was found and what is needed.
-        """
-        return read_toml(path, cls)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
