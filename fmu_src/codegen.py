@@ -28,19 +28,19 @@ class _Printer(C99CodePrinter):
         super().__init__({"strict": False})
         self._names = names
 
-    def _print_Symbol(self, expr: sympy.Symbol) -> str:  # noqa: N802 - SymPy's dispatch
+    def _print_Symbol(self, expr: sympy.Symbol) -> str:
         return self._names.get(expr, expr.name)
 
-    def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802
+    def _print_Float(self, expr: sympy.Float) -> str:
         return literal(float(expr))
 
-    def _print_NumberSymbol(self, expr: sympy.NumberSymbol) -> str:  # noqa: N802
+    def _print_NumberSymbol(self, expr: sympy.NumberSymbol) -> str:
         return literal(float(expr))
 
-    _print_Pi = _print_NumberSymbol  # noqa: N815
-    _print_Exp1 = _print_NumberSymbol  # noqa: N815
+    _print_Pi = _print_NumberSymbol
+    _print_Exp1 = _print_NumberSymbol
 
-    def _print_Pow(self, expr: sympy.Pow) -> str:  # noqa: N802
+    def _print_Pow(self, expr: sympy.Pow) -> str:
         if expr.exp in _POWERS:
             return f"{_POWERS[int(expr.exp)]}({self._print(expr.base)})"
         return super()._print_Pow(expr)

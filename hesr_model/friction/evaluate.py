@@ -191,6 +191,7 @@ class Stepper:
         drives = self._drives(*self._values, *inputs)
         states: list[float] = []
         for i, x in enumerate(self.x):
+            # Scalars stand for the arrays of a log here: one row, the same arithmetic.
             b, r = np.float64(drives[2 * i]), np.float64(drives[2 * i + 1])
             a, c = step_coefficients(b, r, np.float64(dt), self._law.discretisation)  # type: ignore[arg-type]
             self.x[i] = float(a * x + c)

@@ -7,14 +7,13 @@ from typing import Any, Literal
 import numpy as np
 
 from hesr_model.errors import FitError
-from hesr_model.friction.audit import explodes
 from hesr_model.friction.estimator import Estimator, register
 from hesr_model.friction.law import Discretisation, FrictionLaw, LawForm
 from hesr_model.friction.parfam import calibrate, evolve, family, paper, refine
 from hesr_model.friction.parfam.calibrate import Cell
 from hesr_model.friction.parfam.candidate import Candidate
 from hesr_model.friction.parfam.features import HysteresisFeatures
-from hesr_model.friction.parfam.trial import UNIT_GAIN, Trial, choose, pose, with_unit
+from hesr_model.friction.parfam.trial import Trial, extended, pose, with_unit
 from hesr_model.friction.samples import Samples
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.residual import FrictionRecord
@@ -120,11 +119,10 @@ class ParFamH(Estimator):
         if self.units > 1 and "alpha" in law.values:
             columns = features.columns(law.values["alpha"], law.values["beta"])
             more = with_unit(best, columns, self.functions, self.starts, rng)
-            best = choose([best, *(t for t in more if not explodes(t.law(), trained))], UNIT_GAIN)
+            best = extended(best, more, trained)
         if self.denominator and "alpha" in law.values:
             rational = best.changed({**best.structure, "denominator": list(family.DIVISORS)}, {})
-            tame = [] if explodes(rational.law(), trained) else [rational]
-            best = choose([best, *tame], UNIT_GAIN)
+            best = extended(best, [rational], trained)
         return law if best.structure == law.structure else replace(best.law(), name=self.name)
 
     def _evolve(self, features: HysteresisFeatures, rng: np.random.Generator) -> list[Candidate]:

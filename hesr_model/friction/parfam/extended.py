@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from hesr_model.friction.audit import explodes
 from hesr_model.friction.described import Described
 from hesr_model.friction.estimator import register
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.parfam import family
-from hesr_model.friction.parfam.trial import UNIT_GAIN, Trial, choose, pose, with_unit
+from hesr_model.friction.parfam.trial import Trial, choose, extended, pose, with_unit
 from hesr_model.friction.samples import Samples
 from hesr_model.friction.separable import left_out_cost
 from hesr_model.friction.trained import TrainedRange
@@ -70,7 +69,7 @@ class ParFamHX(Described):
         )
         self.functions = tuple(functions)
         self.ripple = ripple  # type: ignore[misc] # a switch of this law, fixed in others
-        self.start_samples = 5 if initial_state else 0  # type: ignore[misc]
+        self.start_samples = 5 if initial_state else 0  # type: ignore[misc] # likewise
         self.starts = starts
 
     @staticmethod
@@ -88,7 +87,7 @@ class ParFamHX(Described):
         features = np.column_stack([np.ones(len(columns)), columns[:, moving]])
         trained = TrainedRange.of(records)
         more = with_unit(bare, features, self.functions, self.starts, rng)
-        best = choose([bare, *(t for t in more if not explodes(t.law(), trained))], UNIT_GAIN)
+        best = extended(bare, more, trained)
         return self.finish(best.structure, best.problem, best.problem.polish(best.point))
 
     def _bare(self, state: str, samples: Samples, rng: np.random.Generator) -> Trial:

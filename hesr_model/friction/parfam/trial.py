@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from hesr_model.friction.audit import explodes
 from hesr_model.friction.evaluate import Array
 from hesr_model.friction.law import Discretisation, FrictionLaw
 from hesr_model.friction.lugre import STATIC_RATIO_BOUNDS
@@ -15,6 +16,7 @@ from hesr_model.friction.parfam.features import HysteresisFeatures
 from hesr_model.friction.samples import Samples
 from hesr_model.friction.separable import SearchSpace, Separable
 from hesr_model.friction.stribeck import V_S, VELOCITY_BOUNDS
+from hesr_model.friction.trained import TrainedRange
 from hesr_model.metrics import MOVING
 
 MEMORY_BOUNDS = (0.05, 2000.0)
@@ -105,6 +107,11 @@ def choose(trials: Sequence[Trial], gain: float) -> Trial:
     """Return the trial that predicts left-out rows best; those after the first must gain `gain`."""
     costs = [left_out(trial) * (1.0 if i == 0 else 1.0 + gain) for i, trial in enumerate(trials)]
     return trials[int(np.argmin(costs))]
+
+
+def extended(base: Trial, more: Sequence[Trial], trained: TrainedRange) -> Trial:
+    """Return the one of `more` that gains most on left-out rows and stays in bounds, or `base`."""
+    return choose([base, *(t for t in more if not explodes(t.law(), trained))], UNIT_GAIN)
 
 
 def left_out(trial: Trial) -> float:
