@@ -1,7 +1,8 @@
 """One FMU as a co-simulation slave, run by FMPy: values by name, always freed."""
 
 import ctypes
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, chdir, suppress
 from difflib import get_close_matches
 from pathlib import Path
@@ -26,6 +27,8 @@ from numpy.typing import NDArray
 from hesr_model.errors import SimulationError
 
 Array = NDArray[np.float64]
+Value = float | int | str | Sequence[float]
+"""A start value: a number, a list for all elements of a vector, or the name of a choice."""
 
 
 class Component:
@@ -57,6 +60,8 @@ class Component:
         self.time = 0.0
         self.messages: list[str] = []
         self._stepping = False
+        self.used = False
+        """Whether an initialisation has begun, so that a reset is needed before another one."""
         self._cleanup = ExitStack()
 
     def __enter__(self) -> Self:
@@ -151,6 +156,52 @@ class Component:
             known = f"; did you mean {', '.join(near)}" if near else ""
             raise SimulationError(f"{self.fmu}: there is no variable '{name}'{known}.") from None
 
+    def elements(self, name: str) -> list[str]:
+        """Return the variables that a name stands for: itself, or all elements of a vector."""
+        if name in self._variables or f"{name}[1]" not in self._variables:
+            return [self.variable(name).name]
+        vector = re.compile(rf"{re.escape(name)}\[(\d+(,\d+)*)\]")
+        return [variable for variable in self._variables if vector.fullmatch(variable)]
+
+    @property
+    def feedthrough(self) -> dict[str, list[str]]:
+        """For each output the inputs on which it depends directly, all where none are declared."""
+        inputs = [v.name for v in self._variables.values() if v.causality == "input"]
+        found = {}
+        for unknown in self.description.outputs:
+            needed = unknown.dependencies
+            found[unknown.variable.name] = (
+                inputs if needed is None else [v.name for v in needed if v.causality == "input"]
+            )
+        return found
+
+    def expanded(self, values: Mapping[str, Value]) -> dict[str, float]:
+        """Return numbers by variable, from numbers, lists for vectors, and names of choices."""
+        numbers: dict[str, float] = {}
+        for name, value in values.items():
+            elements = self.elements(name)
+            if isinstance(value, str):
+                numbers[name] = self._choice(name, value)
+                continue
+            parts = list(value) if isinstance(value, tuple | list) else [value] * len(elements)
+            if len(parts) != len(elements):
+                raise SimulationError(
+                    f"{self.fmu}: '{name}' has {len(elements)} elements; {len(parts)} values are "
+                    "given."
+                )
+            numbers |= dict(zip(elements, parts, strict=True))
+        return numbers
+
+    def _choice(self, name: str, value: str) -> int:
+        declared = self.variable(name).declaredType
+        items = {
+            item.name: int(item.value) for item in (declared.items if declared else None) or ()
+        }
+        if value not in items:
+            known = f"needed is one of {', '.join(items)}" if items else "it has no choices"
+            raise SimulationError(f"{self.fmu}: '{name}' cannot be '{value}'; {known}.")
+        return items[value]
+
     def initialise(
         self,
         *,
@@ -177,6 +228,7 @@ class Component:
     ) -> None:
         """Do the first half of `initialise`; inputs may be set and outputs read after it."""
         self.time = time
+        self.used = True
         defined = stop is not None
         self._call(self._slave.fmi2SetupExperiment, False, 0.0, time, defined, stop or 0.0)
         self.set(start or {})
@@ -221,6 +273,19 @@ class Component:
             if self.variable(name).type != "Real":
                 raise SimulationError(f"{self.fmu}: variable '{name}' is not a Real.")
         return Batch(self, self._references(names))
+
+    def slopes(self, names: Sequence[str]) -> Callable[[Array], None]:
+        """Return a function that sets the slopes of inputs, (n,) per second, for the next step."""
+        references = self._references(names)
+        orders = (fmi2Integer * len(names))(*[1] * len(names))
+        values = (fmi2Real * len(names))()
+
+        def set_slopes(slopes: Array) -> None:
+            values[:] = slopes.tolist()
+            function = self._slave.fmi2SetRealInputDerivatives
+            self._call(function, references, len(names), orders, values)
+
+        return set_slopes
 
     def _references(self, names: Sequence[str]) -> Any:
         return (fmi2ValueReference * len(names))(

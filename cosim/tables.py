@@ -1,6 +1,7 @@
 """Tables for the terminal."""
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.markup import escape
@@ -12,6 +13,9 @@ from hesr_model.friction.estimator import registry
 from hesr_model.friction.functions import INPUT_UNITS
 from hesr_model.friction.trained import Excess, Range
 from hesr_model.rigid_body import RigidBody
+
+if TYPE_CHECKING:
+    from cosim.convention import Convention
 
 _TITLES = {
     "rmse": "RMSE of the predicted torque [N.m], all rows",
@@ -85,6 +89,39 @@ def audit(name: str, audits: Sequence[Audit]) -> Table:
     }
     for label, cells in rows.items():
         table.add_row(escape(label), *cells)
+    return table
+
+
+def convention(name: str, found: "Convention") -> Table:
+    """Return what each way of handing inputs over to an FMU costs, by joint.
+
+    Parameters
+    ----------
+    name : of the FMU.
+    found : what was measured.
+    """
+    from fmu_src.settings import SETTINGS  # most tables are of no FMU, which takes long to load
+
+    speeds = ", ".join(f"{speed:.3g}" for speed in found.speeds)
+    table = _by_joint(
+        f"{escape(name)}: RMSE [N.m] of all rows; below, within 0.1 s of reversals",
+        "inputs",
+        len(found.joints),
+    )
+    table.caption = (
+        f"Velocity: a sine of {found.frequency:g} Hz and {speeds} rad/s, in steps of "
+        f"{found.step:g} s. " + "; ".join(f"{way}: {text}" for way, text in SETTINGS.items())
+    )
+    table.caption_justify = "left"
+    for truth, by_setting in (
+        ("against the replay of a log", found.replay),
+        ("against continuous time", found.continuous),
+    ):
+        table.add_row(f"[italic]{truth}[/]")
+        for setting, of_joints in by_setting.items():
+            cells = [f"{_figure(e.rmse)}\n{_figure(e.rmse_reversal)}" for e in of_joints]
+            table.add_row(setting, *cells)
+        table.add_section()
     return table
 
 

@@ -1,21 +1,25 @@
 """SymPy to C99: the functions of friction laws.
 
-Each distinct form becomes two functions,
+Each distinct form becomes five functions,
 
-    relaxations(k, u, drive, rate)      drive b and rate r of every state
-    torque(k, u, x, dx)                 the output map
+    switches(k, u, z)                          arguments of the signs that are held between events
+    relaxations(k, u, s, drive, rate)          drive b and rate r of every state
+    torque(k, u, s, x, dx)                     the output map
+    relaxations_tangent, torque_tangent        their derivatives along dk, du, (tx, tdx)
 
-over its coefficients k, the inputs u = (dq, q, tau_load), the states x and their derivatives dx.
+over its coefficients k, the inputs u = (dq, q, tau_load), the held signs s, the states x and their
+derivatives dx.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import sympy
 from sympy.printing.c import C99CodePrinter
 
 from fmu_src.interface import literal
 from hesr_model.errors import ExportError
-from hesr_model.friction.functions import INPUTS
+from hesr_model.friction.functions import INPUTS, absolute, sgn
 from hesr_model.friction.law import LawForm
 
 _POWERS = {2: "square", 3: "cube"}
@@ -31,6 +35,8 @@ class _Printer(C99CodePrinter):
     def _print_Symbol(self, expr: sympy.Symbol) -> str:
         return self._names.get(expr, expr.name)
 
+    _print_Dummy = _print_Symbol
+
     def _print_Float(self, expr: sympy.Float) -> str:
         return literal(float(expr))
 
@@ -43,6 +49,8 @@ class _Printer(C99CodePrinter):
     def _print_Pow(self, expr: sympy.Pow) -> str:
         if expr.exp in _POWERS:
             return f"{_POWERS[int(expr.exp)]}({self._print(expr.base)})"
+        if -expr.exp in _POWERS:
+            return f"(1.0/{_POWERS[int(-expr.exp)]}({self._print(expr.base)}))"
         return super()._print_Pow(expr)
 
     def _print_sgn(self, expr: sympy.Expr) -> str:
@@ -52,39 +60,89 @@ class _Printer(C99CodePrinter):
         return f"fabs({self._print(expr.args[0])})"
 
 
-def law_functions(form: LawForm, name: str) -> str:
-    """Return the two C functions of a form, called `{name}_relaxations` and `{name}_torque`.
+def switches(form: LawForm) -> tuple[sympy.Expr, ...]:
+    """Return the expressions of inputs at whose zeros the law jumps or bends.
+
+    Those inside `sgn` and `absolute`; signs of states alone stay as they are, since a solver does
+    not integrate what only the output depends on.
+    """
+    known = {*INPUTS, *(c.symbol for c in form.coefficients)}
+    parts = [form.output, *(e for r in form.relaxations for e in (r.drive, r.rate))]
+    found = {node.args[0] for e in parts for node in e.atoms(sgn, absolute)}
+    held = [e for e in found if e.free_symbols <= known and e.free_symbols & set(INPUTS)]
+    return tuple(sorted(held, key=sympy.default_sort_key))
+
+
+@dataclass(frozen=True)
+class _Arguments:
+    """The symbols that a C function reads, each with its name and its place there."""
+
+    places: Mapping[sympy.Symbol, tuple[str, str]] = field(default_factory=dict)
+    seeds: Mapping[sympy.Symbol, sympy.Symbol] = field(default_factory=dict)
+    """For each symbol the symbol of its change along the direction of a tangent."""
+
+    def plus(self, symbols: Iterable[sympy.Symbol], array: str, change: str) -> "_Arguments":
+        """Add the elements of an array, and of the array of their changes if there is one."""
+        places, seeds = dict(self.places), dict(self.seeds)
+        for i, symbol in enumerate(symbols):
+            places[symbol] = (f"{array}_{symbol.name}", f"{array}[{i}]")
+            if change:
+                seed = sympy.Dummy(f"{change}_{symbol.name}", real=True)
+                places[seed] = (seed.name, f"{change}[{i}]")
+                seeds[symbol] = seed
+        return _Arguments(places, seeds)
+
+    def tangent(self, expression: sympy.Expr) -> sympy.Expr:
+        """Return the derivative of an expression along the direction of the seeds."""
+        used = sorted(expression.free_symbols & set(self.seeds), key=sympy.default_sort_key)
+        return sympy.Add(*(expression.diff(symbol) * self.seeds[symbol] for symbol in used))
+
+
+def law_functions(form: LawForm, name: str, *, tunable: bool = True) -> str:
+    """Return the C functions of a form, called `{name}_relaxations` and so on.
+
+    Parameters
+    ----------
+    form : expressions of the law.
+    name : prefix of the functions.
+    tunable : whether the coefficients can change, so that tangents follow them.
 
     Raises
     ------
     ExportError
         If an expression has a function that C does not have.
     """
-    inner: dict[sympy.Symbol, tuple[str, str]] = {
-        c.symbol: (f"k_{c.name}", f"k[{i}]") for i, c in enumerate(form.coefficients)
-    }
-    inner |= {symbol: (symbol.name, f"u[{i}]") for i, symbol in enumerate(INPUTS)}
-    outer = dict(inner)
-    for i, relaxation in enumerate(form.relaxations):
-        outer[relaxation.state] = (f"x_{relaxation.name}", f"x[{i}]")
-        outer[relaxation.derivative] = (f"d_{relaxation.name}", f"dx[{i}]")
-    targets = {
-        f"{kind}[{i}]": expression
+    bends = switches(form)
+    signs = [sympy.Dummy(f"{i}", real=True) for i, _ in enumerate(bends, start=1)]
+    held = {sgn(e): s for e, s in zip(bends, signs, strict=True)}
+    held |= {absolute(e): s * e for e, s in zip(bends, signs, strict=True)}
+    inner = _Arguments().plus((c.symbol for c in form.coefficients), "k", "dk" if tunable else "")
+    inner = inner.plus(INPUTS, "u", "du")
+    smooth = inner.plus(signs, "s", "")
+    outer = smooth.plus((r.state for r in form.relaxations), "x", "tx")
+    outer = outer.plus((r.derivative for r in form.relaxations), "dx", "tdx")
+    moving = {
+        f"{kind}[{i}]": expression.xreplace(held)
         for i, r in enumerate(form.relaxations)
         for kind, expression in (("drive", r.drive), ("rate", r.rate))
     }
-    return "\n".join(
-        [
-            f"static void {name}_relaxations(const double *k, const double *u, double *drive, "
-            "double *rate)",
-            *_body(targets, inner, ("k", "u", "drive", "rate")),
-            "",
-            f"static double {name}_torque(const double *k, const double *u, const double *x, "
-            "const double *dx)",
-            *_body({"return": form.output}, outer, ("k", "u", "x", "dx")),
-            "",
-        ]
-    )
+    torque = form.output.xreplace(held)
+    functions = (
+        ("void", "switches", inner, {f"z[{i}]": e for i, e in enumerate(bends)}, "k u", "z"),
+        ("void", "relaxations", smooth, moving, "k u s", "drive rate"),
+        ("double", "torque", outer, {"return": torque}, "k u s x dx", ""),
+        ("void", "relaxations_tangent", smooth,
+         {place: smooth.tangent(e) for place, e in moving.items()}, "k u s dk du", "drive rate"),
+        ("double", "torque_tangent", outer, {"return": outer.tangent(torque)},
+         "k u s x dx dk du tx tdx", ""),
+    )  # fmt: skip
+    lines: list[str] = []
+    for kind, function, arguments, targets, reads, writes in functions:
+        pointers = [f"const double *{p}" for p in reads.split()]
+        pointers += [f"double *{p}" for p in writes.split()]
+        lines += [f"static {kind} {name}_{function}({', '.join(pointers)})"]
+        lines += [*_body(targets, arguments.places, (*reads.split(), *writes.split())), ""]
+    return "\n".join(lines)
 
 
 def _body(

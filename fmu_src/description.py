@@ -1,4 +1,4 @@
-"""modelDescription.xml of an FMU for co-simulation, from its interface."""
+"""modelDescription.xml of an FMU, from its interface."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -21,6 +21,14 @@ _BASE: Mapping[str, Mapping[str, int]] = {
     "W": {"kg": 1, "m": 2, "s": -3},
 }
 _FACTOR = re.compile(r"([A-Za-z]+|1)(-?[0-9]+)?")
+
+
+_CATEGORIES: Mapping[str, str] = {
+    "logEvents": "initialisation, end and, in model exchange, changes of sign",
+    "logStatusDiscard": "why a call was refused; the simulation can go on",
+    "logStatusError": "why a call failed",
+    "logAll": "all of these",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +85,6 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
     Outputs and derivatives declare what they depend on, since importers take a missing list for
     "everything" and then see algebraic loops where there are none.
     """
-    derivatives = [v for v in table.variables if v.derivative_of]
     root = ET.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
@@ -89,43 +96,55 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
         generationTool=f"HESR {about.version}",
         generationDateAndTime=about.created,
         variableNamingConvention="structured",
-        numberOfEventIndicators="0",
+        numberOfEventIndicators=str(table.indicators),
     )
-    slave = ET.SubElement(
+    common = {
+        "modelIdentifier": about.identifier,
+        "needsExecutionTool": "false",
+        "canBeInstantiatedOnlyOncePerProcess": "false",
+        "canNotUseMemoryManagementFunctions": "true",
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+        "providesDirectionalDerivative": str(table.directional_derivatives).lower(),
+    }
+    if table.model_exchange:
+        kind = ET.SubElement(root, "ModelExchange", common)
+        kind.set("completedIntegratorStepNotNeeded", "false")
+        _source_files(kind, about)
+    kind = ET.SubElement(
         root,
         "CoSimulation",
-        modelIdentifier=about.identifier,
-        needsExecutionTool="false",
+        common,
         canHandleVariableCommunicationStepSize="true",
         canInterpolateInputs="true",
         maxOutputDerivativeOrder="0",
         canRunAsynchronuously="false",
-        canBeInstantiatedOnlyOncePerProcess="false",
-        canNotUseMemoryManagementFunctions="true",
-        canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true",
-        providesDirectionalDerivative="false",
     )
-    files = ET.SubElement(slave, "SourceFiles")
-    for source in about.sources:
-        ET.SubElement(files, "File", name=source)
+    _source_files(kind, about)
     _units(root, table)
     _types(root, table)
     categories = ET.SubElement(root, "LogCategories")
-    ET.SubElement(categories, "Category", name="logStatusError", description="why a call failed")
+    for name, text in _CATEGORIES.items():
+        ET.SubElement(categories, "Category", name=name, description=text)
     ET.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(about.step))
     variables = ET.SubElement(root, "ModelVariables")
     for i, variable in enumerate(table.variables):
         variables.append(_scalar(variable, i, table))
     structure = ET.SubElement(root, "ModelStructure")
-    outputs = [v for v in table.variables if v.role == "output"]
+    outputs = [v for v in table.variables if v.role in ("output", "on_demand")]
     _unknowns(structure, "Outputs", outputs, table, ("input", "state"))
-    _unknowns(structure, "Derivatives", derivatives, table, ("input", "state"))
+    _unknowns(structure, "Derivatives", table.derivatives, table, ("input", "state"))
     initial = [v for v in table.variables if v in outputs or v.derivative_of]
     known = ("input", "state", "fixed", "tunable")
     _unknowns(structure, "InitialUnknowns", initial, table, known)
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+
+
+def _source_files(kind: ET.Element, about: Description) -> None:
+    files = ET.SubElement(kind, "SourceFiles")
+    for source in about.sources:
+        ET.SubElement(files, "File", name=source)
 
 
 def _units(root: ET.Element, table: Interface) -> None:
@@ -173,6 +192,8 @@ def _scalar(variable: Variable, reference: int, table: Interface) -> ET.Element:
     real = {"unit": variable.unit or "1"}
     if not variable.computed:
         real["start"] = repr(float(variable.start))
+    if variable.nominal != 1.0:
+        real["nominal"] = repr(variable.nominal)
     if variable.derivative_of:
         real["derivative"] = _index(table, variable.derivative_of)
     ET.SubElement(element, "Real", real)

@@ -1,53 +1,194 @@
-"""documentation/index.html of a friction FMU."""
+"""documentation/index.html of a friction FMU: its data sheet."""
 
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
 
 import jinja2
 
+from fmu_src import datasheet
+from fmu_src.codegen import switches
+from fmu_src.datasheet import figure
 from fmu_src.description import Description
 from fmu_src.friction import DISCRETISATION, exposed
 from fmu_src.interface import Interface
-from hesr_model.friction.functions import INPUTS
+from fmu_src.mathml import equations, symbol
+from fmu_src.reference import reference_motion
+from fmu_src.settings import SETTINGS, Error
+from hesr_model.errors import HesrError
+from hesr_model.friction.equation import equations as equations_with_numbers
+from hesr_model.friction.estimator import registry
+from hesr_model.friction.functions import INPUT_UNITS, INPUTS
 from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.trained import TrainedRange
+
+_INTERVAL = 1.96  # standard errors to either side hold 95 %
+_NO_DATE = "1980-01-01"  # stands for none in archives
+_RANGES = {**INPUT_UNITS, "tau": "N.m"}
 
 
 def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
-    """Return the page: equations, coefficients, units, step convention, how to connect."""
+    """Return the page.
+
+    It needs nothing but itself and `model.png` beside its folder: no script, no font, no network.
+    """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=True,
         trim_blocks=True,
+        lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
     used = {symbol for law in model.laws for symbol in law.form.inputs}
     start = table.variables[table.references["discretisation"]].start
     return environment.get_template("index.html.j2").render(
         about=about,
+        dated=not about.created.startswith(_NO_DATE),
         model=model,
+        titles=list(dict.fromkeys(_title(law) for law in model.laws)),
         unused=[f"{symbol.name}[i]" for symbol in INPUTS if symbol not in used],
         discretisation=DISCRETISATION.items[int(start) - 1][0],
         joints=[
-            {"name": name, "equations": _equations(law), "rows": _rows(law, joint)}
+            _joint(joint, name, law)
             for joint, (name, law) in enumerate(zip(model.joints, model.laws, strict=True), start=1)
         ],
+        training=_training(model.provenance),
+        trained_rows=_trained_rows(model.trained),
+        **_measured(model),
     )
 
 
-def _equations(law: FrictionLaw) -> list[str]:
+def _title(law: FrictionLaw) -> str:
+    known = registry()
+    return known[law.name].title if law.name in known else law.name
+
+
+def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
+    return {
+        "number": joint,
+        "name": name,
+        "equations": equations(law),
+        "text": _text(law),
+        # Of networks nobody reads the numbers in place.
+        "numbers": equations_with_numbers(law) if exposed(law) else [],
+        "rows": _rows(law, joint),
+        "exposed": exposed(law),
+        "intervals": bool(law.standard_errors),
+        "states": [r.name for r in law.form.relaxations],
+        "starts": [figure(value, 6) for value in law.start],
+        "start_samples": law.start_samples,
+        "switches": [_spelled(str(z)) for z in switches(law.form)],
+    }
+
+
+def _text(law: FrictionLaw) -> list[str]:
     relaxations = [
-        f"{r.derivative} = {r.drive} - ({r.rate})*{r.state}" for r in law.form.relaxations
+        _spelled(f"{r.derivative} = {r.drive} - ({r.rate})*{r.state}") for r in law.form.relaxations
     ]
-    return [*relaxations, f"tau = {law.form.output}"]
+    return [_spelled(f"tau = {law.form.output}"), *relaxations]
+
+
+def _spelled(formula: str) -> str:
+    return formula.replace("absolute(", "abs(")
 
 
 def _rows(law: FrictionLaw, joint: int) -> list[dict[str, str]]:
     prefix = f"joint[{joint}]." if exposed(law) else ""
+    errors = law.standard_errors
     return [
         {
+            "symbol": symbol(c.name),
             "name": f"{prefix}{c.name}",
-            "value": f"{law.values[c.name]:.17g}",
-            "unit": c.unit,
+            "value": figure(law.values[c.name], 6),
+            "exact": f"{law.values[c.name]:.17g}",
+            "interval": f"± {figure(_INTERVAL * errors[c.name], 2)}" if c.name in errors else "–",
+            "unit": "–" if c.unit == "1" else c.unit,
             "text": c.description,
         }
         for c in law.form.coefficients
     ]
+
+
+def _training(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the model says of where it comes from; names of files without their folders."""
+    files = [f for f in provenance.get("files") or () if isinstance(f, Mapping)]
+    versions = provenance.get("versions") or {}
+    return {
+        "remarks": [str(provenance[key]) for key in ("source", "note") if provenance.get(key)],
+        "files": [
+            {"name": _bare(str(f.get("name", ""))), "sha256": str(f.get("sha256", ""))}
+            for f in files
+        ],
+        "seed": provenance.get("seed"),
+        "versions": ", ".join(f"{name} {number}" for name, number in versions.items()),
+    }
+
+
+def _bare(path: str) -> str:
+    return PurePosixPath(path.replace("\\", "/")).name
+
+
+def _trained_rows(trained: Sequence[TrainedRange]) -> dict[str, list[str]]:
+    if not trained:
+        return {}
+    rows = {
+        f"{name} [{unit}]": [
+            f"{figure(getattr(seen, name)[0], 3)} to {figure(getattr(seen, name)[1], 3)}"
+            for seen in trained
+        ]
+        for name, unit in _RANGES.items()
+    }
+    return rows | {"sample time [s]": [figure(seen.sample_time) for seen in trained]}
+
+
+def _measured(model: FrictionModel) -> dict[str, Any]:
+    """Return what is measured on the laws; a sentence in the place of what cannot be."""
+    found: dict[str, Any] = {"audit": {}, "verdicts": [], "refused": "", "rates": [],
+                             "costs": None, "costs_refused": ""}  # fmt: skip
+    motion = reference_motion(model)
+    try:
+        seen = datasheet.ranges(model, motion)
+        found["rates"] = [
+            _rate_rows(law, range_) for law, range_ in zip(model.laws, seen, strict=True)
+        ]
+        audits = datasheet.audits(model, seen)
+        found["audit"] = datasheet.audit_rows(audits)
+        found["verdicts"] = [datasheet.verdict(a, known=bool(model.trained)) for a in audits]
+    except HesrError as error:
+        found["refused"] = str(error)
+    try:
+        costs = datasheet.costs(model, motion)
+        found["costs"] = {
+            "the log's convention": _cost_rows(costs.replay),
+            "the law in continuous time": _cost_rows(costs.continuous),
+        }
+    except HesrError as error:
+        found["costs_refused"] = str(error)
+    return found
+
+
+def _cost_rows(costs: Mapping[str, Sequence[Error]]) -> dict[str, list[tuple[str, str]]]:
+    return {
+        f"{way}: {SETTINGS[way]}": [(_torque(e.rmse), _torque(e.rmse_reversal)) for e in found]
+        for way, found in costs.items()
+    }
+
+
+def _torque(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
+
+
+def _rate_rows(law: FrictionLaw, seen: TrainedRange) -> list[dict[str, str]]:
+    return [
+        {
+            "name": name,
+            "rate": figure(rate, 3),
+            "rk4": _step(datasheet.RK4, rate),
+            "euler": _step(datasheet.EULER, rate),
+        }
+        for name, rate in datasheet.fastest(law, seen).items()
+    ]
+
+
+def _step(limit: float, rate: float) -> str:
+    return f"{1e3 * limit / rate:.3g} ms" if rate > 0.0 else "any"

@@ -11,12 +11,13 @@ from typing import Literal
 
 from hesr_model.errors import ExportError
 
-Role = Literal["input", "output", "local", "state", "fixed", "tunable"]
+Role = Literal["input", "output", "on_demand", "local", "state", "fixed", "tunable"]
 
 # FMI's attributes of each role: causality, variability and, where it must be written, initial.
 ATTRIBUTES: dict[Role, tuple[str, str, str | None]] = {
     "input": ("input", "continuous", None),
     "output": ("output", "continuous", "calculated"),
+    "on_demand": ("output", "discrete", "calculated"),
     "local": ("local", "continuous", "calculated"),
     "state": ("local", "continuous", "exact"),
     "fixed": ("parameter", "fixed", "exact"),
@@ -49,6 +50,7 @@ class Variable:
     unit : SI unit in FMI's spelling; None only for an enumeration.
     enumeration : its choices, if it is one; a Real otherwise.
     start : start value; for a computed variable it is not shown.
+    nominal : usual size of a state, by which solvers scale their tolerances.
     derivative_of : name of the state whose time derivative this is.
     dependencies : for a computed variable, the names of all variables in its expression.
     """
@@ -59,18 +61,27 @@ class Variable:
     unit: str | None = None
     enumeration: Enumeration | None = None
     start: float = 0.0
+    nominal: float = 1.0
     derivative_of: str | None = None
     dependencies: tuple[str, ...] = ()
 
     @property
     def computed(self) -> bool:
         """Whether the component computes it from others."""
-        return self.role in ("output", "local")
+        return self.role in ("output", "on_demand", "local")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Interface:
     """All variables of an FMU in the order of their value references.
+
+    Attributes
+    ----------
+    variables : the variables.
+    indicators : how many event indicators the component has.
+    own : how many numbers the component remembers besides its variables.
+    model_exchange : whether the component is also for model exchange.
+    directional_derivatives : whether the component provides them.
 
     Raises
     ------
@@ -79,6 +90,10 @@ class Interface:
     """
 
     variables: tuple[Variable, ...]
+    indicators: int = 0
+    own: int = 0
+    model_exchange: bool = True
+    directional_derivatives: bool = True
 
     def __post_init__(self) -> None:
         seen: set[str] = set()
@@ -95,6 +110,11 @@ class Interface:
         """Value reference of each name."""
         return {variable.name: i for i, variable in enumerate(self.variables)}
 
+    @cached_property
+    def derivatives(self) -> tuple[Variable, ...]:
+        """Time derivatives of the states, in the order of FMI's continuous states."""
+        return tuple(v for v in self.variables if v.derivative_of)
+
     def first(self, names: Sequence[str]) -> int:
         """Value reference of the first of `names`, which must stand one after the other."""
         start = self.references[names[0]]
@@ -108,7 +128,7 @@ def _odd(twice: bool) -> str:
 
 
 def to_c(interface: Interface, guid: str) -> str:
-    """Return interface.h: the GUID and the table of variables of the C side."""
+    """Return interface.h: the GUID and the tables of variables of the C side."""
     rows = []
     for variable in interface.variables:
         kind = (
@@ -118,26 +138,59 @@ def to_c(interface: Interface, guid: str) -> str:
         )
         start = literal(variable.start)
         rows.append(f'    {{"{variable.name}", {start}, {variable.role.upper()}, {kind}}},')
-    return "\n".join(
-        [
-            "/* Generated: the variables of the FMU; an index is an FMI value reference. */",
-            "#ifndef INTERFACE_H",
-            "#define INTERFACE_H",
-            "",
-            '#include "variable.h"',
-            "",
-            f'#define MODEL_GUID "{guid}"',
-            "",
-            f"enum {{ VARIABLES = {len(rows)} }};",
-            "",
-            "static const Variable variables[VARIABLES] = {",
-            *rows,
-            "};",
-            "",
-            "#endif",
-            "",
-        ]
+    derivatives = interface.derivatives
+    states = [interface.references[v.derivative_of or ""] for v in derivatives]
+    nominals = [literal(interface.variables[i].nominal) for i in states]
+    watched = [i for i, v in enumerate(interface.variables)
+               if v.role in ("output", "local", "state")]  # fmt: skip
+    return _INTERFACE.format(
+        guid=guid,
+        variables=len(rows),
+        states=len(states),
+        indicators=interface.indicators,
+        own=interface.own,
+        watched=len(watched),
+        model_exchange=int(interface.model_exchange),
+        derivable=int(interface.directional_derivatives),
+        rows="\n".join(rows),
+        state_list=_list(states),
+        derivative_list=_list([interface.references[v.name] for v in derivatives]),
+        nominal_list=_list(nominals),
+        watched_list=_list(watched),
     )
+
+
+def _list(items: Sequence[object]) -> str:
+    """Return the rest of an array's declaration; C knows no empty arrays."""
+    return f"[] = {{{', '.join(map(str, items or [0]))}}}"
+
+
+_INTERFACE = """\
+/* Generated: the variables of the FMU; an index is an FMI value reference. */
+#ifndef INTERFACE_H
+#define INTERFACE_H
+
+#include "variable.h"
+
+#define MODEL_GUID "{guid}"
+
+enum {{ VARIABLES = {variables}, STATES = {states}, INDICATORS = {indicators} }};
+enum {{ OWN = {own}, WATCHED = {watched} }};
+enum {{ MODEL_EXCHANGE = {model_exchange}, DIRECTIONAL_DERIVATIVES = {derivable} }};
+
+static const Variable variables[VARIABLES] = {{
+{rows}
+}};
+
+/* Continuous states, their derivatives and nominal values; what must stay finite. An array has one
+ * element where the list is empty. */
+static const int states{state_list};
+static const int derivatives{derivative_list};
+static const double nominals{nominal_list};
+static const int watched{watched_list};
+
+#endif
+"""
 
 
 def literal(value: float) -> str:

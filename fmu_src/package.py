@@ -1,4 +1,4 @@
-"""A friction model in, an FMU out: render, compile, zip, validate."""
+"""A friction model, or any component, in, an FMU out: render, compile, zip, validate."""
 
 import hashlib
 import json
@@ -6,6 +6,7 @@ import os
 import re
 import zipfile
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -16,23 +17,28 @@ from fmu_src.description import Description, to_xml
 from fmu_src.documentation import to_html
 from fmu_src.embedded import EMBEDDED_MODEL
 from fmu_src.interface import Interface, to_c
-from fmu_src.toolchain import build, targets
+from fmu_src.pictures import model_png
+from fmu_src.reference import reference_files
+from fmu_src.toolchain import Target, build, targets
 from hesr_model.artifacts import model_to_json
 from hesr_model.errors import ExportError
 from hesr_model.files import written_whole
 from hesr_model.friction.law import FrictionModel
 
 _HERE = Path(__file__).parent
+_C = _HERE / "c"
 _GLUE = (
     "component.h",
+    "component_plain.h",
     "fmi2.c",
     "fmi2.h",
+    "fmi2_continuous.c",
     "fmi2_instance.h",
     "fmi2_state.c",
+    "fmi2_step.c",
     "fmi2_variables.c",
     "variable.h",
 )
-_FRICTION = ("friction.c", "law_math.h")
 
 _ALL_C = """\
 /* The whole FMU as one translation unit: compile this file and no other. */
@@ -46,10 +52,28 @@ _ALL_C = """\
 _FIRST_DATE, _LAST_DATE = datetime(1980, 1, 1, tzinfo=UTC), datetime(2107, 12, 31, tzinfo=UTC)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Content:
+    """What makes an FMU of a component.
+
+    Attributes
+    ----------
+    table : its variables.
+    about : what the description says of it.
+    sources : text of its own C files, by name; all .c files make one translation unit.
+    members : other members of the archive by name: documentation, resources.
+    """
+
+    table: Interface
+    about: Description
+    sources: Mapping[str, str]
+    members: Mapping[str, bytes]
+
+
 def export_fmu(
     model: FrictionModel, path: Path, *, platforms: Sequence[str] = ("linux64",)
 ) -> Path:
-    """Write a friction model as an FMI 2.0 co-simulation FMU.
+    """Write a friction model as an FMI 2.0 FMU for co-simulation and model exchange.
 
     The same model gives the same bytes. The date in it is that of SOURCE_DATE_EPOCH, else that of
     the model's provenance ("created"), else a fixed one.
@@ -71,20 +95,70 @@ def export_fmu(
     ArtifactError
         If `path` cannot be written.
     """
-    if path.suffix != ".fmu":
-        raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
-    wanted = targets(platforms)
+    _check_request(path, platforms)
+    return write_fmu(_friction(model), path, platforms=platforms)
+
+
+def _friction(model: FrictionModel) -> Content:
     table = friction.interface(model)
-    about = _about(model)
-    sources = _sources(model, table)
+    about = Description(
+        name=f"Friction of {model.robot} by {model.law}",
+        identifier=re.sub(r"\W", "_", f"friction_{model.law}", flags=re.ASCII),
+        text=f"Joint friction torque of {len(model.joints)} joints from their motion.",
+        version=version("hesr"),
+        created=_created(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        step=model.sample_time,
+        sources=("all.c",),
+    )
+    sources = {name: own_source(name) for name in ("friction.c", "law_math.h")}
+    return Content(
+        table=table,
+        about=about,
+        sources=sources | {"laws.h": friction.laws_to_c(model, table)},
+        members={
+            "model.png": model_png(model),
+            "documentation/index.html": to_html(model, table, about).encode(),
+            EMBEDDED_MODEL: (json.dumps(model_to_json(model), indent=2) + "\n").encode(),
+            **reference_files(model, about.identifier),
+        },
+    )
+
+
+def own_source(name: str) -> str:
+    """Return the text of a C file that comes with the package."""
+    return (_C / name).read_text(encoding="utf-8")
+
+
+def write_fmu(content: Content, path: Path, *, platforms: Sequence[str] = ("linux64",)) -> Path:
+    """Compile a component with the FMI glue and write both as an FMU.
+
+    Parameters
+    ----------
+    content : the component.
+    path : the FMU to write, ending in .fmu.
+    platforms : names of `toolchain.TARGETS`, or "all".
+
+    Returns
+    -------
+    `path`.
+
+    Raises
+    ------
+    ExportError
+        If a binary cannot be built, or the FMU is not valid.
+    ArtifactError
+        If `path` cannot be written.
+    """
+    wanted = _check_request(path, platforms)
+    table, about = content.table, content.about
+    sources = _sources(content)
     guid = _guid(table, about, sources)
     sources["interface.h"] = to_c(table, guid)
     members: dict[str, bytes] = {
         "modelDescription.xml": to_xml(table, about, guid),
-        "documentation/index.html": to_html(model, table, about).encode(),
         "documentation/licenses/license.txt": (_HERE / "templates/license.txt").read_bytes(),
+        **content.members,
     }
-    members[EMBEDDED_MODEL] = (json.dumps(model_to_json(model), indent=2) + "\n").encode()
     members |= {f"sources/{name}": text.encode() for name, text in sorted(sources.items())}
     with TemporaryDirectory(prefix="hesr-") as folder:
         for name, text in sources.items():
@@ -98,17 +172,11 @@ def export_fmu(
     return path
 
 
-def _about(model: FrictionModel) -> Description:
-    identifier = re.sub(r"\W", "_", f"friction_{model.law}", flags=re.ASCII)
-    return Description(
-        name=f"Friction of {model.robot} by {model.law}",
-        identifier=identifier,
-        text=f"Joint friction torque of {len(model.joints)} joints from their motion.",
-        version=version("hesr"),
-        created=_created(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        step=model.sample_time,
-        sources=("all.c",),
-    )
+def _check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
+    """Return the wanted targets; refuses names before anything that takes time."""
+    if path.suffix != ".fmu":
+        raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
+    return targets(platforms)
 
 
 def _created(model: FrictionModel) -> datetime:
@@ -127,11 +195,9 @@ def _created(model: FrictionModel) -> datetime:
     return min(max(date, _FIRST_DATE), _LAST_DATE)
 
 
-def _sources(model: FrictionModel, table: Interface) -> dict[str, str]:
-    names = (*_GLUE, *_FRICTION)
-    files = {name: (_HERE / "c" / name).read_text(encoding="utf-8") for name in names}
-    files["laws.h"] = friction.laws_to_c(model, table)
-    parts = [name for name in names if name.endswith(".c")]
+def _sources(content: Content) -> dict[str, str]:
+    files = {name: own_source(name) for name in _GLUE} | dict(content.sources)
+    parts = [name for name in files if name.endswith(".c")]
     files["all.c"] = _ALL_C + "".join(f'#include "{name}"\n' for name in parts)
     return files
 

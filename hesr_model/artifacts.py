@@ -98,14 +98,17 @@ def read_model(path: Path) -> FrictionModel:
 def model_to_json(model: FrictionModel) -> dict[str, Any]:
     """Return a friction model as JSON data."""
     ranges = model.trained or (None,) * len(model.laws)
+    errors = [{"training_rmse": e} for e in model.training_rmse] or [{}] * len(model.laws)
     return {
         "format": MODEL_FORMAT,
         "law": model.law,
         "robot": model.robot,
         "sample_time": model.sample_time,
         "joints": [
-            {"joint": joint, **_law_to_json(law), **_trained_to_json(law, trained)}
-            for joint, law, trained in zip(model.joints, model.laws, ranges, strict=True)
+            {"joint": joint, **_law_to_json(law), **_trained_to_json(law, trained), **error}
+            for joint, law, trained, error in zip(
+                model.joints, model.laws, ranges, errors, strict=True
+            )
         ],
         "provenance": dict(model.provenance),
     }
@@ -128,6 +131,9 @@ def model_from_json(path: Path, data: Mapping[str, Any]) -> FrictionModel:
             sample_time=float(data["sample_time"]),
             trained=tuple(
                 TrainedRange.from_json(j["trained"]) for j in data["joints"] if "trained" in j
+            ),
+            training_rmse=tuple(
+                float(j["training_rmse"]) for j in data["joints"] if "training_rmse" in j
             ),
             provenance=dict(data["provenance"]),
         )

@@ -1,11 +1,12 @@
 /* The seam between FMI and the equations of a component.
  *
- * A component is a plain struct of doubles, one for each variable of the interface; the index of a
- * variable is its FMI value reference. It holds no pointers, so its state is a copy of it. The glue
- * (fmi2.c) knows only what is declared here, and a component knows nothing of FMI.
+ * A component is a plain struct of doubles: one for each variable of the interface, whose index is
+ * its FMI value reference, and what it remembers besides. It holds no pointers, so its state is a
+ * copy of it. The glue (fmi2*.c) knows only what is declared here, and a component knows nothing of
+ * FMI.
  *
- * The generated interface.h defines MODEL_GUID, VARIABLES (how many there are) and the table
- * `variables`.
+ * The generated interface.h defines MODEL_GUID, how many VARIABLES, STATES and INDICATORS there
+ * are, how many doubles the component remembers besides (OWN), and the tables of these.
  */
 #ifndef COMPONENT_H
 #define COMPONENT_H
@@ -14,27 +15,44 @@
 
 #include "interface.h"
 
-/* Values of all variables, Integers and enumerations included, and nothing else. */
 typedef struct {
-    double v[VARIABLES];
+    double v[VARIABLES];           /* Integers and enumerations included */
+    double own[OWN > 0 ? OWN : 1]; /* zero at the start; the glue only copies it */
 } Component;
 
-/* Why a function of the component returned false, in one sentence for the user. */
+/* One sentence for the user: why a function refused, or what happened. */
 typedef struct {
     char text[256];
 } Message;
 
 /* To be defined by the component. The glue has put start values, parameters and inputs into
- * `v` before it calls any of them; false means that the simulation cannot go on. */
+ * `v` before it calls any of them. A function that returns false has changed nothing and says why.
+ */
 
-/* Once, when all start values are known and before the first output. */
+/* Once, when all start values are known, after the first event and before the first output. */
 static bool component_initialise(Component *component, Message *why);
 
-/* Compute outputs and local variables from inputs, states and parameters, without moving states. */
+/* Compute outputs, local variables and derivatives from inputs, states, parameters and what was
+ * held at the last event; nothing of these moves. */
 static bool component_output(Component *component, Message *why);
 
-/* Move the states from `time` to `time + step` [s] with the inputs held; step > 0. The glue calls
- * component_output afterwards. */
+/* Move the states from `time` to `time + step` [s] with the inputs held, and compute as
+ * component_output does; step > 0. */
 static bool component_step(Component *component, double time, double step, Message *why);
+
+/* Compute the variables that are marked as on demand. */
+static void component_demand(Component *component);
+
+/* Bring what is held between events up to date with the inputs; true if that changed anything, with
+ * what it was in `what` if this is not NULL. In co-simulation every evaluation is such an event.
+ * What is nearer to zero than `rest` of its units counts as zero. */
+static bool component_event(Component *component, double rest, Message *what);
+
+/* Positive while what is held agrees with the inputs, else not. */
+static void component_indicators(const Component *component, double rest, double *indicator);
+
+/* Derivatives of continuous outputs and of state derivatives along a direction: `seed` holds the
+ * direction for inputs, states and tunable parameters, and zeros; both have VARIABLES elements. */
+static void component_tangent(const Component *component, const double *seed, double *tangent);
 
 #endif

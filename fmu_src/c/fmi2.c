@@ -1,4 +1,4 @@
-/* FMI 2.0: life of an instance and its steps. */
+/* FMI 2.0: life of an instance. */
 #include "fmi2_instance.h"
 
 FMI2_TEXT(fmi2GetTypesPlatform)(void) {
@@ -11,16 +11,25 @@ FMI2_TEXT(fmi2GetVersion)(void) {
 
 FMI2_STATUS(fmi2SetDebugLogging)
 (fmi2Component c, fmi2Boolean on, size_t n, const fmi2String category[]) {
-    Instance *instance = entered(c, ANY, "fmi2SetDebugLogging");
-    (void)on; /* there is one category, and its messages are always sent */
-    if (!instance || (n > 0 && !category)) {
+    static const char function[] = "fmi2SetDebugLogging";
+    Instance *instance =
+        n > 0 ? entered_with(c, MAY_DEBUG, function, category) : entered(c, MAY_DEBUG, function);
+    bool events = n == 0;
+    if (!instance) {
         return fmi2Error;
     }
     for (size_t i = 0; i < n; i++) {
-        if (!category[i] || strcmp(category[i], CATEGORY) != 0) {
-            complain(instance, "fmi2SetDebugLogging: the only category is %s.", CATEGORY);
+        const char *wanted = category[i] ? category[i] : "";
+        if (strcmp(wanted, EVENTS) == 0 || strcmp(wanted, ALL) == 0) {
+            events = true;
+        } else if (strcmp(wanted, ERRORS) != 0 && strcmp(wanted, DISCARDS) != 0) {
+            complain(instance, "%s: a category is unknown; known are %s, %s, %s and %s.", function,
+                     EVENTS, DISCARDS, ERRORS, ALL);
             return fmi2Error;
         }
+    }
+    if (events) {
+        instance->telling_events = on;
     }
     return fmi2OK;
 }
@@ -29,7 +38,7 @@ FMI2_STATUS(fmi2SetDebugLogging)
 static fmi2Component not_instantiated(const fmi2CallbackFunctions *host, const char *name,
                                       const char *reason) {
     if (host && host->logger) {
-        host->logger(host->componentEnvironment, name, fmi2Error, CATEGORY, reason);
+        host->logger(host->componentEnvironment, name, fmi2Error, ERRORS, reason);
     }
     return NULL;
 }
@@ -38,12 +47,13 @@ FMI2_EXPORT fmi2Component FMI2_NAME(fmi2Instantiate)(fmi2String name, fmi2Type t
                                                      fmi2String guid, fmi2String resources,
                                                      const fmi2CallbackFunctions *functions,
                                                      fmi2Boolean visible, fmi2Boolean logging) {
-    (void)resources, (void)visible, (void)logging;
+    (void)resources, (void)visible;
     if (!name || !*name) {
         return not_instantiated(functions, "", "fmi2Instantiate: the instance has no name.");
     }
-    if (type != fmi2CoSimulation) {
-        return not_instantiated(functions, name, "fmi2Instantiate: this FMU is for co-simulation.");
+    if (type != fmi2CoSimulation && !(type == fmi2ModelExchange && MODEL_EXCHANGE)) {
+        return not_instantiated(functions, name,
+                                "fmi2Instantiate: this FMU is not of the wanted type.");
     }
     if (!guid || strcmp(guid, MODEL_GUID) != 0) {
         return not_instantiated(functions, name,
@@ -57,8 +67,9 @@ FMI2_EXPORT fmi2Component FMI2_NAME(fmi2Instantiate)(fmi2String name, fmi2Type t
     if (functions) {
         instance->host = *functions;
     }
+    instance->telling_events = logging;
     memcpy(instance->name, name, strlen(name) + 1);
-    set_start_values(&instance->memory);
+    set_start_values(&instance->memory, type);
     return instance;
 }
 
@@ -98,15 +109,15 @@ FMI2_STATUS(fmi2ExitInitializationMode)(fmi2Component c) {
     if (!instance) {
         return fmi2Error;
     }
-    if (!component_initialise(&instance->memory.component, &why)) {
+    Memory *memory = &instance->memory;
+    component_event(&memory->component, rest_of(memory), NULL);
+    memory->stale = true;
+    if (!component_initialise(&memory->component, &why) || !refresh(memory, &why)) {
         complain(instance, "%s", why.text);
         return failed(instance);
     }
-    instance->memory.stale = true;
-    if (!refreshed(instance)) {
-        return failed(instance);
-    }
-    instance->memory.mode = STEPPING;
+    memory->mode = memory->type == fmi2ModelExchange ? AT_EVENT : STEPPING;
+    report(instance, "Initialised at %.9g s.", memory->time);
     return fmi2OK;
 }
 
@@ -116,6 +127,7 @@ FMI2_STATUS(fmi2Terminate)(fmi2Component c) {
         return fmi2Error;
     }
     instance->memory.mode = TERMINATED;
+    report(instance, "Terminated at %.9g s.", instance->memory.time);
     return fmi2OK;
 }
 
@@ -124,109 +136,7 @@ FMI2_STATUS(fmi2Reset)(fmi2Component c) {
     if (!instance) {
         return fmi2Error;
     }
-    set_start_values(&instance->memory);
+    set_start_values(&instance->memory, instance->memory.type);
+    report(instance, "Reset to the start values.");
     return fmi2OK;
-}
-
-/* Move the inputs along their slopes by a time [s]. */
-static void follow_slopes(Memory *memory, double time) {
-    for (int i = 0; memory->sloped && i < VARIABLES; i++) {
-        memory->component.v[i] += memory->slope[i] * time;
-    }
-}
-
-FMI2_STATUS(fmi2DoStep)
-(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_set_state_before) {
-    Instance *instance = entered(c, MAY_STEP, "fmi2DoStep");
-    Message why;
-    (void)no_set_state_before;
-    if (!instance) {
-        return fmi2Error;
-    }
-    Memory *memory = &instance->memory;
-    if (!isfinite(time) || !isfinite(step) || !(step > 0.0)) {
-        complain(instance, "fmi2DoStep: the step is %g s from time %g s; it must be positive.",
-                 step, time);
-        return failed(instance);
-    }
-    /* A last step that passes the end by the rounding of summed steps is no error. */
-    if (time + step > memory->stop + 1e-3 * step) {
-        complain(instance, "fmi2DoStep: the step from %.17g s to %.17g s passes the end, %.17g s.",
-                 time, time + step, memory->stop);
-        return failed(instance);
-    }
-    /* States move with inputs held; where these have slopes, at their value in the middle. */
-    follow_slopes(memory, 0.5 * step);
-    if (!component_step(&memory->component, time, step, &why)) {
-        complain(instance, "%s", why.text);
-        return failed(instance);
-    }
-    follow_slopes(memory, 0.5 * step);
-    if (memory->sloped) {
-        memset(memory->slope, 0, sizeof memory->slope);
-        memory->sloped = false;
-    }
-    memory->time = time + step;
-    memory->stale = true;
-    return refreshed(instance) ? fmi2OK : failed(instance);
-}
-
-/* A step is never pending, so there is nothing to cancel and little to ask for. */
-static fmi2Status no_status(fmi2Component c, const char *function) {
-    Instance *instance = entered(c, MAY_GET_STATUS, function);
-    if (!instance) {
-        return fmi2Error;
-    }
-    complain(instance, "%s: steps are never asynchronous, so this status does not exist.",
-             function);
-    return fmi2Discard;
-}
-
-FMI2_STATUS(fmi2CancelStep)(fmi2Component c) {
-    Instance *instance = entered(c, ANY, "fmi2CancelStep");
-    if (instance) {
-        complain(instance, "fmi2CancelStep: no step is in progress.");
-    }
-    return fmi2Error;
-}
-
-FMI2_STATUS(fmi2GetStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
-    (void)kind, (void)value;
-    return no_status(c, "fmi2GetStatus");
-}
-
-FMI2_STATUS(fmi2GetRealStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
-    Instance *instance = entered(c, MAY_GET_STATUS, "fmi2GetRealStatus");
-    if (!instance) {
-        return fmi2Error;
-    }
-    if (kind != fmi2LastSuccessfulTime || !value) {
-        return no_status(c, "fmi2GetRealStatus");
-    }
-    *value = instance->memory.time;
-    return fmi2OK;
-}
-
-FMI2_STATUS(fmi2GetIntegerStatus)
-(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value) {
-    (void)kind, (void)value;
-    return no_status(c, "fmi2GetIntegerStatus");
-}
-
-FMI2_STATUS(fmi2GetBooleanStatus)
-(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
-    Instance *instance = entered(c, MAY_GET_STATUS, "fmi2GetBooleanStatus");
-    if (!instance) {
-        return fmi2Error;
-    }
-    if (kind != fmi2Terminated || !value) {
-        return no_status(c, "fmi2GetBooleanStatus");
-    }
-    *value = fmi2False;
-    return fmi2OK;
-}
-
-FMI2_STATUS(fmi2GetStringStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) {
-    (void)kind, (void)value;
-    return no_status(c, "fmi2GetStringStatus");
 }

@@ -1,4 +1,4 @@
-/* Declarations of FMI 2.0 for co-simulation: types and functions as the standard names them. */
+/* Declarations of FMI 2.0: types and functions as the standard names them. */
 #ifndef FMI2_H
 #define FMI2_H
 
@@ -59,6 +59,15 @@ typedef enum {
 } fmi2StatusKind;
 
 typedef struct {
+    fmi2Boolean newDiscreteStatesNeeded;
+    fmi2Boolean terminateSimulation;
+    fmi2Boolean nominalsOfContinuousStatesChanged;
+    fmi2Boolean valuesOfContinuousStatesChanged;
+    fmi2Boolean nextEventTimeDefined;
+    fmi2Real nextEventTime;
+} fmi2EventInfo;
+
+typedef struct {
     void (*logger)(fmi2ComponentEnvironment environment, fmi2String instance, fmi2Status status,
                    fmi2String category, fmi2String message, ...);
     void *(*allocateMemory)(size_t count, size_t size);
@@ -116,6 +125,20 @@ FMI2_STATUS(fmi2GetDirectionalDerivative)(fmi2Component c, const fmi2ValueRefere
                                           size_t n_known, const fmi2Real d_known[],
                                           fmi2Real d_unknown[]);
 
+/* Model exchange. */
+FMI2_STATUS(fmi2EnterEventMode)(fmi2Component c);
+FMI2_STATUS(fmi2NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info);
+FMI2_STATUS(fmi2EnterContinuousTimeMode)(fmi2Component c);
+FMI2_STATUS(fmi2CompletedIntegratorStep)(fmi2Component c, fmi2Boolean no_set_state_before,
+                                         fmi2Boolean *event, fmi2Boolean *terminate);
+FMI2_STATUS(fmi2SetTime)(fmi2Component c, fmi2Real time);
+FMI2_STATUS(fmi2SetContinuousStates)(fmi2Component c, const fmi2Real x[], size_t n);
+FMI2_STATUS(fmi2GetDerivatives)(fmi2Component c, fmi2Real dx[], size_t n);
+FMI2_STATUS(fmi2GetEventIndicators)(fmi2Component c, fmi2Real indicator[], size_t n);
+FMI2_STATUS(fmi2GetContinuousStates)(fmi2Component c, fmi2Real x[], size_t n);
+FMI2_STATUS(fmi2GetNominalsOfContinuousStates)(fmi2Component c, fmi2Real nominal[], size_t n);
+
+/* Co-simulation. */
 FMI2_STATUS(fmi2SetRealInputDerivatives)(fmi2Component c, const fmi2ValueReference vr[], size_t n,
                                          const fmi2Integer order[], const fmi2Real value[]);
 FMI2_STATUS(fmi2GetRealOutputDerivatives)(fmi2Component c, const fmi2ValueReference vr[], size_t n,

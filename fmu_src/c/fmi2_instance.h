@@ -12,68 +12,132 @@
 #include "component.h"
 #include "fmi2.h"
 
-/* The states of the standard's state machine that a slave with synchronous steps can be in. */
+/* The states of the standard's two state machines; slaves have synchronous steps only. */
 enum {
     INSTANTIATED = 1,
     INITIALISING = 2,
-    STEPPING = 4,
-    TERMINATED = 8,
-    FAILED = 16,
-    ANY = 31,
+    STEPPING = 4,    /* co-simulation */
+    AT_EVENT = 8,    /* model exchange */
+    CONTINUOUS = 16, /* model exchange */
+    TERMINATED = 32,
+    FAILED = 64,
+    ANY = 127,
 };
+
+/* Functions of one type alone, since both types share some states. */
+enum { ONLY_MODEL_EXCHANGE = 128, ONLY_CO_SIMULATION = 256 };
 
 /* For each group of functions the states in which the standard allows it. */
 enum {
+    RUNNING = INITIALISING | STEPPING | AT_EVENT | CONTINUOUS,
     MAY_SET_UP = INSTANTIATED,
     MAY_ENTER_INITIALISATION = INSTANTIATED,
     MAY_EXIT_INITIALISATION = INITIALISING,
-    MAY_GET = INITIALISING | STEPPING | TERMINATED | FAILED,
-    MAY_SET = INSTANTIATED | INITIALISING | STEPPING,
+    MAY_GET = RUNNING | TERMINATED | FAILED,
+    MAY_SET = RUNNING | INSTANTIATED,
     MAY_STEP = STEPPING,
-    MAY_GET_STATUS = STEPPING | TERMINATED | FAILED,
-    MAY_TERMINATE = STEPPING,
+    MAY_SET_SLOPES = INSTANTIATED | INITIALISING | STEPPING | ONLY_CO_SIMULATION,
+    MAY_GET_SLOPES = MAY_GET | ONLY_CO_SIMULATION,
+    MAY_GET_STATUS = STEPPING | TERMINATED | FAILED | ONLY_CO_SIMULATION,
+    MAY_CANCEL = ANY | ONLY_CO_SIMULATION,
+    MAY_GET_CONTINUOUS = MAY_GET | ONLY_MODEL_EXCHANGE,
+    MAY_GET_NOMINALS = MAY_GET_CONTINUOUS | INSTANTIATED,
+    MAY_SET_TIME = AT_EVENT | CONTINUOUS,
+    MAY_ENTER_EVENT = AT_EVENT | CONTINUOUS,
+    MAY_TERMINATE = STEPPING | AT_EVENT | CONTINUOUS,
+    MAY_DEBUG = ANY,
     MAY_RESET = ANY,
     MAY_COPY_STATE = ANY,
 };
+
+/* In model exchange an input nearer to zero than this many of its units counts as zero. That is
+ * wider than a solver is uncertain of where a zero lies, so no crossing is found twice. */
+static const double REST = 1e-9;
 
 /* All that GetFMUstate copies: it holds no pointers. */
 typedef struct {
     Component component;
     double slope[VARIABLES]; /* of inputs, for the next step only */
     double time, stop;
+    int type; /* fmi2ModelExchange or fmi2CoSimulation */
     int mode;
-    int sloped; /* whether any slope is not zero */
+    int sloped; /* whether any slope has been set */
     int stale;  /* whether the outputs are older than what they depend on */
 } Memory;
 
 typedef struct {
     Memory memory;
     fmi2CallbackFunctions host;
+    int telling_events;
     char name[]; /* of the instance */
 } Instance;
 
-static const char CATEGORY[] = "logStatusError";
+/* Categories of messages. Why a call did not do what it should is always told. */
+static const char ERRORS[] = "logStatusError";
+static const char DISCARDS[] = "logStatusDiscard";
+static const char EVENTS[] = "logEvents";
+static const char ALL[] = "logAll";
 
-/* Tell the host; errors are told whether or not debug logging is on. */
-static void complain(const Instance *instance, const char *format, ...) {
+static void tell(const Instance *instance, fmi2Status status, const char *category,
+                 const char *format, va_list arguments) {
     char text[512];
+    vsnprintf(text, sizeof text, format, arguments);
+    /* The text goes where a format is expected, because hosts without varargs show it as it is;
+     * it consists of names and numbers of these files and so never contains a percent sign. */
+    if (instance->host.logger) {
+        instance->host.logger(instance->host.componentEnvironment, instance->name, status, category,
+                              text);
+    }
+}
+
+/* Say why a call has failed. */
+static void complain(const Instance *instance, const char *format, ...) {
     va_list arguments;
     va_start(arguments, format);
-    vsnprintf(text, sizeof text, format, arguments);
+    tell(instance, fmi2Error, ERRORS, format, arguments);
     va_end(arguments);
-    /* The text goes where a format is expected, because hosts without varargs show it as it is;
-     * it consists of names and numbers of this file and so never contains a percent sign. */
-    if (instance->host.logger) {
-        instance->host.logger(instance->host.componentEnvironment, instance->name, fmi2Error,
-                              CATEGORY, text);
+}
+
+/* Refuse a call that has changed nothing, after which the simulation can go on. */
+static fmi2Status refuse(const Instance *instance, const char *format, ...) {
+    va_list arguments;
+    va_start(arguments, format);
+    tell(instance, fmi2Discard, DISCARDS, format, arguments);
+    va_end(arguments);
+    return fmi2Discard;
+}
+
+/* Say what happened, if the host wants to know. */
+static void report(const Instance *instance, const char *format, ...) {
+    va_list arguments;
+    if (instance->telling_events) {
+        va_start(arguments, format);
+        tell(instance, fmi2OK, EVENTS, format, arguments);
+        va_end(arguments);
     }
 }
 
 /* The instance if it accepts a call now, else NULL: a call out of sequence changes nothing. */
 static Instance *entered(fmi2Component c, int modes, const char *function) {
     Instance *instance = c;
-    if (instance && !(instance->memory.mode & modes)) {
+    if (!instance) {
+        return NULL;
+    }
+    const Memory *memory = &instance->memory;
+    const int other = memory->type == fmi2ModelExchange ? ONLY_CO_SIMULATION : ONLY_MODEL_EXCHANGE;
+    if (!(memory->mode & modes) || (modes & other)) {
         complain(instance, "%s is not allowed in this state of the instance.", function);
+        return NULL;
+    }
+    return instance;
+}
+
+/* The same for a function that has nothing to work on without one of its arguments. */
+static Instance *entered_with(fmi2Component c, int modes, const char *function,
+                              const void *argument) {
+    Instance *instance = entered(c, modes, function);
+    if (instance && !argument) {
+        complain(instance, "%s: an argument is NULL.", function);
         return NULL;
     }
     return instance;
@@ -85,34 +149,54 @@ static fmi2Status failed(Instance *instance) {
     return fmi2Error;
 }
 
-/* Compute the outputs if they are stale; false, with the host told, if there are none. */
-static bool refreshed(Instance *instance) {
-    Memory *memory = &instance->memory;
-    Message why;
-    if (!memory->stale) {
-        return true;
-    }
-    if (!component_output(&memory->component, &why)) {
-        complain(instance, "%s", why.text);
-        return false;
-    }
-    for (int i = 0; i < VARIABLES; i++) {
-        if (!isfinite(memory->component.v[i])) {
-            complain(instance, "%s became %g at time %.9g.", variables[i].name,
-                     memory->component.v[i], memory->time);
+/* Whether all that is computed is finite. */
+static bool all_finite(const Memory *memory, Message *why) {
+    for (int i = 0; i < WATCHED; i++) {
+        const double value = memory->component.v[watched[i]];
+        if (!isfinite(value)) {
+            snprintf(why->text, sizeof why->text, "%s became %g at time %.9g.",
+                     variables[watched[i]].name, value, memory->time);
             return false;
         }
     }
-    memory->stale = false;
     return true;
 }
 
-static void set_start_values(Memory *memory) {
+/* What is nearer to zero than this counts as zero. */
+static double rest_of(const Memory *memory) {
+    return memory->type == fmi2ModelExchange ? REST : 0.0;
+}
+
+/* Bring the outputs up to date with the inputs, if these give finite ones. Between events of model
+ * exchange, what is held stays as it is. */
+static bool refresh(Memory *memory, Message *why) {
+    if (!memory->stale) {
+        return true;
+    }
+    if (!(memory->mode & (AT_EVENT | CONTINUOUS))) {
+        component_event(&memory->component, rest_of(memory), NULL);
+    }
+    memory->stale = !component_output(&memory->component, why) || !all_finite(memory, why);
+    return !memory->stale;
+}
+
+/* The same before something is read: fmi2Discard, with the host told, if there is nothing to read.
+ * After a failure or the end, what was computed last is what there is. */
+static fmi2Status refreshed(Instance *instance) {
+    Message why;
+    if (!(instance->memory.mode & RUNNING) || refresh(&instance->memory, &why)) {
+        return fmi2OK;
+    }
+    return refuse(instance, "%s", why.text);
+}
+
+static void set_start_values(Memory *memory, int type) {
     memset(memory, 0, sizeof *memory);
     for (int i = 0; i < VARIABLES; i++) {
         memory->component.v[i] = variables[i].start;
     }
     memory->stop = INFINITY;
+    memory->type = type;
     memory->mode = INSTANTIATED;
     memory->stale = true;
 }

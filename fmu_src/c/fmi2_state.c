@@ -8,8 +8,8 @@ typedef struct {
 } Saved;
 
 FMI2_STATUS(fmi2GetFMUstate)(fmi2Component c, fmi2FMUstate *state) {
-    Instance *instance = entered(c, MAY_COPY_STATE, "fmi2GetFMUstate");
-    if (!instance || !state) {
+    Instance *instance = entered_with(c, MAY_COPY_STATE, "fmi2GetFMUstate", state);
+    if (!instance) {
         return fmi2Error;
     }
     Saved *saved = *state ? *state : calloc(1, sizeof *saved);
@@ -24,9 +24,14 @@ FMI2_STATUS(fmi2GetFMUstate)(fmi2Component c, fmi2FMUstate *state) {
 }
 
 FMI2_STATUS(fmi2SetFMUstate)(fmi2Component c, fmi2FMUstate state) {
-    Instance *instance = entered(c, MAY_COPY_STATE, "fmi2SetFMUstate");
+    static const char function[] = "fmi2SetFMUstate";
+    Instance *instance = entered_with(c, MAY_COPY_STATE, function, state);
     const Saved *saved = state;
-    if (!instance || !saved) {
+    if (!instance) {
+        return fmi2Error;
+    }
+    if (saved->memory.type != instance->memory.type) {
+        complain(instance, "%s: the state is one of the FMU's other type.", function);
         return fmi2Error;
     }
     memcpy(&instance->memory, &saved->memory, sizeof instance->memory);
@@ -45,7 +50,8 @@ FMI2_STATUS(fmi2FreeFMUstate)(fmi2Component c, fmi2FMUstate *state) {
 }
 
 FMI2_STATUS(fmi2SerializedFMUstateSize)(fmi2Component c, fmi2FMUstate state, size_t *size) {
-    if (!entered(c, MAY_COPY_STATE, "fmi2SerializedFMUstateSize") || !state || !size) {
+    static const char function[] = "fmi2SerializedFMUstateSize";
+    if (!entered_with(c, MAY_COPY_STATE, function, state && size ? size : NULL)) {
         return fmi2Error;
     }
     *size = sizeof(Saved);
@@ -54,13 +60,14 @@ FMI2_STATUS(fmi2SerializedFMUstateSize)(fmi2Component c, fmi2FMUstate state, siz
 
 FMI2_STATUS(fmi2SerializeFMUstate)
 (fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size) {
-    Instance *instance = entered(c, MAY_COPY_STATE, "fmi2SerializeFMUstate");
-    if (!instance || !state || !bytes) {
+    static const char function[] = "fmi2SerializeFMUstate";
+    Instance *instance = entered_with(c, MAY_COPY_STATE, function, state ? bytes : NULL);
+    if (!instance) {
         return fmi2Error;
     }
     if (size < sizeof(Saved)) {
-        complain(instance, "fmi2SerializeFMUstate: %lu bytes for a state of %lu.",
-                 (unsigned long)size, (unsigned long)sizeof(Saved));
+        complain(instance, "%s: %lu bytes for a state of %lu.", function, (unsigned long)size,
+                 (unsigned long)sizeof(Saved));
         return fmi2Error;
     }
     memcpy(bytes, state, sizeof(Saved));
@@ -69,17 +76,19 @@ FMI2_STATUS(fmi2SerializeFMUstate)
 
 FMI2_STATUS(fmi2DeSerializeFMUstate)
 (fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state) {
-    Instance *instance = entered(c, MAY_COPY_STATE, "fmi2DeSerializeFMUstate");
-    if (!instance || !bytes || !state) {
+    static const char function[] = "fmi2DeSerializeFMUstate";
+    Instance *instance = entered_with(c, MAY_COPY_STATE, function, state ? bytes : NULL);
+    if (!instance) {
         return fmi2Error;
     }
     if (size != sizeof(Saved) || memcmp(bytes, MODEL_GUID, sizeof MODEL_GUID) != 0) {
-        complain(instance, "fmi2DeSerializeFMUstate: the bytes are not a state of this model.");
+        complain(instance, "%s: the %lu bytes are not a state of this model.", function,
+                 (unsigned long)size);
         return fmi2Error;
     }
     Saved *saved = *state ? *state : calloc(1, sizeof *saved);
     if (!saved) {
-        complain(instance, "fmi2DeSerializeFMUstate: out of memory.");
+        complain(instance, "%s: out of memory.", function);
         return fmi2Error;
     }
     memcpy(saved, bytes, sizeof *saved);

@@ -5,8 +5,9 @@
 static int settable(Role role) {
     switch (role) {
     case INPUT:
+        return MAY_SET;
     case TUNABLE:
-        return INSTANTIATED | INITIALISING | STEPPING;
+        return INSTANTIATED | INITIALISING | STEPPING | AT_EVENT;
     case FIXED:
     case STATE:
         return INSTANTIATED | INITIALISING;
@@ -19,7 +20,7 @@ static int settable(Role role) {
 static bool known(const Instance *instance, const char *function, Type type,
                   const fmi2ValueReference vr[], size_t n, const void *value) {
     if (n > 0 && (!vr || !value)) {
-        complain(instance, "%s: an array of values is missing.", function);
+        complain(instance, "%s: an argument is NULL.", function);
         return false;
     }
     for (size_t i = 0; i < n; i++) {
@@ -44,50 +45,60 @@ static bool all_settable(const Instance *instance, const char *function,
     return true;
 }
 
-static bool all_finite(const Instance *instance, const char *function,
-                       const fmi2ValueReference vr[], size_t n, const fmi2Real value[]) {
-    for (size_t i = 0; i < n; i++) {
-        if (!isfinite(value[i])) {
-            complain(instance, "%s: %s is %g; a finite number is needed.", function,
-                     variables[vr[i]].name, value[i]);
-            return false;
-        }
+/* The first number that is not finite, or `n`. Such numbers are refused, and the old ones kept. */
+static size_t first_odd(const fmi2Real value[], size_t n) {
+    size_t i = 0;
+    while (i < n && isfinite(value[i])) {
+        i++;
     }
-    return true;
+    return i;
 }
 
-/* Common part of the getters: NULL if the call is refused. */
-static const double *readable(fmi2Component c, const char *function, Type type,
-                              const fmi2ValueReference vr[], size_t n, const void *value) {
+static fmi2Status refuse_number(const Instance *instance, const char *function,
+                                fmi2ValueReference vr, fmi2Real value) {
+    return refuse(instance, "%s: %s is %g; a finite number is needed.", function,
+                  variables[vr].name, value);
+}
+
+/* Common part of the getters. */
+static fmi2Status read(fmi2Component c, const char *function, Type type,
+                       const fmi2ValueReference vr[], size_t n, const void *value) {
     Instance *instance = entered(c, MAY_GET, function);
+    bool demanded = false;
     if (!instance) {
-        return NULL;
+        return fmi2Error;
     }
-    /* After a failure or the end, what was computed last is what there is to read. */
-    bool running = instance->memory.mode & (INITIALISING | STEPPING);
-    if (!known(instance, function, type, vr, n, value) || (running && !refreshed(instance))) {
-        failed(instance);
-        return NULL;
+    if (!known(instance, function, type, vr, n, value)) {
+        return failed(instance);
     }
-    return instance->memory.component.v;
+    const fmi2Status status = refreshed(instance);
+    const bool discrete = instance->memory.type == fmi2CoSimulation ||
+                          (instance->memory.mode & (INITIALISING | AT_EVENT));
+    for (size_t i = 0; discrete && i < n; i++) {
+        demanded = demanded || variables[vr[i]].role == ON_DEMAND;
+    }
+    if (demanded && status == fmi2OK) {
+        component_demand(&instance->memory.component);
+    }
+    return status;
 }
 
 FMI2_STATUS(fmi2GetReal)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]) {
-    const double *v = readable(c, "fmi2GetReal", REAL, vr, n, value);
-    for (size_t i = 0; v && i < n; i++) {
-        value[i] = v[vr[i]];
+    const fmi2Status status = read(c, "fmi2GetReal", REAL, vr, n, value);
+    for (size_t i = 0; status == fmi2OK && i < n; i++) {
+        value[i] = ((const Instance *)c)->memory.component.v[vr[i]];
     }
-    return v ? fmi2OK : fmi2Error;
+    return status;
 }
 
 FMI2_STATUS(fmi2GetInteger)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Integer value[]) {
-    const double *v = readable(c, "fmi2GetInteger", INTEGER, vr, n, value);
-    for (size_t i = 0; v && i < n; i++) {
-        value[i] = (fmi2Integer)v[vr[i]];
+    const fmi2Status status = read(c, "fmi2GetInteger", INTEGER, vr, n, value);
+    for (size_t i = 0; status == fmi2OK && i < n; i++) {
+        value[i] = (fmi2Integer)((const Instance *)c)->memory.component.v[vr[i]];
     }
-    return v ? fmi2OK : fmi2Error;
+    return status;
 }
 
 FMI2_STATUS(fmi2SetReal)
@@ -98,8 +109,12 @@ FMI2_STATUS(fmi2SetReal)
         return fmi2Error;
     }
     if (!known(instance, function, REAL, vr, n, value) ||
-        !all_settable(instance, function, vr, n) || !all_finite(instance, function, vr, n, value)) {
+        !all_settable(instance, function, vr, n)) {
         return failed(instance);
+    }
+    const size_t odd = first_odd(value, n);
+    if (odd < n) {
+        return refuse_number(instance, function, vr[odd], value[odd]);
     }
     for (size_t i = 0; i < n; i++) {
         instance->memory.component.v[vr[i]] = value[i];
@@ -175,20 +190,23 @@ FMI2_STATUS(fmi2SetRealInputDerivatives)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[],
  const fmi2Real value[]) {
     static const char function[] = "fmi2SetRealInputDerivatives";
-    Instance *instance = entered(c, MAY_SET, function);
+    Instance *instance = entered(c, MAY_SET_SLOPES, function);
     if (!instance) {
         return fmi2Error;
     }
-    if (!known(instance, function, REAL, vr, n, value) ||
-        !all_finite(instance, function, vr, n, value)) {
+    if (!known(instance, function, REAL, vr, n, order ? value : NULL)) {
         return failed(instance);
     }
     for (size_t i = 0; i < n; i++) {
-        if (variables[vr[i]].role != INPUT || !order || order[i] != 1) {
+        if (variables[vr[i]].role != INPUT || order[i] != 1) {
             complain(instance, "%s: only first derivatives of inputs can be set, not of %s.",
                      function, variables[vr[i]].name);
             return failed(instance);
         }
+    }
+    const size_t odd = first_odd(value, n);
+    if (odd < n) {
+        return refuse_number(instance, function, vr[odd], value[odd]);
     }
     for (size_t i = 0; i < n; i++) {
         instance->memory.slope[vr[i]] = value[i];
@@ -201,13 +219,61 @@ FMI2_STATUS(fmi2GetRealOutputDerivatives)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[],
  fmi2Real value[]) {
     (void)vr, (void)order, (void)value;
-    return none(c, MAY_GET, "fmi2GetRealOutputDerivatives", n);
+    return none(c, MAY_GET_SLOPES, "fmi2GetRealOutputDerivatives", n);
+}
+
+/* Whether a direction can be followed from these variables to those. */
+static bool differentiable(const Instance *instance, const char *function,
+                           const fmi2ValueReference unknowns[], size_t n_unknown,
+                           const fmi2ValueReference knowns[], size_t n_known) {
+    for (size_t i = 0; i < n_unknown; i++) {
+        const Role role = variables[unknowns[i]].role;
+        if (role != OUTPUT && role != LOCAL) {
+            complain(instance, "%s: %s is no continuous output and no state derivative.", function,
+                     variables[unknowns[i]].name);
+            return false;
+        }
+    }
+    for (size_t i = 0; i < n_known; i++) {
+        const Role role = variables[knowns[i]].role;
+        if (role != INPUT && role != STATE && role != TUNABLE) {
+            complain(instance, "%s: nothing can be derived with respect to %s.", function,
+                     variables[knowns[i]].name);
+            return false;
+        }
+    }
+    return true;
 }
 
 FMI2_STATUS(fmi2GetDirectionalDerivative)
-(fmi2Component c, const fmi2ValueReference unknown[], size_t n_unknown,
- const fmi2ValueReference known_[], size_t n_known, const fmi2Real d_known[],
+(fmi2Component c, const fmi2ValueReference unknowns[], size_t n_unknown,
+ const fmi2ValueReference knowns[], size_t n_known, const fmi2Real d_known[],
  fmi2Real d_unknown[]) {
-    (void)unknown, (void)known_, (void)n_known, (void)d_known, (void)d_unknown;
-    return none(c, MAY_GET, "fmi2GetDirectionalDerivative", n_unknown);
+    static const char function[] = "fmi2GetDirectionalDerivative";
+    Instance *instance = entered(c, MAY_GET, function);
+    double seed[VARIABLES] = {0.0}, tangent[VARIABLES] = {0.0};
+    if (!instance) {
+        return fmi2Error;
+    }
+    if (!DIRECTIONAL_DERIVATIVES) {
+        complain(instance, "%s: this FMU provides no directional derivatives.", function);
+        return fmi2Error;
+    }
+    if (!known(instance, function, REAL, unknowns, n_unknown, d_unknown) ||
+        !known(instance, function, REAL, knowns, n_known, d_known) ||
+        !differentiable(instance, function, unknowns, n_unknown, knowns, n_known)) {
+        return failed(instance);
+    }
+    const fmi2Status status = refreshed(instance);
+    if (status != fmi2OK) {
+        return status;
+    }
+    for (size_t i = 0; i < n_known; i++) {
+        seed[knowns[i]] += d_known[i];
+    }
+    component_tangent(&instance->memory.component, seed, tangent);
+    for (size_t i = 0; i < n_unknown; i++) {
+        d_unknown[i] = tangent[unknowns[i]];
+    }
+    return fmi2OK;
 }

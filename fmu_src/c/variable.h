@@ -3,12 +3,13 @@
 #define VARIABLE_H
 
 typedef enum {
-    INPUT,   /* set at any time */
-    OUTPUT,  /* computed */
-    LOCAL,   /* computed, not for connection */
-    STATE,   /* set before the initialisation ends, then moved by steps */
-    FIXED,   /* parameter, set before the initialisation ends */
-    TUNABLE, /* parameter, set at any time */
+    INPUT,     /* set at any time */
+    OUTPUT,    /* computed */
+    ON_DEMAND, /* computed when somebody reads it */
+    LOCAL,     /* computed, not for connection */
+    STATE,     /* set before the initialisation ends, then moved by steps or by a solver */
+    FIXED,     /* parameter, set before the initialisation ends */
+    TUNABLE,   /* parameter, set between steps or at events */
 } Role;
 
 typedef enum {

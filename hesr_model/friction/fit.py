@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from hesr_model.errors import FitError
 from hesr_model.friction.estimator import estimator
 from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.records import training_error
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.friction.uncertainty import with_standard_errors
 from hesr_model.residual import FrictionRecord
@@ -169,6 +170,10 @@ def fit_models(
             laws=tuple(done[law, joint] for joint in range(len(records))),
             sample_time=round(float(np.median(periods)), 9),
             trained=tuple(TrainedRange.of(of_joint) for of_joint in records),
+            training_rmse=tuple(
+                training_error(done[law, joint], of_joint)
+                for joint, of_joint in enumerate(records)
+            ),
             provenance=dict(provenance or {}),
         )
         for law in laws

@@ -171,6 +171,7 @@ class FrictionModel:
     laws : the law of each joint.
     sample_time : sample period at which the laws were made [s].
     trained : ranges of the records that each law was fitted to; empty where they are not known.
+    training_rmse : error of each law on those records [N.m]; empty where it is not known.
     provenance : JSON data on where the model comes from (files with hashes, seed, versions).
     """
 
@@ -180,6 +181,7 @@ class FrictionModel:
     laws: tuple[FrictionLaw, ...]
     sample_time: float
     trained: "tuple[TrainedRange, ...]" = ()
+    training_rmse: tuple[float, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -190,6 +192,11 @@ class FrictionModel:
         if self.trained and len(self.trained) != len(self.joints):
             raise ArtifactError(
                 f"friction model '{self.law}': {len(self.trained)} trained ranges for "
+                f"{len(self.joints)} joints."
+            )
+        if self.training_rmse and len(self.training_rmse) != len(self.joints):
+            raise ArtifactError(
+                f"friction model '{self.law}': {len(self.training_rmse)} training errors for "
                 f"{len(self.joints)} joints."
             )
         if not 0.0 < self.sample_time < inf:

@@ -1,7 +1,12 @@
 """Laws on friction records: what a model predicts for a log that was measured."""
 
+from collections.abc import Sequence
+
+import numpy as np
+
 from hesr_model.friction.evaluate import Array, estimated_start, predict
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.metrics import rmse
 from hesr_model.residual import FrictionRecord
 
 
@@ -27,3 +32,8 @@ def predict_record(law: FrictionLaw, record: FrictionRecord) -> Array:
         tau_load=record.tau_load,
         start=record_start(law, record),
     )
+
+
+def training_error(law: FrictionLaw, records: Sequence[FrictionRecord]) -> float:
+    """Return the RMSE of a law over all rows of the records of its joint [N.m]."""
+    return rmse(np.concatenate([predict_record(law, r) - r.tau for r in records]))

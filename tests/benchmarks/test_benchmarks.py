@@ -15,9 +15,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 from threadpoolctl import threadpool_limits
 
-from cosim.component import Component
-from cosim.replay import replay
-from fmu_src import export_fmu, model_file
+from fmu_src import model_file
 from hesr_model.artifacts import read_model
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fit import fit_joint
@@ -47,20 +45,6 @@ print(json.dumps({
 """
 
 
-Tell = Callable[[str], None]
-
-
-@pytest.fixture
-def tell(capsys: pytest.CaptureFixture[str]) -> Tell:
-    """Print a line past the capture: figures that the table of times has no column for."""
-
-    def line(text: str) -> None:
-        with capsys.disabled():
-            sys.stdout.write(f"\n{text}\n")
-
-    return line
-
-
 @pytest.fixture(scope="module")
 def data() -> FrictionRecord:
     """Twenty seconds of joint 1 of Table I along a sweep, with the noise of its torque sensor."""
@@ -80,12 +64,6 @@ def features(data: FrictionRecord) -> HysteresisFeatures:
     return HysteresisFeatures(samples=samples, discretisation="exact")
 
 
-@pytest.fixture(scope="module")
-def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("fmu")
-    return export_fmu(read_model(model_file("uf850-table1")), folder / "Friction.fmu")
-
-
 def candidate() -> Candidate:
     return Candidate(
         g="tanh",
@@ -101,7 +79,7 @@ def candidate() -> Candidate:
 
 
 def test_three_stage_fit_of_a_joint(
-    benchmark: BenchmarkFixture, data: FrictionRecord, tell: Tell
+    benchmark: BenchmarkFixture, data: FrictionRecord, tell: Callable[[str], None]
 ) -> None:
     """Aim: 1 s of CPU time at 4000 samples."""
     benchmark.extra_info["aim"] = "1 s of CPU time"
@@ -154,48 +132,6 @@ def test_prediction_over_a_log(benchmark: BenchmarkFixture, data: FrictionRecord
     assert torque.shape == (ROWS,)
 
 
-def test_step_of_the_fmu(benchmark: BenchmarkFixture, fmu: Path) -> None:
-    """Known of another C FMU through FMPy: 0.94 us."""
-    with Component(fmu) as component:
-        component.initialise(start={"dq[1]": 0.3})
-        counter = iter(range(10**9))
-        benchmark(lambda: component.step(next(counter) * STEP, STEP))
-        assert component.get(["h[1]"])[0] != 0.0
-
-
-def test_set_step_get_of_the_fmu(benchmark: BenchmarkFixture, fmu: Path) -> None:
-    """Known of another C FMU through FMPy: 4.5 us."""
-    with Component(fmu) as component:
-        component.initialise()
-        inputs = component.batch([f"dq[{i}]" for i in (1, 2, 3)])
-        outputs = component.batch([f"tau[{i}]" for i in (1, 2, 3)])
-        counter = iter(range(10**9))
-
-        def sample() -> None:
-            inputs.values[:] = 0.3
-            inputs.write()
-            component.step(next(counter) * STEP, STEP)
-            outputs.read()
-
-        benchmark(sample)
-        assert np.all(np.isfinite(outputs.values))
-
-
-def test_replay_of_a_log(benchmark: BenchmarkFixture, fmu: Path, data: FrictionRecord) -> None:
-    dq = np.stack([data.dq] * 3, axis=1)
-    torque = benchmark.pedantic(replay, args=(fmu, data.t, dq), rounds=5, warmup_rounds=1)
-    assert torque.shape == (ROWS, 3)
-
-
-def test_export_for_this_platform(benchmark: BenchmarkFixture, fmu: Path, tmp_path: Path) -> None:
-    """After a first export, so that the compiler's own libraries are built."""
-    model = read_model(model_file("uf850-table1"))
-    path = benchmark.pedantic(
-        export_fmu, args=(model, tmp_path / "Friction.fmu"), rounds=3, warmup_rounds=1
-    )
-    assert path.read_bytes() == fmu.read_bytes()
-
-
 def test_help(benchmark: BenchmarkFixture) -> None:
     """Aim: 0.3 s."""
     benchmark.extra_info["aim"] = "0.3 s"
@@ -206,7 +142,9 @@ def test_help(benchmark: BenchmarkFixture) -> None:
     assert result.returncode == 0
 
 
-def test_whole_default_run(benchmark: BenchmarkFixture, tmp_path: Path, tell: Tell) -> None:
+def test_whole_default_run(
+    benchmark: BenchmarkFixture, tmp_path: Path, tell: Callable[[str], None]
+) -> None:
     """Aim: 60 s and at most 500 MB in any process."""
     command = [sys.executable, "-c", HESR_RUN, "run", "-o", str(tmp_path / "results")]
     result: subprocess.CompletedProcess[str] = benchmark.pedantic(

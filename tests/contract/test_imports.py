@@ -27,9 +27,11 @@ ONLY_IN = {
     "mujoco": ("fmu_src/arm/*",),
     "pythonfmu": ("fmu_src/arm/*", "fmu_src/package*.py"),
     # The modules that draw: one for the pictures in an FMU, one for those of a report.
-    "matplotlib": ("fmu_src/figures.py", "fmu_src/icon.py", "cosim/figures.py"),
+    "matplotlib": ("fmu_src/*pictures.py", "cosim/figures.py"),
     # Packaging, checking, and running.
     "fmpy": ("fmu_src/package*.py", "*/check*.py", "cosim/component.py", "cosim/ssp.py"),
+    "lief": ("fmu_src/check/*",),
+    "lxml": ("fmu_src/check/*",),
     "ziglang": ("fmu_src/toolchain.py",),
     "pyarrow": ("hesr_model/tables.py",),
     "typer": ("cosim/cli*",),
@@ -83,7 +85,9 @@ def test_a_library_stands_in_its_own_modules_only(library: str) -> None:
     assert not strangers
 
 
-@pytest.mark.parametrize("library", ["pinocchio", "mujoco", "fmpy", "pyarrow", "typer"])
+@pytest.mark.parametrize(
+    "library", ["pinocchio", "mujoco", "fmpy", "lief", "lxml", "pyarrow", "typer"]
+)
 def test_the_search_for_a_library_finds_its_users(library: str) -> None:
     """A rule that finds nobody would hold for a misspelt name, too."""
     assert any(library in map(top, imports(module)) for module in MODULES)
@@ -130,10 +134,12 @@ def loaded_by(code: str) -> set[str]:
 
 
 HEAVY = {"sympy", "mujoco", "matplotlib", "pinocchio", "scipy", "fmpy", "pyarrow", "jinja2"}
+HEAVY |= {"lxml", "lief"}
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["run", "--help"], ["fit", "--help"], ["replay", "--help"]]
+    "arguments",
+    [["--help"], ["run", "--help"], ["fit", "--help"], ["replay", "--help"], ["check", "--help"]],
 )
 def test_help_is_quick_because_it_loads_nothing_heavy(arguments: list[str]) -> None:
     loaded = loaded_by(

@@ -1,8 +1,6 @@
-"""Friction laws made by hand, their FMUs, and a bare binding to an FMU's binary."""
+"""Friction laws made by hand, and their FMUs."""
 
-import ctypes
 import math
-import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,12 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 import sympy
+from binary import Binary
 
 from fmu_src import export_fmu, model_file
 from hesr_model.artifacts import read_model
+from hesr_model.friction.estimator import registry
 from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute, sgn
 from hesr_model.friction.law import Coefficient, FrictionLaw, FrictionModel, LawForm, Relaxation
 from hesr_model.friction.parfam import family
+from hesr_model.residual import FrictionRecord
 
 FEATURES = ["1", "dq", "h", "dh"]
 
@@ -106,6 +107,15 @@ def law(request: pytest.FixtureRequest) -> FrictionLaw:
     return HAND_MADE[request.param]()
 
 
+EVERY_LAW = (*HAND_MADE, *(f"fitted_{name}" for name in registry()))
+
+
+@pytest.fixture(scope="session", params=EVERY_LAW)
+def any_law(request: pytest.FixtureRequest) -> str:
+    """Name of a law made by hand or of the registry."""
+    return request.param
+
+
 @pytest.fixture(scope="session")
 def make_law() -> Callable[[str], FrictionLaw]:
     return lambda name: HAND_MADE[name]()
@@ -119,6 +129,24 @@ def make_model() -> Callable[..., FrictionModel]:
         return FrictionModel(joints=joints, laws=laws, **data)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def fitted(make_motion) -> dict[str, FrictionLaw]:
+    """Every law of the registry, fitted to what a law made by hand says of a motion."""
+    t, dq, q, load = (np.squeeze(x) for x in make_motion(1))
+    tau = 5.0 * np.tanh(50.0 * dq) + 3.0 * dq + np.random.default_rng(1).normal(0, 0.1, t.shape)
+    record = FrictionRecord(log="made", joint="axis", t=t, dq=dq, q=q, tau_load=load, tau=tau)
+    return {
+        name: estimator().fit([record], np.random.default_rng(0))
+        for name, estimator in registry().items()
+    }
+
+
+@pytest.fixture(scope="session")
+def every_law(make_law, fitted) -> dict[str, FrictionLaw]:
+    laws = {name: make_law(name) for name in HAND_MADE}
+    return laws | {f"fitted_{name}": law for name, law in fitted.items()}
 
 
 @pytest.fixture(scope="session")
@@ -151,85 +179,11 @@ def make_motion() -> Callable[[int], Motion]:
     return make
 
 
-CALLBACK = ctypes.CFUNCTYPE(
-    None, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p
-)
-
-
-class Callbacks(ctypes.Structure):
-    _fields_ = (
-        ("logger", CALLBACK),
-        ("allocateMemory", ctypes.c_void_p),
-        ("freeMemory", ctypes.c_void_p),
-        ("stepFinished", ctypes.c_void_p),
-        ("componentEnvironment", ctypes.c_void_p),
-    )
-
-
-class Binary:
-    """The functions of an FMU's binary, without a binding that minds their order."""
-
-    def __init__(self, fmu: Path, folder: Path) -> None:
-        from fmpy import read_model_description
-
-        self.about = read_model_description(fmu)
-        self.vr = {v.name: v.valueReference for v in self.about.modelVariables}
-        identifier = self.about.coSimulation.modelIdentifier
-        with zipfile.ZipFile(fmu) as archive:
-            path = archive.extract(f"binaries/linux64/{identifier}.so", folder)
-        self._library = ctypes.CDLL(path)
-        self.messages: list[tuple[int | None, str, str]] = []
-        self.host = Callbacks()
-        self.host.logger = CALLBACK(self._log)
-        self.host.componentEnvironment = 4711
-
-    def _log(self, environment, name, _status, _category, text):
-        self.messages.append((environment, name.decode(), text.decode()))
-
-    def __call__(self, function: str, *arguments: Any) -> int:
-        f = getattr(self._library, f"fmi2{function}")
-        return f(*(ctypes.c_double(a) if isinstance(a, float) else a for a in arguments))
-
-    def instantiate(self, name=b"one", kind=1, guid=None, host="own") -> ctypes.c_void_p | None:
-        f = self._library.fmi2Instantiate
-        f.restype = ctypes.c_void_p
-        guid = self.about.guid.encode() if guid is None else guid
-        callbacks = ctypes.byref(self.host) if host == "own" else host
-        c = f(name, kind, guid, None, callbacks, 0, 0)
-        return None if c is None else ctypes.c_void_p(c)
-
-    def ready(self, **more: Any) -> ctypes.c_void_p:
-        c = self.instantiate(**more)
-        assert self("SetupExperiment", c, 0, 0.0, 0.0, 0, 0.0) == 0
-        assert self("EnterInitializationMode", c) == 0
-        assert self("ExitInitializationMode", c) == 0
-        return c
-
-    def references(self, names: Sequence[str]) -> Any:
-        return (ctypes.c_uint * len(names))(*(self.vr[n] for n in names))
-
-    def set(self, c: Any, **values: float) -> int:
-        return self.set_all(c, {"tau_load[1]" if n == "tau_load" else f"{n}[1]": x
-                                for n, x in values.items()})  # fmt: skip
-
-    def set_all(self, c: Any, values: Mapping[str, float]) -> int:
-        numbers = (ctypes.c_double * len(values))(*values.values())
-        return self("SetReal", c, self.references(list(values)), len(values), numbers)
-
-    def get(self, c: Any, *names: str) -> list[float]:
-        values = (ctypes.c_double * len(names))()
-        assert self("GetReal", c, self.references(names), len(names), values) == 0
-        return list(values)
-
-    def step(self, c: Any, time: float, step: float) -> int:
-        return self("DoStep", c, float(time), float(step), 1)
-
-
 @pytest.fixture
 def binary(table1_fmu: Path, tmp_path: Path) -> Iterator[Binary]:
     return Binary(table1_fmu, tmp_path)
 
 
-@pytest.fixture
-def load(tmp_path: Path) -> Callable[[Path], Binary]:
-    return lambda fmu: Binary(fmu, tmp_path)
+@pytest.fixture(scope="session")
+def load(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], Binary]:
+    return lambda fmu: Binary(fmu, tmp_path_factory.mktemp("binary"))

@@ -2,34 +2,53 @@
 
 import ctypes
 import math
-from dataclasses import replace
 
 import pytest
-import sympy
 
 from fmu_src import export_fmu
-from hesr_model.errors import ExportError
-from hesr_model.friction.functions import DQ
-from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
 
 OK, DISCARD, ERROR = 0, 2, 3
+
+
+def told(fmu):
+    """The one message since the last call of this."""
+    (message,) = fmu.messages
+    fmu.messages.clear()
+    return message
+
+
+def assert_refused(fmu, text):
+    assert told(fmu) == (4711, "one", text, DISCARD, "logStatusDiscard")
+
+
+def assert_failed(fmu, c, text):
+    """Only reading, reset, restoring a state and freeing are left."""
+    assert told(fmu) == (4711, "one", text, ERROR, "logStatusError")
+    assert fmu.step(c, 0.0, 0.005) == ERROR
+    assert told(fmu).text == "fmi2DoStep is not allowed in this state of the instance."
+    assert fmu.set(c, dq=0.1) == ERROR
+    assert fmu.get(c, "dq[1]") == [0.0]
+    assert fmu("Reset", c) == OK
+    assert fmu("EnterInitializationMode", c) == OK
+    fmu.messages.clear()
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("name", ["dq[2]", "joint[3].alpha"])
 def test_values_that_are_not_finite(binary, name, value):
-    c = binary.ready()
-    assert binary.set_all(c, {name: value}) == ERROR
-    environment, instance, text = binary.messages[-1]
-    assert text == f"fmi2SetReal: {name} is {value:g}; a finite number is needed."
-    assert (environment, instance) == (4711, "one")
-    assert binary.step(c, 0.0, 0.005) == ERROR  # the simulation has ended
-    assert binary.get(c, "dq[2]") == [0.0]  # but the old value can be read
+    c, other = binary.ready(), binary.ready()
+    assert binary.set_all(c, {name: value}) == DISCARD
+    assert_refused(binary, f"fmi2SetReal: {name} is {value:g}; a finite number is needed.")
+    for each in (c, other):
+        assert binary.set(each, dq=0.1) == OK
+        assert binary.step(each, 0.0, 0.005) == OK
+    outputs = ("dq[2]", "joint[3].alpha", "tau[1]", "tau[2]", "tau[3]")
+    assert binary.get(c, *outputs) == binary.get(other, *outputs)
 
 
 def test_a_call_takes_all_its_values_or_none(binary):
     c = binary.ready()
-    assert binary.set_all(c, {"dq[1]": 0.5, "dq[2]": math.nan}) == ERROR
+    assert binary.set_all(c, {"dq[1]": 0.5, "dq[2]": math.nan}) == DISCARD
     assert binary.get(c, "dq[1]") == [0.0]
 
 
@@ -37,35 +56,105 @@ def test_a_call_takes_all_its_values_or_none(binary):
 def test_steps_that_are_not_positive(binary, step):
     c = binary.ready()
     assert binary.step(c, 1.25, step) == ERROR
-    assert "it must be positive" in binary.messages[-1][2]
-    assert f"{step:g} s from time 1.25 s" in binary.messages[-1][2]
+    text = f"fmi2DoStep: the step is {step:g} s from time 1.25 s; it must be positive."
+    assert_failed(binary, c, text)
+
+
+def slopes(fmu, c, value, name="dq[1]", order=1):
+    arguments = ((ctypes.c_int * 1)(order), (ctypes.c_double * 1)(value))
+    return fmu("SetRealInputDerivatives", c, fmu.references([name]), 1, *arguments)
 
 
 def test_euler_with_a_step_that_is_too_long(binary):
-    c = binary.ready()
-    binary.set(c, dq=0.4)
-    assert binary.step(c, 0.0, 0.1) == ERROR
-    assert binary.messages[-1][2] == (
-        "h[1]: Euler needs rate * step < 1 but found 1.137 at dq[1] = 0.4; take a smaller step or "
-        "the exact discretisation."
-    )
+    """A shorter step may follow, as if nothing had been asked for."""
+    c, other = binary.ready(), binary.ready()
+    for each in (c, other):
+        assert binary.set(each, dq=0.4) == OK
+        assert slopes(binary, each, 0.5) == OK
+    for _ in range(2):
+        assert binary.step(c, 0.0, 0.1) == DISCARD
+        assert_refused(binary, "h[1]: Euler needs rate * step < 1 but found 1.137 at dq[1] = "
+                       "0.425; take a smaller step or the exact discretisation.")  # fmt: skip
+        time = ctypes.c_double(7.0)
+        assert binary("GetRealStatus", c, 2, ctypes.byref(time)) == OK
+        assert time.value == 0.0
+    for each in (c, other):
+        assert binary.step(each, 0.0, 0.005) == OK
+    outputs = ("dq[1]", "h[1]", "der(h[1])", "tau[1]", "dtau_ddq[1]")
+    assert binary.get(c, *outputs) == binary.get(other, *outputs)
+    assert binary.get(c, "dq[1]") == [pytest.approx(0.4 + 0.5 * 0.005)]
 
 
 def test_a_rate_that_is_negative(binary):
     c = binary.ready()
+    alpha = binary.get(c, "joint[2].alpha")[0]
     binary.set_all(c, {"joint[2].alpha": -3.0})
-    assert binary.step(c, 0.0, 0.005) == ERROR
-    assert (
-        "h[2]: the relaxation rate is -3 1/s at dq[2] = 0; it must not be"
-        in (binary.messages[-1][2])
-    )
+    assert binary.step(c, 0.0, 0.005) == DISCARD
+    assert_refused(binary, "h[2]: the relaxation rate is -3 1/s at dq[2] = 0; it must not be "
+                   "negative.")  # fmt: skip
+    binary.set_all(c, {"joint[2].alpha": alpha})
+    assert binary.step(c, 0.0, 0.005) == OK
 
 
-def test_outputs_that_become_infinite(make_law, make_model, load, tmp_path):
-    c = (fmu := load(export_fmu(make_model(make_law("parfam_exp")), tmp_path / "F.fmu"))).ready()
-    fmu.set(c, dq=1e4)
-    assert fmu.step(c, 2.0, 0.005) == ERROR
-    assert fmu.messages[-1][2] == "tau[1] became inf at time 2.005."
+@pytest.fixture
+def exploding(make_law, make_model, load, tmp_path):
+    """An FMU whose output can become infinite."""
+    return load(export_fmu(make_model(make_law("parfam_exp")), tmp_path / "F.fmu"))
+
+
+def test_outputs_that_become_infinite_in_a_step(exploding):
+    c = exploding.ready()
+    exploding.set(c, dq=1e4)
+    assert exploding.step(c, 2.0, 0.005) == ERROR
+    assert told(exploding).text == "tau[1] became inf at time 2.005."
+    assert exploding.get(c, "tau[1]", "dq[1]") == [math.inf, 1e4]
+    assert exploding.set(c, dq=0.0) == ERROR
+
+
+def test_outputs_that_are_infinite_at_the_start(exploding):
+    for kind in (0, 1):
+        c = exploding.instantiate(kind=kind)
+        exploding.set(c, dq=1e4)
+        assert exploding("SetupExperiment", c, 0, 0.0, 2.0, 0, 0.0) == OK
+        assert exploding("EnterInitializationMode", c) == OK
+        values = (ctypes.c_double * 1)()
+        assert exploding("GetReal", c, exploding.references(["tau[1]"]), 1, values) == DISCARD
+        assert_refused(exploding, "tau[1] became inf at time 2.")
+        assert exploding("ExitInitializationMode", c) == ERROR
+        message = (4711, "one", "tau[1] became inf at time 2.", ERROR, "logStatusError")
+        assert told(exploding) == message
+
+
+def test_outputs_that_are_infinite_for_a_solver(exploding):
+    """It can try a shorter step."""
+    c = exploding.continuous({"dq[1]": 1.0})
+    exploding.set(c, dq=1e4)
+    values, direction = (ctypes.c_double * 1)(), (ctypes.c_double * 1)(1.0)
+    tau, dq = (exploding.references([name]) for name in ("tau[1]", "dq[1]"))
+    for call in (
+        ("GetReal", c, tau, 1, values),
+        ("GetDerivatives", c, values, 1),
+        ("GetDirectionalDerivative", c, tau, 1, dq, 1, direction, values),
+    ):
+        assert exploding(*call) == DISCARD
+        assert_refused(exploding, "tau[1] became inf at time 0.")
+    exploding.set(c, dq=1.0)
+    assert exploding("GetReal", c, tau, 1, values) == OK
+
+
+def test_slopes_of_inputs(binary):
+    for name, order in (("tau[1]", 1), ("joint[1].alpha", 1), ("dq[1]", 2), ("dq[1]", 0)):
+        c = binary.ready()
+        assert slopes(binary, c, 1.0, name, order) == ERROR
+        assert_failed(binary, c, "fmi2SetRealInputDerivatives: only first derivatives of inputs "
+                      f"can be set, not of {name}.")  # fmt: skip
+    c = binary.ready()
+    assert slopes(binary, c, 0.5) == OK
+    assert slopes(binary, c, math.nan) == DISCARD
+    text = "fmi2SetRealInputDerivatives: dq[1] is nan; a finite number is needed."
+    assert_refused(binary, text)
+    assert binary.step(c, 0.0, 0.005) == OK
+    assert binary.get(c, "dq[1]") == [pytest.approx(0.0025)]
 
 
 @pytest.mark.parametrize(
@@ -73,7 +162,8 @@ def test_outputs_that_become_infinite(make_law, make_model, load, tmp_path):
     [
         ({"guid": b"{}"}, "the GUID is not that of this binary"),
         ({"guid": b""}, "the GUID is not that of this binary"),
-        ({"kind": 0}, "this FMU is for co-simulation"),
+        ({"kind": 2}, "this FMU is not of the wanted type"),
+        ({"kind": -1}, "this FMU is not of the wanted type"),
         ({"name": b""}, "the instance has no name"),
         ({"name": None}, "the instance has no name"),
     ],
@@ -86,42 +176,12 @@ def test_instantiation_that_is_refused(binary, change, reason):
 
 def test_hosts_without_a_logger(binary):
     c = binary.ready(host=None)
-    assert binary.set(c, dq=math.nan) == ERROR
+    assert binary.set(c, dq=math.nan) == DISCARD
     binary("FreeInstance", c)
     binary.host = type(binary.host)()
-    c = binary.ready()
-    assert binary.set(c, dq=math.nan) == ERROR
-
-
-def test_calls_out_of_sequence_are_refused_and_change_nothing(binary):
-    c = binary.instantiate()
-    assert binary.step(c, 0.0, 0.005) == ERROR
-    assert binary.messages[-1][2] == "fmi2DoStep is not allowed in this state of the instance."
-    assert binary("ExitInitializationMode", c) == ERROR
-    assert binary("Terminate", c) == ERROR
-    assert binary("EnterInitializationMode", c) == OK
-    assert binary("SetupExperiment", c, 0, 0.0, 0.0, 0, 0.0) == ERROR
-    assert binary("ExitInitializationMode", c) == OK
-    assert binary("EnterInitializationMode", c) == ERROR
-    assert binary.step(c, 0.0, 0.005) == OK
-    assert binary("Terminate", c) == OK
-    assert binary.step(c, 0.005, 0.005) == ERROR
-    assert binary.set(c, dq=0.1) == ERROR
-    assert binary("Reset", c) == OK
-    assert binary("EnterInitializationMode", c) == OK
-
-
-def test_no_instance_at_all(binary):
-    assert binary.step(None, 0.0, 0.005) == ERROR
-    assert binary("Reset", None) == ERROR
-    binary("FreeInstance", None)
-
-
-@pytest.mark.parametrize("name", ["tau[1]", "der(h[1])", "h[1]"])
-def test_variables_that_cannot_be_set_now(binary, name):
-    c = binary.ready()
-    assert binary.set_all(c, {name: 0.1}) == ERROR
-    assert f"{name} cannot be set in this state" in binary.messages[-1][2]
+    c = binary.ready(logging=1)
+    assert binary.set(c, dq=math.nan) == DISCARD
+    assert binary.step(c, 0.0, 0.0) == ERROR
 
 
 def test_integration_is_chosen_before_the_start_and_among_what_there_is(binary):
@@ -140,14 +200,16 @@ def test_integration_is_chosen_before_the_start_and_among_what_there_is(binary):
 def test_unknown_value_references_and_types(binary):
     values = (ctypes.c_double * 1)()
     for reference in (100000, 0xFFFFFFFF, binary.vr["discretisation"]):
+        for function in ("GetReal", "SetReal"):
+            c = binary.ready()
+            assert binary(function, c, (ctypes.c_uint * 1)(reference), 1, values) == ERROR
+            assert_failed(binary, c, f"fmi2{function}: there is no variable of this type with "
+                          f"value reference {reference}.")  # fmt: skip
+    for function in ("GetBoolean", "GetString", "SetBoolean", "SetString"):
         c = binary.ready()
-        assert binary("GetReal", c, (ctypes.c_uint * 1)(reference), 1, values) == ERROR
-        assert f"value reference {reference}." in binary.messages[-1][2]
-    c = binary.ready()
-    assert binary("GetReal", c, None, 1, values) == ERROR
-    c = binary.ready()
-    assert binary("GetBoolean", c, None, 0, None) == OK
-    assert binary("GetString", c, (ctypes.c_uint * 1)(0), 1, None) == ERROR
+        assert binary(function, c, None, 0, None) == OK
+        assert binary(function, c, (ctypes.c_uint * 1)(0), 1, values) == ERROR
+        assert_failed(binary, c, f"fmi2{function}: there are no variables of this type.")
 
 
 def test_the_end_of_the_experiment(binary):
@@ -162,7 +224,8 @@ def test_the_end_of_the_experiment(binary):
         time += 0.1
     assert time > 0.3
     assert binary.step(c, time, 0.05) == ERROR
-    assert "passes the end" in binary.messages[-1][2]
+    assert_failed(binary, c, "fmi2DoStep: the step from 0.30000000000000004 s to "
+                  "0.35000000000000003 s passes the end, 0.29999999999999999 s.")  # fmt: skip
 
 
 def test_an_experiment_that_ends_before_it_starts(binary):
@@ -183,28 +246,36 @@ def test_status_of_a_slave_that_is_never_asynchronous(binary):
     assert binary("CancelStep", c) == ERROR
 
 
-def test_joints_with_different_integration(make_law, make_model, tmp_path):
-    one = make_law("parfam_tanh")
-    model = make_model(one, replace(one, discretisation="euler"))
-    with pytest.raises(ExportError, match="both exact and Euler"):
-        export_fmu(model, tmp_path / "F.fmu")
+def test_messages_of_events_are_for_hosts_that_want_them(binary):
+    def run(c):
+        binary.messages.clear()
+        for function in ("EnterInitializationMode", "ExitInitializationMode", "Terminate", "Reset"):
+            assert binary(function, c) == OK
+        return [(m.text, m.status, m.category) for m in binary.messages]
 
+    def choose(c, on, *names):
+        array = (ctypes.c_char_p * len(names))(*names)
+        return binary("SetDebugLogging", c, on, len(names), array)
 
-@pytest.mark.parametrize(
-    ("name", "unit", "reason"),
-    [("a b", "1", "not a structured name"), ("a", "furlong", "'furlong' is unknown")],
-)
-def test_laws_that_fmi_cannot_name(make_model, tmp_path, name, unit, reason):
-    own = Coefficient(name=name, unit=unit, description="odd")
-    form = LawForm(coefficients=(own,), output=own.symbol * DQ)
-    law = FrictionLaw(name="odd", form=form, values={name: 1.0})
-    with pytest.raises(ExportError, match=reason):
-        export_fmu(make_model(law), tmp_path / "F.fmu")
-
-
-def test_states_that_are_named_as_the_output(make_model, tmp_path):
-    state = Relaxation(name="tau", unit="1", drive=DQ, rate=sympy.Integer(1))
-    form = LawForm(coefficients=(), relaxations=(state,), output=state.state)
-    law = FrictionLaw(name="odd", form=form, values={})
-    with pytest.raises(ExportError, match=r"'tau\[1\]' is used twice"):
-        export_fmu(make_model(law), tmp_path / "F.fmu")
+    everything = [
+        ("Initialised at 0 s.", OK, "logEvents"),
+        ("Terminated at 0 s.", OK, "logEvents"),
+        ("Reset to the start values.", OK, "logEvents"),
+    ]
+    c, quiet = binary.instantiate(logging=1), binary.instantiate()
+    assert (run(c), run(quiet)) == (everything, [])
+    for names in ((), (b"logEvents",), (b"logAll",), (b"logStatusError", b"logEvents")):
+        assert choose(c, 0, *names) == choose(quiet, 1, *names) == OK
+        assert (run(c), run(quiet)) == ([], everything)
+        assert choose(c, 1, *names) == choose(quiet, 0, *names) == OK
+        assert (run(c), run(quiet)) == (everything, [])
+    # Errors are always told.
+    assert choose(quiet, 0, b"logStatusError", b"logStatusDiscard") == OK
+    assert binary("Terminate", quiet) == ERROR
+    assert told(binary).category == "logStatusError"
+    assert choose(quiet, 1, b"logEvents", b"logOdd") == ERROR
+    assert told(binary).text == (
+        "fmi2SetDebugLogging: a category is unknown; known are logEvents, logStatusDiscard, "
+        "logStatusError and logAll."
+    )
+    assert run(quiet) == []

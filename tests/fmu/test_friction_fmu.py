@@ -9,9 +9,7 @@ import pytest
 from cosim.component import Component
 from cosim.replay import replay
 from fmu_src import export_fmu
-from hesr_model.friction.estimator import registry
 from hesr_model.friction.evaluate import Stepper, predict
-from hesr_model.residual import FrictionRecord
 
 EXACT_ENOUGH = 1e-12
 
@@ -41,20 +39,10 @@ def test_laws_of_different_forms_share_an_fmu(make_law, make_model, make_motion,
     assert_equals_python(model, export_fmu(model, tmp_path / "F.fmu"), make_motion(6))
 
 
-def fitted(make_motion):
-    """Every law of the registry, fitted to what a law made by hand says of a motion."""
-    t, dq, q, load = (np.squeeze(x) for x in make_motion(1))
-    tau = 5.0 * np.tanh(50.0 * dq) + 3.0 * dq + np.random.default_rng(1).normal(0, 0.1, t.shape)
-    record = FrictionRecord(log="made", joint="axis", t=t, dq=dq, q=q, tau_load=load, tau=tau)
-    for name, estimator in registry().items():
-        yield name, estimator().fit([record], np.random.default_rng(0))
-
-
-def test_every_registered_law_equals_python(make_model, make_motion, tmp_path):
-    laws = dict(fitted(make_motion))
-    model = make_model(*laws.values())
+def test_every_registered_law_equals_python(fitted, make_model, make_motion, tmp_path):
+    model = make_model(*fitted.values())
     fmu = export_fmu(model, tmp_path / "F.fmu")
-    assert_equals_python(model, fmu, make_motion(len(laws)))
+    assert_equals_python(model, fmu, make_motion(len(fitted)))
 
 
 def test_table_1_equals_the_equations_of_the_paper(table1, table1_fmu):
@@ -108,14 +96,13 @@ def test_table_1_equals_the_equations_of_the_paper(table1, table1_fmu):
         assert np.abs(torque[:, i] - reference).max() <= EXACT_ENOUGH * np.abs(reference).max()
 
 
-def test_outputs_follow_inputs_that_are_set_between_steps(table1, binary):
+def test_a_step_uses_the_inputs_that_are_set_before_it(table1, binary):
     c = binary.ready()
     stepper = Stepper(table1.laws[0])
-    binary.set(c, dq=0.3)
-    assert binary.step(c, 0.0, 0.005) == 0
-    assert binary.get(c, "tau[1]")[0] == pytest.approx(stepper.step(0.005, 0.3), rel=1e-12)
-    binary.set(c, dq=-0.2)
-    assert binary.get(c, "tau[1]")[0] == pytest.approx(stepper.step(0.0, -0.2), rel=1e-12)
+    for k, dq in enumerate((0.3, -0.2, -0.2, 0.0)):
+        binary.set(c, dq=dq)
+        assert binary.step(c, 0.005 * k, 0.005) == 0
+        assert binary.get(c, "tau[1]")[0] == pytest.approx(stepper.step(0.005, dq), rel=1e-12)
 
 
 def test_state_and_derivative_can_be_read(table1, binary):
@@ -144,10 +131,15 @@ def test_discretisation_can_be_chosen(table1, table1_fmu, make_motion):
 
 
 def test_coefficients_are_tunable_while_it_runs(table1, binary):
-    c = binary.ready()
-    before = binary.get(c, "tau[1]")[0]
-    binary.set_all(c, {"joint[1].c_0": table1.laws[0].values["c_0"] + 1.5})
-    assert binary.get(c, "tau[1]")[0] == pytest.approx(before + 1.5)
+    tuned, other = binary.ready(), binary.ready(name=b"two")
+    for c in (tuned, other):
+        binary.set(c, dq=0.1)
+        assert binary.step(c, 0.0, 0.005) == 0
+    binary.set_all(tuned, {"joint[1].c_0": table1.laws[0].values["c_0"] + 1.5})
+    for c in (tuned, other):
+        assert binary.step(c, 0.005, 0.005) == 0
+    assert binary.get(tuned, "h[1]") == binary.get(other, "h[1]")
+    assert binary.get(tuned, "tau[1]")[0] == pytest.approx(binary.get(other, "tau[1]")[0] + 1.5)
 
 
 def test_large_laws_have_a_scale_instead_of_coefficients(
@@ -187,6 +179,28 @@ def test_inputs_with_derivatives_are_followed(table1, binary):
     # A slope counts for the step for which it was set.
     assert binary.step(ramped, end, 0.005) == 0
     assert binary.get(ramped, "dq[1]")[0] == pytest.approx(slope * end)
+
+
+def test_slopes_of_inputs_count_for_one_step(binary):
+    c, one = binary.ready(), (ctypes.c_int * 1)(1)
+    for k, name in enumerate(("dq[1]", "dq[2]", "dq[1]")):
+        slope = (ctypes.c_double * 1)(0.5)
+        vr = binary.references([name])
+        assert binary("SetRealInputDerivatives", c, vr, 1, one, slope) == 0
+        assert binary.step(c, 0.01 * k, 0.01) == 0
+    assert binary.get(c, "dq[1]", "dq[2]") == pytest.approx([0.01, 0.005])
+
+
+def test_signs_are_those_at_the_end_of_a_ramp(make_law, make_model, load, tmp_path):
+    fmu = load(export_fmu(make_model(make_law("viscous")), tmp_path / "F.fmu"))
+    for start, end in ((0.1, -0.05), (0.05, -0.1), (-0.1, 0.05), (-0.1, 0.0)):
+        c = fmu.ready()
+        slope, one = (ctypes.c_double * 1)((end - start) / 0.125), (ctypes.c_int * 1)(1)
+        fmu.set(c, dq=start)
+        assert fmu("SetRealInputDerivatives", c, fmu.references(["dq[1]"]), 1, one, slope) == 0
+        assert fmu.step(c, 0.0, 0.125) == 0
+        expected = 4.5 * np.sign(end) + 12.0 * end**3 + 0.5
+        assert fmu.get(c, "tau[1]") == [pytest.approx(expected)]
 
 
 def test_many_instances_do_not_disturb_each_other(binary):

@@ -12,6 +12,7 @@ from hesr_model.artifacts import read_model, write_model
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.fit import fit_models
 from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.records import predict_record
 from hesr_model.friction.trained import TrainedRange, outside
 
 TRUTH = law("parfam_hx", HX_PAPER, c_0=0.4, c_dq=5.0, c_h=9.0, c_dh=0.02, alpha=10.0, beta=50.0)
@@ -37,12 +38,22 @@ def test_a_fit_knows_the_range_of_each_joint(model: FrictionModel) -> None:
 
 def test_ranges_follow_the_model_into_its_file(model: FrictionModel, tmp_path: File) -> None:
     write_model(tmp_path / "law.json", model)
-    assert read_model(tmp_path / "law.json").trained == model.trained
+    read = read_model(tmp_path / "law.json")
+    assert read.trained == model.trained
+    assert read.training_rmse == model.training_rmse
+
+
+def test_a_fit_knows_its_errors(model: FrictionModel) -> None:
+    stribeck = model.laws[0]
+    errors = np.concatenate([predict_record(stribeck, r) - r.tau for r in RECORDS])
+    assert model.training_rmse[0] == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-12)
+    assert 0.0 < model.training_rmse[1] < model.training_rmse[0]
 
 
 def test_a_file_without_ranges_gives_a_model_without(model: FrictionModel, tmp_path: File) -> None:
-    write_model(tmp_path / "law.json", replace(model, trained=()))
-    assert read_model(tmp_path / "law.json").trained == ()
+    write_model(tmp_path / "law.json", replace(model, trained=(), training_rmse=()))
+    read = read_model(tmp_path / "law.json")
+    assert (read.trained, read.training_rmse) == ((), ())
 
 
 @pytest.mark.parametrize(
@@ -52,6 +63,7 @@ def test_a_file_without_ranges_gives_a_model_without(model: FrictionModel, tmp_p
         (lambda d: d["joints"][0]["trained"].pop("tau"), "'tau' is missing"),
         (lambda d: d["joints"][0]["trained"].update(q="wide"), "not a friction model"),
         (lambda d: d["joints"][1].pop("trained"), "1 trained ranges for 2 joints"),
+        (lambda d: d["joints"][1].pop("training_rmse"), "1 training errors for 2 joints"),
     ],
 )
 def test_damaged_ranges_name_the_file(

@@ -1,0 +1,124 @@
+"""What an FMU gives for one motion when its inputs are handed over in different ways.
+
+Importers differ in when they set the inputs of a step (`fmu_src.settings`), and a law that changes
+fast around reversals feels it. Here the FMU itself is run in each of the ways, and compared with
+its law as logs are replayed, and with its law in continuous time.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.component import Array, Component
+from fmu_src.embedded import embedded_model
+from fmu_src.reference import Motion, reference_motion
+from fmu_src.settings import CONTINUOUS, SETTINGS, Error, errors, torques
+from hesr_model.errors import SimulationError
+from hesr_model.friction.functions import INPUTS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Convention:
+    """Errors of an FMU's torque for each way of handing its inputs over.
+
+    Attributes
+    ----------
+    joints : names of the joints.
+    step : of the runs, the model's sample time [s].
+    frequency : of the sinusoidal velocity [Hz].
+    speeds : its amplitude for each joint [rad/s].
+    replay : by setting, each joint's error against the law as logs are replayed, which is the
+        direct setting: that one is off by rounding only.
+    continuous : the same against the law in continuous time, inputs linear between the samples.
+    """
+
+    joints: tuple[str, ...]
+    step: float
+    frequency: float
+    speeds: tuple[float, ...]
+    replay: Mapping[str, tuple[Error, ...]]
+    continuous: Mapping[str, tuple[Error, ...]]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data in SI units."""
+        return asdict(self)
+
+
+def measure(fmu: Path, *, frequency: float = 0.25, periods: float = 5.0) -> Convention:
+    """Run a friction FMU on the reference motion in every setting, at its model's sample time.
+
+    All joints move alike, from rest at the middle of their sinusoidal motion.
+
+    Parameters
+    ----------
+    fmu : an FMU that carries its friction model.
+    frequency, periods : of the motion [Hz], and how many of its periods there are.
+
+    Raises
+    ------
+    ArtifactError
+        If the FMU cannot be read, or the model in it is damaged.
+    SimulationError
+        If it carries no friction model, or fails.
+    """
+    model = embedded_model(fmu)
+    if model is None:
+        raise SimulationError(
+            f"{fmu}: carries no friction model, by which its results could be judged."
+        )
+    motion = reference_motion(model, frequency=frequency, periods=periods)
+    truths = {truth: torques(model, motion, truth) for truth in ("direct", CONTINUOUS)}
+    found = {setting: run(fmu, motion, setting) for setting in SETTINGS}
+
+    def against(truth: str) -> dict[str, tuple[Error, ...]]:
+        return {way: errors(motion, torque, truths[truth]) for way, torque in found.items()}
+
+    return Convention(
+        joints=model.joints,
+        step=model.sample_time,
+        frequency=frequency,
+        speeds=tuple(map(float, np.abs(motion.dq).max(axis=0))),
+        replay=against("direct"),
+        continuous=against(CONTINUOUS),
+    )
+
+
+def run(fmu: Path, motion: Motion, setting: str) -> Array:
+    """Return the (N, n) torque [N.m] of an FMU whose inputs are handed over in one way.
+
+    Parameters
+    ----------
+    fmu : a friction FMU of the motion's joints.
+    motion : its inputs.
+    setting : one of `settings.SETTINGS`.
+
+    Raises
+    ------
+    SimulationError
+        If the FMU fails.
+    """
+    rows = np.hstack([getattr(motion, symbol.name) for symbol in INPUTS])
+    joints = range(1, motion.dq.shape[1] + 1)
+    names = [f"{symbol.name}[{i}]" for symbol in INPUTS for i in joints]
+    steps = np.diff(motion.t)
+    slopes = np.diff(rows, axis=0) / steps[:, None]
+    torque = np.empty_like(motion.dq)
+    with Component(fmu) as component:
+        inputs, outputs = component.batch(names), component.batch([f"tau[{i}]" for i in joints])
+        follow = component.slopes(names)
+        component.enter_initialisation(time=float(motion.t[0]))
+        inputs.values[:] = rows[0]
+        inputs.write()
+        component.exit_initialisation()
+        torque[0] = outputs.read()
+        for k, (time, step) in enumerate(zip(motion.t.tolist(), steps.tolist(), strict=False)):
+            inputs.values[:] = rows[k + 1 if setting == "direct" else k]
+            inputs.write()
+            if setting == "linear":
+                follow(slopes[k])
+            component.step(time, step)
+            torque[k + 1] = outputs.read()
+    return torque

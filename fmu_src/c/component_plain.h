@@ -1,0 +1,25 @@
+/* What a component includes that has no events, no variables on demand and no derivatives of its
+ * own to give. */
+#ifndef COMPONENT_PLAIN_H
+#define COMPONENT_PLAIN_H
+
+#include "component.h"
+
+static void component_demand(Component *component) {
+    (void)component;
+}
+
+static bool component_event(Component *component, double rest, Message *what) {
+    (void)component, (void)rest, (void)what;
+    return false;
+}
+
+static void component_indicators(const Component *component, double rest, double *indicator) {
+    (void)component, (void)rest, (void)indicator;
+}
+
+static void component_tangent(const Component *component, const double *seed, double *tangent) {
+    (void)component, (void)seed, (void)tangent;
+}
+
+#endif

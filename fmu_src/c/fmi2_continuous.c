@@ -1,0 +1,146 @@
+/* FMI 2.0: model exchange. */
+#include "fmi2_instance.h"
+
+FMI2_STATUS(fmi2EnterEventMode)(fmi2Component c) {
+    Instance *instance = entered(c, MAY_ENTER_EVENT, "fmi2EnterEventMode");
+    if (!instance) {
+        return fmi2Error;
+    }
+    instance->memory.mode = AT_EVENT;
+    return fmi2OK;
+}
+
+/* One iteration is enough: what is held depends on inputs and parameters only. */
+FMI2_STATUS(fmi2NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info) {
+    Instance *instance = entered_with(c, AT_EVENT, "fmi2NewDiscreteStates", info);
+    Message what;
+    if (!instance) {
+        return fmi2Error;
+    }
+    if (component_event(&instance->memory.component, REST, &what)) {
+        instance->memory.stale = true;
+        report(instance, "%s (%.9g s)", what.text, instance->memory.time);
+    }
+    *info = (fmi2EventInfo){.nextEventTimeDefined = fmi2False};
+    return fmi2OK;
+}
+
+FMI2_STATUS(fmi2EnterContinuousTimeMode)(fmi2Component c) {
+    Instance *instance = entered(c, AT_EVENT, "fmi2EnterContinuousTimeMode");
+    Message why;
+    if (!instance) {
+        return fmi2Error;
+    }
+    /* What is computed on demand is discrete: it keeps its value until the next event. */
+    if (component_output(&instance->memory.component, &why)) {
+        component_demand(&instance->memory.component);
+    }
+    instance->memory.mode = CONTINUOUS;
+    return fmi2OK;
+}
+
+/* A host that does not look for zeros between its steps is asked for an event after them. */
+FMI2_STATUS(fmi2CompletedIntegratorStep)
+(fmi2Component c, fmi2Boolean no_set_state_before, fmi2Boolean *event, fmi2Boolean *terminate) {
+    static const char function[] = "fmi2CompletedIntegratorStep";
+    Instance *instance = entered_with(c, CONTINUOUS, function, event && terminate ? event : NULL);
+    double indicator[INDICATORS > 0 ? INDICATORS : 1];
+    (void)no_set_state_before;
+    if (!instance) {
+        return fmi2Error;
+    }
+    *event = *terminate = fmi2False;
+    component_indicators(&instance->memory.component, REST, indicator);
+    for (int i = 0; i < INDICATORS; i++) {
+        if (!(indicator[i] > 0.0)) {
+            *event = fmi2True;
+        }
+    }
+    return fmi2OK;
+}
+
+FMI2_STATUS(fmi2SetTime)(fmi2Component c, fmi2Real time) {
+    Instance *instance = entered(c, MAY_SET_TIME, "fmi2SetTime");
+    if (!instance) {
+        return fmi2Error;
+    }
+    if (!isfinite(time)) {
+        complain(instance, "fmi2SetTime: the time is %g.", time);
+        return failed(instance);
+    }
+    instance->memory.time = time;
+    return fmi2OK;
+}
+
+/* The instance if it can give or take `n` numbers, of which the component has `own`. */
+static Instance *with_array(fmi2Component c, int modes, const char *function, const void *array,
+                            size_t n, size_t own) {
+    Instance *instance =
+        own > 0 ? entered_with(c, modes, function, array) : entered(c, modes, function);
+    if (instance && n != own) {
+        complain(instance, "%s: the array has %lu elements; needed are %lu.", function,
+                 (unsigned long)n, (unsigned long)own);
+        failed(instance);
+        return NULL;
+    }
+    return instance;
+}
+
+FMI2_STATUS(fmi2SetContinuousStates)(fmi2Component c, const fmi2Real x[], size_t n) {
+    static const char function[] = "fmi2SetContinuousStates";
+    Instance *instance = with_array(c, CONTINUOUS, function, x, n, STATES);
+    if (!instance) {
+        return fmi2Error;
+    }
+    for (int i = 0; i < STATES; i++) {
+        if (!isfinite(x[i])) {
+            return refuse(instance, "%s: %s is %g; a finite number is needed.", function,
+                          variables[states[i]].name, x[i]);
+        }
+    }
+    for (int i = 0; i < STATES; i++) {
+        instance->memory.component.v[states[i]] = x[i];
+    }
+    instance->memory.stale = true;
+    return fmi2OK;
+}
+
+FMI2_STATUS(fmi2GetDerivatives)(fmi2Component c, fmi2Real dx[], size_t n) {
+    Instance *instance = with_array(c, MAY_GET_CONTINUOUS, "fmi2GetDerivatives", dx, n, STATES);
+    if (!instance) {
+        return fmi2Error;
+    }
+    const fmi2Status status = refreshed(instance);
+    for (int i = 0; status == fmi2OK && i < STATES; i++) {
+        dx[i] = instance->memory.component.v[derivatives[i]];
+    }
+    return status;
+}
+
+FMI2_STATUS(fmi2GetEventIndicators)(fmi2Component c, fmi2Real indicator[], size_t n) {
+    Instance *instance =
+        with_array(c, MAY_GET_CONTINUOUS, "fmi2GetEventIndicators", indicator, n, INDICATORS);
+    if (!instance) {
+        return fmi2Error;
+    }
+    component_indicators(&instance->memory.component, REST, indicator);
+    return fmi2OK;
+}
+
+FMI2_STATUS(fmi2GetContinuousStates)(fmi2Component c, fmi2Real x[], size_t n) {
+    Instance *instance = with_array(c, MAY_GET_CONTINUOUS, "fmi2GetContinuousStates", x, n, STATES);
+    for (int i = 0; instance && i < STATES; i++) {
+        x[i] = instance->memory.component.v[states[i]];
+    }
+    return instance ? fmi2OK : fmi2Error;
+}
+
+FMI2_STATUS(fmi2GetNominalsOfContinuousStates)
+(fmi2Component c, fmi2Real nominal[], size_t n) {
+    Instance *instance =
+        with_array(c, MAY_GET_NOMINALS, "fmi2GetNominalsOfContinuousStates", nominal, n, STATES);
+    for (int i = 0; instance && i < STATES; i++) {
+        nominal[i] = nominals[i];
+    }
+    return instance ? fmi2OK : fmi2Error;
+}

@@ -1,0 +1,133 @@
+/* FMI 2.0: co-simulation. */
+#include "fmi2_instance.h"
+
+/* Put the inputs where their slopes have taken them at a time [s] after those of `from`. */
+static void follow_slopes(Memory *memory, const Component *from, double time) {
+    for (int i = 0; i < VARIABLES; i++) {
+        if (variables[i].role == INPUT) {
+            memory->component.v[i] = from->v[i] + memory->slope[i] * time;
+        }
+    }
+}
+
+/* States move with inputs held; where these have slopes, at their value in the middle. */
+static bool follow(Memory *memory, double time, double step, Message *why) {
+    const Component before = memory->component;
+    follow_slopes(memory, &before, 0.5 * step);
+    component_event(&memory->component, 0.0, NULL);
+    bool moved = component_step(&memory->component, time, step, why);
+    if (moved) {
+        follow_slopes(memory, &before, step);
+        component_event(&memory->component, 0.0, NULL);
+        moved = component_output(&memory->component, why);
+    }
+    if (!moved) {
+        memory->component = before;
+        return false;
+    }
+    memset(memory->slope, 0, sizeof memory->slope);
+    memory->sloped = false;
+    return true;
+}
+
+static bool move(Memory *memory, double time, double step, Message *why) {
+    if (memory->sloped) {
+        return follow(memory, time, step, why);
+    }
+    component_event(&memory->component, 0.0, NULL);
+    return component_step(&memory->component, time, step, why);
+}
+
+FMI2_STATUS(fmi2DoStep)
+(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_set_state_before) {
+    Instance *instance = entered(c, MAY_STEP, "fmi2DoStep");
+    Message why;
+    (void)no_set_state_before;
+    if (!instance) {
+        return fmi2Error;
+    }
+    Memory *memory = &instance->memory;
+    if (!isfinite(time) || !isfinite(step) || !(step > 0.0)) {
+        complain(instance, "fmi2DoStep: the step is %g s from time %g s; it must be positive.",
+                 step, time);
+        return failed(instance);
+    }
+    /* A last step that passes the end by the rounding of summed steps is no error. */
+    if (time + step > memory->stop + 1e-3 * step) {
+        complain(instance, "fmi2DoStep: the step from %.17g s to %.17g s passes the end, %.17g s.",
+                 time, time + step, memory->stop);
+        return failed(instance);
+    }
+    if (!move(memory, time, step, &why)) {
+        memory->stale = true;
+        return refuse(instance, "%s", why.text);
+    }
+    memory->time = time + step;
+    memory->stale = false;
+    if (!all_finite(memory, &why)) {
+        complain(instance, "%s", why.text);
+        return failed(instance);
+    }
+    return fmi2OK;
+}
+
+/* A step is never pending, so there is nothing to cancel and little to ask for. */
+static fmi2Status no_status(fmi2Component c, const char *function) {
+    Instance *instance = entered(c, MAY_GET_STATUS, function);
+    if (!instance) {
+        return fmi2Error;
+    }
+    return refuse(instance, "%s: steps are never asynchronous, so this status does not exist.",
+                  function);
+}
+
+FMI2_STATUS(fmi2CancelStep)(fmi2Component c) {
+    Instance *instance = entered(c, MAY_CANCEL, "fmi2CancelStep");
+    if (instance) {
+        complain(instance, "fmi2CancelStep: no step is in progress.");
+    }
+    return fmi2Error;
+}
+
+FMI2_STATUS(fmi2GetStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
+    (void)kind, (void)value;
+    return no_status(c, "fmi2GetStatus");
+}
+
+FMI2_STATUS(fmi2GetRealStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
+    static const char function[] = "fmi2GetRealStatus";
+    if (kind != fmi2LastSuccessfulTime) {
+        return no_status(c, function);
+    }
+    Instance *instance = entered_with(c, MAY_GET_STATUS, function, value);
+    if (!instance) {
+        return fmi2Error;
+    }
+    *value = instance->memory.time;
+    return fmi2OK;
+}
+
+FMI2_STATUS(fmi2GetIntegerStatus)
+(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value) {
+    (void)kind, (void)value;
+    return no_status(c, "fmi2GetIntegerStatus");
+}
+
+FMI2_STATUS(fmi2GetBooleanStatus)
+(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
+    static const char function[] = "fmi2GetBooleanStatus";
+    if (kind != fmi2Terminated) {
+        return no_status(c, function);
+    }
+    Instance *instance = entered_with(c, MAY_GET_STATUS, function, value);
+    if (!instance) {
+        return fmi2Error;
+    }
+    *value = fmi2False;
+    return fmi2OK;
+}
+
+FMI2_STATUS(fmi2GetStringStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) {
+    (void)kind, (void)value;
+    return no_status(c, "fmi2GetStringStatus");
+}

@@ -1,0 +1,172 @@
+"""Shared libraries: the right kind in the right folder, complete, and able to be loaded."""
+
+import posixpath
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fmu_src.check import functions, libraries
+from fmu_src.check.archive import Contents
+from fmu_src.check.description import KINDS, Description, Kind
+from fmu_src.check.process import FailedError, work
+from fmu_src.check.report import listed, plain, quoted
+
+SECONDS = 30.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Platform:
+    """What the name of a folder under binaries/ promises."""
+
+    format: str
+    machines: tuple[str, ...]
+    suffix: str
+
+
+_ELF = {"format": "ELF", "suffix": ".so"}
+_PE = {"format": "PE", "suffix": ".dll"}
+_MACH_O = {"format": "Mach-O", "suffix": ".dylib"}
+
+PLATFORMS: Mapping[str, Platform] = {
+    "linux32": Platform(**_ELF, machines=("I386",)),
+    "linux64": Platform(**_ELF, machines=("X86_64",)),
+    "win32": Platform(**_PE, machines=("I386",)),
+    "win64": Platform(**_PE, machines=("AMD64",)),
+    "darwin32": Platform(**_MACH_O, machines=("X86",)),
+    "darwin64": Platform(**_MACH_O, machines=("X86_64", "ARM64")),
+    # Names of FMI 3 and of importers, for what FMI 2.0 has no name.
+    "aarch64-linux": Platform(**_ELF, machines=("AARCH64",)),
+    "x86_64-linux": Platform(**_ELF, machines=("X86_64",)),
+    "aarch64-windows": Platform(**_PE, machines=("ARM64",)),
+    "x86_64-windows": Platform(**_PE, machines=("AMD64",)),
+    "aarch64-darwin": Platform(**_MACH_O, machines=("ARM64",)),
+    "x86_64-darwin": Platform(**_MACH_O, machines=("X86_64",)),
+}
+
+_FOLDER = "binaries/"
+_PYTHON = re.compile("_?Py[A-Z_][A-Za-z_]+")
+
+
+def problems(about: Description, contents: Contents, folder: Path) -> Iterator[str]:
+    """Yield what is wrong with the binaries; `folder` is for temporary files."""
+    for platform, names in _by_platform(contents).items():
+        expected = PLATFORMS.get(platform)
+        if expected is None:
+            continue
+        for identifier in dict.fromkeys(kind.identifier for kind in about.kinds):
+            kinds = [kind for kind in about.kinds if kind.identifier == identifier]
+            name = f"{_FOLDER}{platform}/{identifier}{expected.suffix}"
+            if name in contents.files:
+                file = contents.files[name]
+                for text in _of_library(file, kinds, expected, names, folder):
+                    yield f"{plain(name)}: {text}"
+            elif name not in contents.names:
+                what = " and ".join(kind.element for kind in kinds)
+                yield (
+                    f"{_FOLDER}{platform}: it lacks {quoted(posixpath.basename(name))}, the name "
+                    f"that modelIdentifier of {what} demands."
+                )
+
+
+def skipped(contents: Contents) -> list[str]:
+    """Return the folders whose binaries are not looked at, and why."""
+    return [
+        f"binaries/{plain(platform)}: not looked at, since no platform of this name is known."
+        for platform in _by_platform(contents)
+        if platform not in PLATFORMS
+    ]
+
+
+def _by_platform(contents: Contents) -> dict[str, set[str]]:
+    """Names of the files directly in each folder under binaries/."""
+    found: dict[str, set[str]] = {}
+    for name in contents.names:
+        parts = name.split("/")
+        if len(parts) == 3 and parts[0] == "binaries":
+            found.setdefault(parts[1], set()).add(parts[2])
+    return found
+
+
+def _of_library(
+    file: Path, kinds: list[Kind], expected: Platform, beside: set[str], folder: Path
+) -> Iterator[str]:
+    try:
+        found = work("binary", file, folder, SECONDS)
+    except FailedError as error:
+        yield f"its content could not be read: {plain(str(error))}."
+        return
+    parts = found["parts"]
+    machines = [part["machine"] for part in parts]
+    right = [part for part in parts if part["machine"] in expected.machines]
+    if found["format"] != expected.format or not right:
+        is_a = f"{found['format']} for {', '.join(machines)}" if parts else "no readable library"
+        needed = " or ".join(expected.machines)
+        yield f"it is {is_a}; needed in this folder is {expected.format} for {needed}."
+        return
+    texts = [text for part in right for text in _of_part(part, kinds, expected, beside)]
+    yield from dict.fromkeys(texts)
+
+
+def _of_part(
+    part: Mapping[str, Any], kinds: list[Kind], expected: Platform, beside: set[str]
+) -> Iterator[str]:
+    if not part["shared"]:
+        yield "it is a program or object file; needed is a shared library."
+    exports = set(part["exports"])
+    for kind in kinds:
+        yield from _missing(kind, exports)
+    # Other versions of FMI have other names, so that one library can serve several of them.
+    strange = sorted(n for n in exports if n.startswith("fmi2") and n not in functions.KNOWN)
+    if strange:
+        yield f"it exports {listed(strange)}, which FMI 2.0 does not have."
+    yield from _needs(part, expected, beside)
+
+
+def _missing(kind: Kind, exports: set[str]) -> Iterator[str]:
+    """Yield the functions that hosts look for and do not find."""
+    required = functions.REQUIRED[kind.element]
+    missing = [name for name in required if name not in exports]
+    prefixed = [name for name in missing if f"{kind.identifier}_{name}" in exports]
+    if prefixed:
+        yield (
+            f"it exports {listed([f'{kind.identifier}_{prefixed[0]}'])} and the like; the prefix "
+            "is for source code and static libraries only."
+        )
+        return
+    promised: set[str] = set()
+    for capability, names in functions.PROMISED.items():
+        broken = [name for name in names if name in missing]
+        if broken and kind.can(capability):
+            promised.update(broken)
+            yield f"it does not export {listed(broken)}, though {capability} is 'true'."
+    rest = [name for name in missing if name not in promised]
+    if rest:
+        yield (
+            f"it does not export {listed(rest)}; FMI 2.0 demands all functions of "
+            f"{KINDS[kind.element]}."
+        )
+
+
+def _needs(part: Mapping[str, Any], expected: Platform, beside: set[str]) -> Iterator[str]:
+    """Yield what has to be there for the library to be loaded and is not."""
+    python = [name for name in part["imports"] if _PYTHON.fullmatch(name)]
+    others = []
+    for name in part["libraries"]:
+        if libraries.is_python(name):
+            python.append(name)
+        elif not libraries.is_usual(name, expected.format):
+            others.append(name)
+    if python:
+        yield f"it needs a Python interpreter in the host ({listed(python, 3)} undefined)."
+    names = {posixpath.basename(name) for name in others}
+    if absent := sorted(names - beside):
+        yield f"it needs {listed(absent)}, neither part of the system nor in the FMU."
+    origin = any("$ORIGIN" in path or "${ORIGIN}" in path for path in part["run_paths"])
+    present = sorted(names & beside)
+    if present and expected.format == "ELF" and not origin:
+        yield (
+            f"it needs {listed(present)} beside it, but its run path has no $ORIGIN by which that "
+            "is found."
+        )

@@ -1,0 +1,84 @@
+"""Validators of others: FMPy and VDMCheck2.
+
+Both get a copy of the FMU with the same names in which only XML that has been checked has content.
+"""
+
+import re
+import shutil
+import zipfile
+from collections.abc import Iterable
+from pathlib import Path
+
+from fmu_src.check.archive import Contents
+from fmu_src.check.process import FailedError, run, work
+from fmu_src.check.report import plain
+
+FMPY_SECONDS = 120.0
+VDMCHECK_SECONDS = 300.0
+
+DEFAULT_VDMCHECK = Path(".tools/vdmcheck2")
+"""Where it is looked for, below the current folder."""
+
+JAR = "vdmcheck2.jar"
+
+_LONGEST = 1000  # characters of a message: FMPy lists all unknowns in one
+_RULE = re.compile(r"(\w+): (.+)")
+_LINE = re.compile(r" at \w+\.xml:(\d+)$")
+
+
+def write_copy(contents: Contents, readable: Iterable[str], path: Path) -> None:
+    """Write an archive with the same names, and content only in those that are named."""
+    readable = set(readable)
+    with zipfile.ZipFile(path, "w") as archive:
+        for name in contents.names:
+            archive.writestr(
+                zipfile.ZipInfo(name), contents.read(name) if name in readable else b""
+            )
+
+
+def fmpy(copy: Path, folder: Path) -> tuple[list[str], list[str]]:
+    """Return the problems that FMPy finds and why it was not run, if so."""
+    try:
+        found = work("fmpy", copy, folder, FMPY_SECONDS)
+    except FailedError as error:
+        return [], [f"FMPy: {plain(str(error))}."]
+    return [_sentence(text) for text in found], []
+
+
+def vdmcheck2(copy: Path, folder: Path, place: Path | None) -> tuple[list[str], list[str]]:
+    """Return the problems that VDMCheck2 finds and why it was not run, if so."""
+    jar = (place or DEFAULT_VDMCHECK) / JAR
+    if not jar.is_file():
+        return [], [f"VDMCheck2: there is no {JAR} in {jar.parent}."]
+    java = shutil.which("java")
+    if java is None:
+        return [], ["VDMCheck2: Java is not installed."]
+    # Without -v it writes a file into its own folder.
+    command = (java, "-jar", str(jar.resolve()), "-v", str(folder / "model.vdm"), str(copy))
+    try:
+        ended = run(command, folder, VDMCHECK_SECONDS)
+    except FailedError as error:
+        return [], [f"VDMCheck2: {plain(str(error))}."]
+    lines = ended.text.splitlines()
+    if "No errors found." in lines:
+        return [], []
+    if "Errors found." not in lines:
+        first = plain(next(iter(lines), "no message"), _LONGEST).rstrip(".")
+        return [], [f"VDMCheck2: it gave no verdict but said '{first}'."]
+    rules = [match for line in lines if (match := _RULE.fullmatch(line))]
+    problems = [_rule(m[1], m[2]) for m in rules if not m[2].startswith(("//", "Warning:"))]
+    return problems or ["it found errors that it does not name."], []
+
+
+def _rule(name: str, text: str) -> str:
+    """Return what a rule says as a sentence that begins with the line of the XML."""
+    line = _LINE.search(text)
+    where = f"modelDescription.xml, line {line[1]}: " if line else ""
+    text = text[: line.start()] if line else text
+    return _sentence(f"{where}{text} (rule {name})")
+
+
+def _sentence(text: str) -> str:
+    # Of several lines the first says it; the others are drawings of parsers.
+    text = plain(next(iter(text.strip().splitlines()), "no message"), _LONGEST)
+    return text if text.endswith((".", "!", "?")) else f"{text}."

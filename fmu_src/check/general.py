@@ -1,0 +1,98 @@
+"""Rules of FMI 2.0 on everything in modelDescription.xml but variables and their structure."""
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from datetime import datetime
+
+from fmu_src.check.description import KINDS, Description, real
+from fmu_src.check.report import quoted
+
+_C_NAME = re.compile("[A-Za-z_][A-Za-z0-9_]*")
+_DATE = "%Y-%m-%dT%H:%M:%SZ"
+
+
+def kinds(about: Description) -> Iterator[str]:
+    """Check that it is for model exchange or co-simulation, so that other tools can run it."""
+    if not about.kinds:
+        yield f"neither of the elements {' and '.join(KINDS)} is there."
+    for kind in about.kinds:
+        if not _C_NAME.fullmatch(kind.identifier):
+            yield (
+                f"{kind.element} has the modelIdentifier {quoted(kind.identifier)}, which is no "
+                "name in C."
+            )
+        if kind.can("needsExecutionTool"):
+            yield (
+                f"{kind.element} has needsExecutionTool='true', so that the FMU runs only where "
+                "its tool is installed."
+            )
+        if kind.can("canSerializeFMUstate") and not kind.can("canGetAndSetFMUstate"):
+            yield (
+                f"{kind.element} has canSerializeFMUstate='true', which demands "
+                "canGetAndSetFMUstate='true' too."
+            )
+
+
+def identity(about: Description) -> Iterator[str]:
+    """Check that it has a GUID, and a date of the one form that FMI has."""
+    if not about.attributes.get("guid", "").strip():
+        yield "the attribute guid has no value, so that binaries cannot be told to belong to it."
+    date = about.attributes.get("generationDateAndTime")
+    if date is not None and not _is_date(date):
+        yield (
+            f"generationDateAndTime is {quoted(date)}; needed is a date of the form "
+            "YYYY-MM-DDThh:mm:ssZ."
+        )
+
+
+def _is_date(text: str) -> bool:
+    try:
+        # strptime also takes digits left out, which the standard does not.
+        return len(text) == 20 and bool(datetime.strptime(text, _DATE))
+    except ValueError:
+        return False
+
+
+def experiment(about: Description) -> Iterator[str]:
+    """Check that the default experiment can be run."""
+    start, stop, step, tolerance = (
+        real(about.experiment.get(n)) for n in ("startTime", "stopTime", "stepSize", "tolerance")
+    )
+    if start is not None and stop is not None and stop <= start:
+        yield f"DefaultExperiment has stopTime {stop:.15g}, not after its startTime {start:.15g}."
+    elif start is not None and stop is not None and step is not None and step > stop - start:
+        yield f"DefaultExperiment has stepSize {step:.15g}, longer than the experiment."
+    for name, value in (("stepSize", step), ("tolerance", tolerance)):
+        if value is not None and value <= 0:
+            yield f"DefaultExperiment has {name} {value:.15g}; needed is a number above 0."
+    for name, text in about.experiment.items():
+        if text.strip() in ("INF", "+INF", "-INF", "NaN"):
+            yield f"DefaultExperiment has {name} {text.strip()}; needed is a finite number."
+
+
+def definitions(about: Description) -> Iterator[str]:
+    """Check that names of definitions are unique."""
+    yield from _repeated("unit", (name for name, _ in about.units))
+    for unit, displays in about.units:
+        yield from _repeated(f"display unit of {quoted(unit)},", displays)
+    yield from _repeated("type", (t.name for t in about.types))
+    yield from _repeated("log category", about.categories)
+    variables = {v.name for v in about.variables}
+    for simple in about.types:
+        if simple.name in variables:
+            yield f"the type {quoted(simple.name)} has the name of a variable."
+        who = f"enumeration {quoted(simple.name)}"
+        yield from _repeated(f"item of the {who},", (name for name, _ in simple.items))
+        for value, times in Counter(value for _, value in simple.items).items():
+            if times > 1:
+                yield f"the {who} has {times} items of the value {value}."
+
+
+def _repeated(what: str, names: Iterable[str]) -> Iterator[str]:
+    for name, times in Counter(names).items():
+        if times > 1:
+            yield f"the {what} {quoted(name)} is defined {times} times."
+
+
+RULES = (kinds, identity, experiment, definitions)

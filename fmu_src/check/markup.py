@@ -1,0 +1,106 @@
+"""XML of unknown origin: no DTD, no entities, bounded in size; then the schema of FMI."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from xml.parsers import expat
+
+from lxml import etree
+
+from fmu_src.check.process import FailedError, work
+from fmu_src.check.report import plain
+
+MOST_BYTES = 64 << 20
+MOST_NODES = 2_000_000
+"""Elements and attributes; each takes some 200 bytes of memory."""
+
+SECONDS = 60.0
+
+_UTF8 = re.compile("utf-?8", re.IGNORECASE)
+
+
+class _RefusedError(Exception):
+    """XML that is not read, and why."""
+
+
+@dataclass
+class _Guard:
+    """Goes through XML before a tree is built of it."""
+
+    nodes: int = 0
+    encoding: str | None = None
+
+    def run(self, data: bytes) -> None:
+        parser = expat.ParserCreate("UTF-8")  # whatever the file declares
+        parser.XmlDeclHandler = self._declaration
+        parser.StartDoctypeDeclHandler = self._doctype
+        parser.StartElementHandler = self._element
+        try:
+            parser.Parse(data, True)
+        except expat.ExpatError as error:
+            raise _RefusedError(
+                f"it is not well-formed XML ({expat.ErrorString(error.code)} in line "
+                f"{error.lineno}, column {error.offset + 1})."
+            ) from error
+
+    def _declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:
+        self.encoding = encoding
+
+    def _doctype(self, *_: object) -> None:
+        # Entities are declared here only, so that without it there are no entity bombs.
+        raise _RefusedError("it has a DOCTYPE, which FMI does not use; it is not read any further.")
+
+    def _element(self, _name: str, attributes: dict[str, str]) -> None:
+        self.nodes += 1 + len(attributes)
+        if self.nodes > MOST_NODES:
+            raise _RefusedError(
+                f"it has more than {MOST_NODES} elements and attributes; it is not read any "
+                "further."
+            )
+
+
+def parse(name: str, file: Path) -> tuple[etree._Element | None, list[str]]:
+    """Return the root of an XML file, None where it cannot be read, and what is wrong with it."""
+    if file.stat().st_size > MOST_BYTES:
+        return None, [f"{name}: it has more than {MOST_BYTES} bytes; it is not read."]
+    data = file.read_bytes()
+    if (place := _not_utf8(data)) is not None:
+        text = f"it is not encoded in UTF-8 as FMI needs (byte {place + 1} is none of it)."
+        return None, [f"{name}: {text}"]
+    guard = _Guard()
+    try:
+        guard.run(data)
+        parser = etree.XMLParser(
+            encoding="utf-8", resolve_entities=False, load_dtd=False, no_network=True
+        )
+        root = etree.fromstring(data, parser)
+    except _RefusedError as error:
+        return None, [f"{name}: {error}"]
+    except etree.XMLSyntaxError as error:
+        return None, [f"{name}: it cannot be read as XML ({plain(str(error))})."]
+    if guard.encoding is None or not _UTF8.fullmatch(guard.encoding):
+        found = "no encoding" if guard.encoding is None else f"'{plain(guard.encoding)}'"
+        return root, [f"{name}: its first line declares {found}; FMI needs UTF-8."]
+    return root, []
+
+
+def _not_utf8(data: bytes) -> int | None:
+    """Return the place of the first byte that is not one of a text in UTF-8."""
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        return error.start
+    # Of UTF-16, which parsers find out by themselves.
+    return data.index(b"\0") if b"\0" in data else None
+
+
+def schema_problems(file: Path, folder: Path) -> list[str]:
+    """Return where a model description that can be read departs from the schema of its FMI.
+
+    The time that it takes grows with the square of the number of errors, hence the limit.
+    """
+    try:
+        found = work("schema", file, folder, SECONDS)
+    except FailedError as error:
+        return [f"modelDescription.xml: it cannot be compared with the schema: {error}."]
+    return [f"modelDescription.xml, line {line}: {plain(text, 400)}" for line, text in found]

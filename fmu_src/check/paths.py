@@ -1,0 +1,68 @@
+"""Paths of the machine on which an FMU was built, left in it by a compiler or a tool."""
+
+import mmap
+import re
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+from fmu_src.check.archive import Contents
+from fmu_src.check.report import plain, quoted
+
+MOST_PATHS = 100
+"""Looked for in one file; the first and the number are told."""
+
+_NAME = rb"[A-Za-z0-9_.+@-]{1,100}"
+# A user's own folder or one for temporary files, and two names in it.
+_OF_USERS = re.compile(
+    rb"/(?:home|Users|tmp|builds|var/tmp|var/folders)/%(n)s/%(n)s" % {b"n": _NAME}
+)
+# The superuser's folder is also a common name of an XML element: only with a dot in what follows.
+_OF_ROOT = re.compile(rb"/root/[A-Za-z0-9_.+@/-]{0,100}\.[A-Za-z0-9_+-]{1,50}")
+_PART = rb"[^\x00-\x1f\\/:*?\"<>|]{1,100}"
+_OF_WINDOWS = re.compile(
+    rb"[A-Za-z]:(\\{1,2}|/)(?:Users|Documents and Settings|a|Temp|builds)\1%(p)s\1%(p)s"
+    # Linkers write the full name of the file with debugging symbols.
+    rb"|[A-Za-z]:(?:\\%(p)s){2,30}\.pdb" % {b"p": _PART}
+)
+
+# What is looked for, how many bytes before it a path begins, and how the path goes on.
+_PLACES = (
+    *((b"/%s/" % name, 0, _OF_USERS) for name in (b"home", b"Users", b"tmp", b"builds")),
+    *((b"/var/%s/" % name, 0, _OF_USERS) for name in (b"tmp", b"folders")),
+    (b"/root/", 0, _OF_ROOT),
+    (b":\\", 1, _OF_WINDOWS),
+    (b":/", 1, _OF_WINDOWS),
+)
+
+# What stands before a path is no part of a name or of another path, except compilers' options.
+_ALONE = re.compile(rb"(?<![A-Za-z0-9_.~-])(?<!\b[A-Za-z]:)|(?<=-[IL])")
+
+
+def problems(contents: Contents) -> Iterator[str]:
+    """Yield the files in which there is such a path."""
+    for name, file in contents.files.items():
+        found = list(dict.fromkeys(islice(_paths(file), MOST_PATHS)))
+        if found:
+            more = f" and {len(found) - 1} more of its kind" if len(found) > 1 else ""
+            yield (
+                f"{plain(name)}: it holds {quoted(found[0])}{more}, a path of the machine on which "
+                "the FMU was built."
+            )
+
+
+def _paths(file: Path) -> Iterator[str]:
+    if file.stat().st_size == 0:  # which cannot be mapped
+        return
+    with (
+        file.open("rb") as opened,
+        mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as data,
+    ):
+        for literal, before, pattern in _PLACES:
+            place = data.find(literal)
+            while place >= 0:
+                start = place - before
+                match = pattern.match(data, start) if start >= 0 else None
+                if match and _ALONE.match(data, start):
+                    yield match[0].decode("utf-8", "replace")
+                place = data.find(literal, match.end() if match else place + 1)

@@ -1,0 +1,153 @@
+"""All checks of one FMU, in the order in which one allows the next.
+
+Nothing of the file is trusted. The rules are those of FMI 2.0; of other versions the archive, the
+XML and its schema are checked, and FMPy's validation is run.
+"""
+
+from collections.abc import Iterable
+from itertools import chain
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from lxml import etree
+
+from fmu_src.check import (
+    archive,
+    binaries,
+    external,
+    general,
+    markup,
+    paths,
+    sources,
+    structure,
+    variables,
+)
+from fmu_src.check.archive import Contents
+from fmu_src.check.description import described
+from fmu_src.check.report import Problem, Report, plain, problems_of, quoted
+from hesr_model.errors import ConfigError
+
+_MODEL = "modelDescription.xml"
+_OTHER_XML = ("terminalsAndIcons/terminalsAndIcons.xml", "sources/buildDescription.xml")
+_RULES = (*general.RULES, *variables.RULES, *structure.RULES)
+
+
+def check(path: Path, *, vdmcheck: Path | None = None) -> Report:
+    """Check an FMU.
+
+    Parameters
+    ----------
+    path : the FMU.
+    vdmcheck : folder with VDMCheck2; by default `.tools/vdmcheck2`, where that is there.
+
+    Returns
+    -------
+    All problems that were found, and the validators that were not run.
+
+    Raises
+    ------
+    ArtifactError
+        If there is no such file or it cannot be opened; whatever is in it is a problem instead.
+    ConfigError
+        If VDMCheck2 is not in the folder that is given.
+    """
+    if vdmcheck is not None and not (vdmcheck / external.JAR).is_file():
+        raise ConfigError(f"--vdmcheck is '{vdmcheck}', where there is no {external.JAR}.")
+    with TemporaryDirectory(prefix="hesr-check-") as temporary:
+        files, folder = Path(temporary, "files"), Path(temporary, "work")
+        files.mkdir()
+        folder.mkdir()
+        found = _Found(folder, vdmcheck)
+        found.check(archive.unpack(path, files))
+    return Report(path=path, problems=tuple(found.problems), skipped=tuple(found.skipped))
+
+
+class _Found:
+    """What a check has found so far."""
+
+    def __init__(self, folder: Path, vdmcheck: Path | None) -> None:
+        self._folder = folder
+        self._vdmcheck = vdmcheck
+        self.problems: list[Problem] = []
+        self.skipped: list[str] = []
+
+    def _add(self, check: str, texts: Iterable[str]) -> bool:
+        """Add problems of a check; return whether there were any."""
+        problems = problems_of(check, texts)
+        self.problems += problems
+        return bool(problems)
+
+    def check(self, contents: Contents) -> None:
+        """Run every check that what was found before lets run."""
+        damaged = self._add("archive", contents.problems)
+        if not contents.names and damaged:
+            self.skipped.append("All other checks: the archive could not be read.")
+            return
+        self._add("paths", paths.problems(contents))
+        root, texts = _model(contents)
+        broken = self._add("xml", texts)
+        version = None if root is None else root.get("fmiVersion", "")
+        if root is None or version is None:
+            self.skipped.append(f"All other checks: there is no {_MODEL} to read.")
+            return
+        known = "3" if version.startswith("3.") else version
+        invalid = self._add("schema", markup.schema_problems(contents.files[_MODEL], self._folder))
+        if known == "2.0":
+            self._check_2(root, contents)
+        else:
+            self.skipped.append(
+                f"Rules, sources and binaries: looked at in FMI 2.0 only, this is FMI "
+                f"{plain(version)}."
+            )
+        if damaged or broken or invalid:
+            self.skipped.append(
+                "FMPy and VDMCheck2: run once the archive, its XML and the schema are right."
+            )
+        else:
+            self._run_others(contents, version)
+
+    def _check_2(self, root: etree._Element, contents: Contents) -> None:
+        about = described(root)
+        self._add("rules", chain.from_iterable(rule(about) for rule in _RULES))
+        self._add("sources", sources.problems(about, contents))
+        self._add("binaries", binaries.problems(about, contents, self._folder))
+        self.skipped += binaries.skipped(contents)
+
+    def _run_others(self, contents: Contents, version: str) -> None:
+        readable = [_MODEL]
+        for name in _OTHER_XML:
+            if name in contents.files:
+                texts = markup.parse(name, contents.files[name])[1]
+                if not self._add("xml", texts):
+                    readable.append(name)
+        copy = self._folder / "copy.fmu"
+        external.write_copy(contents, readable, copy)
+        texts, skipped = external.fmpy(copy, self._folder)
+        self._add("fmpy", texts)
+        self.skipped += skipped
+        if version != "2.0":
+            self.skipped.append(f"VDMCheck2: it is for FMI 2.0, this is FMI {plain(version)}.")
+            return
+        texts, skipped = external.vdmcheck2(copy, self._folder, self._vdmcheck)
+        self._add("vdmcheck2", texts)
+        self.skipped += skipped
+
+
+def _model(contents: Contents) -> tuple[etree._Element | None, list[str]]:
+    """Return the root of the model description, if it is one of FMI, and what is wrong with it."""
+    if _MODEL not in contents.names:
+        elsewhere = next((n for n in contents.names if n.endswith(f"/{_MODEL}")), None)
+        hint = f"; {quoted(elsewhere)} is not where importers look for it" if elsewhere else ""
+        return None, [f"{_MODEL} is missing{hint}."]
+    if _MODEL not in contents.files:
+        return None, []  # the archive's problems say why
+    root, texts = markup.parse(_MODEL, contents.files[_MODEL])
+    if root is None:
+        return None, texts
+    if root.tag != "fmiModelDescription":
+        tag = quoted(str(root.tag))
+        return None, [*texts, f"{_MODEL}: its root is {tag}; needed is 'fmiModelDescription'."]
+    version = root.get("fmiVersion", "")
+    if version not in ("1.0", "2.0") and not version.startswith("3."):
+        return None, [*texts, f"{_MODEL}: its fmiVersion is {quoted(version)}; needed is '2.0'."]
+    return root, texts

@@ -1,0 +1,88 @@
+"""Source code in an FMU: what is listed is there, and so is what it includes."""
+
+import posixpath
+import re
+from collections.abc import Iterator
+
+from fmu_src.check.archive import Contents
+from fmu_src.check.description import Description
+from fmu_src.check.report import plain, quoted
+
+MOST_BYTES = 8 << 20
+"""Of one source file; larger ones are tables of data."""
+
+_OFFICIAL = {"fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"}
+"""Every importer that compiles sources supplies these."""
+
+_SYSTEM_NAMES = """
+assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign
+stdarg stdatomic stdbool stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar
+wchar wctype direct dlfcn io malloc process pthread unistd windows
+"""
+_SYSTEM = frozenset(_SYSTEM_NAMES.split())
+"""Headers that some write in quotes although the system has them."""
+
+_SUFFIXES = (".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx", ".inc")
+
+# Strings are matched so that what looks like a comment in them is none. What is not closed ends
+# with the file or line: to look for its end from each beginning would take forever.
+_COMMENT = re.compile(rb'/\*.*?(?:\*/|\Z)|//[^\n]*|"(?:\\.|[^"\\\n])*"?', re.DOTALL)
+_INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([^"\n]{1,500})"', re.MULTILINE)
+_FOLDER = "sources/"
+
+
+def problems(about: Description, contents: Contents) -> Iterator[str]:
+    """Yield what is missing for the sources to be compiled."""
+    names = set(contents.names)
+    binaries = any(name.startswith("binaries/") for name in names)
+    if not binaries and not any(kind.sources for kind in about.kinds):
+        yield "there are neither binaries nor a list of source files, so that nothing can run."
+    for kind in about.kinds:
+        for source in kind.sources:
+            if _FOLDER + source not in names:
+                yield (
+                    f"{kind.element} lists the source file {quoted(source)}, which is not in "
+                    "sources/."
+                )
+    yield from _includes(about, contents)
+
+
+def _includes(about: Description, contents: Contents) -> Iterator[str]:
+    """Follow includes from the files that are to be compiled, all files where none is listed."""
+    code = {
+        name
+        for name in contents.files
+        if name.startswith(_FOLDER) and name.lower().endswith(_SUFFIXES)
+    }
+    names = frozenset(contents.names)
+    start = {_FOLDER + source for kind in about.kinds for source in kind.sources} & code
+    waiting = sorted(start or code, reverse=True)
+    seen = set(waiting)
+    while waiting:
+        name = waiting.pop()
+        if contents.files[name].stat().st_size > MOST_BYTES:
+            continue
+        for included in _included(contents.read(name)):
+            places = [
+                posixpath.normpath(posixpath.join(folder, included))
+                for folder in (posixpath.dirname(name), _FOLDER)
+            ]
+            found = next((p for p in places if p in names), None)
+            if found is None and not _supplied(included):
+                yield (f"{plain(name)}: includes {quoted(included)}, which is not in the archive.")
+            elif found in code and found not in seen:
+                seen.add(found)
+                waiting.append(found)
+
+
+def _included(text: bytes) -> list[str]:
+    def without_comment(match: re.Match[bytes]) -> bytes:
+        return match[0] if match[0].startswith(b'"') else b" "
+
+    code = _COMMENT.sub(without_comment, text)
+    return [name.decode("utf-8", "replace") for name in _INCLUDE.findall(code)]
+
+
+def _supplied(name: str) -> bool:
+    """Whether an importer or the system supplies a header."""
+    return name in _OFFICIAL or name.lower().removesuffix(".h") in _SYSTEM

@@ -1,0 +1,128 @@
+"""Rules of FMI 2.0 on ModelStructure, each of whose lists masters take at its word."""
+
+from collections import Counter
+from collections.abc import Iterator
+from itertools import pairwise
+
+from fmu_src.check.description import STRUCTURE, Description, Unknown, Variable, integer
+from fmu_src.check.report import listed, quoted
+
+
+def outputs(about: Description) -> Iterator[str]:
+    """Check that Outputs lists the outputs, all of them and nothing else."""
+    needed = [v for v in about.variables if v.causality == "output"]
+    yield from _compared(
+        about, "Outputs", needed, "every variable with causality 'output' and no other"
+    )
+
+
+def derivatives(about: Description) -> Iterator[str]:
+    """Check that Derivatives lists derivatives only, and all of them for model exchange."""
+    declared = [v for v in about.variables if "derivative" in v.own]
+    if about.exchanges:
+        needed = [v for v in declared if v.variability == "continuous"]
+        why = "every derivative of a state and no other variable"
+        yield from _compared(about, "Derivatives", needed, why)
+        return
+    extra = [v for v in _listed_variables(about, "Derivatives") if "derivative" not in v.own]
+    if extra:
+        yield (
+            f"ModelStructure/Derivatives lists {listed(v.name for v in extra)}, which the "
+            "attribute 'derivative' does not make derivatives."
+        )
+
+
+def initial_unknowns(about: Description) -> Iterator[str]:
+    """Check that InitialUnknowns lists what initialisation computes, in the variables' order."""
+    needed = {
+        v.index: v
+        for v in about.variables
+        if (v.causality == "output" and v.initial in ("approx", "calculated"))
+        or v.causality == "calculatedParameter"
+    }
+    for derivative in _listed_variables(about, "Derivatives"):
+        state = about.variable(integer(derivative.own.get("derivative")))
+        for v in (derivative, state):
+            if v is not None and v.initial in ("approx", "calculated"):
+                needed[v.index] = v
+    why = (
+        "outputs, states and derivatives with initial 'approx' or 'calculated', calculated "
+        "parameters, and no other variable"
+    )
+    yield from _compared(about, "InitialUnknowns", [needed[i] for i in sorted(needed)], why)
+    found = _listed_variables(about, "InitialUnknowns")
+    for before, after in pairwise(found):
+        if after.index < before.index:
+            yield (
+                f"ModelStructure/InitialUnknowns lists {quoted(after.name)} after "
+                f"{quoted(before.name)}; its order is that of the variables."
+            )
+
+
+def indices(about: Description) -> Iterator[str]:
+    """Check that what the lists refer to exists and is listed once."""
+    for name in STRUCTURE:
+        unknowns = about.structure[name]
+        for index, times in Counter(u.index for u in unknowns).items():
+            variable = about.variable(index)
+            if variable is None:
+                yield (
+                    f"ModelStructure/{name} lists variable number {index}, which does not exist."
+                )
+            elif times > 1:
+                yield f"ModelStructure/{name} lists {quoted(variable.name)} {times} times."
+
+
+def dependencies(about: Description) -> Iterator[str]:
+    """Check that every unknown has dependencies that exist, in order and with their kinds."""
+    for name in STRUCTURE:
+        unknowns = about.structure[name]
+        silent = [_named(about, u) for u in unknowns if u.dependencies is None]
+        if silent:
+            yield (
+                f"ModelStructure/{name} gives no dependencies for {listed(silent)}, so that "
+                "importers assume all inputs and see algebraic loops."
+            )
+        for unknown in unknowns:
+            yield from _of_unknown(about, name, unknown)
+
+
+def _of_unknown(about: Description, name: str, unknown: Unknown) -> Iterator[str]:
+    who = f"ModelStructure/{name} gives {quoted(_named(about, unknown))}"
+    known = unknown.dependencies
+    if unknown.kinds is not None and known is None:
+        yield f"{who} kinds of dependencies without dependencies."
+    if known is None:
+        return
+    missing = [i for i in known if about.variable(i) is None]
+    if missing:
+        yield f"{who} a dependency on variable number {missing[0]}, which does not exist."
+    elif any(a >= b for a, b in pairwise(known)):
+        yield f"{who} dependencies that are not in ascending order."
+    if unknown.kinds is not None and len(unknown.kinds) != len(known):
+        yield f"{who} {len(known)} dependencies and {len(unknown.kinds)} kinds of them."
+
+
+def _compared(about: Description, name: str, needed: list[Variable], why: str) -> Iterator[str]:
+    """Yield what a list lacks and what it has too much."""
+    found = {v.index for v in _listed_variables(about, name)}
+    lacking = [v.name for v in needed if v.index not in found]
+    extra = found - {v.index for v in needed}
+    if lacking:
+        yield f"ModelStructure/{name} lacks {listed(lacking)}; it lists {why}."
+    if extra:
+        names = [about.variables[i - 1].name for i in sorted(extra)]
+        yield f"ModelStructure/{name} lists {listed(names)}; needed is {why}."
+
+
+def _listed_variables(about: Description, name: str) -> list[Variable]:
+    found = (about.variable(u.index) for u in about.structure[name])
+    return [v for v in found if v is not None]
+
+
+def _named(about: Description, unknown: Unknown) -> str:
+    variable = about.variable(unknown.index)
+    return variable.name if variable else f"number {unknown.index}"
+
+
+RULES = (outputs, derivatives, initial_unknowns, indices, dependencies)

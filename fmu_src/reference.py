@@ -1,0 +1,214 @@
+"""A motion on which importers can be compared, and reference results that an FMU carries.
+
+The files follow the FMI cross-check: NAME_in.csv, NAME_ref.csv and NAME_ref.opt. They are computed
+from the laws in Python, not by the FMU, so that they are a check of the FMU, too.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_simpson
+
+from fmu_src.settings import CONTINUOUS, torques
+from hesr_model.errors import SimulationError
+from hesr_model.friction.functions import INPUTS
+from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.trained import TrainedRange
+
+Array = NDArray[np.float64]
+
+UNKNOWN_SPEED = 1.2
+"""Amplitude of the velocity [rad/s] where the trained range is not known: that of Table I."""
+
+_ROWS = 100
+_PHASE = 0.35
+_DECIMALS = {"dq": 5, "q": 5, "tau_load": 3}
+_HALVINGS = 12
+_SUBSTEPS = 200
+_SAME, _CLOSE = 1e-12, 1e-6
+"""RelTol of the files: rounding for co-simulation, an integrator's error for model exchange."""
+
+_README = """\
+Reference results, in the file style of the FMI cross-check. They are computed from the law in
+Python, not by this FMU. Units are SI: s, rad, rad/s, N.m.
+
+co_simulation/{name}_in.csv, _ref.csv, _ref.opt
+    Start with the inputs of row 0 set before the end of the initialisation; row 0 of the reference
+    is read after it. Then for each row k: set its inputs, step by {step} s, and compare with row
+    k + 1 of the reference. Nothing is interpolated: inputs hold over the step. An importer that
+    does so agrees but for rounding (RelTol {same:g}, of the largest torque of a joint).
+
+model_exchange/{name}_in.csv, _ref.csv, _ref.opt
+    Inputs are linear between the rows. The reference is the law integrated over {substeps} substeps
+    between two rows, each exact for inputs held at its middle. RelTol {close:g} is, of the largest
+    torque of a joint, what the reference itself is good for; StepSize 0 asks for a solver with
+    step size control. The motion is under way at the start, so no row lies on a reversal. Importers
+    that hold inputs while their solver steps, as CVode of FMPy 0.3.32 does, do not come near.
+"""
+_NONE = """\
+There are no reference results: the torque of this law is not finite on the reference motion.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """Inputs of all joints over time.
+
+    Attributes
+    ----------
+    t : (N,) [s].
+    dq, q, tau_load : (N, n) [rad/s], [rad], [N.m].
+    """
+
+    t: Array
+    dq: Array
+    q: Array
+    tau_load: Array
+
+    def by_joint(self) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield (dq, q, tau_load) of each joint, each (N,)."""
+        return zip(self.dq.T, self.q.T, self.tau_load.T, strict=True)
+
+
+def reference_motion(
+    model: FrictionModel,
+    *,
+    frequency: float = 0.25,
+    periods: float = 5.0,
+    rows: int | None = None,
+    phase: float = 0.0,
+    lead_in: float = 0.0,
+) -> Motion:
+    """Return a sinusoidal velocity of each joint, its position and a load within what was trained.
+
+        dq = A w(t) sin(2 pi f t + i phase),  q = middle + integral of dq,  w(t) from 0 to 1
+
+    A is the largest speed that was trained both ways, `UNKNOWN_SPEED` where that is not known.
+    The position swings around the middle of the trained ones, or 0.
+
+    Parameters
+    ----------
+    model : whose sample time and trained ranges count.
+    frequency, periods : of the sinusoid [Hz], and how many of its periods there are.
+    rows : how many, over all periods; those of the model's sample time where not given.
+    phase : by which each joint leads the one before it [rad]; the first joint leads by it, too.
+    lead_in : time over which the velocity grows from rest [s], smoothly; 0 for none.
+    """
+    count = round(periods / (frequency * model.sample_time)) if rows is None else rows
+    step = model.sample_time if rows is None else periods / (frequency * rows)
+    t = np.round(step * np.arange(count), 12)
+    trained = model.trained or (None,) * len(model.joints)
+    columns = [
+        _of_joint(t, seen, 2.0 * np.pi * frequency, i * phase, lead_in)
+        for i, seen in enumerate(trained, start=1)
+    ]
+    dq, q, load = (np.column_stack(part) for part in zip(*columns, strict=True))
+    return Motion(t=t, dq=dq, q=q, tau_load=load)
+
+
+def _of_joint(
+    t: Array, trained: TrainedRange | None, rate: float, angle: float, lead_in: float
+) -> tuple[Array, Array, Array]:
+    """Return (dq, q, tau_load) of one joint; `rate` is in rad/s, `angle` at t = 0 in rad."""
+    grown = 0.5 - 0.5 * np.cos(np.pi * np.minimum(t / lead_in, 1.0)) if lead_in else 1.0
+    dq = _speed(trained) * grown * np.sin(rate * t + angle)
+    q = cumulative_simpson(dq, x=t, initial=0.0)
+    q += (trained.middle if trained else 0.0) - 0.5 * (q.min() + q.max())
+    low, high = trained.tau_load if trained else (0.0, 0.0)
+    # A little within the range, so that rounding does not leave it.
+    load = 0.5 * (low + high) + 0.49 * (high - low) * np.cos(rate * t + angle)
+    return dq, q, load
+
+
+def _speed(trained: TrainedRange | None) -> float:
+    if trained is None:
+        return UNKNOWN_SPEED
+    both_ways = min(-trained.dq[0], trained.dq[1])
+    return both_ways if both_ways > 0.0 else trained.speed
+
+
+def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
+    """Return the members of an FMU's folder `extra/`, by their paths in the archive.
+
+    Parameters
+    ----------
+    model : of the FMU.
+    identifier : of the FMU, from which the files get their names.
+
+    Returns
+    -------
+    Inputs, reference torques and options for co-simulation and for model exchange, and a text that
+    says how to use them; the text alone where the laws give no finite torque on the motion.
+    """
+    found = _co_simulation(model)
+    if found is None:
+        return {"extra/README.txt": _NONE.encode()}
+    step, motion, torque = found
+    # In motion from the start on, so that no row lies on a reversal, where laws may jump.
+    smooth = _rounded(_motion(model, step))
+    fine = torques(model, smooth, CONTINUOUS, substeps=_SUBSTEPS)
+    text = _README.format(
+        name=identifier, step=f"{step:.9g}", same=_SAME, close=_CLOSE, substeps=_SUBSTEPS
+    )
+    return {
+        "extra/README.txt": text.encode(),
+        **_members(f"extra/co_simulation/{identifier}", motion, torque, 14, step, _SAME),
+        **_members(f"extra/model_exchange/{identifier}", smooth, fine, 8, 0.0, _CLOSE),
+    }
+
+
+def _motion(model: FrictionModel, step: float, lead_in: float = 0.0) -> Motion:
+    return reference_motion(
+        model, frequency=1.0 / (_ROWS * step), periods=1.0, rows=_ROWS, phase=_PHASE,
+        lead_in=lead_in,
+    )  # fmt: skip
+
+
+def _co_simulation(model: FrictionModel) -> tuple[float, Motion, Array] | None:
+    """Return step [s], motion and torque; the step is shorter where Euler is not stable else."""
+    for halved in range(_HALVINGS):
+        step = model.sample_time / 2**halved
+        motion = _rounded(_motion(model, step, lead_in=0.25 * _ROWS * step))
+        try:
+            torque = torques(model, motion, "hold")
+        except SimulationError:
+            continue
+        return (step, motion, torque) if np.all(np.isfinite(torque)) else None
+    return None
+
+
+def _rounded(motion: Motion) -> Motion:
+    """Return the motion with inputs that are short in a file, not larger than they were."""
+    inputs = {
+        name: np.trunc(10.0**decimals * getattr(motion, name)) / 10.0**decimals
+        for name, decimals in _DECIMALS.items()
+    }
+    return Motion(t=motion.t, **inputs)
+
+
+def _members(
+    stem: str, motion: Motion, torque: Array, digits: int, step: float, tolerance: float
+) -> Mapping[str, bytes]:
+    joints = range(1, torque.shape[1] + 1)
+    inputs = [f"{symbol.name}[{i}]" for symbol in INPUTS for i in joints]
+    options = {"StartTime": motion.t[0], "StopTime": motion.t[-1], "StepSize": step}
+    if not step:
+        options["OutputIntervalLength"] = motion.t[1]
+    lines = [f"{name}, {value:.12g}" for name, value in (options | {"RelTol": tolerance}).items()]
+    rows = np.column_stack([motion.t, motion.dq, motion.q, motion.tau_load])
+    return {
+        f"{stem}_in.csv": _csv(["time", *inputs], rows, 12),
+        f"{stem}_ref.csv": _csv(
+            ["time", *(f"tau[{i}]" for i in joints)], np.column_stack([motion.t, torque]), digits
+        ),
+        f"{stem}_ref.opt": ("\n".join(lines) + "\n").encode(),
+    }
+
+
+def _csv(header: list[str], rows: Array, digits: int) -> bytes:
+    lines = [",".join(f'"{name}"' for name in header)]
+    # Adding zero turns a negative zero into a plain one.
+    lines += [",".join(f"{value + 0.0:.{digits}g}" for value in row) for row in rows.tolist()]
+    return ("\n".join(lines) + "\n").encode()

@@ -1,0 +1,117 @@
+"""How an importer may hand inputs over at the steps of a co-simulation, and what each way costs.
+
+The step from row k to row k + 1 is run with
+    hold    the inputs of row k, which stay as they are: what most masters do;
+    linear  the inputs of row k and their slopes (fmi2SetRealInputDerivatives) to row k + 1;
+    direct  the inputs of row k + 1, as in the replay of a log.
+Whatever the way, the torque is read after the step, at the time of row k + 1. This module says with
+the law itself what an FMU that is run so gives; `cosim.convention` runs the FMU.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hesr_model.friction.evaluate import Array, predict
+from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.metrics import near_reversals, rmse
+
+if TYPE_CHECKING:
+    from fmu_src.reference import Motion
+
+SETTINGS: Mapping[str, str] = {
+    "hold": "inputs of the step's beginning, held",
+    "linear": "the same with their slopes",
+    "direct": "inputs of the step's end",
+}
+"""Ways to hand inputs over, from the commonest on."""
+
+CONTINUOUS = "continuous"
+"""Not a way of a master: the law integrated finely, its inputs linear between the rows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Error:
+    """How far one joint's torque is off, [N.m].
+
+    Attributes
+    ----------
+    rmse : over all rows.
+    rmse_reversal : within `metrics.REVERSAL_WINDOW` of reversals; None where there is none.
+    """
+
+    rmse: float
+    rmse_reversal: float | None
+
+
+def torques(model: FrictionModel, motion: "Motion", setting: str, *, substeps: int = 20) -> Array:
+    """Return the (N, n) torque [N.m] of a model's laws with inputs handed over in one way.
+
+    It is not finite where a law's is not.
+
+    Parameters
+    ----------
+    setting : one of `SETTINGS`, or `CONTINUOUS`.
+    substeps : of `CONTINUOUS` between two rows.
+
+    Raises
+    ------
+    SimulationError
+        If the laws' discretisation is not stable at the motion's steps.
+    """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # callers look for it
+        columns = [
+            _torque(law, motion.t, inputs, setting, substeps)
+            for law, inputs in zip(model.laws, motion.by_joint(), strict=True)
+        ]
+    return np.column_stack(columns)
+
+
+def errors(motion: "Motion", torque: Array, truth: Array) -> tuple[Error, ...]:
+    """Return the error of each joint's torque, both (N, n) [N.m]."""
+    found = []
+    for dq, difference in zip(motion.dq.T, (torque - truth).T, strict=True):
+        near = near_reversals(motion.t, dq)
+        found.append(
+            Error(
+                rmse=rmse(difference),
+                rmse_reversal=rmse(difference[near]) if np.any(near) else None,
+            )
+        )
+    return tuple(found)
+
+
+def _torque(
+    law: FrictionLaw, t: Array, inputs: Sequence[Array], setting: str, substeps: int
+) -> Array:
+    if setting == "direct":
+        return _predicted(law, t, inputs)
+    if setting == "hold":
+        return _predicted(law, t, [np.concatenate([u[:1], u[:-1]]) for u in inputs])
+    if setting == "linear":
+        return _read_at_rows(law, t, inputs, 1)
+    return _read_at_rows(replace(law, discretisation="exact"), t, inputs, substeps)
+
+
+def _read_at_rows(law: FrictionLaw, t: Array, inputs: Sequence[Array], substeps: int) -> Array:
+    """Step between rows with inputs held at the middle of each substep, and read at the rows.
+
+    A step of no length follows the substeps of a row: it reads the torque with the row's own
+    inputs and leaves the states where they are.
+    """
+    middles = np.append((np.arange(substeps) + 0.5) / substeps, 1.0)
+    ends = np.append(np.arange(1, substeps + 1) / substeps, 1.0)
+
+    def between(row: Array, share: Array) -> Array:
+        inner = row[:-1, None] * (1.0 - share) + row[1:, None] * share
+        return np.concatenate([row[:1], inner.ravel()])
+
+    torque = _predicted(law, between(t, ends), [between(u, middles) for u in inputs])
+    return torque[:: substeps + 1]
+
+
+def _predicted(law: FrictionLaw, t: Array, inputs: Sequence[Array]) -> Array:
+    dq, q, tau_load = inputs
+    return predict(law, t=t, dq=dq, q=q, tau_load=tau_load)

@@ -1,0 +1,158 @@
+"""How fast the friction FMU is: from Python, in a host written in C, and beside a PythonFMU."""
+
+import re
+import shutil
+import subprocess
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmpy import extract, read_model_description
+from fmpy.fmi2 import FMU2Slave
+from pytest_benchmark.fixture import BenchmarkFixture
+from pythonfmu.builder import FmuBuilder
+
+from cosim.component import Component
+from cosim.replay import replay
+from fmu_src import export_fmu, model_file
+from fmu_src.package import own_source
+from fmu_src.toolchain import compile_c
+from hesr_model.artifacts import read_model
+from hesr_model.friction.law import FrictionModel
+
+STEP = 0.005
+HOST = Path(__file__).parents[1] / "fmu" / "host.c"
+Tell = Callable[[str], None]
+
+
+@pytest.fixture(scope="module")
+def model() -> FrictionModel:
+    return read_model(model_file("uf850-table1"))
+
+
+@pytest.fixture(scope="module")
+def fmu(model: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_fmu(model, tmp_path_factory.mktemp("fmu") / "Friction.fmu")
+
+
+@pytest.fixture(scope="module", params=["native", "PythonFMU", "PythonFMU, lowered"])
+def any_fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The FMU, and the same law as a PythonFMU in two ways."""
+    if request.param == "native":
+        path: Path = request.getfixturevalue("fmu")
+        return path
+    script = "slave.py" if request.param == "PythonFMU" else "lowered_slave.py"
+    folder = tmp_path_factory.mktemp("python")
+    return Path(FmuBuilder.build_FMU(Path(__file__).with_name(script), dest=folder))
+
+
+def test_step(any_fmu: Path, benchmark: BenchmarkFixture) -> None:
+    """Aim: 1.3 us for the native one, at least five times less than for the others."""
+    benchmark.group = "doStep of three joints through FMPy"
+    with Component(any_fmu) as component:
+        component.initialise(start={"dq[1]": 0.3})
+        step, instance = component._slave.fmi2DoStep, component._slave.component
+        counter = iter(range(10**9))
+        benchmark(lambda: step(instance, next(counter) * STEP, STEP, True))
+        assert component.get(["tau[1]"])[0] != 0.0
+
+
+def test_set_step_get(any_fmu: Path, benchmark: BenchmarkFixture) -> None:
+    benchmark.group = "set, doStep, get of three joints through a Component"
+    with Component(any_fmu) as component:
+        component.initialise()
+        inputs = component.batch([f"dq[{i}]" for i in (1, 2, 3)])
+        outputs = component.batch([f"tau[{i}]" for i in (1, 2, 3)])
+        counter = iter(range(10**9))
+
+        def sample() -> None:
+            inputs.values[:] = 0.3
+            inputs.write()
+            component.step(next(counter) * STEP, STEP)
+            outputs.read()
+
+        benchmark(sample)
+        assert np.all(outputs.values != 0.0)
+
+
+@pytest.fixture(scope="module")
+def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("host")
+    (folder / "fmi2.h").write_text(own_source("fmi2.h"))
+    (folder / "host.c").write_text(HOST.read_text())
+    flags = ("-target", "x86_64-linux-gnu.2.17", "-std=gnu99", "-O2")  # valgrind knows no newer CPU
+    compile_c(folder / "host.c", flags, folder / "host", ("-ldl",))
+    return folder / "host"
+
+
+@pytest.mark.parametrize("discretisation", ["euler", "exact"])
+def test_step_in_a_c_host(
+    discretisation: str, model: FrictionModel, host: Path, benchmark: BenchmarkFixture,
+    tmp_path: Path, tell: Tell,
+) -> None:  # fmt: skip
+    """Aim: 150 ns for three joints of ParFam-H; instructions are counted whatever the load."""
+    laws = tuple(replace(law, discretisation=discretisation) for law in model.laws)
+    path = export_fmu(replace(model, laws=laws), tmp_path / "F.fmu")
+    about = read_model_description(str(path))
+    with zipfile.ZipFile(path) as archive:
+        name = next(n for n in archive.namelist() if n.startswith("binaries/linux64/"))
+        library = archive.extract(name, tmp_path)
+    tau = str(next(v.valueReference for v in about.modelVariables if v.name == "tau[1]"))
+
+    def run(steps: int, *before: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [*before, str(host), library, about.guid, "3", tau, str(steps), "time"],
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+
+    result = benchmark.pedantic(run, args=(20000,), rounds=5)
+    benchmark.extra_info |= {"aim": "150 ns", "ns": float(result.stdout)}
+    tell(f"doStep of three joints, {discretisation}: {float(result.stdout):.0f} ns in a C host")
+    if shutil.which("valgrind"):
+        count = [
+            int(re.search(r"Collected : (\d+)", run(
+                steps, "valgrind", "--tool=callgrind", f"--callgrind-out-file={tmp_path}/out",
+                "--toggle-collect=fmi2DoStep",
+            ).stderr)[1])
+            for steps in (10, 30)
+        ]  # fmt: skip
+        tell(f"  {(count[1] - count[0]) / 2000:.0f} instructions in it, by callgrind")
+
+
+def test_instantiation(benchmark: BenchmarkFixture, fmu: Path, tmp_path: Path) -> None:
+    """Aim: 1 ms; loading the library and reading the XML do not count."""
+    about = read_model_description(str(fmu))
+    folder = extract(str(fmu), unzipdir=str(tmp_path))
+    slave = FMU2Slave(
+        guid=about.guid, modelIdentifier=about.coSimulation.modelIdentifier,
+        unzipDirectory=folder, instanceName="one",
+    )  # fmt: skip
+
+    def live() -> None:
+        slave.instantiate()
+        slave.fmi2FreeInstance(slave.component)
+
+    benchmark(live)
+    slave.freeLibrary()
+
+
+def test_replay_of_a_log(benchmark: BenchmarkFixture, fmu: Path) -> None:
+    t = STEP * np.arange(4000)
+    dq = np.stack([np.sin(t)] * 3, axis=1)
+    torque = benchmark.pedantic(replay, args=(fmu, t, dq), rounds=5, warmup_rounds=1)
+    assert torque.shape == dq.shape
+
+
+@pytest.mark.parametrize("platforms", ["linux64", "all"])
+def test_export(
+    platforms: str, benchmark: BenchmarkFixture, model: FrictionModel, tmp_path: Path, tell: Tell
+) -> None:
+    """Aim: 5 s for all platforms, the compiler's cache warm; 120 KB and 500 KB."""
+    path = benchmark.pedantic(
+        export_fmu, args=(model, tmp_path / "F.fmu"), kwargs={"platforms": [platforms]},
+        rounds=3, warmup_rounds=1,
+    )  # fmt: skip
+    tell(f"FMU of three joints, {platforms}: {path.stat().st_size / 1024:.0f} KB")

@@ -1,0 +1,88 @@
+"""What each way of handing inputs over costs, measured on an FMU."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from cosim import tables
+from cosim.convention import measure, run
+from cosim.replay import replay
+from fmu_src import model_file
+from fmu_src.embedded import EMBEDDED_MODEL
+from fmu_src.reference import reference_motion
+from fmu_src.settings import SETTINGS, torques
+from hesr_model.artifacts import read_model
+from hesr_model.errors import HesrError
+
+BEST_FIRST = ("direct", "linear", "hold")
+
+
+def test_table_1_pays_for_held_inputs(friction_fmu: Path) -> None:
+    found = measure(friction_fmu)
+    assert found.joints == ("joint1", "joint2", "joint3")
+    assert found.step == 0.005
+    assert found.speeds == pytest.approx((1.2, 1.2, 1.2))
+    held = found.replay["hold"]
+    assert [e.rmse for e in held] == pytest.approx([0.67, 1.43, 0.20], abs=0.005)
+    for error in held:
+        assert error.rmse_reversal is not None
+        assert 2.5 < error.rmse_reversal / error.rmse < 3.5
+    for direct, linear, hold in zip(*map(found.replay.get, BEST_FIRST), strict=True):
+        assert direct.rmse < 1e-12
+        assert linear.rmse < 0.5 * hold.rmse
+    for error in found.continuous["direct"]:
+        assert error.rmse > 0.05
+
+
+def test_the_fmu_does_what_its_law_says_of_each_setting(friction_fmu: Path) -> None:
+    model = read_model(model_file("uf850-table1"))
+    motion = reference_motion(model, frequency=0.8, periods=2.0, phase=0.4)
+    for setting in SETTINGS:
+        expected = torques(model, motion, setting)
+        np.testing.assert_allclose(
+            run(friction_fmu, motion, setting),
+            expected,
+            rtol=0.0,
+            atol=1e-11 * np.abs(expected).max(),
+        )
+
+
+def test_the_direct_setting_is_the_replay_of_a_log(friction_fmu: Path) -> None:
+    motion = reference_motion(read_model(model_file("uf850-table1")), periods=1.0)
+    np.testing.assert_array_equal(
+        run(friction_fmu, motion, "direct"),
+        replay(friction_fmu, motion.t, motion.dq, motion.q, motion.tau_load),
+    )
+
+
+def test_an_fmu_without_a_model_is_refused(friction_fmu: Path, tmp_path: Path) -> None:
+    bare = tmp_path / "bare.fmu"
+    with zipfile.ZipFile(friction_fmu) as old, zipfile.ZipFile(bare, "w") as new:
+        for name in old.namelist():
+            if name != EMBEDDED_MODEL:
+                new.writestr(name, old.read(name))
+    with pytest.raises(HesrError) as caught:
+        measure(bare)
+    assert str(caught.value) == (
+        f"{bare}: carries no friction model, by which its results could be judged."
+    )
+    with pytest.raises(HesrError, match="no such file"):
+        measure(tmp_path / "missing.fmu")
+
+
+def test_results_as_a_table_and_as_json(friction_fmu: Path) -> None:
+    found = measure(friction_fmu, periods=1.0)
+    console = Console(width=80, record=True)
+    console.print(tables.convention("[x].fmu", found))
+    text = console.export_text()
+    assert "[x].fmu" in text
+    for setting, meaning in SETTINGS.items():
+        assert f"{setting}: " in " ".join(text.split())
+        assert meaning in " ".join(text.split())
+    assert f"{found.replay['hold'][1].rmse:.3f}" in text
+    data = json.loads(json.dumps(found.to_json()))
+    assert data["replay"]["hold"][0]["rmse"] == found.replay["hold"][0].rmse

@@ -1,0 +1,303 @@
+"""Archives that are damaged, by accident or on purpose: a sentence for each, and never a crash."""
+
+import io
+import stat
+import struct
+import zipfile
+import zlib
+
+import pytest
+from fmu_files import MODEL, members, said, texts, write
+
+from fmu_src.check import archive, check
+from fmu_src.check.archive import opened
+from hesr_model.errors import ArtifactError
+
+LEADS_OUT = (
+    "leads out of the folder that the archive is unpacked to; needed are relative names without "
+    "'..'."
+)
+NOTHING_ELSE = ("All other checks: the archive could not be read.",)
+
+
+@pytest.fixture
+def content(source_fmu):
+    return members(source_fmu)
+
+
+@pytest.fixture
+def entry(content, tmp_path):
+    """What the check says of an archive that has one entry more."""
+
+    def add(info, data=b"x", *, method=zipfile.ZIP_DEFLATED):
+        path = write(tmp_path / "F.fmu", content)
+        with zipfile.ZipFile(path, "a") as opened:
+            opened.writestr(info, data, compress_type=method)
+        return said(path, "archive")
+
+    return add
+
+
+def patched(path, name, offset, new):
+    """Change the headers of an entry: `offset` counts from the flags, which both headers have."""
+    data = bytearray(path.read_bytes())
+    encoded = name.encode()
+    local = data.index(b"PK\3\4" + bytes(data[4:4]), 0)
+    while data[local + 30 : local + 30 + len(encoded)] != encoded:
+        local = data.index(b"PK\3\4", local + 4)
+    central = data.index(b"PK\1\2")
+    while data[central + 46 : central + 46 + len(encoded)] != encoded:
+        central = data.index(b"PK\1\2", central + 4)
+    for start in (local + 6, central + 8):
+        data[start + offset : start + offset + len(new)] = new
+    path.write_bytes(bytes(data))
+    return path
+
+
+def test_a_file_that_is_no_zip(tmp_path):
+    path = tmp_path / "F.fmu"
+    path.write_bytes(b"not a zip at all\n" * 100)
+    found = check(path)
+    assert texts(found) == ["it is not a readable ZIP archive (File is not a zip file)."]
+    assert found.skipped == NOTHING_ELSE
+
+
+def test_an_empty_file(tmp_path):
+    path = tmp_path / "F.fmu"
+    path.touch()
+    assert said(path) == ["it is not a readable ZIP archive (File is not a zip file)."]
+
+
+@pytest.mark.parametrize("part", [0.1, 0.5, 0.9, 0.999])
+def test_a_truncated_zip(part, table1_fmu, tmp_path):
+    path = tmp_path / "F.fmu"
+    data = table1_fmu.read_bytes()
+    path.write_bytes(data[: int(part * len(data))])
+    assert said(path) == ["it is not a readable ZIP archive (File is not a zip file)."]
+
+
+def test_an_empty_zip(tmp_path):
+    assert said(write(tmp_path / "F.fmu", {})) == ["modelDescription.xml is missing."]
+
+
+@pytest.mark.parametrize(
+    "name", ["../x", "a/../../x", "/x", "C:/x", "c:x", "..", "\\\\host\\x", "a\\..\\x", "C:\\x"]
+)
+def test_names_that_lead_out(name, entry, tmp_path):
+    found = entry(name)
+    shown = name.replace("\\", "\\")
+    assert f"the entry '{shown}' {LEADS_OUT}" in found
+    backslash = f"the entry '{shown}' has a backslash in its name; FMI separates folders by '/'."
+    assert (backslash in found) == ("\\" in name)
+    assert not (tmp_path.parent / "x").exists()
+
+
+def test_a_backslash(entry):
+    assert entry("resources\\x") == [
+        "the entry 'resources\\x' has a backslash in its name; FMI separates folders by '/'."
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"), [("a\nb", "a\\nb"), ("a\x1b[31mb", "a\\x1b[31mb"), ("a\u202eb", "a\\u202eb")]
+)
+def test_names_that_a_terminal_would_obey(name, shown, entry):
+    assert entry(name) == [f"the entry '{shown}' has control characters in its name."]
+
+
+def test_a_name_that_ends_early(content, tmp_path):
+    path = write(tmp_path / "F.fmu", content | {"resources/abc": b""})
+    path.write_bytes(path.read_bytes().replace(b"resources/abc", b"resources/a\0c"))
+    assert said(path, "archive")[0] == (
+        "the entry 'resources/a\\x00c' has control characters in its name."
+    )
+
+
+def test_an_entry_without_a_name(content, tmp_path):
+    path = write(tmp_path / "F.fmu", content | {"resources/abc": b""})
+    path.write_bytes(path.read_bytes().replace(b"resources/abc", b"\0esources/abc"))
+    assert said(path, "archive")[0] == "an entry has no name."
+
+
+def test_a_long_name_is_cut(entry):
+    (text,) = entry("../" + "x" * 5000)
+    assert len(text) < 300
+
+
+@pytest.mark.parametrize(
+    ("kind", "what"), [(stat.S_IFLNK, "a symbolic link"), (stat.S_IFIFO, "a special file")]
+)
+def test_entries_that_are_no_files(kind, what, entry, tmp_path):
+    info = zipfile.ZipInfo("resources/link")
+    info.create_system = 3
+    info.external_attr = (kind | 0o777) << 16
+    assert entry(info, b"/etc/passwd") == [
+        f"the entry 'resources/link' is {what}; an FMU holds ordinary files only."
+    ]
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_an_entry_twice(entry):
+    assert entry(MODEL) == ["the entry 'modelDescription.xml' is there more than once."]
+
+
+def test_names_that_differ_in_case(entry):
+    assert entry("modeldescription.XML") == [
+        "the entries 'modelDescription.xml' and 'modeldescription.XML' are one file where upper "
+        "and lower case are the same, as on Windows."
+    ]
+
+
+def test_an_entry_that_claims_two_gigabytes(content, tmp_path):
+    path = write(tmp_path / "F.fmu", content)
+    patched(path, MODEL, 16, struct.pack("<I", 2 << 30))
+    found = check(path)
+    assert texts(found) == [
+        "the entry 'modelDescription.xml' claims 2147483648 bytes; more than 536870912 are not "
+        "read."
+    ]
+    assert found.skipped == ("All other checks: there is no modelDescription.xml to read.",)
+
+
+def test_a_zip_bomb(entry):
+    found = entry("resources/zeros", bytes(20 << 20))
+    assert len(found) == 1
+    assert "bytes to 20971520, as in a zip bomb; it is not read." in found[0]
+    assert found[0].startswith("the entry 'resources/zeros' claims to unpack 20")
+
+
+def test_a_small_file_of_zeros_is_fine(entry):
+    assert entry("resources/zeros", bytes(2 << 20)) == []
+
+
+def test_more_than_can_be_unpacked(content, tmp_path, monkeypatch):
+    total = sum(map(len, content.values()))
+    monkeypatch.setattr(archive, "MOST_BYTES_IN_ALL", total - 1)
+    assert said(write(tmp_path / "F.fmu", content), "archive") == [
+        f"its entries claim {total} bytes unpacked; more than {total - 1} are not read; left "
+        f"out: '{list(content)[-1]}'."
+    ]
+
+
+def test_too_many_entries(content, tmp_path, monkeypatch):
+    monkeypatch.setattr(archive, "MOST_ENTRIES", 3)
+    found = check(write(tmp_path / "F.fmu", content))
+    assert texts(found) == [f"it has {len(content)} entries; more than 3 are not looked at."]
+    assert found.skipped == NOTHING_ELSE
+
+
+def test_a_huge_table_of_contents(content, tmp_path, monkeypatch):
+    monkeypatch.setattr(archive, "MOST_DIRECTORY", 100)
+    (text,) = said(write(tmp_path / "F.fmu", content))
+    assert text.startswith("it is not a readable ZIP archive (its table of contents has ")
+
+
+def test_an_encrypted_entry(content, tmp_path):
+    path = write(tmp_path / "F.fmu", content)
+    patched(path, "sources/all.c", 0, b"\1")
+    assert said(path, "archive") == [
+        "the entry 'sources/all.c' is encrypted, so that no importer can read it."
+    ]
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+def test_other_compression(method, entry):
+    assert entry("resources/x", b"x" * 1000, method=method) == [
+        f"the entry 'resources/x' is compressed by method {method}; FMI uses 8 (deflate) or 0 "
+        "(none)."
+    ]
+
+
+def test_unknown_compression(content, tmp_path):
+    path = write(tmp_path / "F.fmu", content)
+    patched(path, "sources/all.c", 2, struct.pack("<H", 77))
+    assert said(path, "archive") == [
+        "the entry 'sources/all.c' is compressed by method 77; FMI uses 8 (deflate) or 0 (none)."
+    ]
+
+
+def test_a_wrong_checksum(content, tmp_path):
+    path = write(tmp_path / "F.fmu", content)
+    patched(path, "sources/all.c", 8, struct.pack("<I", 1))
+    assert said(path, "archive") == [
+        "the entry 'sources/all.c' cannot be read (Bad CRC-32 for file 'sources/all.c')."
+    ]
+
+
+def test_damaged_compression(content, tmp_path):
+    path = write(tmp_path / "F.fmu", content)
+    data = path.read_bytes()
+    place = data.index(b"sources/all.c") + len("sources/all.c")
+    path.write_bytes(data[:place] + b"\xff" * 20 + data[place + 20 :])
+    (text,) = said(path, "archive")
+    assert text.startswith("the entry 'sources/all.c' cannot be read (Error -3 while decompressing")
+
+
+def test_an_entry_that_claims_too_much(content, tmp_path):
+    """More bytes than there are, with the right checksum."""
+    path = write(tmp_path / "F.fmu", content)
+    size = len(content["sources/all.c"])
+    patched(path, "sources/all.c", 16, struct.pack("<I", size + 5))
+    assert said(path, "archive") == [
+        f"the entry 'sources/all.c' cannot be read (it claims {size + 5} bytes and has {size})."
+    ]
+
+
+def test_headers_that_contradict_each_other(content, tmp_path):
+    path = write(tmp_path / "F.fmu", content)
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"sources/all.c", b"sources/new.c", 1))
+    (text,) = said(path, "archive")
+    assert text.startswith("the entry 'sources/all.c' cannot be read (File name in directory")
+
+
+def test_entries_that_overlap(tmp_path, monkeypatch):
+    """Many entries of one compressed piece: small in the file, large on the disk."""
+    kernel = zlib.compressobj(9, zlib.DEFLATED, -15)
+    packed = kernel.compress(bytes(9 << 20)) + kernel.flush()
+    crc = zlib.crc32(bytes(9 << 20))
+    monkeypatch.setattr(archive, "MOST_BYTES_IN_ALL", 50 << 20)
+    out = io.BytesIO()
+    sizes = struct.pack("<III", crc, len(packed), 9 << 20)
+    out.write(b"PK\3\4" + struct.pack("<HHHHH", 20, 0, 8, 0, 33) + sizes)
+    out.write(struct.pack("<HH", 1, 0) + b"a" + packed)
+    start = out.tell()
+    for _ in range(300):
+        out.write(b"PK\1\2" + struct.pack("<HHHHHH", 20, 20, 0, 8, 0, 33) + sizes)
+        out.write(struct.pack("<HHHHHII", 1, 0, 0, 0, 0, 0, 0) + b"a")
+    length = out.tell() - start
+    out.write(b"PK\5\6" + struct.pack("<HHHHIIH", 0, 0, 300, 300, length, start, 0))
+    path = tmp_path / "F.fmu"
+    path.write_bytes(out.getvalue())
+    found = said(path, "archive")
+    assert found == [
+        "the entry 'a' is there more than once.",
+        f"its entries claim {300 * (9 << 20)} bytes unpacked; more than {50 << 20} are not read; "
+        "left out: 'a'.",
+    ]
+
+
+def test_no_model_description(content, tmp_path):
+    del content[MODEL]
+    found = check(write(tmp_path / "F.fmu", content))
+    assert texts(found) == ["modelDescription.xml is missing."]
+    assert found.skipped == ("All other checks: there is no modelDescription.xml to read.",)
+
+
+def test_a_folder_around_everything(content, tmp_path):
+    inside = {f"Friction/{name}": data for name, data in content.items()}
+    assert said(write(tmp_path / "F.fmu", inside)) == [
+        "modelDescription.xml is missing; 'Friction/modelDescription.xml' is not where importers "
+        "look for it."
+    ]
+
+
+def test_what_cannot_be_opened_is_an_error(tmp_path):
+    with pytest.raises(ArtifactError, match=r"none\.fmu: no such file\."):
+        check(tmp_path / "none.fmu")
+    with pytest.raises(ArtifactError, match=r"is no file\."):
+        check(tmp_path)
+    with pytest.raises(ArtifactError, match=r"null: is no file\."):
+        opened((tmp_path / "../../../../../../../dev/null").resolve())
+    with pytest.raises(ArtifactError, match=r"cannot be opened \(File name too long\)\."):
+        check(tmp_path / ("x" * 300))

@@ -1,0 +1,234 @@
+"""Shared libraries: right for their folder, complete, loadable without anything else."""
+
+import pytest
+from fmu_files import BINARY, changed, check, members, said, texts
+
+from fmu_src.check import binaries
+from fmu_src.check.functions import KNOWN
+from fmu_src.toolchain import TARGETS, compile_c
+
+ALL = tuple(sorted(KNOWN))
+ELF = ("-target", "x86_64-linux-gnu.2.17", "-shared", "-fPIC")
+
+
+@pytest.fixture
+def library(tmp_path):
+    """Build a shared library of C source, by default with every function of FMI."""
+
+    def build(extra="", names=ALL, flags=ELF, last=()):
+        folder = tmp_path / f"c{len(list(tmp_path.iterdir()))}"
+        folder.mkdir()
+        source = folder / "x.c"
+        lines = (f"EXPORT void {name}(void) {{}}" for name in names)
+        source.write_text("#ifndef EXPORT\n#define EXPORT\n#endif\n" + "\n".join([extra, *lines]))
+        compile_c(source, flags, folder / "x.out", last)
+        return (folder / "x.out").read_bytes()
+
+    return build
+
+
+@pytest.fixture
+def of(table1_fmu, tmp_path):
+    """What is said of Table I with another binary."""
+
+    def check_binary(data, name=BINARY, change=lambda _: None, **files):
+        more = {path.replace("__", "/"): content for path, content in files.items()}
+        path = changed(table1_fmu, tmp_path / "F.fmu", change, {name: data} | more)
+        return said(path, "binaries")
+
+    return check_binary
+
+
+def only_co_simulation(xml):
+    for element in xml.root.findall("ModelExchange"):
+        xml.drop(element)
+    for capability in ("providesDirectionalDerivative", "canInterpolateInputs"):
+        xml.find("CoSimulation").set(capability, "false")
+
+
+def test_every_binary_of_ours_is_fine(table1, tmp_path):
+    from fmu_src import export_fmu
+
+    fmu = export_fmu(table1, tmp_path / "F.fmu", platforms=["all"])
+    found = check(fmu)
+    assert texts(found) == []
+    assert {name.split("/")[1] for name in members(fmu) if name.startswith("binaries/")} == set(
+        TARGETS
+    )
+
+
+def test_the_name(table1_fmu, tmp_path):
+    path = changed(table1_fmu, tmp_path / "F.fmu", only_co_simulation, {
+        BINARY: None, "binaries/linux64/other.so": members(table1_fmu)[BINARY]})  # fmt: skip
+    assert said(path) == [
+        "binaries/linux64: it lacks 'friction_parfam_h.so', the name that modelIdentifier of "
+        "CoSimulation demands."
+    ]
+
+
+@pytest.mark.parametrize(
+    ("target", "folder", "text"),
+    [
+        ("aarch64-linux-gnu.2.17", "linux64",
+         "it is ELF for AARCH64; needed in this folder is ELF for X86_64."),
+        ("x86-linux-gnu.2.17", "linux64",
+         "it is ELF for I386; needed in this folder is ELF for X86_64."),
+        ("x86_64-windows-gnu", "linux64",
+         "it is PE for AMD64; needed in this folder is ELF for X86_64."),
+        ("x86_64-linux-gnu.2.17", "win64",
+         "it is ELF for X86_64; needed in this folder is PE for AMD64."),
+        ("x86_64-linux-gnu.2.17", "darwin64",
+         "it is ELF for X86_64; needed in this folder is Mach-O for X86_64 or ARM64."),
+        ("x86_64-linux-gnu.2.17", "x86_64-linux", None),
+    ],
+)  # fmt: skip
+def test_the_machine(target, folder, text, library, of):
+    suffix = binaries.PLATFORMS[folder].suffix
+    name = f"binaries/{folder}/friction_parfam_h{suffix}"
+    flags = ("-target", target, "-shared", "-DEXPORT=__declspec(dllexport)") if (
+        "windows" in target) else ("-target", target, "-shared", "-fPIC")  # fmt: skip
+    assert of(library(flags=flags), name) == ([f"{name}: {text}"] if text else [])
+
+
+@pytest.mark.parametrize("data", [b"", b"no library", b"MZ" + bytes(99)])
+def test_no_library(data, of):
+    (text,) = of(data)
+    assert text == (
+        f"{BINARY}: it is no readable library; needed in this folder is ELF for X86_64."
+    )
+
+
+def test_a_broken_library(of):
+    (text,) = of(b"\x7fELF" + bytes(100))
+    assert text == f"{BINARY}: it is ELF for NONE; needed in this folder is ELF for X86_64."
+
+
+def test_a_program(library, of):
+    program = library(
+        "int main(void) { return 0; }", flags=("-target", "x86_64-linux-gnu.2.17", "-no-pie"),
+        last=("-rdynamic",),
+    )  # fmt: skip
+    found = of(program)
+    assert f"{BINARY}: it is a program or object file; needed is a shared library." in found
+
+
+def test_functions_that_are_missing(library, of):
+    names = sorted(KNOWN - {"fmi2GetReal", "fmi2DoStep", "fmi2SetFMUstate"})
+
+    def change(xml):
+        only_co_simulation(xml)
+        xml.find("CoSimulation").set("canGetAndSetFMUstate", "true")
+
+    assert of(library(names=names), change=change) == [
+        f"{BINARY}: it does not export 'fmi2SetFMUstate', though canGetAndSetFMUstate is 'true'.",
+        f"{BINARY}: it does not export 'fmi2GetReal', 'fmi2DoStep'; FMI 2.0 demands all functions "
+        "of co-simulation.",
+    ]
+
+
+def test_functions_of_the_other_kind_are_not_needed(library, of):
+    names = sorted(n for n in KNOWN if n not in ("fmi2SetTime", "fmi2GetDerivatives"))
+    assert of(library(names=names), change=only_co_simulation) == []
+
+
+def test_functions_of_model_exchange_are_needed_for_it(library, of):
+    def change(xml):
+        only_co_simulation(xml)
+        xml.find("CoSimulation").tag = "ModelExchange"
+
+    assert of(library(names=sorted(KNOWN - {"fmi2SetTime"})), change=change) == [
+        f"{BINARY}: it does not export 'fmi2SetTime'; FMI 2.0 demands all functions of model "
+        "exchange."
+    ]
+
+
+def test_names_with_the_prefix_of_source_code(library, of):
+    names = [f"friction_parfam_h_{name}" for name in sorted(KNOWN)]
+    assert of(library(names=names), change=only_co_simulation) == [
+        f"{BINARY}: it exports 'friction_parfam_h_fmi2GetTypesPlatform' and the like; the prefix "
+        "is for source code and static libraries only."
+    ]
+
+
+def test_functions_that_fmi_does_not_have(library, of):
+    more = ["fmi2Foo", "fmi3DoStep", "fmiDoStep", "fmin_of_mine", "helper"]
+    assert of(library(names=[*sorted(KNOWN), *more])) == [
+        f"{BINARY}: it exports 'fmi2Foo', which FMI 2.0 does not have."
+    ]
+
+
+def test_python(library, of):
+    extra = "void PyRun_SimpleString(void); void helper(void) { PyRun_SimpleString(); }"
+    assert of(library(extra)) == [
+        f"{BINARY}: it needs a Python interpreter in the host ('PyRun_SimpleString' undefined)."
+    ]
+
+
+@pytest.fixture
+def needy(library, tmp_path):
+    """A library that needs another one."""
+
+    def build(name, *flags):
+        other = tmp_path / name
+        other.write_bytes(library("", ["other"], (*ELF, f"-Wl,-soname,{name}")))
+        return library("void other(void); void f(void) { other(); }", last=(str(other), *flags))
+
+    return build
+
+
+def test_a_library_that_is_not_there(needy, of):
+    assert of(needy("libother.so.3")) == [
+        f"{BINARY}: it needs 'libother.so.3', neither part of the system nor in the FMU."
+    ]
+
+
+def test_a_library_that_is_there_but_not_found(needy, of):
+    other = {"binaries__linux64__libother.so.3": b"x"}
+    assert of(needy("libother.so.3"), **other) == [
+        f"{BINARY}: it needs 'libother.so.3' beside it, but its run path has no $ORIGIN by which "
+        "that is found."
+    ]
+    assert of(needy("libother.so.3", "-Wl,-rpath,$ORIGIN"), **other) == []
+
+
+def test_the_library_of_python(needy, of):
+    assert of(needy("libpython3.11.so.1.0")) == [
+        f"{BINARY}: it needs a Python interpreter in the host ('libpython3.11.so.1.0' undefined)."
+    ]
+
+
+def test_a_folder_of_no_known_platform(table1_fmu, tmp_path):
+    path = changed(table1_fmu, tmp_path / "F.fmu", files={"binaries/amiga/x.library": b"x"})
+    found = check(path)
+    assert texts(found) == []
+    assert found.skipped[0] == (
+        "binaries/amiga: not looked at, since no platform of this name is known."
+    )
+
+
+def test_static_libraries_and_their_folders_are_left_alone(table1_fmu, tmp_path):
+    files = {"binaries/win64/VisualStudio8/friction_parfam_h.lib": b"x"}
+    assert said(changed(table1_fmu, tmp_path / "F.fmu", files=files)) == []
+
+
+def test_a_library_that_takes_forever(of, monkeypatch, table1_fmu):
+    monkeypatch.setattr(binaries, "SECONDS", 0.001)
+    assert of(members(table1_fmu)[BINARY]) == [
+        f"{BINARY}: its content could not be read: it gave no answer within 0.001 s."
+    ]
+
+
+def test_a_reader_that_crashes(of, monkeypatch, table1_fmu, tmp_path):
+    worker = tmp_path / "worker.py"
+    monkeypatch.setattr("fmu_src.check.process._WORKER", worker)
+    worker.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
+    start = f"{BINARY}: its content could not be read: "
+    assert of(members(table1_fmu)[BINARY]) == [f"{start}it crashed with signal 11."]
+    worker.write_text("raise MemoryError('too much')\n")
+    assert of(members(table1_fmu)[BINARY]) == [f"{start}it failed with 'MemoryError: too much'."]
+    worker.write_text("")
+    assert of(members(table1_fmu)[BINARY]) == [f"{start}it failed with 'no message'."]
+    monkeypatch.setattr("sys.executable", str(tmp_path / "none"))
+    assert of(members(table1_fmu)[BINARY]) == [
+        f"{start}it cannot be started (No such file or directory)."
+    ]

@@ -1,0 +1,175 @@
+"""Validators of others: what they say becomes ours, and they can do no harm."""
+
+import os
+import shutil
+import time
+import zipfile
+from pathlib import Path
+
+import pytest
+from fmu_files import MODEL, changed, texts
+
+from fmu_src.check import check, external
+from hesr_model.errors import ConfigError
+
+REPOSITORY = Path(__file__).parents[3]
+FOLDER = REPOSITORY / external.DEFAULT_VDMCHECK
+
+needs_vdmcheck = pytest.mark.skipif(
+    shutil.which("java") is None or not (FOLDER / external.JAR).exists(),
+    reason="VDMCheck2 is not there: run `.ci/vdmcheck2 .tools/vdmcheck2` first (needs Java)",
+)
+
+
+@pytest.fixture
+def vdmcheck(tmp_path, monkeypatch):
+    """A folder with a VDMCheck2 that says what it is told to."""
+
+    def make(script):
+        folder, tools = tmp_path / "vdm", tmp_path / "bin"
+        folder.mkdir(exist_ok=True)
+        tools.mkdir(exist_ok=True)
+        (folder / external.JAR).write_bytes(b"")
+        java = tools / "java"
+        java.write_text(f"#!/bin/sh\n{script}\n")
+        java.chmod(0o755)
+        monkeypatch.setenv("PATH", f"{tools}{os.pathsep}{os.environ['PATH']}")
+        return folder
+
+    return make
+
+
+@needs_vdmcheck
+def test_table1_passes_vdmcheck2(table1_fmu, tmp_path):
+    before = sorted(FOLDER.iterdir())
+    found = check(table1_fmu, vdmcheck=FOLDER)
+    assert texts(found) == []
+    assert found.skipped == ()
+    assert list(tmp_path.iterdir()) == []  # the current folder
+    assert sorted(FOLDER.iterdir()) == before
+
+
+@needs_vdmcheck
+def test_what_vdmcheck2_finds_is_told(source_fmu, tmp_path):
+    def change(xml):
+        xml.find("DefaultExperiment").set("startTime", "3")
+        xml.find("DefaultExperiment").set("stopTime", "2")
+
+    path = changed(source_fmu, tmp_path / "F.fmu", change)
+    found = texts(check(path, vdmcheck=FOLDER), "vdmcheck2")
+    assert found[0].startswith("modelDescription.xml, line ")
+    assert found[0].endswith(": stop time must be later than start time (rule validStartStopTime).")
+    assert not any("https://" in text for text in found)
+
+
+@needs_vdmcheck
+def test_vdmcheck2_of_the_current_folder_is_used(source_fmu, monkeypatch):
+    monkeypatch.chdir(REPOSITORY)
+    assert check(source_fmu).skipped == ()
+
+
+def test_without_vdmcheck2(source_fmu):
+    assert check(source_fmu).skipped == (
+        "VDMCheck2: there is no vdmcheck2.jar in .tools/vdmcheck2.",
+    )
+
+
+def test_a_folder_without_vdmcheck2_is_an_error(source_fmu, tmp_path):
+    with pytest.raises(
+        ConfigError, match=r"--vdmcheck is 'none', where there is no vdmcheck2\.jar"
+    ):
+        check(source_fmu, vdmcheck=Path("none"))
+
+
+def test_without_java(source_fmu, vdmcheck, monkeypatch):
+    folder = vdmcheck("")
+    monkeypatch.setenv("PATH", "")
+    assert check(source_fmu, vdmcheck=folder).skipped == ("VDMCheck2: Java is not installed.",)
+
+
+@pytest.mark.parametrize(
+    ("script", "problems", "skipped"),
+    [
+        ("echo 'No errors found.'", [], []),
+        ("echo boom; exit 3", [], ["VDMCheck2: it gave no verdict but said 'boom'."]),
+        ("true", [], ["VDMCheck2: it gave no verdict but said 'no message'."]),
+        ("echo 'Errors found.'", ["it found errors that it does not name."], []),
+        (
+            "echo 'validX: Warning: odd at modelDescription.xml:3'; echo 'No errors found.'",
+            [],
+            [],
+        ),
+        (
+            "echo 'validX: bad thing at modelDescription.xml:3'; echo https://x.y/z; "
+            "echo 'validY: worse'; echo 'Errors found.'; exit 1",
+            ["modelDescription.xml, line 3: bad thing (rule validX).", "worse (rule validY)."],
+            [],
+        ),
+    ],
+)
+def test_what_it_says(script, problems, skipped, source_fmu, vdmcheck):
+    found = check(source_fmu, vdmcheck=vdmcheck(script))
+    assert texts(found) == problems
+    assert list(found.skipped) == skipped
+
+
+def test_a_validator_that_hangs_is_ended_with_all_that_it_started(
+    source_fmu, vdmcheck, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(external, "VDMCHECK_SECONDS", 1.0)
+    folder = vdmcheck(f"(sleep 3; echo late > {tmp_path}/late) & sleep 60")
+    start = time.monotonic()
+    found = check(source_fmu, vdmcheck=folder)
+    assert time.monotonic() - start < 30
+    assert found.skipped == ("VDMCheck2: it gave no answer within 1 s.",)
+    time.sleep(3)
+    assert not (tmp_path / "late").exists()
+
+
+def test_fmpy_that_hangs(source_fmu, monkeypatch):
+    monkeypatch.setattr(external, "FMPY_SECONDS", 0.01)
+    assert "FMPy: it gave no answer within 0.01 s." in check(source_fmu).skipped
+
+
+def test_a_name_on_which_fmpy_hangs_is_a_problem_of_ours(source_fmu, tmp_path, monkeypatch):
+    """Its grammar takes ever longer for longer names."""
+    monkeypatch.setattr(external, "FMPY_SECONDS", 1.0)
+    path = changed(
+        source_fmu,
+        tmp_path / "F.fmu",
+        lambda xml: xml.variable("joint[1].alpha").set("name", "a" * 100_000 + "!"),
+    )
+    found = check(path)
+    assert texts(found) == [
+        f"the variable '{'a' * 160}...' has no structured name, which variableNamingConvention "
+        "promises."
+    ]
+    assert found.skipped[0] == "FMPy: it gave no answer within 1 s."
+
+
+def test_of_several_lines_the_first_is_told(source_fmu, tmp_path):
+    path = changed(
+        source_fmu, tmp_path / "F.fmu", lambda xml: xml.variable("h[1]").set("name", "h 1")
+    )
+    (text,) = texts(check(path), "fmpy")
+    assert text.startswith('"h 1" (line ')
+    assert text.endswith("at line 1 col 2.")
+
+
+GOOD = b"<?xml version='1.0' encoding='UTF-8'?><fmiTerminalsAndIcons fmiVersion='3.0'/>"
+BOMB = b"<?xml version='1.0' encoding='UTF-8'?><!DOCTYPE x><x/>"
+
+
+@pytest.mark.parametrize("content", [GOOD, BOMB])
+def test_they_see_checked_xml_only(content, source_fmu, vdmcheck, tmp_path):
+    folder = vdmcheck(f"for last; do :; done; cp \"$last\" {tmp_path}/seen.fmu; "
+                      "echo 'No errors found.'")  # fmt: skip
+    terminals = "terminalsAndIcons/terminalsAndIcons.xml"
+    path = changed(source_fmu, tmp_path / "F.fmu", files={terminals: content})
+    found = check(path, vdmcheck=folder)
+    refused = f"{terminals}: it has a DOCTYPE, which FMI does not use; it is not read any further."
+    assert texts(found) == ([refused] if content == BOMB else [])
+    with zipfile.ZipFile(tmp_path / "seen.fmu") as seen, zipfile.ZipFile(path) as original:
+        assert seen.namelist() == original.namelist()
+        full = {name for name in seen.namelist() if seen.read(name)}
+    assert full == ({MODEL} if content == BOMB else {MODEL, terminals})

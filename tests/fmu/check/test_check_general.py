@@ -1,0 +1,133 @@
+"""Rules on everything but variables: one change of Table I, one sentence that names it."""
+
+import pytest
+from fmu_files import Xml, changed, said
+from lxml import etree
+from rule_changes import put, sentences
+
+GENERAL = {
+    "neither kind": (
+        lambda xml: [xml.drop(e) for k in ("ModelExchange", "CoSimulation")
+                     for e in xml.root.findall(k)],
+        "neither of the elements ModelExchange and CoSimulation is there.",
+    ),
+    "identifier": (
+        put("CoSimulation", modelIdentifier="1-2"),
+        "CoSimulation has the modelIdentifier '1-2', which is no name in C.",
+    ),
+    "no identifier": (
+        put("CoSimulation", modelIdentifier=None),
+        "CoSimulation has the modelIdentifier '', which is no name in C.",
+    ),
+    "tool": (
+        put("CoSimulation", needsExecutionTool="1"),
+        "CoSimulation has needsExecutionTool='true', so that the FMU runs only where its tool is "
+        "installed.",
+    ),
+    "serialise": (
+        put("CoSimulation", canGetAndSetFMUstate="false", canSerializeFMUstate="true"),
+        "CoSimulation has canSerializeFMUstate='true', which demands canGetAndSetFMUstate='true' "
+        "too.",
+    ),
+    "no guid": (
+        put(".", guid=None),
+        "the attribute guid has no value, so that binaries cannot be told to belong to it.",
+    ),
+    "empty guid": (
+        put(".", guid=" "),
+        "the attribute guid has no value, so that binaries cannot be told to belong to it.",
+    ),
+    "date in another zone": (
+        put(".", generationDateAndTime="2024-05-06T07:08:09+02:00"),
+        "generationDateAndTime is '2024-05-06T07:08:09+02:00'; needed is a date of the form "
+        "YYYY-MM-DDThh:mm:ssZ.",
+    ),
+    "date that is none": (
+        put(".", generationDateAndTime="2024-02-30T07:08:09Z"),
+        "generationDateAndTime is '2024-02-30T07:08:09Z'; needed is a date of the form "
+        "YYYY-MM-DDThh:mm:ssZ.",
+    ),
+    "date without zeros": (
+        put(".", generationDateAndTime="2024-2-3T7:8:9Z"),
+        "generationDateAndTime is '2024-2-3T7:8:9Z'; needed is a date of the form "
+        "YYYY-MM-DDThh:mm:ssZ.",
+    ),
+    "stop": (
+        put("DefaultExperiment", startTime="2", stopTime="2"),
+        "DefaultExperiment has stopTime 2, not after its startTime 2.",
+    ),
+    "long step": (
+        put("DefaultExperiment", startTime="0", stopTime="1", stepSize="3"),
+        "DefaultExperiment has stepSize 3, longer than the experiment.",
+    ),
+    "step": (
+        put("DefaultExperiment", stepSize="0"),
+        "DefaultExperiment has stepSize 0; needed is a number above 0.",
+    ),
+    "tolerance": (
+        put("DefaultExperiment", tolerance="-1e-3"),
+        "DefaultExperiment has tolerance -0.001; needed is a number above 0.",
+    ),
+    "infinite": (
+        put("DefaultExperiment", startTime="0", stopTime="INF"),
+        "DefaultExperiment has stopTime INF; needed is a finite number.",
+    ),
+    "unit twice": (
+        lambda xml: etree.SubElement(xml.find("UnitDefinitions"), "Unit", name="N.m"),
+        "the unit 'N.m' is defined 2 times.",
+    ),
+    "display unit twice": (
+        lambda xml: [etree.SubElement(xml.find("UnitDefinitions/Unit[@name='N.m']"),
+                                      "DisplayUnit", name="mN.m") for _ in range(2)],
+        "the display unit of 'N.m', 'mN.m' is defined 2 times.",
+    ),
+    "type twice": (
+        lambda xml: [xml.add_type("T", "Boolean") for _ in range(3)],
+        "the type 'T' is defined 3 times.",
+    ),
+    "category twice": (
+        lambda xml: [etree.SubElement(xml.find("LogCategories"), "Category", name="logMine")
+                     for _ in range(2)],
+        "the log category 'logMine' is defined 2 times.",
+    ),
+    "type like a variable": (
+        lambda xml: xml.add_type("tau[1]", "Boolean"),
+        "the type 'tau[1]' has the name of a variable.",
+    ),
+    "item twice": (
+        lambda xml: put("TypeDefinitions//Item[2]", name=xml.find(
+            "TypeDefinitions//Item[1]").get("name"))(xml),
+        "the item of the enumeration 'Discretisation', 'exact' is defined 2 times.",
+    ),
+    "value twice": (
+        lambda xml: put("TypeDefinitions//Item[1]", value="2")(xml),
+        "the enumeration 'Discretisation' has 2 items of the value 2.",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "expected"), GENERAL.values(), ids=GENERAL)
+def test_what_is_changed_is_told_in_one_sentence(change, expected, xml):
+    change(xml)
+    assert sentences(xml) == ([expected] if isinstance(expected, str) else expected)
+
+
+def test_table1_breaks_no_rule(xml):
+    assert sentences(xml) == []
+
+
+def test_rules_stand_what_the_schema_forbids(table1_fmu, tmp_path):
+    """What is no number, no element or not there is the schema's business, not a crash."""
+
+    def change(xml: Xml) -> None:
+        xml.typed("dq[1]").set("start", "much")
+        xml.variable("dq[2]").set("valueReference", "1_0")
+        xml.typed("der(h[1])").set("derivative", "h[1]")
+        xml.variable("dq[3]").remove(xml.typed("dq[3]"))
+        del xml.variable("q[1]").attrib["name"]
+        xml.unknown("Outputs", "tau[1]").set("index", "x")
+        xml.unknown("Outputs", "tau[2]").set("dependencies", "1 x 2")
+
+    found = said(changed(table1_fmu, tmp_path / "Bad.fmu", change), "rules")
+    assert any(text.startswith("ModelStructure/Outputs lacks 'tau[1]'") for text in found)
+    assert said(tmp_path / "Bad.fmu", "schema")

@@ -1,0 +1,77 @@
+"""Paths of the machine that built an FMU: found where they are, and nowhere else."""
+
+import pytest
+from fmu_files import BINARY, changed, members, said
+
+
+@pytest.fixture
+def of(source_fmu, tmp_path):
+    def check_file(data, name="resources/x"):
+        return said(changed(source_fmu, tmp_path / "F.fmu", files={name: data}), "paths")
+
+    return check_file
+
+
+@pytest.mark.parametrize(
+    ("text", "path"),
+    [
+        (b'#include "/home/anna/robot/x.h"', "/home/anna/robot"),
+        (b"\0/Users/anna/robot/x.c\0", "/Users/anna/robot"),
+        (b"-g -I/home/anna/robot -O2", "/home/anna/robot"),
+        (b"-fdebug-prefix-map=/tmp/tmp1x2/src=.", "/tmp/tmp1x2/src"),
+        (b"/var/folders/zz/abc/T/", "/var/folders/zz/abc"),
+        (b"file:/home/anna/robot", "/home/anna/robot"),
+        (b"file:///builds/group/robot/", "/builds/group/robot"),
+        (b"\0/root/robot/main.c\0", "/root/robot/main.c"),
+        (b"/root/.cache/zig/o/", "/root/.cache"),
+        (rb"C:\Users\anna\robot\x.c", r"C:\\Users\\anna\\robot"),
+        (rb'"c:\\Users\\anna\\robot"', r"c:\\\\Users\\\\anna\\\\robot"),
+        (b"C:/Users/anna/robot", "C:/Users/anna/robot"),
+        (
+            b"RSDS\1\0\0\0" rb"D:\work\robot\Release\robot.pdb",
+            r"D:\\work\\robot\\Release\\robot.pdb",
+        ),
+    ],
+)
+def test_what_is_a_path_of_the_machine(text, path, of):
+    path = path.replace(r"\\", "\\")
+    assert of(text) == [
+        f"resources/x: it holds '{path}', a path of the machine on which the FMU was built."
+    ]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"https://example.org/home/anna/robot",
+        b"https://example.org:80/home",
+        b"the folder /home/ and /tmp/x.csv",
+        b"//root/joint[@name]/limit and /root/element/child",
+        b"./home/anna/robot",
+        b"binaries/tmp/x/y",
+        b"C:\\n is a newline",
+        b"a:/x",
+        b"",
+    ],
+)
+def test_what_is_none(text, of):
+    assert of(text) == []
+
+
+def test_several_are_one_problem(of):
+    assert of(b"/home/anna/a /home/anna/b /home/anna/b /tmp/x/y", "documentation/index.html") == [
+        "documentation/index.html: it holds '/home/anna/a' and 2 more of its kind, a path of the "
+        "machine on which the FMU was built."
+    ]
+
+
+def test_binaries_and_the_description_are_searched_too(table1_fmu, tmp_path):
+    binary = members(table1_fmu)[BINARY] + b"\0/home/anna/robot/all.c\0"
+    path = changed(
+        table1_fmu,
+        tmp_path / "F.fmu",
+        lambda xml: xml.root.set("description", "from /home/anna/robot"),
+        files={BINARY: binary},
+    )
+    rest = "it holds '/home/anna/robot', a path of the machine on which the FMU was built."
+    assert said(path, "paths") == [f"modelDescription.xml: {rest}", f"{BINARY}: {rest}"]

@@ -1,0 +1,171 @@
+"""Rules on variables: one change of Table I, one sentence that names the variable."""
+
+import pytest
+from rule_changes import NUMBER, PARAMETER, both, new, of_type, own, sentences, var
+
+VARIABLES = {
+    "name twice": (
+        lambda xml: xml.variable("joint[1].alpha").set("name", "joint[2].alpha"),
+        "the variable 'joint[2].alpha' is declared 2 times; names are unique.",
+    ),
+    "name": (
+        var("joint[1].alpha", name="1 alpha"),
+        "the variable '1 alpha' has no structured name, which variableNamingConvention promises.",
+    ),
+    "combination": (
+        var("joint[1].alpha", variability="continuous"),
+        "the variable 'joint[1].alpha' has causality 'parameter' and variability 'continuous', "
+        "which do not go together.",
+    ),
+    "initial of an input": (
+        var("dq[1]", initial="exact"),
+        "the variable 'dq[1]' has initial 'exact', which does not go with causality 'input' and "
+        "variability 'continuous'.",
+    ),
+    "initial of a parameter": (
+        both(var("joint[1].alpha", initial="calculated"), own("joint[1].alpha", start=None),
+             new("Real", {}, name="other", causality="local", variability="fixed")),
+        ["the variable 'joint[1].alpha' has initial 'calculated', which does not go with causality "
+         "'parameter' and variability 'tunable'.",
+         "the variable 'joint[1].alpha' has no start value, which its causality 'parameter' "
+         "demands."],
+    ),
+    "continuous integer": (
+        new("Integer", {}, name="n"),
+        "the variable 'n' is of type Integer and has variability 'continuous' (the default), which "
+        "only Real has.",
+    ),
+    "independent twice": (
+        lambda xml: [xml.add_variable("Real", {}, name=n, causality="independent",
+                                      valueReference=r) for n, r in (("t1", "901"), ("t2", "902"))]
+        + [xml.drop(v) for v in xml.variables() if v.get("name") == "time"],
+        "the variables 't1', 't2' are all independent; there is one at most.",
+    ),
+    "input without start": (
+        own("dq[1]", start=None),
+        "the variable 'dq[1]' has no start value, which its causality 'input' demands.",
+    ),
+    "state without start": (
+        own("h[1]", start=None),
+        "the variable 'h[1]' has no start value, which its initial 'exact' demands.",
+    ),
+    "constant without start": (
+        new("Real", {}, name="c", variability="constant"),
+        "the variable 'c' has no start value, which its variability 'constant' demands.",
+    ),
+    "calculated with start": (
+        own("tau[1]", start="0"),
+        "the variable 'tau[1]' has a start value, which its initial 'calculated' forbids.",
+    ),
+    "independent with start": (
+        new("Real", {"start": "0"}, name="t", causality="independent"),
+        "the variable 't' has a start value, which its causality 'independent' forbids.",
+    ),
+    "below": (
+        new("Real", {"start": "1", "min": "2"}, name="x", **PARAMETER),
+        "the variable 'x' has the start value 1, which is outside of its min 2.",
+    ),
+    "above": (
+        new("Integer", {"start": "9", "min": "2", "max": "8"}, name="x", **PARAMETER),
+        "the variable 'x' has the start value 9, which is outside of its min 2 and max 8.",
+    ),
+    "above the type's": (
+        of_type("Real", {"max": "3"}, {"start": "4"}),
+        "the variable 'x' has the start value 4, which is outside of its max 3.",
+    ),
+    "min above max": (
+        new("Real", {"start": "1", "min": "2", "max": "1"}, name="x", **PARAMETER),
+        "the variable 'x' has min 2, which is above its max 1.",
+    ),
+    "nominal": (
+        new("Real", {"start": "1", "nominal": "0"}, name="x", **PARAMETER),
+        "the variable 'x' has the nominal value 0; it is above 0.",
+    ),
+    "item": (
+        own("discretisation", start="7"),
+        "the variable 'discretisation' has the start value 7, which is no item of the enumeration "
+        "'Discretisation'.",
+    ),
+    "type": (
+        new("Real", {"start": "1", "declaredType": "T"}, name="x", **PARAMETER),
+        "the variable 'x' has the declared type 'T', which is not defined.",
+    ),
+    "other type": (
+        new("Real", {"start": "1", "declaredType": "Discretisation"}, name="x", **PARAMETER),
+        "the variable 'x' is of type Real, but its declared type 'Discretisation' is of type "
+        "Enumeration.",
+    ),
+    "unit": (
+        own("tau[1]", unit="furlong"),
+        "the variable 'tau[1]' has the unit 'furlong', which is not defined.",
+    ),
+    "unit of a type": (
+        of_type("Real", {"unit": "furlong"}, {"start": "1"}),
+        "the type 'T' has the unit 'furlong', which is not defined.",
+    ),
+    "display unit": (
+        own("tau[1]", displayUnit="furlong"),
+        "the variable 'tau[1]' has the display unit 'furlong', which its unit 'N.m' does not "
+        "define.",
+    ),
+    "display unit alone": (
+        own("tau[1]", displayUnit="furlong", unit=None),
+        "the variable 'tau[1]' has the display unit 'furlong' but no unit.",
+    ),
+    "derivative of nothing": (
+        new("Real", {"derivative": str(NUMBER)}, name="x", variability="discrete"),
+        f"the variable 'x' is the derivative of variable number {NUMBER}, which does not exist.",
+    ),
+    "derivative of a parameter": (
+        lambda xml: xml.add_variable("Real", {"derivative": str(xml.index("joint[1].alpha"))},
+                                     name="x", variability="discrete"),
+        "the variable 'x' is the derivative of 'joint[1].alpha', which is no other continuous "
+        "variable of type Real.",
+    ),
+}  # fmt: skip
+
+ALIASES = {
+    "settable": (
+        {"start": "1"}, PARAMETER, {"start": "1"}, PARAMETER,
+        "the variables 'a', 'b' share value reference 7000, but more than one of them can be set.",
+    ),
+    "units": (
+        {"unit": "rad"}, {"causality": "local"}, {"unit": "N.m"}, {"causality": "local"},
+        "the variables 'a', 'b' share value reference 7000, but have different units.",
+    ),
+    "constants": (
+        {"start": "1"}, {"variability": "constant"}, {"start": "2"}, {"variability": "constant"},
+        "the variables 'a', 'b' share value reference 7000, but as constants have different "
+        "values.",
+    ),
+    "some constant": (
+        {"start": "1"}, {"variability": "constant"}, {}, {"causality": "local"},
+        "the variables 'a', 'b' share value reference 7000, but only some of them are constant.",
+    ),
+    "fine": ({}, {"causality": "local"}, {}, {"causality": "local"}, None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "expected"), VARIABLES.values(), ids=VARIABLES)
+def test_what_is_changed_is_told_in_one_sentence(change, expected, xml):
+    change(xml)
+    assert sentences(xml) == ([expected] if isinstance(expected, str) else expected)
+
+
+@pytest.mark.parametrize(("first", "a", "second", "b", "expected"), ALIASES.values(), ids=ALIASES)
+def test_aliases(first, a, second, b, expected, xml):
+    xml.add_variable("Real", first, name="a", valueReference="7000", **a)
+    xml.add_variable("Real", second, name="b", valueReference="7000", **b)
+    assert sentences(xml) == ([expected] if expected else [])
+
+
+def test_flat_names_may_be_anything(xml):
+    xml.root.set("variableNamingConvention", "flat")
+    xml.variable("joint[1].alpha").set("name", "1 alpha")
+    assert sentences(xml) == []
+
+
+@pytest.mark.parametrize("name", ["'a b'.c[1,2]", "der(a.b[1])", "der(x,2)", r"'\''", "_1"])
+def test_structured_names(name, xml):
+    xml.variable("joint[1].alpha").set("name", name)
+    assert sentences(xml) == []

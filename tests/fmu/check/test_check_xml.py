@@ -1,0 +1,159 @@
+"""XML that is hostile, broken or not FMI's; and the schema."""
+
+import sys
+
+import pytest
+from fmu_files import MODEL, changed, said, texts
+
+from fmu_src.check import check, markup
+
+PROLOG = b'<?xml version="1.0" encoding="UTF-8"?>\n'
+DOCTYPE = (
+    "modelDescription.xml: it has a DOCTYPE, which FMI does not use; it is not read any further."
+)
+NO_MODEL = ("All other checks: there is no modelDescription.xml to read.",)
+
+
+@pytest.fixture
+def of_xml(source_fmu, tmp_path):
+    def check_xml(data):
+        return check(changed(source_fmu, tmp_path / "F.fmu", files={MODEL: data}))
+
+    return check_xml
+
+
+def bomb():
+    entities = "".join(
+        f'<!ENTITY e{i} "{f"&e{i - 1};" * 10 if i else "ha" * 100}">' for i in range(12)
+    )
+    return PROLOG + f"<!DOCTYPE x [{entities}]><x>&e11;</x>".encode()
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        bomb(),
+        PROLOG + b'<!DOCTYPE x [<!ENTITY f SYSTEM "file:///etc/passwd">]><x>&f;</x>',
+        PROLOG + b'<!DOCTYPE x SYSTEM "http://localhost:9/x.dtd"><x/>',
+        PROLOG + b"<!DOCTYPE x><x/>",
+        PROLOG + b'<!DOCTYPE x [<!ENTITY % p SYSTEM "file:///etc/passwd"> %p;]><x/>',
+    ],
+    ids=["bomb", "external entity", "external DTD", "empty", "parameter entity"],
+)
+def test_a_doctype(data, of_xml):
+    found = of_xml(data)
+    assert texts(found) == [DOCTYPE]
+    assert found.skipped == NO_MODEL
+
+
+def test_an_entity_that_is_not_declared(of_xml):
+    assert texts(of_xml(PROLOG + b"<x>&e;</x>")) == [
+        "modelDescription.xml: it is not well-formed XML (undefined entity in line 2, column 4)."
+    ]
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (b"", "no element found in line 1, column 1"),
+        (PROLOG + b"<a><b></a>", "mismatched tag in line 2, column 9"),
+        (b"hello", "syntax error in line 1, column 1"),
+        (PROLOG + b"<a/>\1", "not well-formed (invalid token) in line 2, column 5"),
+        (PROLOG + b"<a x='1' x='2'/>", "duplicate attribute in line 2, column 10"),
+    ],
+)
+def test_xml_that_is_not_well_formed(data, why, of_xml):
+    assert texts(of_xml(data)) == [f"modelDescription.xml: it is not well-formed XML ({why})."]
+
+
+def test_other_encodings(source_fmu, of_xml):
+    text = "<?xml version='1.0' encoding='{}'?><fmiModelDescription fmiVersion='2.0' x='ä'/>"
+    no_utf8 = (
+        "modelDescription.xml: it is not encoded in UTF-8 as FMI needs (byte {} is none of it)."
+    )
+    latin = text.format("ISO-8859-1").encode("latin-1")
+    assert texts(of_xml(latin)) == [no_utf8.format(latin.index(b"\xe4") + 1)]
+    assert texts(of_xml(text.format("UTF-16").encode("utf-16"))) == [no_utf8.format(1)]
+    assert texts(of_xml(text.format("cp037").encode("cp037"))) == [no_utf8.format(3)]
+    ascii_only = text.format("UTF-16").replace("ä", "").encode("utf-16-le")
+    assert texts(of_xml(ascii_only)) == [no_utf8.format(2)]
+
+
+@pytest.mark.parametrize(
+    ("declaration", "declares"),
+    [
+        (b"<?xml version='1.0' encoding='ISO-8859-1'?>", "'ISO-8859-1'"),
+        (b"<?xml version='1.0' encoding='utf-7'?>", "'utf-7'"),
+        (b"<?xml version='1.0'?>", "no encoding"),
+        (b"", "no encoding"),
+    ],
+)
+def test_another_declaration_of_the_same_bytes(declaration, declares, source_fmu, of_xml):
+    data = declaration + b"<fmiModelDescription fmiVersion='2.0'/>"
+    assert texts(of_xml(data), "xml") == [
+        f"modelDescription.xml: its first line declares {declares}; FMI needs UTF-8."
+    ]
+
+
+def test_a_byte_order_mark_is_harmless(source_fmu, tmp_path, xml):
+    path = changed(source_fmu, tmp_path / "F.fmu", files={MODEL: b"\xef\xbb\xbf" + xml.bytes()})
+    assert said(path, "xml") == []
+
+
+def test_xml_that_would_fill_the_memory(of_xml, monkeypatch):
+    monkeypatch.setattr(markup, "MOST_NODES", 10)
+    assert texts(of_xml(PROLOG + b"<a b='1'>" + b"<a/>" * 9 + b"</a>")) == [
+        "modelDescription.xml: it has more than 10 elements and attributes; it is not read any "
+        "further."
+    ]
+    monkeypatch.setattr(markup, "MOST_BYTES", 20)
+    assert texts(of_xml(PROLOG + b"<a/>")) == [
+        "modelDescription.xml: it has more than 20 bytes; it is not read."
+    ]
+
+
+def test_xml_that_is_too_deep(of_xml):
+    (text,) = texts(of_xml(PROLOG + b"<a>" * 5000 + b"</a>" * 5000))
+    assert text.startswith("modelDescription.xml: it cannot be read as XML (Excessive depth in doc")
+    assert sys.getrecursionlimit() < 5000
+
+
+def test_another_root(of_xml):
+    assert texts(of_xml(PROLOG + b"<a:model xmlns:a='urn:x'/>")) == [
+        "modelDescription.xml: its root is '{urn:x}model'; needed is 'fmiModelDescription'."
+    ]
+
+
+@pytest.mark.parametrize("version", ["", "2.1", "4.0"])
+def test_another_version(version, of_xml):
+    data = PROLOG + f"<fmiModelDescription fmiVersion='{version}'/>".encode()
+    assert texts(of_xml(data)) == [
+        f"modelDescription.xml: its fmiVersion is '{version}'; needed is '2.0'."
+    ]
+
+
+def test_the_schema(source_fmu, tmp_path):
+    def change(xml):
+        xml.variable("dq[1]").set("causality", "inpud")
+        xml.root.set("generationDateAndTime", "yesterday")
+        xml.find("ModelVariables").set("colour", "red")
+
+    path = changed(source_fmu, tmp_path / "F.fmu", change)
+    found = check(path)
+    schema = texts(found, "schema")
+    assert len(schema) >= 3
+    for part in ("'inpud'", "'yesterday'", "'colour'"):
+        assert any(part in text for text in schema)
+    assert all(text.startswith("modelDescription.xml, line ") for text in schema)
+    others = "FMPy and VDMCheck2: run once the archive, its XML and the schema are right."
+    assert found.skipped == (others,)
+
+
+def test_only_so_many_problems_are_listed(source_fmu, tmp_path):
+    def change(xml):
+        for i in range(1500):
+            xml.add_variable("Real", {"unit": f"u{i}"}, name=f"x{i}")
+
+    found = said(changed(source_fmu, tmp_path / "F.fmu", change), "rules")
+    assert len(found) == 1001
+    assert found[-1] == "500 more problems of this check are not listed."

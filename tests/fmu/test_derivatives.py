@@ -1,0 +1,245 @@
+"""Derivatives that the FMU gives are those of what it computes, by differences of the same FMU."""
+
+import ctypes
+
+import numpy as np
+import pytest
+
+from fmu_src import export_fmu
+
+OK, ERROR = 0, 3
+STEP = 2e-4  # short enough for Euler with every law
+
+
+@pytest.fixture(scope="module")
+def fmu(every_law, make_model, load, tmp_path_factory):
+    """One FMU of all laws, a joint for each."""
+    folder = tmp_path_factory.mktemp("derivatives")
+    return load(export_fmu(make_model(*every_law.values()), folder / "F.fmu"))
+
+
+@pytest.fixture(scope="module")
+def joints(every_law):
+    return {name: i for i, name in enumerate(every_law, start=1)}
+
+
+@pytest.fixture
+def joint(any_law, joints):
+    return joints[any_law]
+
+
+def names(fmu, joint):
+    """Inputs, states and parameters of a joint; its states' derivatives and its torque."""
+    own = [
+        v
+        for v in fmu.about.modelVariables
+        if v.name.removesuffix(")").endswith(f"[{joint}]") or f"joint[{joint}]." in v.name
+    ]
+    knowns = [v.name for v in own if v.start is not None]
+    unknowns = [v.name for v in own if v.start is None and not v.name.startswith("dtau")]
+    return knowns, unknowns
+
+
+def place(fmu, joint):
+    """Where a joint is looked at: in slow motion, away from what bends."""
+    rng = np.random.default_rng(joint)
+    knowns, _ = names(fmu, joint)
+    start = {v.name: float(v.start) for v in fmu.about.modelVariables if v.name in knowns}
+    for state in (u.variable.derivative for u in fmu.about.derivatives):
+        if state.name in knowns:
+            start[state.name] += rng.uniform(0.1, 0.3) * float(state.nominal or 1.0)
+    start |= {f"dq[{joint}]": rng.uniform(0.02, 0.1) * rng.choice([-1.0, 1.0])}
+    return start | {f"q[{joint}]": rng.uniform(0.2, 1.0), f"tau_load[{joint}]": 7.0}
+
+
+def initialising(fmu, values, kind=0):
+    c = fmu.instantiate(kind=kind)
+    assert fmu("SetupExperiment", c, 0, 0.0, 0.0, 0, 0.0) == OK
+    assert fmu("EnterInitializationMode", c) == OK
+    assert fmu.set_all(c, values) == OK
+    return c
+
+
+def tangent(fmu, c, unknowns, seed):
+    """Derivative of `unknowns` along a direction, {name: component}."""
+    result = (ctypes.c_double * len(unknowns))()
+    direction = (ctypes.c_double * len(seed))(*seed.values())
+    status = fmu(
+        "GetDirectionalDerivative",
+        c,
+        fmu.references(unknowns),
+        len(unknowns),
+        fmu.references(list(seed)),
+        len(seed),
+        direction,
+        result,
+    )
+    assert status == OK, fmu.messages[-1]
+    return np.array(result)
+
+
+def difference(f, x):
+    """Derivative of a function by central differences of fourth order, and their uncertainty."""
+    h = min(1e-5 * max(abs(x), 0.1), 1e-3 * abs(x) or 1e-6)
+    far, near = (f(x + k * h) - f(x - k * h) for k in (2, 1))
+    return (8.0 * near - far) / (12.0 * h), 1e-14 * np.abs(f(x)) / h
+
+
+def worst(found, expected, uncertain):
+    """Largest relative error beyond what rounding does to a difference."""
+    error = np.maximum(np.abs(found - expected) - uncertain, 0.0)
+    return float((error / np.maximum(np.abs(expected), 1e-300)).max())
+
+
+def test_directional_derivatives(fmu, joint):
+    knowns, unknowns = names(fmu, joint)
+    values = place(fmu, joint)
+    c, moved = (initialising(fmu, values) for _ in range(2))
+    event, slave = (initialising(fmu, values, kind) for kind in (0, 1))
+    assert fmu("ExitInitializationMode", event) == fmu("ExitInitializationMode", slave) == OK
+    continuous = initialising(fmu, values)
+    assert fmu("ExitInitializationMode", continuous) == OK
+    assert fmu("EnterContinuousTimeMode", continuous) == OK
+    for known in knowns:
+
+        def at(x, known=known):
+            assert fmu.set_all(moved, values | {known: x}) == OK
+            return np.array(fmu.get(moved, *unknowns))
+
+        found = tangent(fmu, c, unknowns, {known: 1.0})
+        assert worst(found, *difference(at, values[known])) <= 1e-6, known
+        for other in (event, continuous, slave):
+            assert list(tangent(fmu, other, unknowns, {known: 1.0})) == list(found)
+
+
+def test_directional_derivatives_where_a_step_has_ended(fmu, joint):
+    """The states are held fixed there, wherever they have been moved to."""
+    knowns, unknowns = names(fmu, joint)
+    values = place(fmu, joint)
+    slave = initialising(fmu, values, kind=1)
+    assert fmu("ExitInitializationMode", slave) == OK
+    for k in range(5):
+        assert fmu.step(slave, k * STEP, STEP) == OK
+    reached = dict(zip(knowns, fmu.get(slave, *knowns), strict=True))
+    c = initialising(fmu, reached)
+    assert fmu.get(slave, *unknowns) == fmu.get(c, *unknowns)
+    for known in knowns:
+        seed = {known: 1.0}
+        assert list(tangent(fmu, slave, unknowns, seed)) == list(tangent(fmu, c, unknowns, seed))
+
+
+def test_derivatives_are_linear_in_their_direction(fmu, joints):
+    rng = np.random.default_rng(2)
+    parts = [names(fmu, joint) for joint in joints.values()]
+    knowns = [name for part, _ in parts for name in part]
+    unknowns = [name for _, part in parts for name in part]
+    values = {k: v for joint in joints.values() for k, v in place(fmu, joint).items()}
+    c = initialising(fmu, values)
+    one, two = (dict(zip(knowns, rng.normal(size=len(knowns)), strict=True)) for _ in range(2))
+    both = {name: 2.0 * one[name] - 3.0 * two[name] for name in knowns}
+    first, second = (tangent(fmu, c, unknowns, seed) for seed in (one, two))
+    scale = np.abs(first) + np.abs(second)
+    together = tangent(fmu, c, unknowns, both)
+    assert (np.abs(together - (2.0 * first - 3.0 * second)) <= 1e-9 * scale).all()
+    # A joint does not feel what another one does.
+    elsewhere = {k: v for k, v in one.items() if k not in parts[0][0]}
+    assert not tangent(fmu, c, parts[0][1], elsewhere).any()
+    # Of a variable that is named twice both components count.
+    twice = fmu.references(["dq[1]", "dq[1]"])
+    result = (ctypes.c_double * 1)()
+    unknown = fmu.references(["tau[1]"])
+    direction = (ctypes.c_double * 2)(0.25, 0.75)
+    assert fmu("GetDirectionalDerivative", c, unknown, 1, twice, 2, direction, result) == OK
+    assert result[0] == tangent(fmu, c, ["tau[1]"], {"dq[1]": 1.0})[0]
+
+
+def test_a_signal_that_is_at_rest_has_the_slope_of_no_sign(fmu, joints):
+    joint = joints["viscous"]
+    c = fmu.ready()
+    assert tangent(fmu, c, [f"tau[{joint}]"], {f"dq[{joint}]": 1.0}) == [0.0]
+    assert tangent(fmu, c, [f"tau[{joint}]"], {f"joint[{joint}].F_c": 1.0}) == [0.0]
+
+
+@pytest.mark.parametrize(
+    ("unknown", "known", "reason"),
+    [
+        ("dtau_ddq[2]", "dq[2]", "dtau_ddq[2] is no continuous output and no state derivative."),
+        ("dq[2]", "dq[2]", "dq[2] is no continuous output and no state derivative."),
+        ("h[1]", "dq[1]", "h[1] is no continuous output and no state derivative."),
+        ("tau[2]", "tau[1]", "nothing can be derived with respect to tau[1]."),
+        ("tau[2]", "der(h[1])", "nothing can be derived with respect to der(h[1])."),
+        ("tau[2]", "discretisation", "there is no variable of this type with value reference {}."),
+    ],
+)
+def test_what_has_no_derivative(fmu, unknown, known, reason):
+    c = fmu.ready()
+    result = (ctypes.c_double * 1)(7.0)
+    arguments = (fmu.references([unknown]), 1, fmu.references([known]), 1, result, result)
+    fmu.messages.clear()
+    assert fmu("GetDirectionalDerivative", c, *arguments) == ERROR
+    assert [m.text for m in fmu.messages] == [
+        f"fmi2GetDirectionalDerivative: {reason.format(fmu.vr[known])}"
+    ]
+    assert result[0] == 7.0
+
+
+def stepping(fmu, joint, discretisation):
+    c = fmu.instantiate()
+    choice = (ctypes.c_int * 1)(discretisation)
+    assert fmu("SetInteger", c, fmu.references(["discretisation"]), 1, choice) == OK
+    assert fmu.set_all(c, place(fmu, joint)) == OK
+    assert fmu("SetupExperiment", c, 0, 0.0, 0.0, 0, 0.0) == OK
+    assert fmu("EnterInitializationMode", c) == OK
+    assert fmu("ExitInitializationMode", c) == OK
+    return c
+
+
+@pytest.mark.parametrize("discretisation", [1, 2], ids=["exact", "euler"])
+def test_slope_of_the_whole_step(fmu, joint, discretisation):
+    """dtau_ddq is how tau would have changed with the velocity that was held over the step."""
+    dq, tau, slope = (f"{kind}[{joint}]" for kind in ("dq", "tau", "dtau_ddq"))
+    c = stepping(fmu, joint, discretisation)
+    state = ctypes.c_void_p()
+    for k, speed in enumerate((0.09, 0.05, -0.03, -0.08, 0.2)):
+        assert fmu("GetFMUstate", c, ctypes.byref(state)) == OK
+
+        def after(x, k=k):
+            assert fmu("SetFMUstate", c, state) == OK
+            assert fmu.set_all(c, {dq: x}) == OK
+            assert fmu.step(c, k * STEP, STEP) == OK
+            return np.array(fmu.get(c, tau))
+
+        expected, uncertain = difference(after, speed)
+        after(speed)
+        assert worst(np.array(fmu.get(c, slope)), expected, uncertain) <= 1e-6
+    fmu("FreeFMUstate", c, ctypes.byref(state))
+
+
+def test_slope_of_a_step_whose_input_has_a_slope(fmu, joints):
+    """Also where the velocity changes its sign on the way."""
+    joint = joints["lugre"]
+    dq, tau, slope = (f"{kind}[{joint}]" for kind in ("dq", "tau", "dtau_ddq"))
+    c, state = stepping(fmu, joint, 1), ctypes.c_void_p()
+    assert fmu("GetFMUstate", c, ctypes.byref(state)) == OK
+    one = (ctypes.c_int * 1)(1)
+    for ramp in (-0.5, 0.5, -3.0, -7.0):
+
+        def after(x, ramp=ramp):
+            assert fmu("SetFMUstate", c, state) == OK
+            assert fmu.set_all(c, {dq: x}) == OK
+            rate = (ctypes.c_double * 1)(ramp / STEP)
+            assert fmu("SetRealInputDerivatives", c, fmu.references([dq]), 1, one, rate) == OK
+            assert fmu.step(c, 0.0, STEP) == OK
+            return np.array(fmu.get(c, tau))
+
+        expected, uncertain = difference(after, 2.0)
+        after(2.0)
+        assert worst(np.array(fmu.get(c, slope)), expected, uncertain) <= 1e-6
+    fmu("FreeFMUstate", c, ctypes.byref(state))
+
+
+def test_slope_before_the_first_step_is_that_with_the_states_at_rest(fmu, joints):
+    for joint in joints.values():
+        c = stepping(fmu, joint, 1)
+        slope = tangent(fmu, c, [f"tau[{joint}]"], {f"dq[{joint}]": 1.0})
+        assert fmu.get(c, f"dtau_ddq[{joint}]") == pytest.approx(slope, rel=1e-12)

@@ -1,0 +1,243 @@
+"""documentation/index.html: well formed, of itself alone, and right in what it says."""
+
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmu_src import export_fmu, friction
+from fmu_src.datasheet import EULER, RK4, fastest, figure
+from fmu_src.description import Description
+from fmu_src.documentation import to_html
+from fmu_src.mathml import equations
+from hesr_model.friction.estimator import registry
+from hesr_model.friction.fit import fit_joint
+from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.trained import TrainedRange
+from hesr_model.residual import FrictionRecord
+
+VOID = {"meta", "img", "br", "hr", "link", "input"}
+HOSTILE = '<script>alert("x")</script> & \'"<img src=x onerror=y>'
+
+
+class Page(HTMLParser):
+    """A page whose elements must all be closed in their order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str, str]] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open
+        self.text = " ".join(" ".join(self.words).split())
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += [(tag, name, value or "") for name, value in attrs]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "style" not in self.open:
+            self.words.append(data)
+
+    def values(self, name: str) -> list[str]:
+        return [value for _, attribute, value in self.attributes if attribute == name]
+
+
+def page_of(model: FrictionModel) -> str:
+    about = Description(
+        name=f"Friction of {model.robot} by {model.law}",
+        identifier="friction_x",
+        text="Joint friction torque from motion.",
+        version="1.2.3",
+        created="2026-03-04T05:06:07Z",
+        step=model.sample_time,
+        sources=("all.c",),
+    )
+    return to_html(model, friction.interface(model), about)
+
+
+def of_registry() -> Iterator[FrictionModel]:
+    """A model of every law of the registry, fitted to a motion with a rest and some noise."""
+    t = 0.01 * np.arange(900)
+    dq = np.sin(2.0 * t) * np.sin(0.7 * t)
+    q = np.cumsum(dq) * 0.01
+    load = 5.0 * np.sin(q) + 3.0
+    tau = 6.0 * np.tanh(40.0 * dq) + 2.0 * dq + 0.05 * load
+    tau += np.random.default_rng(1).normal(0.0, 0.1, t.shape)
+    record = FrictionRecord(
+        log="made", joint="j1", t=t, dq=dq, q=q, tau_load=load, tau=tau, gear_ratio=101.0
+    )
+    for name in registry():
+        yield FrictionModel(
+            law=name,
+            robot="bench",
+            joints=("j1",),
+            laws=(fit_joint(name, [record], seed=0),),
+            sample_time=0.01,
+            trained=(TrainedRange.of([record]),),
+            provenance={
+                "files": [{"name": "/home/someone/secret/made.csv", "sha256": "ab" * 32}],
+                "seed": 0,
+                "versions": {"numpy": "2.9"},
+            },
+        )
+
+
+@pytest.fixture(scope="module")
+def fitted() -> dict[str, FrictionModel]:
+    return {model.law: model for model in of_registry()}
+
+
+def check(text: str) -> Page:
+    page = Page(text)
+    assert page.tags.count("h1") == 1
+    assert not {"script", "link", "iframe", "object", "base", "form"} & set(page.tags)
+    for place in ("src", "href", "action", "data", "poster", "srcset"):
+        for value in page.values(place):
+            assert ":" not in value, f"{place} leaves the page: {value}"
+            assert not value.startswith("/")
+    for name in ("http:", "https:", "url(", "@import"):
+        assert name not in text
+    anchors = {value[1:] for value in page.values("href") if value.startswith("#")}
+    assert anchors <= set(page.values("id"))
+    assert not [name for _, name, _ in page.attributes if name.startswith("on")]
+    return page
+
+
+def test_page_of_every_registered_law(fitted: dict[str, FrictionModel]) -> None:
+    assert set(fitted) == set(registry())
+    for name, model in fitted.items():
+        text = page_of(model)
+        page = check(text)
+        law = model.laws[0]
+        assert page.tags.count("math") >= 1 + len(law.form.relaxations) + len(law.values), name
+        assert registry()[name].title in page.text
+        assert "nan" not in page.text.split(), name
+        assert "/home" not in text
+        assert "made.csv" in page.text
+        if law.standard_errors:
+            assert "±" in page.text
+        assert len(text) < 120_000
+
+
+def test_page_of_laws_made_by_hand(
+    law: FrictionLaw, make_model: Callable[..., FrictionModel]
+) -> None:
+    page = check(page_of(make_model(law, law)))
+    assert page.text.count("As plain text") == 2
+
+
+def test_every_joint_has_its_equation(table1: FrictionModel) -> None:
+    text = page_of(table1)
+    for law in table1.laws:
+        for line in equations(law):
+            assert line in text
+    assert Page(text).tags.count("math") > 30
+
+
+def test_page_of_table_1(table1: FrictionModel) -> None:
+    page = check(page_of(table1))
+    assert page.text.count("not known") >= 4
+    # The audit and the cost of holding inputs, as measured before.
+    for figures in ("12.4 J", "20.6 J", "−0.68 to 0.81", "6557", "−4730", "2282"):
+        assert figures in page.text
+    for cell in ("0.67 / 1.9", "1.43 / 4.5", "0.20 / 0.5", "0.00 / 0.00"):
+        assert cell in page.text
+    assert "no event indicators" in page.text
+    assert "245 ms" in page.text
+    assert "q[i] , tau_load[i] , which may stay unconnected" in page.text
+
+
+def test_names_of_a_model_are_text(table1: FrictionModel) -> None:
+    model = replace(
+        table1,
+        robot=HOSTILE,
+        law=HOSTILE,
+        joints=(HOSTILE, "b & c", 'd"e'),
+        provenance={
+            "source": HOSTILE,
+            "note": HOSTILE,
+            "files": [{"name": f"C:\\Users\\x\\{HOSTILE}", "sha256": HOSTILE}],
+            "seed": HOSTILE,
+            "versions": {HOSTILE: HOSTILE},
+        },
+    )
+    text = page_of(model)
+    page = check(text)
+    assert "<script" not in text
+    assert page.tags.count("img") == 1
+    assert 'alert("x")' in page.text
+    assert "Users" not in text
+
+
+def test_events_are_those_of_the_law(
+    make_law: Callable[[str], FrictionLaw], make_model: Callable[..., FrictionModel]
+) -> None:
+    page = check(page_of(make_model(make_law("lugre"), make_law("parfam_tanh"))))
+    assert "axis_1: at the zeros of dq" in page.text
+    assert "axis_2: at the zeros" not in page.text
+
+
+def test_what_cannot_be_measured_is_said(
+    make_law: Callable[[str], FrictionLaw], make_model: Callable[..., FrictionModel]
+) -> None:
+    stiff = replace(make_law("lugre"), discretisation="euler")
+    page = check(page_of(make_model(stiff, sample_time=0.1)))
+    assert "There is no audit: Euler needs" in page.text
+    assert "Not measured: Euler needs" in page.text
+    law = make_law("viscous")
+    wild = replace(law, values={**law.values, "sigma_2": 1.7e308})
+    assert "There is no audit" in check(page_of(make_model(wild))).text
+
+
+def test_largest_rates(make_law: Callable[[str], FrictionLaw]) -> None:
+    seen = TrainedRange(
+        sample_time=0.01, dq=(-0.5, 1.5), q=(0.0, 1.0), tau_load=(0.0, 0.0), tau=(-1.0, 1.0)
+    )
+    # Where sliding is fast, the level is that of Coulomb.
+    assert fastest(make_law("lugre"), seen)["z"] == pytest.approx(2.0e3 * 1.5 / 9.0, rel=1e-6)
+    assert fastest(make_law("elements"), seen) == pytest.approx({"x1": 90.0, "x2": 10.5})
+    assert fastest(make_law("viscous"), seen) == {}
+
+
+@pytest.mark.parametrize(("limit", "stages"), [(RK4, 4), (EULER, 1)])
+def test_limits_of_the_solvers(limit: float, stages: int) -> None:
+    def grown(z: float) -> float:
+        term = total = 1.0
+        for k in range(1, stages + 1):
+            term *= -z / k
+            total += term
+        return abs(total)
+
+    assert grown(limit * 0.999) < 1.0 < grown(limit * 1.001)
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [(None, "–"), (0.0, "0"), (-0.0, "0"), (250.4, "250"), (-2.128, "−2.13"), (1.0e-7, "1e−07")],
+)
+def test_figures(value: float | None, shown: str) -> None:
+    assert figure(value, 3) == shown
+
+
+def test_the_page_is_in_the_fmu_and_the_same_each_time(
+    table1: FrictionModel, table1_fmu: Path, tmp_path: Path
+) -> None:
+    with zipfile.ZipFile(table1_fmu) as archive:
+        text = archive.read("documentation/index.html")
+    check(text.decode())
+    with zipfile.ZipFile(export_fmu(table1, tmp_path / "F.fmu")) as archive:
+        assert archive.read("documentation/index.html") == text

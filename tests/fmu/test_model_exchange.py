@@ -1,0 +1,278 @@
+"""For model exchange the FMU gives a solver the law's own differential equation and its events."""
+
+import ctypes
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from fmpy import simulate_fmu
+from scipy.integrate import DOP853, solve_ivp
+
+from fmu_src import export_fmu
+from hesr_model.friction.estimator import estimator
+from hesr_model.friction.functions import INPUTS, lowered
+from hesr_model.friction.law import FrictionLaw
+
+SPEED, OMEGA = 0.5, 2.0 * np.pi  # of a sine that reverses at 0.25 s, 0.75 s, ..
+END = 1.0
+TIMES = np.linspace(0.0, END, 201)
+NAMES = ("dq[1]", "q[1]", "tau_load[1]")
+
+
+def motion(t):
+    t = np.asarray(t)
+    dq = SPEED * np.cos(OMEGA * t)
+    return np.stack([dq, SPEED / OMEGA * np.sin(OMEGA * t), 6.0 + 4.0 * np.sin(5.0 * t)])
+
+
+def parfam_hx() -> FrictionLaw:
+    """The law with all that it can have, as its estimator writes it."""
+    structure = {
+        "linear": ["1", "dq", "h", "h_load", "h_bump"],
+        "units": [{"g": "tanh", "arguments": ["dq", "h"]}],
+        "state": "generalised",
+        "ripple": {"gear_ratio": 101.0, "orders": [2]},
+    }
+    form = estimator("parfam_hx").form(structure)
+    values = {c.name: 0.5 + 0.1 * k for k, c in enumerate(form.coefficients)}
+    values |= {"alpha": 11.0, "beta": 60.0, "kappa": 4.0, "v_0": 0.1, "v_s": 0.1}
+    names = [c.name for c in form.coefficients]
+    return FrictionLaw(
+        name="parfam_hx", structure=structure, form=form, values={n: values[n] for n in names}
+    )
+
+
+LAWS = ("parfam_tanh", "lugre", "elements", "parfam_hx")
+
+
+@pytest.fixture(params=LAWS)
+def chosen(request, make_law, make_model, load, tmp_path):
+    """A law and its FMU."""
+    law = parfam_hx() if request.param == "parfam_hx" else make_law(request.param)
+    return law, load(export_fmu(make_model(law), tmp_path / "F.fmu"))
+
+
+def equations(law):
+    """Drives and rates of the states as functions of the inputs, and the torque."""
+    at = {c.symbol: law.values[c.name] for c in law.form.coefficients}
+    parts = [e.subs(at) for r in law.form.relaxations for e in (r.drive, r.rate)]
+    states = [s for r in law.form.relaxations for s in (r.state, r.derivative)]
+    return lowered(INPUTS, tuple(parts)), lowered((*INPUTS, *states), (law.form.output.subs(at),))
+
+
+def truth(law):
+    """Torque by SciPy from the SymPy expressions, without an FMU, from reversal to reversal."""
+    moving, torque = equations(law)
+
+    def slope(t, x):
+        parts = np.array(moving(*motion(t)))
+        return parts[::2] - parts[1::2] * x
+
+    n = len(law.form.relaxations)
+    x = np.array(law.start or np.zeros(n))
+    rows = []
+    for first, last in ((0.0, 0.25), (0.25, 0.75), (0.75, END)):
+        inside = TIMES[(first <= TIMES) & (last > TIMES)]
+        result = solve_ivp(
+            slope, (first, last), x, "Radau", t_eval=[*inside, last], rtol=1e-10, atol=1e-13
+        )
+        rows += list(result.y.T[: len(inside)])
+        x = result.y[:, -1]
+    rows.append(x)
+    return np.array([
+        torque(*motion(t), *np.column_stack([x, slope(t, x)]).ravel())[0]
+        for t, x in zip(TIMES, rows, strict=True)
+    ])  # fmt: skip
+
+
+def relative(found, expected):
+    return np.abs(found - expected).max() / np.abs(expected).max()
+
+
+@dataclass
+class Importer:
+    """A solver as importers have them: it finds where an indicator changes its sign."""
+
+    fmu: object
+    law: FrictionLaw
+    events: int = 0
+
+    def __post_init__(self):
+        self.n = len(self.law.form.relaxations)
+        self.indicators = self.fmu.about.numberOfEventIndicators
+        start = dict(zip(NAMES, motion(0.0), strict=True))
+        self.c = self.fmu.continuous(start)
+
+    def go_to(self, t, x):
+        assert self.fmu("SetTime", self.c, float(t)) == 0
+        assert self.fmu.set_all(self.c, dict(zip(NAMES, motion(t), strict=True))) == 0
+        assert self.fmu("SetContinuousStates", self.c, (ctypes.c_double * self.n)(*x), self.n) == 0
+
+    def slope(self, t, x):
+        self.go_to(t, x)
+        return np.array(self.fmu.numbers("GetDerivatives", self.c, self.n))
+
+    def crossed(self, t, x):
+        """Whether an indicator is no longer positive; what is asked after a step agrees."""
+        self.go_to(t, x)
+        event, end = ctypes.c_int(7), ctypes.c_int(7)
+        assert (
+            self.fmu("CompletedIntegratorStep", self.c, 1, ctypes.byref(event), ctypes.byref(end))
+            == 0
+        )
+        found = any(
+            z <= 0.0 for z in self.fmu.numbers("GetEventIndicators", self.c, self.indicators)
+        )
+        assert (event.value, end.value) == (found, 0)
+        return found
+
+    def torque(self):
+        x = np.array(self.fmu.numbers("GetContinuousStates", self.c, self.n))
+        t, rows = 0.0, []
+        for instant in TIMES:
+            while t < instant:
+                t, x = self.advance(t, x, instant)
+            self.go_to(t, x)
+            rows += self.fmu.get(self.c, "tau[1]")
+        return np.array(rows)
+
+    def advance(self, t, x, end):
+        """Go to `end` or to just behind the first event."""
+        solver = DOP853(self.slope, t, x, end, rtol=1e-10, atol=1e-13)
+        while solver.status == "running":
+            before = solver.t
+            solver.step()
+            if self.crossed(solver.t, solver.y):
+                at, y = solver.dense_output(), solver.y
+                left, right = before, solver.t
+                while right - left > 1e-12:
+                    middle = 0.5 * (left + right)
+                    if self.crossed(middle, at(middle)):
+                        right, y = middle, at(middle)
+                    else:
+                        left = middle
+                self.go_to(right, y)
+                self.fmu.event(self.c)
+                self.events += 1
+                assert not self.crossed(right, y)
+                return right, y
+        return solver.t, solver.y
+
+
+def test_a_solver_of_the_importer_gives_the_law(chosen):
+    law, fmu = chosen
+    importer = Importer(fmu, law)
+    assert relative(importer.torque(), truth(law)) <= 1e-6
+    # Out of a sign of the velocity and into the other one, at each of two reversals.
+    assert importer.events == (4 if importer.indicators else 0)
+
+
+def stepped(fmu, step, *, followed, name="tau[1]"):
+    """A variable in co-simulation at TIMES, with the inputs held or with their slopes."""
+    c = fmu.instantiate()
+    inputs = fmu.references(NAMES)
+    ones = (ctypes.c_int * 3)(1, 1, 1)
+    fmu("SetupExperiment", c, 0, 0.0, 0.0, 0, 0.0)
+    fmu("EnterInitializationMode", c)
+    discretisation = fmu.references(["discretisation"])
+    assert fmu("SetInteger", c, discretisation, 1, (ctypes.c_int * 1)(1)) == 0
+    u = motion(step * np.arange(round(END / step) + 1)).T.copy()
+    pointers = [(ctypes.c_double * 3).from_buffer(row) for row in u]
+    fmu("SetReal", c, inputs, 3, pointers[0])
+    assert fmu("ExitInitializationMode", c) == 0
+    rows = fmu.get(c, name)
+    each = round(TIMES[1] / step)
+    for k in range(len(u) - 1):
+        fmu("SetReal", c, inputs, 3, pointers[k + (not followed)])
+        if followed:
+            slope = (u[k + 1] - u[k]) / step
+            fmu("SetRealInputDerivatives", c, inputs, 3, ones, (ctypes.c_double * 3)(*slope))
+        assert fmu.step(c, k * step, step) == 0
+        if (k + 1) % each == 0:
+            rows += fmu.get(c, name)
+    fmu("FreeInstance", c)
+    return np.array(rows)
+
+
+def test_co_simulation_converges_to_the_same(chosen):
+    """Inputs are held over a step, an error of first order, unless their slopes are given."""
+    law, fmu = chosen
+    expected = truth(law)
+    for followed, order in ((False, 1), (True, 2)):
+        errors = [
+            relative(stepped(fmu, step, followed=followed), expected)
+            for step in (1e-3, 5e-4, 2.5e-4)
+        ]
+        ratios = [a / b for a, b in pairwise(errors)]
+        assert min(ratios) >= 0.95 * 2**order, errors
+    assert relative(stepped(fmu, 2.5e-5, followed=True), expected) <= 1e-6
+
+
+def signals(t, u):
+    rows = [tuple(row) for row in np.column_stack([t, *u])]
+    return np.array(rows, dtype=[(name, float) for name in ("time", *NAMES)])
+
+
+def steps():
+    """The motion in steps that end at TIMES, for which importers take two samples at one time."""
+    t = np.repeat(TIMES, 2)[1:-1]
+    return signals(t, np.repeat(motion(TIMES)[:, 1:], 2, axis=1))
+
+
+def test_cvode_of_fmpy_equals_exact_steps(chosen, tmp_path):
+    """Between its outputs FMPy's CVode holds the inputs, so only steps of these are exact in it."""
+    law, fmu = chosen
+    for relaxation in law.form.relaxations:
+        name = f"{relaxation.name}[1]"
+        result = simulate_fmu(
+            str(tmp_path / "F.fmu"),
+            fmi_type="ModelExchange",
+            solver="CVode",
+            stop_time=END,
+            output_interval=TIMES[1],
+            relative_tolerance=1e-9,
+            input=steps(),
+            output=[name],
+            record_events=False,
+        )
+        expected = stepped(fmu, TIMES[1], followed=False, name=name)
+        assert relative(result[name], expected) <= 1e-6
+
+
+def test_euler_of_fmpy(chosen, tmp_path):
+    law, _ = chosen
+    t = np.linspace(0.0, END, 10 * len(TIMES) - 9)
+    result = simulate_fmu(
+        str(tmp_path / "F.fmu"),
+        fmi_type="ModelExchange",
+        solver="Euler",
+        stop_time=END,
+        step_size=t[1],
+        output_interval=t[1],
+        input=signals(t, motion(t)),
+        output=["tau[1]"],
+        record_events=False,
+    )
+    assert relative(result["tau[1]"][::10], truth(law)) <= 0.05  # of first order
+
+
+@pytest.mark.parametrize("solver", ["CVode", "Euler"])
+def test_laws_without_states_run_too(solver, make_law, make_model, tmp_path):
+    law = make_law("viscous")
+    moving, torque = equations(law)
+    assert moving(0.0, 0.0, 0.0) == []
+    result = simulate_fmu(
+        str(export_fmu(make_model(law), tmp_path / "F.fmu")),
+        fmi_type="ModelExchange",
+        solver=solver,
+        stop_time=END,
+        step_size=TIMES[1],
+        output_interval=TIMES[1],
+        input=signals(TIMES, motion(TIMES)),
+        output=["tau[1]"],
+        record_events=False,
+    )
+    moving = np.abs(motion(TIMES)[0]) > 1e-9
+    expected = np.array([torque(*motion(t))[0] for t in TIMES])
+    assert relative(result["tau[1]"][moving], expected[moving]) <= 1e-9

@@ -1,0 +1,80 @@
+"""The picture of an FMU: small, the same every time, and of what it says."""
+
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from fmu_src.pictures import model_png
+from hesr_model.friction.law import FrictionLaw, FrictionModel
+
+MOST = 25_000
+"""Bytes; an FMU is small."""
+
+
+def size(picture: bytes) -> tuple[int, int]:
+    assert picture.startswith(b"\x89PNG\r\n\x1a\n")
+    width, height = struct.unpack(">II", picture[16:24])
+    return width, height
+
+
+def test_picture_of_each_law(law: FrictionLaw, make_model: Callable[..., FrictionModel]) -> None:
+    picture = model_png(make_model(law))
+    assert size(picture) == (400, 300)
+    assert 1_000 < len(picture) <= MOST
+
+
+@pytest.mark.parametrize("joints", [1, 2, 3, 6, 7])
+def test_picture_of_many_joints(joints: int, table1: FrictionModel) -> None:
+    model = replace(
+        table1,
+        joints=tuple(f"axis {i}" for i in range(joints)),
+        laws=(table1.laws * 3)[:joints],
+    )
+    picture = model_png(model)
+    assert size(picture) == (400, 300)
+    assert len(picture) <= MOST
+
+
+def test_picture_is_the_same_in_every_process(table1: FrictionModel) -> None:
+    code = (
+        "import hashlib; from fmu_src import model_file; from fmu_src.pictures import model_png; "
+        "from hesr_model.artifacts import read_model; "
+        "print(hashlib.sha256(model_png(read_model(model_file('uf850-table1')))).hexdigest())"
+    )
+    runs = {
+        subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout
+        for _ in range(2)
+    }
+    assert len(runs) == 1
+
+
+def test_picture_says_nothing_of_when_and_by_what(table1: FrictionModel) -> None:
+    picture = model_png(table1)
+    assert not [kind for kind in (b"tEXt", b"iTXt", b"zTXt", b"tIME") if kind in picture]
+    assert b"atplotlib" not in picture
+
+
+def test_picture_shows_the_law(table1: FrictionModel) -> None:
+    other = replace(table1, laws=tuple(reversed(table1.laws)))
+    assert model_png(other) != model_png(table1)
+    # Names are not drawn: no font has all letters.
+    assert model_png(replace(table1, robot="机器人 $x$", joints=("a", "b", "§"))) == model_png(
+        table1
+    )
+
+
+def test_a_torque_that_is_not_finite_is_left_out(
+    make_law: Callable[[str], FrictionLaw], make_model: Callable[..., FrictionModel]
+) -> None:
+    law = make_law("viscous")
+    law = replace(law, values={**law.values, "sigma_2": 1e308})
+    assert size(model_png(make_model(law, make_law("lugre")))) == (400, 300)
+
+
+def test_drawing_is_loaded_only_to_draw() -> None:
+    code = "import sys, fmu_src.pictures; sys.exit('matplotlib' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)

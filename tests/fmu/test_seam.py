@@ -1,0 +1,92 @@
+"""The seam is enough for a component that is no friction law: forty lines of C and a table."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+
+from cosim.component import Component
+from fmu_src.description import Description
+from fmu_src.interface import Interface, Variable
+from fmu_src.package import Content, write_fmu
+from hesr_model.errors import SimulationError
+
+LAG_C = Path(__file__).with_name("lag.c")
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory):
+    table = Interface(
+        variables=(
+            Variable(name="u", role="input", description="input", unit="1"),
+            Variable(name="y", role="output", description="output", unit="1", dependencies=("x",)),
+            Variable(name="x", role="state", description="state", unit="1", start=0.25),
+            Variable(name="der(x)", role="local", description="its derivative", unit="1/s",
+                     derivative_of="x", dependencies=("u", "x", "T")),
+            Variable(name="T", role="fixed", description="time constant", unit="s", start=0.5),
+        ),
+        directional_derivatives=False,
+    )  # fmt: skip
+    about = Description(
+        name="Lag", identifier="lag", text="A first-order lag.", version="1", step=0.01,
+        created="2000-01-01T00:00:00Z", sources=("all.c",),
+    )  # fmt: skip
+    content = Content(table=table, about=about, members={}, sources={"lag.c": LAG_C.read_text()})
+    return write_fmu(content, tmp_path_factory.mktemp("lag") / "Lag.fmu")
+
+
+def expected(t):
+    return 2.0 + (0.25 - 2.0) * np.exp(-t / 0.5)
+
+
+def test_it_is_valid(fmu):
+    assert validate_fmu(str(fmu)) == []
+
+
+def test_co_simulation(fmu):
+    with Component(fmu) as lag:
+        lag.initialise(start={"u": 2.0})
+        for k in range(50):
+            assert lag.get(["y"])[0] == pytest.approx(expected(0.01 * k), rel=1e-13)
+            lag.step(0.01 * k, 0.01)
+
+
+def test_model_exchange(fmu):
+    result = fmpy.simulate_fmu(
+        str(fmu), fmi_type="ModelExchange", stop_time=1.0, relative_tolerance=1e-9,
+        start_values={"u": 2.0}, output=["y"],
+    )  # fmt: skip
+    np.testing.assert_allclose(result["y"], expected(result["time"]), rtol=1e-7)
+
+
+def test_a_component_says_why_it_cannot_start(fmu):
+    with (
+        Component(fmu) as lag,
+        pytest.raises(SimulationError, match=r"T is -1 s; it must be positive"),
+    ):
+        lag.initialise(start={"T": -1.0})
+
+
+def test_flags_say_that_there_are_no_derivatives(fmu):
+    about = fmpy.read_model_description(str(fmu))
+    assert about.modelExchange.providesDirectionalDerivative is False
+    assert about.coSimulation.providesDirectionalDerivative is False
+
+
+@pytest.mark.skipif(
+    shutil.which("gcc") is None or shutil.which("cmake") is None,
+    reason="gcc and cmake, with which FMPy compiles sources, are not installed",
+)
+def test_an_importer_compiles_it(fmu, tmp_path):
+    own = Path(shutil.copy(fmu, tmp_path / "Lag.fmu"))
+    subprocess.run([sys.executable, "-m", "fmpy", "compile", str(own)], check=True, cwd=tmp_path)
+    assert own.read_bytes() != fmu.read_bytes()
+    with Component(own) as lag:
+        lag.initialise(start={"u": 2.0})
+        lag.step(0.0, 0.3)
+        assert lag.get(["y"])[0] == pytest.approx(expected(0.3), rel=1e-13)
