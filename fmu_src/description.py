@@ -43,7 +43,7 @@ class Description:
     version : version of the exporter.
     created : date and time, ISO 8601 in UTC with a final Z.
     step : preferred step size [s].
-    sources : names of the files in sources/ to be compiled.
+    sources : names of the files in sources/ to be compiled; none if they need a library.
     """
 
     name: str
@@ -142,6 +142,8 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
 
 
 def _source_files(kind: ET.Element, about: Description) -> None:
+    if not about.sources:
+        return
     files = ET.SubElement(kind, "SourceFiles")
     for source in about.sources:
         ET.SubElement(files, "File", name=source)

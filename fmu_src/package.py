@@ -29,6 +29,7 @@ _HERE = Path(__file__).parent
 _C = _HERE / "c"
 _GLUE = (
     "component.h",
+    "component_alone.h",
     "component_plain.h",
     "fmi2.c",
     "fmi2.h",
@@ -53,6 +54,20 @@ _FIRST_DATE, _LAST_DATE = datetime(1980, 1, 1, tzinfo=UTC), datetime(2107, 12, 3
 
 
 @dataclass(frozen=True, kw_only=True)
+class Binary:
+    """A shared library that a component is linked to and that stands beside it in the FMU.
+
+    Attributes
+    ----------
+    library : the file, under the name that loaders look for; of linux64.
+    include : folder of its headers.
+    """
+
+    library: Path
+    include: Path
+
+
+@dataclass(frozen=True, kw_only=True)
 class Content:
     """What makes an FMU of a component.
 
@@ -62,12 +77,14 @@ class Content:
     about : what the description says of it.
     sources : text of its own C files, by name; all .c files make one translation unit.
     members : other members of the archive by name: documentation, resources.
+    binary : a library that the component needs; the FMU is then for linux64 only.
     """
 
     table: Interface
     about: Description
     sources: Mapping[str, str]
     members: Mapping[str, bytes]
+    binary: Binary | None = None
 
 
 def export_fmu(
@@ -164,8 +181,12 @@ def write_fmu(content: Content, path: Path, *, platforms: Sequence[str] = ("linu
         for name, text in sources.items():
             Path(folder, name).write_text(text, encoding="utf-8")
         for target in wanted:
-            library = build(Path(folder, "all.c"), about.identifier, target)
+            flags = _link_flags(content.binary, target)
+            library = build(Path(folder, "all.c"), about.identifier, target, flags)
             members[f"binaries/{target.folder}/{about.identifier}{target.suffix}"] = library
+            if content.binary:
+                own = content.binary.library
+                members[f"binaries/{target.folder}/{own.name}"] = own.read_bytes()
     with written_whole(path) as temporary:
         _zip(temporary, members, datetime.fromisoformat(about.created))
         _validate(temporary, path)
@@ -177,6 +198,18 @@ def _check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
     if path.suffix != ".fmu":
         raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
     return targets(platforms)
+
+
+def _link_flags(binary: Binary | None, target: Target) -> tuple[str, ...]:
+    """Flags by which a component finds its library, in the host beside itself."""
+    if binary is None:
+        return ()
+    if target.folder != "linux64":
+        raise ExportError(
+            f"platform '{target.folder}': this FMU carries {binary.library.name}, which is for "
+            "linux64 only."
+        )
+    return (f"-isystem{binary.include}", str(binary.library), "-Wl,-rpath,$ORIGIN")
 
 
 def _created(model: FrictionModel) -> datetime:

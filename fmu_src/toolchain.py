@@ -83,8 +83,10 @@ def targets(platforms: Sequence[str]) -> tuple[Target, ...]:
     return tuple(t for name, t in TARGETS.items() if name in platforms or "all" in platforms)
 
 
-def build(source: Path, identifier: str, target: Target) -> bytes:
+def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = ()) -> bytes:
     """Compile one translation unit to a shared library and return its bytes.
+
+    Further flags are those of libraries that it is linked to.
 
     Raises
     ------
@@ -98,8 +100,8 @@ def build(source: Path, identifier: str, target: Target) -> bytes:
             # A folder for each part: the linker writes import libraries and the like beside it.
             output = Path(folder, triple, library)
             output.parent.mkdir()
-            flags = [flag.format(library=library) for flag in target.flags]
-            compile_c(source, ("-target", triple, *CFLAGS, *_LINK), output, flags)
+            last = [*(flag.format(library=library) for flag in target.flags), *flags]
+            compile_c(source, ("-target", triple, *CFLAGS, *_LINK), output, last)
             parts.append(output.read_bytes())
     return parts[0] if len(parts) == 1 else universal(parts)
 

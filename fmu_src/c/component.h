@@ -18,6 +18,7 @@
 typedef struct {
     double v[VARIABLES];           /* Integers and enumerations included */
     double own[OWN > 0 ? OWN : 1]; /* zero at the start; the glue only copies it */
+    double time;                   /* [s], kept by the glue */
 } Component;
 
 /* One sentence for the user: why a function refused, or what happened. */
@@ -29,16 +30,21 @@ typedef struct {
  * `v` before it calls any of them. A function that returns false has changed nothing and says why.
  */
 
+/* Get what the functions below work with besides the component and what nobody needs to save: a
+ * model read from the FMU's resources, say. NULL, with the reason, if that cannot be had. */
+static void *component_open(const char *resources, Message *why);
+static void component_close(void *workspace);
+
 /* Once, when all start values are known, after the first event and before the first output. */
-static bool component_initialise(Component *component, Message *why);
+static bool component_initialise(Component *component, void *workspace, Message *why);
 
 /* Compute outputs, local variables and derivatives from inputs, states, parameters and what was
  * held at the last event; nothing of these moves. */
-static bool component_output(Component *component, Message *why);
+static bool component_output(Component *component, void *workspace, Message *why);
 
-/* Move the states from `time` to `time + step` [s] with the inputs held, and compute as
- * component_output does; step > 0. */
-static bool component_step(Component *component, double time, double step, Message *why);
+/* Move the states by `step` > 0 [s] with the inputs held, and compute as component_output does for
+ * the end of the step. The glue advances the time afterwards. */
+static bool component_step(Component *component, void *workspace, double step, Message *why);
 
 /* Compute the variables that are marked as on demand. */
 static void component_demand(Component *component);

@@ -47,7 +47,8 @@ FMI2_EXPORT fmi2Component FMI2_NAME(fmi2Instantiate)(fmi2String name, fmi2Type t
                                                      fmi2String guid, fmi2String resources,
                                                      const fmi2CallbackFunctions *functions,
                                                      fmi2Boolean visible, fmi2Boolean logging) {
-    (void)resources, (void)visible;
+    (void)visible;
+    Message why;
     if (!name || !*name) {
         return not_instantiated(functions, "", "fmi2Instantiate: the instance has no name.");
     }
@@ -64,6 +65,11 @@ FMI2_EXPORT fmi2Component FMI2_NAME(fmi2Instantiate)(fmi2String name, fmi2Type t
     if (!instance) {
         return not_instantiated(functions, name, "fmi2Instantiate: out of memory.");
     }
+    instance->workspace = component_open(resources, &why);
+    if (!instance->workspace) {
+        free(instance);
+        return not_instantiated(functions, name, why.text);
+    }
     if (functions) {
         instance->host = *functions;
     }
@@ -74,7 +80,11 @@ FMI2_EXPORT fmi2Component FMI2_NAME(fmi2Instantiate)(fmi2String name, fmi2Type t
 }
 
 FMI2_EXPORT void FMI2_NAME(fmi2FreeInstance)(fmi2Component c) {
-    free(c);
+    Instance *instance = c;
+    if (instance) {
+        component_close(instance->workspace);
+        free(instance);
+    }
 }
 
 FMI2_STATUS(fmi2SetupExperiment)
@@ -89,7 +99,7 @@ FMI2_STATUS(fmi2SetupExperiment)
         complain(instance, "fmi2SetupExperiment: the experiment goes from %g to %g.", start, stop);
         return failed(instance);
     }
-    instance->memory.time = start;
+    instance->memory.component.time = start;
     instance->memory.stop = stop_defined ? stop : INFINITY;
     return fmi2OK;
 }
@@ -112,12 +122,13 @@ FMI2_STATUS(fmi2ExitInitializationMode)(fmi2Component c) {
     Memory *memory = &instance->memory;
     component_event(&memory->component, rest_of(memory), NULL);
     memory->stale = true;
-    if (!component_initialise(&memory->component, &why) || !refresh(memory, &why)) {
+    if (!component_initialise(&memory->component, instance->workspace, &why) ||
+        !refresh(instance, &why)) {
         complain(instance, "%s", why.text);
         return failed(instance);
     }
     memory->mode = memory->type == fmi2ModelExchange ? AT_EVENT : STEPPING;
-    report(instance, "Initialised at %.9g s.", memory->time);
+    report(instance, "Initialised at %.9g s.", memory->component.time);
     return fmi2OK;
 }
 
@@ -127,7 +138,7 @@ FMI2_STATUS(fmi2Terminate)(fmi2Component c) {
         return fmi2Error;
     }
     instance->memory.mode = TERMINATED;
-    report(instance, "Terminated at %.9g s.", instance->memory.time);
+    report(instance, "Terminated at %.9g s.", instance->memory.component.time);
     return fmi2OK;
 }
 

@@ -19,7 +19,7 @@ FMI2_STATUS(fmi2NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info) {
     }
     if (component_event(&instance->memory.component, REST, &what)) {
         instance->memory.stale = true;
-        report(instance, "%s (%.9g s)", what.text, instance->memory.time);
+        report(instance, "%s (%.9g s)", what.text, instance->memory.component.time);
     }
     *info = (fmi2EventInfo){.nextEventTimeDefined = fmi2False};
     return fmi2OK;
@@ -32,7 +32,7 @@ FMI2_STATUS(fmi2EnterContinuousTimeMode)(fmi2Component c) {
         return fmi2Error;
     }
     /* What is computed on demand is discrete: it keeps its value until the next event. */
-    if (component_output(&instance->memory.component, &why)) {
+    if (component_output(&instance->memory.component, instance->workspace, &why)) {
         component_demand(&instance->memory.component);
     }
     instance->memory.mode = CONTINUOUS;
@@ -68,7 +68,7 @@ FMI2_STATUS(fmi2SetTime)(fmi2Component c, fmi2Real time) {
         complain(instance, "fmi2SetTime: the time is %g.", time);
         return failed(instance);
     }
-    instance->memory.time = time;
+    instance->memory.component.time = time;
     return fmi2OK;
 }
 

@@ -58,8 +58,8 @@ static const double REST = 1e-9;
 typedef struct {
     Component component;
     double slope[VARIABLES]; /* of inputs, for the next step only */
-    double time, stop;
-    int type; /* fmi2ModelExchange or fmi2CoSimulation */
+    double stop;             /* end of the experiment [s] */
+    int type;                /* fmi2ModelExchange or fmi2CoSimulation */
     int mode;
     int sloped; /* whether any slope has been set */
     int stale;  /* whether the outputs are older than what they depend on */
@@ -67,6 +67,7 @@ typedef struct {
 
 typedef struct {
     Memory memory;
+    void *workspace; /* of the component */
     fmi2CallbackFunctions host;
     int telling_events;
     char name[]; /* of the instance */
@@ -155,7 +156,7 @@ static bool all_finite(const Memory *memory, Message *why) {
         const double value = memory->component.v[watched[i]];
         if (!isfinite(value)) {
             snprintf(why->text, sizeof why->text, "%s became %g at time %.9g.",
-                     variables[watched[i]].name, value, memory->time);
+                     variables[watched[i]].name, value, memory->component.time);
             return false;
         }
     }
@@ -169,14 +170,16 @@ static double rest_of(const Memory *memory) {
 
 /* Bring the outputs up to date with the inputs, if these give finite ones. Between events of model
  * exchange, what is held stays as it is. */
-static bool refresh(Memory *memory, Message *why) {
+static bool refresh(Instance *instance, Message *why) {
+    Memory *memory = &instance->memory;
     if (!memory->stale) {
         return true;
     }
     if (!(memory->mode & (AT_EVENT | CONTINUOUS))) {
         component_event(&memory->component, rest_of(memory), NULL);
     }
-    memory->stale = !component_output(&memory->component, why) || !all_finite(memory, why);
+    memory->stale =
+        !component_output(&memory->component, instance->workspace, why) || !all_finite(memory, why);
     return !memory->stale;
 }
 
@@ -184,7 +187,7 @@ static bool refresh(Memory *memory, Message *why) {
  * After a failure or the end, what was computed last is what there is. */
 static fmi2Status refreshed(Instance *instance) {
     Message why;
-    if (!(instance->memory.mode & RUNNING) || refresh(&instance->memory, &why)) {
+    if (!(instance->memory.mode & RUNNING) || refresh(instance, &why)) {
         return fmi2OK;
     }
     return refuse(instance, "%s", why.text);

@@ -11,15 +11,15 @@ static void follow_slopes(Memory *memory, const Component *from, double time) {
 }
 
 /* States move with inputs held; where these have slopes, at their value in the middle. */
-static bool follow(Memory *memory, double time, double step, Message *why) {
+static bool follow(Memory *memory, void *workspace, double step, Message *why) {
     const Component before = memory->component;
     follow_slopes(memory, &before, 0.5 * step);
     component_event(&memory->component, 0.0, NULL);
-    bool moved = component_step(&memory->component, time, step, why);
+    bool moved = component_step(&memory->component, workspace, step, why);
     if (moved) {
         follow_slopes(memory, &before, step);
         component_event(&memory->component, 0.0, NULL);
-        moved = component_output(&memory->component, why);
+        moved = component_output(&memory->component, workspace, why);
     }
     if (!moved) {
         memory->component = before;
@@ -30,12 +30,12 @@ static bool follow(Memory *memory, double time, double step, Message *why) {
     return true;
 }
 
-static bool move(Memory *memory, double time, double step, Message *why) {
+static bool move(Memory *memory, void *workspace, double step, Message *why) {
     if (memory->sloped) {
-        return follow(memory, time, step, why);
+        return follow(memory, workspace, step, why);
     }
     component_event(&memory->component, 0.0, NULL);
-    return component_step(&memory->component, time, step, why);
+    return component_step(&memory->component, workspace, step, why);
 }
 
 FMI2_STATUS(fmi2DoStep)
@@ -58,11 +58,12 @@ FMI2_STATUS(fmi2DoStep)
                  time, time + step, memory->stop);
         return failed(instance);
     }
-    if (!move(memory, time, step, &why)) {
+    memory->component.time = time;
+    if (!move(memory, instance->workspace, step, &why)) {
         memory->stale = true;
         return refuse(instance, "%s", why.text);
     }
-    memory->time = time + step;
+    memory->component.time = time + step;
     memory->stale = false;
     if (!all_finite(memory, &why)) {
         complain(instance, "%s", why.text);
@@ -103,7 +104,7 @@ FMI2_STATUS(fmi2GetRealStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2R
     if (!instance) {
         return fmi2Error;
     }
-    *value = instance->memory.time;
+    *value = instance->memory.component.time;
     return fmi2OK;
 }
 

@@ -9,7 +9,7 @@
 #include <math.h>
 #include <stdio.h>
 
-#include "component.h"
+#include "component_alone.h"
 #include "laws.h"
 
 /* What the component remembers besides its variables. */
@@ -67,8 +67,8 @@ static Place place_of(const Component *component, int i) {
     };
 }
 
-static bool component_initialise(Component *component, Message *why) {
-    (void)component, (void)why; /* states start at their start values */
+static bool component_initialise(Component *component, void *workspace, Message *why) {
+    (void)component, (void)workspace, (void)why; /* states start at their start values */
     return true;
 }
 
@@ -85,8 +85,8 @@ static void evaluate(Component *component, int i, const Place *at, const double 
     component->v[TAU + i] = scale * joint->torque(at->k, at->u, at->s, x, dx);
 }
 
-static bool component_output(Component *component, Message *why) {
-    (void)why; /* the glue itself looks for infinite outputs */
+static bool component_output(Component *component, void *workspace, Message *why) {
+    (void)workspace, (void)why; /* the glue itself looks for infinite outputs */
     for (int i = 0; i < JOINTS; i++) {
         double drive[MAX_STATES], rate[MAX_STATES];
         const Place at = place_of(component, i);
@@ -116,10 +116,10 @@ static bool can_move(const Place *at, int joint, int state, double rate, double 
     return true;
 }
 
-static bool component_step(Component *component, double time, double step, Message *why) {
+static bool component_step(Component *component, void *workspace, double step, Message *why) {
     const bool euler = component->v[DISCRETISATION] == EULER;
     double drive[JOINTS][MAX_STATES], rate[JOINTS][MAX_STATES];
-    (void)time; /* the laws do not depend on it */
+    (void)workspace;
     for (int i = 0; i < JOINTS; i++) {
         const Place at = place_of(component, i);
         at.joint->relaxations(at.k, at.u, at.s, drive[i], rate[i]);

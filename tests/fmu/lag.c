@@ -2,12 +2,14 @@
 #include <math.h>
 #include <stdio.h>
 
+#include "component_alone.h"
 #include "component_plain.h"
 
 /* Value references, in the order of the table in test_seam.py. */
 enum { U, Y, X, DER_X, T };
 
-static bool component_initialise(Component *component, Message *why) {
+static bool component_initialise(Component *component, void *workspace, Message *why) {
+    (void)workspace;
     if (!(component->v[T] > 0.0)) {
         snprintf(why->text, sizeof why->text, "T is %g s; it must be positive.", component->v[T]);
         return false;
@@ -15,17 +17,16 @@ static bool component_initialise(Component *component, Message *why) {
     return true;
 }
 
-static bool component_output(Component *component, Message *why) {
+static bool component_output(Component *component, void *workspace, Message *why) {
     double *v = component->v;
-    (void)why;
+    (void)workspace, (void)why;
     v[DER_X] = (v[U] - v[X]) / v[T];
     v[Y] = v[X];
     return true;
 }
 
-static bool component_step(Component *component, double time, double step, Message *why) {
+static bool component_step(Component *component, void *workspace, double step, Message *why) {
     double *v = component->v;
-    (void)time;
     v[X] += (v[U] - v[X]) * -expm1(-step / v[T]);
-    return component_output(component, why);
+    return component_output(component, workspace, why);
 }

@@ -115,6 +115,18 @@ def test_state_and_derivative_can_be_read(table1, binary):
     assert dh == pytest.approx(alpha * (np.tanh(beta * 0.01) - h), rel=1e-12)
 
 
+def test_outputs_can_be_read_before_the_initialisation_ends(table1, binary):
+    c = binary.instantiate()
+    assert binary("EnterInitializationMode", c) == 0
+    first = Stepper(table1.laws[0]).step(0.0, 0.0)
+    assert binary.get(c, "tau[1]") == [pytest.approx(first, rel=1e-12)]
+    binary.set(c, dq=0.3)
+    before = binary.get(c, "tau[1]", "der(h[1])")
+    assert before[0] != pytest.approx(first)
+    assert binary("ExitInitializationMode", c) == 0
+    assert binary.get(c, "tau[1]", "der(h[1])") == before
+
+
 def test_start_values_of_states_are_taken(table1, table1_fmu, make_motion):
     t, dq, *_ = make_motion(3)
     torque = replay(table1_fmu, t, dq, start={"h[2]": 0.7})

@@ -207,6 +207,7 @@ def test_parameters_change_at_events_and_the_state_stays(fmu):
 
 def test_states_and_derivatives_come_as_arrays(fmu):
     c = fmu.continuous({"dq[1]": 0.5, "dq[3]": -0.25})
+    assert fmu.numbers("GetDerivatives", c, 2) == [0.5, -0.25]
     assert fmu("SetContinuousStates", c, (ctypes.c_double * 2)(2e-3, -1e-3), 2) == OK
     assert fmu.numbers("GetContinuousStates", c, 2) == fmu.get(c, "z[1]", "z[3]") == [2e-3, -1e-3]
     rates = [2.0e3 * dq / (9.0 + 3.0 * math.exp(-((dq / 0.08) ** 2))) for dq in (0.5, 0.25)]

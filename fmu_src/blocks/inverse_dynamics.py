@@ -1,0 +1,112 @@
+"""The InverseDynamics FMU: rigid-body torque of a motion, from identified parameters."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu_src.blocks.table import content, places, scalar, vector
+from fmu_src.interface import Interface, literal
+from fmu_src.package import Content
+from hesr_model.robot import LINK_PARAMETERS, JointFrame, RobotModel
+
+_UNITS = ("kg", *["kg.m"] * 3, *["kg.m2"] * 6)
+
+
+def inverse_dynamics(
+    robot: RobotModel, parameters: NDArray[np.float64], *, step: float = 0.005
+) -> Content:
+    """Return the InverseDynamics FMU of a robot.
+
+    Parameters
+    ----------
+    robot : its kinematic tree and gravity.
+    parameters : (P,) of `robot.parameter_names`; tunable in the FMU.
+    step : preferred step [s].
+    """
+    n, tree = robot.n, robot.tree
+    rotors = parameters[10 * n :] if len(parameters) > 10 * n else np.zeros(n)
+    zeros = np.zeros(n)
+    needed = [f"{name}[{i}]" for name in ("q", "dq", "ddq") for i in range(1, n + 1)]
+    links = [
+        scalar(f"link[{i}].{name}", "tunable", unit, f"{name} of link {i}, {joint.name}", value)
+        for i, joint in enumerate(tree, start=1)
+        for name, unit, value in zip(
+            LINK_PARAMETERS, _UNITS, parameters[10 * (i - 1) : 10 * i], strict=True
+        )
+    ]
+    own = [
+        scalar(f"link[{i}].Ir", "tunable", "kg.m2", f"rotor inertia of joint {i}", value)
+        for i, value in enumerate(rotors, start=1)
+    ]
+    table = Interface(
+        variables=(
+            *vector("q", "input", "rad", "position", zeros),
+            *vector("dq", "input", "rad/s", "velocity", zeros),
+            *vector("ddq", "input", "rad/s2", "acceleration", zeros),
+            *vector("tau", "output", "N.m", "rigid-body torque", zeros,
+                    [*needed, *(v.name for v in (*links, *own))]),
+            *links,
+            *own,
+        ),
+        directional_derivatives=False,
+    )  # fmt: skip
+    first = {"POSITION": "q[1]", "VELOCITY": "dq[1]", "ACCELERATION": "ddq[1]", "TORQUE": "tau[1]",
+             "PARAMETERS": "link[1].m", "ROTORS": "link[1].Ir"}  # fmt: skip
+    gravity = robot.description.gravity
+    header = places(table, "PLACES_H", first, JOINTS=n)
+    return content(
+        table,
+        name="InverseDynamics",
+        text="Rigid-body torque of a motion, by the recursive Newton-Euler algorithm.",
+        source="inverse_dynamics.c",
+        headers={"places.h": header, "tree.h": _tree(tree, gravity)},
+        step=step,
+    )
+
+
+def _tree(tree: Sequence[JointFrame], gravity: Sequence[float]) -> str:
+    """Return tree.h: the joints' places, and gravity."""
+    rows = []
+    for joint in tree:
+        numbers = (
+            _numbers(joint.rotation.ravel()),
+            _numbers(joint.translation),
+            _numbers(joint.axis),
+        )
+        rows.append(f"    {{{joint.parent}, {int(joint.prismatic)}, {', '.join(numbers)}}},")
+    return _TREE.format(
+        rows="\n".join(rows), **dict(zip("xyz", map(literal, gravity), strict=True))
+    )
+
+
+def _numbers(values: Sequence[float] | NDArray[np.float64]) -> str:
+    return f"{{{', '.join(literal(float(v)) for v in values)}}}"
+
+
+_TREE = """\
+/* Generated: the kinematic tree. */
+#ifndef TREE_H
+#define TREE_H
+
+#include "places.h"
+
+/* Of the base [m/s2]. */
+#define GRAVITY_X {x}
+#define GRAVITY_Y {y}
+#define GRAVITY_Z {z}
+
+typedef struct {{
+    int parent;            /* -1 for the base */
+    int prismatic;         /* else it turns */
+    double rotation[9];    /* of its frame in its parent's at zero position, by rows */
+    double translation[3]; /* [m] */
+    double axis[3];        /* unit vector in its own frame */
+}} Joint;
+
+static const Joint joints[JOINTS] = {{
+{rows}
+}};
+
+#endif
+"""

@@ -1,0 +1,80 @@
+"""What the blocks share: vectors of variables, places for their C, and the FMU around both."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.metadata import version
+
+from fmu_src.description import Description
+from fmu_src.interface import Interface, Role, Variable
+from fmu_src.package import Content, own_source
+
+_CREATED = "1980-01-01T00:00:00Z"  # blocks have no date of their own
+
+
+def vector(
+    name: str,
+    role: Role,
+    unit: str,
+    text: str,
+    start: Sequence[float],
+    dependencies: Sequence[str] = (),
+) -> Iterator[Variable]:
+    """Yield one variable for each joint; `{}` in a dependency stands for the joint."""
+    for i, value in enumerate(start, start=1):
+        yield Variable(
+            name=f"{name}[{i}]",
+            role=role,
+            unit=unit,
+            description=f"{text}, joint {i}",
+            start=float(value),
+            dependencies=tuple(d.format(i) for d in dependencies),
+        )
+
+
+def scalar(name: str, role: Role, unit: str, text: str, start: float) -> Variable:
+    """Return one variable."""
+    return Variable(name=name, role=role, unit=unit, description=text, start=start)
+
+
+def places(table: Interface, guard: str, first: Mapping[str, str], **sizes: int) -> str:
+    """Return a C header with the place of the first variable of each kind, and sizes.
+
+    Parameters
+    ----------
+    table : the variables.
+    guard : of the header, in capitals.
+    first : name in C to name of the first variable.
+    sizes : further constants.
+    """
+    constants = {name: table.references[variable] for name, variable in first.items()} | sizes
+    lines = ",\n".join(f"    {name} = {value}" for name, value in constants.items())
+    return (
+        "/* Generated: where the first variable of each kind stands; other joints follow it. */\n"
+        f"#ifndef {guard}\n#define {guard}\n\nenum {{\n{lines},\n}};\n\n#endif\n"
+    )
+
+
+def content(
+    table: Interface, *, name: str, text: str, source: str, headers: Mapping[str, str], step: float
+) -> Content:
+    """Return the FMU of a block.
+
+    Parameters
+    ----------
+    table : its variables.
+    name : of the model; in lower case that of the binaries.
+    text : one sentence of description.
+    source : name of its C file.
+    headers : generated headers by name.
+    step : preferred step [s].
+    """
+    about = Description(
+        name=name,
+        identifier=name.lower(),
+        text=text,
+        version=version("hesr"),
+        created=_CREATED,
+        step=step,
+        sources=("all.c",),
+    )
+    sources = {source: own_source(source)} | dict(headers)
+    return Content(table=table, about=about, sources=sources, members={})

@@ -1,0 +1,141 @@
+/* Component: torque that a rigid-body motion needs, by the recursive Newton-Euler algorithm.
+ *
+ * It works on first moments and on inertias about the joints' frames, in which the torque is
+ * linear, so that identified base parameters (with zero masses where these are dependent) are good
+ * enough.
+ *
+ * The generated tree.h holds the joints' places, and says where the variables stand. */
+#include <math.h>
+
+#include "component_alone.h"
+#include "component_plain.h"
+#include "tree.h"
+
+typedef struct {
+    double x, y, z;
+} Vector;
+
+static Vector vector(const double *v) {
+    return (Vector){v[0], v[1], v[2]};
+}
+
+static Vector sum(Vector a, Vector b) {
+    return (Vector){a.x + b.x, a.y + b.y, a.z + b.z};
+}
+
+static Vector scaled(double s, Vector a) {
+    return (Vector){s * a.x, s * a.y, s * a.z};
+}
+
+static double dot(Vector a, Vector b) {
+    return a.x * b.x + a.y * b.y + a.z * b.z;
+}
+
+static Vector cross(Vector a, Vector b) {
+    return (Vector){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
+/* Turn a vector about a unit axis (Rodrigues' formula). */
+static Vector turned(Vector axis, double c, double s, Vector a) {
+    return sum(sum(scaled(c, a), scaled(s, cross(axis, a))),
+               scaled((1.0 - c) * dot(axis, a), axis));
+}
+
+/* A matrix by rows times a vector, and its transpose. */
+static Vector times(const double *m, Vector a) {
+    return (Vector){dot(vector(m), a), dot(vector(m + 3), a), dot(vector(m + 6), a)};
+}
+
+static Vector times_transposed(const double *m, Vector a) {
+    return sum(sum(scaled(a.x, vector(m)), scaled(a.y, vector(m + 3))), scaled(a.z, vector(m + 6)));
+}
+
+/* Motion of a joint's frame, and the force and moment that act on its link there. */
+typedef struct {
+    double cosine, sine; /* of its turn */
+    Vector position;     /* in its parent */
+    Vector speed, turn, acceleration, force, moment;
+} Link;
+
+static Vector to_parent(const Joint *joint, const Link *link, Vector a) {
+    return times(joint->rotation, turned(vector(joint->axis), link->cosine, link->sine, a));
+}
+
+static Vector from_parent(const Joint *joint, const Link *link, Vector a) {
+    return turned(vector(joint->axis), link->cosine, -link->sine,
+                  times_transposed(joint->rotation, a));
+}
+
+/* Force and moment that a link's own motion needs; its ten parameters are mass, first moments and
+ * inertia xx, xy, yy, xz, yz, zz about its frame. */
+static void own_needs(Link *link, const double *p) {
+    const double inertia[] = {p[4], p[5], p[7], p[5], p[6], p[8], p[7], p[8], p[9]};
+    const Vector moments = vector(p + 1), w = link->speed;
+    link->force = sum(scaled(p[0], link->acceleration),
+                      sum(cross(link->turn, moments), cross(w, cross(w, moments))));
+    link->moment = sum(sum(times(inertia, link->turn), cross(w, times(inertia, w))),
+                       cross(moments, link->acceleration));
+}
+
+static void move_link(const double *v, int i, Link *links) {
+    static const Link base = {.acceleration = {-GRAVITY_X, -GRAVITY_Y, -GRAVITY_Z}};
+    const Joint *joint = &joints[i];
+    const Link *parent = joint->parent < 0 ? &base : &links[joint->parent];
+    const Vector axis = vector(joint->axis);
+    const double q = v[POSITION + i], dq = v[VELOCITY + i], ddq = v[ACCELERATION + i];
+    Link *link = &links[i];
+    link->cosine = joint->prismatic ? 1.0 : cos(q);
+    link->sine = joint->prismatic ? 0.0 : sin(q);
+    link->position = vector(joint->translation);
+    if (joint->prismatic) {
+        link->position = sum(link->position, times(joint->rotation, scaled(q, axis)));
+    }
+    const Vector w = parent->speed, arm = link->position;
+    const Vector carried =
+        sum(parent->acceleration, sum(cross(parent->turn, arm), cross(w, cross(w, arm))));
+    link->speed = from_parent(joint, link, w);
+    link->turn = from_parent(joint, link, parent->turn);
+    link->acceleration = from_parent(joint, link, carried);
+    if (joint->prismatic) {
+        link->acceleration = sum(
+            link->acceleration, sum(scaled(ddq, axis), scaled(2.0 * dq, cross(link->speed, axis))));
+    } else {
+        link->turn = sum(link->turn, sum(scaled(ddq, axis), scaled(dq, cross(link->speed, axis))));
+        link->speed = sum(link->speed, scaled(dq, axis));
+    }
+    own_needs(link, &v[PARAMETERS + 10 * i]);
+}
+
+static bool component_initialise(Component *component, void *workspace, Message *why) {
+    (void)component, (void)workspace, (void)why;
+    return true;
+}
+
+static bool component_output(Component *component, void *workspace, Message *why) {
+    double *v = component->v;
+    Link links[JOINTS];
+    (void)workspace, (void)why;
+    for (int i = 0; i < JOINTS; i++) {
+        move_link(v, i, links);
+    }
+    for (int i = JOINTS - 1; i >= 0; i--) {
+        const Joint *joint = &joints[i];
+        const Link *link = &links[i];
+        const Vector axis = vector(joint->axis);
+        const double needed = dot(axis, joint->prismatic ? link->force : link->moment);
+        v[TORQUE + i] = needed + v[ROTORS + i] * v[ACCELERATION + i];
+        if (joint->parent >= 0) {
+            Link *parent = &links[joint->parent];
+            const Vector force = to_parent(joint, link, link->force);
+            parent->force = sum(parent->force, force);
+            parent->moment = sum(parent->moment, sum(to_parent(joint, link, link->moment),
+                                                     cross(link->position, force)));
+        }
+    }
+    return true;
+}
+
+static bool component_step(Component *component, void *workspace, double step, Message *why) {
+    (void)step; /* it has no states */
+    return component_output(component, workspace, why);
+}
