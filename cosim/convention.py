@@ -1,8 +1,8 @@
 """What an FMU gives for one motion when its inputs are handed over in different ways.
 
-Importers differ in when they set the inputs of a step (`fmu_src.settings`), and a law that changes
-fast around reversals feels it. Here the FMU itself is run in each of the ways, and compared with
-its law as logs are replayed, and with its law in continuous time.
+Importers differ in when they set the inputs of a step (`fmu_src.friction.settings`), and a law that
+changes fast around reversals feels it. Here the FMU itself is run in each of the ways, and compared
+with its law as logs are replayed, and with its law in continuous time.
 """
 
 from collections.abc import Mapping
@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from cosim.component import Array, Component
-from fmu_src.embedded import embedded_model
-from fmu_src.reference import Motion, reference_motion
-from fmu_src.settings import CONTINUOUS, SETTINGS, Error, errors, torques
+from fmu_src.friction.embedded import embedded_model
+from fmu_src.friction.reference import Motion, reference_motion
+from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, errors, torques
 from hesr_model.errors import SimulationError
 from hesr_model.friction.functions import INPUTS
 

@@ -100,7 +100,9 @@ def convention(name: str, found: "Convention") -> Table:
     name : of the FMU.
     found : what was measured.
     """
-    from fmu_src.settings import SETTINGS  # most tables are of no FMU, which takes long to load
+    from fmu_src.friction.settings import (
+        SETTINGS,  # most tables are of no FMU, which takes long to load
+    )
 
     speeds = ", ".join(f"{speed:.3g}" for speed in found.speeds)
     table = _by_joint(

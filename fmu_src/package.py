@@ -1,29 +1,18 @@
-"""A friction model, or any component, in, an FMU out: render, compile, zip, validate."""
+"""A component in, an FMU out: render, compile, zip, validate."""
 
 import hashlib
-import json
-import os
-import re
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from importlib.metadata import version
+from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from fmu_src import friction
 from fmu_src.description import Description, to_xml
-from fmu_src.documentation import to_html
-from fmu_src.embedded import EMBEDDED_MODEL
 from fmu_src.interface import Interface, to_c
-from fmu_src.pictures import model_png
-from fmu_src.reference import reference_files
 from fmu_src.toolchain import Target, build, targets
-from hesr_model.artifacts import model_to_json
 from hesr_model.errors import ExportError
 from hesr_model.files import written_whole
-from hesr_model.friction.law import FrictionModel
 
 _HERE = Path(__file__).parent
 _C = _HERE / "c"
@@ -48,9 +37,6 @@ _ALL_C = """\
 #endif
 
 """
-
-# The dates that a ZIP archive can hold; the first also stands for no date.
-_FIRST_DATE, _LAST_DATE = datetime(1980, 1, 1, tzinfo=UTC), datetime(2107, 12, 31, tzinfo=UTC)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,60 +73,6 @@ class Content:
     binary: Binary | None = None
 
 
-def export_fmu(
-    model: FrictionModel, path: Path, *, platforms: Sequence[str] = ("linux64",)
-) -> Path:
-    """Write a friction model as an FMI 2.0 FMU for co-simulation and model exchange.
-
-    The same model gives the same bytes. The date in it is that of SOURCE_DATE_EPOCH, else that of
-    the model's provenance ("created"), else a fixed one.
-
-    Parameters
-    ----------
-    model : one law for each joint.
-    path : the FMU to write, ending in .fmu.
-    platforms : names of `toolchain.TARGETS`, or "all".
-
-    Returns
-    -------
-    `path`.
-
-    Raises
-    ------
-    ExportError
-        If the model cannot be expressed in C or FMI, or a binary cannot be built.
-    ArtifactError
-        If `path` cannot be written.
-    """
-    _check_request(path, platforms)
-    return write_fmu(_friction(model), path, platforms=platforms)
-
-
-def _friction(model: FrictionModel) -> Content:
-    table = friction.interface(model)
-    about = Description(
-        name=f"Friction of {model.robot} by {model.law}",
-        identifier=re.sub(r"\W", "_", f"friction_{model.law}", flags=re.ASCII),
-        text=f"Joint friction torque of {len(model.joints)} joints from their motion.",
-        version=version("hesr"),
-        created=_created(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        step=model.sample_time,
-        sources=("all.c",),
-    )
-    sources = {name: own_source(name) for name in ("friction.c", "law_math.h")}
-    return Content(
-        table=table,
-        about=about,
-        sources=sources | {"laws.h": friction.laws_to_c(model, table)},
-        members={
-            "model.png": model_png(model),
-            "documentation/index.html": to_html(model, table, about).encode(),
-            EMBEDDED_MODEL: (json.dumps(model_to_json(model), indent=2) + "\n").encode(),
-            **reference_files(model, about.identifier),
-        },
-    )
-
-
 def own_source(name: str) -> str:
     """Return the text of a C file that comes with the package."""
     return (_C / name).read_text(encoding="utf-8")
@@ -166,7 +98,7 @@ def write_fmu(content: Content, path: Path, *, platforms: Sequence[str] = ("linu
     ArtifactError
         If `path` cannot be written.
     """
-    wanted = _check_request(path, platforms)
+    wanted = check_request(path, platforms)
     table, about = content.table, content.about
     sources = _sources(content)
     guid = _guid(table, about, sources)
@@ -193,7 +125,7 @@ def write_fmu(content: Content, path: Path, *, platforms: Sequence[str] = ("linu
     return path
 
 
-def _check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
+def check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
     """Return the wanted targets; refuses names before anything that takes time."""
     if path.suffix != ".fmu":
         raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
@@ -201,7 +133,7 @@ def _check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
 
 
 def _link_flags(binary: Binary | None, target: Target) -> tuple[str, ...]:
-    """Flags by which a component finds its library, in the host beside itself."""
+    """Return the flags by which a component finds its library, in the host beside itself."""
     if binary is None:
         return ()
     if target.folder != "linux64":
@@ -210,22 +142,6 @@ def _link_flags(binary: Binary | None, target: Target) -> tuple[str, ...]:
             "linux64 only."
         )
     return (f"-isystem{binary.include}", str(binary.library), "-Wl,-rpath,$ORIGIN")
-
-
-def _created(model: FrictionModel) -> datetime:
-    epoch = os.environ.get("SOURCE_DATE_EPOCH")
-    created = model.provenance.get("created")
-    date = _FIRST_DATE
-    try:
-        if epoch is not None:
-            date = datetime.fromtimestamp(int(epoch), tz=UTC)
-        elif created is not None:
-            date = datetime.fromisoformat(str(created))
-    except (ValueError, OverflowError, OSError) as error:
-        found = f"SOURCE_DATE_EPOCH is '{epoch}'" if epoch else f"'created' is '{created}'"
-        raise ExportError(f"{found}; needed is a date.") from error
-    date = date.astimezone(UTC) if date.tzinfo else date.replace(tzinfo=UTC)
-    return min(max(date, _FIRST_DATE), _LAST_DATE)
 
 
 def _sources(content: Content) -> dict[str, str]:

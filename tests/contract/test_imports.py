@@ -27,7 +27,7 @@ ONLY_IN = {
     "mujoco": ("fmu_src/arm/*",),
     "pythonfmu": ("fmu_src/arm/*", "fmu_src/package*.py"),
     # The modules that draw: one for the pictures in an FMU, one for those of a report.
-    "matplotlib": ("fmu_src/*pictures.py", "cosim/figures.py"),
+    "matplotlib": ("fmu_src/friction/pictures.py", "cosim/figures.py"),
     # Packaging, checking, and running.
     "fmpy": ("fmu_src/package*.py", "*/check*.py", "cosim/component.py", "cosim/ssp.py"),
     "lief": ("fmu_src/check/*",),

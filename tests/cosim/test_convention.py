@@ -12,9 +12,9 @@ from cosim import tables
 from cosim.convention import measure, run
 from cosim.replay import replay
 from fmu_src import model_file
-from fmu_src.embedded import EMBEDDED_MODEL
-from fmu_src.reference import reference_motion
-from fmu_src.settings import SETTINGS, torques
+from fmu_src.friction.embedded import EMBEDDED_MODEL
+from fmu_src.friction.reference import reference_motion
+from fmu_src.friction.settings import SETTINGS, torques
 from hesr_model.artifacts import read_model
 from hesr_model.errors import HesrError
 

@@ -9,8 +9,8 @@ import sympy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmu_src import friction
-from fmu_src.codegen import law_functions, switches
+from fmu_src.friction import component as friction
+from fmu_src.friction.codegen import law_functions, switches
 from fmu_src.interface import Enumeration, Interface, Variable, literal, to_c
 from hesr_model.errors import ExportError
 from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute, sgn

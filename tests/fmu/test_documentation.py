@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from fmu_src import export_fmu, friction
-from fmu_src.datasheet import EULER, RK4, fastest, figure
 from fmu_src.description import Description
-from fmu_src.documentation import to_html
-from fmu_src.mathml import equations
+from fmu_src.friction.datasheet import EULER, RK4, fastest, figure
+from fmu_src.friction.documentation import to_html
+from fmu_src.friction.mathml import equations
 from hesr_model.friction.estimator import registry
 from hesr_model.friction.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw, FrictionModel

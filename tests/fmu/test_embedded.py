@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from fmu_src import export_fmu
-from fmu_src.embedded import EMBEDDED_MODEL, embedded_model
+from fmu_src.friction.embedded import EMBEDDED_MODEL, embedded_model
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.estimator import estimator
 from hesr_model.friction.law import FrictionLaw, FrictionModel

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from fmu_src.pictures import model_png
+from fmu_src.friction.pictures import model_png
 from hesr_model.friction.law import FrictionLaw, FrictionModel
 
 MOST = 25_000
@@ -41,7 +41,8 @@ def test_picture_of_many_joints(joints: int, table1: FrictionModel) -> None:
 
 def test_picture_is_the_same_in_every_process(table1: FrictionModel) -> None:
     code = (
-        "import hashlib; from fmu_src import model_file; from fmu_src.pictures import model_png; "
+        "import hashlib; from fmu_src import model_file; "
+        "from fmu_src.friction.pictures import model_png; "
         "from hesr_model.artifacts import read_model; "
         "print(hashlib.sha256(model_png(read_model(model_file('uf850-table1')))).hexdigest())"
     )
@@ -76,5 +77,5 @@ def test_a_torque_that_is_not_finite_is_left_out(
 
 
 def test_drawing_is_loaded_only_to_draw() -> None:
-    code = "import sys, fmu_src.pictures; sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, fmu_src.friction.pictures; sys.exit('matplotlib' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -12,8 +12,8 @@ from fmpy.fmi2 import FMU2Model, fmi2Real
 from scipy.integrate import solve_ivp
 
 from fmu_src import export_fmu
-from fmu_src.reference import UNKNOWN_SPEED, reference_files, reference_motion
-from fmu_src.settings import CONTINUOUS, SETTINGS, torques
+from fmu_src.friction.reference import UNKNOWN_SPEED, reference_files, reference_motion
+from fmu_src.friction.settings import CONTINUOUS, SETTINGS, torques
 from hesr_model.friction.functions import INPUTS, lowered
 from hesr_model.friction.law import FrictionLaw, FrictionModel
 from hesr_model.friction.trained import TrainedRange

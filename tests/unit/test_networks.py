@@ -7,7 +7,7 @@ from time import process_time
 import numpy as np
 import pytest
 
-from fmu_src.codegen import law_functions
+from fmu_src.friction.codegen import law_functions
 from hesr_model.errors import ArtifactError, FitError
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fit import fit_joint

@@ -6,15 +6,15 @@ from typing import Any
 
 import jinja2
 
-from fmu_src import datasheet
-from fmu_src.codegen import switches
-from fmu_src.datasheet import figure
 from fmu_src.description import Description
-from fmu_src.friction import DISCRETISATION, exposed
+from fmu_src.friction import datasheet
+from fmu_src.friction.codegen import switches
+from fmu_src.friction.component import DISCRETISATION, exposed
+from fmu_src.friction.datasheet import figure
+from fmu_src.friction.mathml import equations, symbol
+from fmu_src.friction.reference import reference_motion
+from fmu_src.friction.settings import SETTINGS, Error
 from fmu_src.interface import Interface
-from fmu_src.mathml import equations, symbol
-from fmu_src.reference import reference_motion
-from fmu_src.settings import SETTINGS, Error
 from hesr_model.errors import HesrError
 from hesr_model.friction.equation import equations as equations_with_numbers
 from hesr_model.friction.estimator import registry
@@ -33,7 +33,7 @@ def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
     It needs nothing but itself and `model.png` beside its folder: no script, no font, no network.
     """
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
+        loader=jinja2.FileSystemLoader(Path(__file__).parents[1] / "templates"),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf
 
-from fmu_src.codegen import law_functions, switches
+from fmu_src.friction.codegen import law_functions, switches
 from fmu_src.interface import Enumeration, Interface, Variable, literal
 from hesr_model.errors import ExportError
 from hesr_model.friction.functions import DQ, INPUT_UNITS, INPUTS, Q

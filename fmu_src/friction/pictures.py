@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu_src.reference import reference_motion
+from fmu_src.friction.reference import reference_motion
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionModel
 

@@ -19,7 +19,7 @@ from hesr_model.friction.law import FrictionLaw, FrictionModel
 from hesr_model.metrics import near_reversals, rmse
 
 if TYPE_CHECKING:
-    from fmu_src.reference import Motion
+    from fmu_src.friction.reference import Motion
 
 SETTINGS: Mapping[str, str] = {
     "hold": "inputs of the step's beginning, held",

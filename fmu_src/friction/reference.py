@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson
 
-from fmu_src.settings import CONTINUOUS, torques
+from fmu_src.friction.settings import CONTINUOUS, torques
 from hesr_model.errors import SimulationError
 from hesr_model.friction.functions import INPUTS
 from hesr_model.friction.law import FrictionModel

@@ -1,0 +1,1 @@
+"""Friction models as FMUs: component, data sheet, reference results."""

@@ -1,0 +1,94 @@
+"""A friction model in, an FMU out."""
+
+import json
+import os
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+from fmu_src.description import Description
+from fmu_src.friction.component import interface, laws_to_c
+from fmu_src.friction.documentation import to_html
+from fmu_src.friction.embedded import EMBEDDED_MODEL
+from fmu_src.friction.pictures import model_png
+from fmu_src.friction.reference import reference_files
+from fmu_src.package import Content, check_request, own_source, write_fmu
+from hesr_model.artifacts import model_to_json
+from hesr_model.errors import ExportError
+from hesr_model.friction.law import FrictionModel
+
+# The dates that a ZIP archive can hold; the first also stands for no date.
+_FIRST_DATE, _LAST_DATE = datetime(1980, 1, 1, tzinfo=UTC), datetime(2107, 12, 31, tzinfo=UTC)
+
+
+def export_fmu(
+    model: FrictionModel, path: Path, *, platforms: Sequence[str] = ("linux64",)
+) -> Path:
+    """Write a friction model as an FMI 2.0 FMU for co-simulation and model exchange.
+
+    The same model gives the same bytes. The date in it is that of SOURCE_DATE_EPOCH, else that of
+    the model's provenance ("created"), else a fixed one.
+
+    Parameters
+    ----------
+    model : one law for each joint.
+    path : the FMU to write, ending in .fmu.
+    platforms : names of `toolchain.TARGETS`, or "all".
+
+    Returns
+    -------
+    `path`.
+
+    Raises
+    ------
+    ExportError
+        If the model cannot be expressed in C or FMI, or a binary cannot be built.
+    ArtifactError
+        If `path` cannot be written.
+    """
+    check_request(path, platforms)
+    return write_fmu(content(model), path, platforms=platforms)
+
+
+def content(model: FrictionModel) -> Content:
+    """Return the FMU of a friction model, before it is compiled."""
+    table = interface(model)
+    about = Description(
+        name=f"Friction of {model.robot} by {model.law}",
+        identifier=re.sub(r"\W", "_", f"friction_{model.law}", flags=re.ASCII),
+        text=f"Joint friction torque of {len(model.joints)} joints from their motion.",
+        version=version("hesr"),
+        created=_created(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        step=model.sample_time,
+        sources=("all.c",),
+    )
+    sources = {name: own_source(name) for name in ("friction.c", "law_math.h")}
+    return Content(
+        table=table,
+        about=about,
+        sources=sources | {"laws.h": laws_to_c(model, table)},
+        members={
+            "model.png": model_png(model),
+            "documentation/index.html": to_html(model, table, about).encode(),
+            EMBEDDED_MODEL: (json.dumps(model_to_json(model), indent=2) + "\n").encode(),
+            **reference_files(model, about.identifier),
+        },
+    )
+
+
+def _created(model: FrictionModel) -> datetime:
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    created = model.provenance.get("created")
+    date = _FIRST_DATE
+    try:
+        if epoch is not None:
+            date = datetime.fromtimestamp(int(epoch), tz=UTC)
+        elif created is not None:
+            date = datetime.fromisoformat(str(created))
+    except (ValueError, OverflowError, OSError) as error:
+        found = f"SOURCE_DATE_EPOCH is '{epoch}'" if epoch else f"'created' is '{created}'"
+        raise ExportError(f"{found}; needed is a date.") from error
+    date = date.astimezone(UTC) if date.tzinfo else date.replace(tzinfo=UTC)
+    return min(max(date, _FIRST_DATE), _LAST_DATE)

@@ -1,0 +1,39 @@
+"""No validator finds anything in the FMU of any law, VDMCheck2 included where it is there."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmu_src import export_fmu
+from fmu_src.check import check
+from hesr_model.friction.estimator import registry
+from hesr_model.friction.law import FrictionModel
+from hesr_model.residual import FrictionRecord
+
+VDMCHECK2 = Path(__file__).parents[3] / ".tools" / "vdmcheck2"
+HAS_VDMCHECK2 = VDMCHECK2.is_dir() and shutil.which("java") is not None
+
+
+def record():
+    """A motion with reversals under load, and torque that every law can follow."""
+    t = 0.005 * np.arange(1600)
+    dq = np.sin(2.0 * t) + 0.6 * np.sin(5.3 * t)
+    q = -0.5 * np.cos(2.0 * t) - 0.6 / 5.3 * np.cos(5.3 * t)
+    tau = 5.0 * np.tanh(50.0 * dq) + 3.0 * dq + np.random.default_rng(1).normal(0, 0.1, len(t))
+    load = 20.0 * np.sin(t)
+    return FrictionRecord(
+        log="made", joint="axis", t=t, dq=dq, q=q, tau_load=load, tau=tau, gear_ratio=101.0
+    )
+
+
+@pytest.mark.parametrize("name", list(registry()))
+def test_every_law(name, tmp_path):
+    law = registry()[name]().fit([record()], np.random.default_rng(0))
+    model = FrictionModel(law=name, robot="bench", joints=("axis",), laws=(law,), sample_time=0.005)
+    fmu = export_fmu(model, tmp_path / "F.fmu")
+    report = check(fmu, vdmcheck=VDMCHECK2 if HAS_VDMCHECK2 else None)
+    assert report.problems == ()
+    if HAS_VDMCHECK2:
+        assert report.skipped == ()
