@@ -1,10 +1,8 @@
 """One FMU as a co-simulation slave, run by FMPy: values by name, always freed."""
 
-import ctypes
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, chdir, suppress
-from difflib import get_close_matches
+from ctypes import c_double, c_int, c_void_p
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
@@ -15,20 +13,18 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import (
     FMU2Slave,
+    defaultCallbacks,
     fmi2CallbackFunctions,
     fmi2CallbackLoggerTYPE,
     fmi2Integer,
     fmi2Real,
     fmi2ValueReference,
 )
-from fmpy.model_description import ModelDescription, ScalarVariable, read_model_description
-from numpy.typing import NDArray
+from fmpy.model_description import ModelDescription, read_model_description
 
+from cosim.batch import WARNING, Array, Batch
+from cosim.variables import Variables
 from hesr_model.errors import SimulationError
-
-Array = NDArray[np.float64]
-Value = float | int | str | Sequence[float]
-"""A start value: a number, a list for all elements of a vector, or the name of a choice."""
 
 
 class Component:
@@ -38,6 +34,14 @@ class Component:
     ----------
     fmu : the FMU, FMI 2.0 for co-simulation.
     name : name of the instance; the file's stem where not given.
+
+    Attributes
+    ----------
+    description : the FMU's own, once it is loaded.
+    variables : look-up in it.
+    time : that the FMU has reached, or at which the call began that failed [s].
+    messages : what the FMU has told its host.
+    used : whether an initialisation has begun, so that a reset is needed before another one.
 
     Raises
     ------
@@ -53,15 +57,16 @@ class Component:
     """
 
     description: ModelDescription
+    variables: Variables
 
     def __init__(self, fmu: Path, *, name: str | None = None) -> None:
         self.fmu = fmu
         self.name = name or fmu.stem
         self.time = 0.0
         self.messages: list[str] = []
-        self._stepping = False
         self.used = False
-        """Whether an initialisation has begun, so that a reset is needed before another one."""
+        self._complaint: str | None = None
+        self._stepping = False
         self._cleanup = ExitStack()
 
     def __enter__(self) -> Self:
@@ -76,11 +81,12 @@ class Component:
                 )
             except Exception as error:  # FMPy raises bare exceptions
                 raise SimulationError(f"{self.fmu}: not a readable FMU ({error}).") from error
-            self._variables = {v.name: v for v in self.description.modelVariables}
+            self.variables = Variables(self.fmu, self.description)
             self._slave = self._loaded(Path(folder))
             cleanup.callback(self._slave.freeLibrary)
             self._instantiate()
             cleanup.callback(self._free)
+            self._bind_step()
             self._cleanup = cleanup.pop_all()
         return self
 
@@ -118,10 +124,18 @@ class Component:
     def _instantiate(self) -> None:
         callbacks = fmi2CallbackFunctions()
         callbacks.logger = fmi2CallbackLoggerTYPE(self._log)
+        callbacks.allocateMemory = defaultCallbacks.allocateMemory
+        callbacks.freeMemory = defaultCallbacks.freeMemory
         try:
             self._slave.instantiate(callbacks=callbacks)
         except Exception as error:  # FMPy raises bare exceptions
             raise self._failure(error) from error
+
+    def _bind_step(self) -> None:
+        """Prepare the call of `step`, past FMPy's layer as in `Batch`."""
+        self._do_step = self._slave.dll["fmi2DoStep"]
+        self._instance = c_void_p(self._slave.component)
+        self._from, self._size, self._final = c_double(), c_double(), c_int(1)
 
     def _free(self) -> None:
         if self._stepping:
@@ -131,15 +145,20 @@ class Component:
         self._slave.fmi2FreeInstance(self._slave.component)
 
     def _log(self, _environment: Any, _name: bytes, status: int, _kind: bytes, text: bytes) -> None:
-        del status
         self.messages.append(text.decode("utf-8", errors="replace"))
+        if status > WARNING:
+            self._complaint = self.messages[-1]
 
     def _failure(self, error: Exception) -> SimulationError:
         self._stepping = False
-        reason = self.messages[-1] if self.messages else str(error)
+        # A message of a call that went well says nothing about this one.
+        reason, self._complaint = self._complaint or str(error), None
         return SimulationError(
             f"{self.fmu.name} ('{self.name}') at t = {self.time:.9g} s: {reason}"
         )
+
+    def _fail(self, function: str, status: int) -> None:
+        raise self._failure(FMICallException(function=function, status=status))
 
     def _call(self, function: Any, *arguments: Any) -> None:
         try:
@@ -147,67 +166,12 @@ class Component:
         except FMICallException as error:
             raise self._failure(error) from error
 
-    def variable(self, name: str) -> ScalarVariable:
-        """Return the description of a variable."""
-        try:
-            return self._variables[name]
-        except KeyError:
-            near = get_close_matches(name, self._variables, n=3)
-            known = f"; did you mean {', '.join(near)}" if near else ""
-            raise SimulationError(f"{self.fmu}: there is no variable '{name}'{known}.") from None
-
-    def elements(self, name: str) -> list[str]:
-        """Return the variables that a name stands for: itself, or all elements of a vector."""
-        if name in self._variables or f"{name}[1]" not in self._variables:
-            return [self.variable(name).name]
-        vector = re.compile(rf"{re.escape(name)}\[(\d+(,\d+)*)\]")
-        return [variable for variable in self._variables if vector.fullmatch(variable)]
-
-    @property
-    def feedthrough(self) -> dict[str, list[str]]:
-        """For each output the inputs on which it depends directly, all where none are declared."""
-        inputs = [v.name for v in self._variables.values() if v.causality == "input"]
-        found = {}
-        for unknown in self.description.outputs:
-            needed = unknown.dependencies
-            found[unknown.variable.name] = (
-                inputs if needed is None else [v.name for v in needed if v.causality == "input"]
-            )
-        return found
-
-    def expanded(self, values: Mapping[str, Value]) -> dict[str, float]:
-        """Return numbers by variable, from numbers, lists for vectors, and names of choices."""
-        numbers: dict[str, float] = {}
-        for name, value in values.items():
-            elements = self.elements(name)
-            if isinstance(value, str):
-                numbers[name] = self._choice(name, value)
-                continue
-            parts = list(value) if isinstance(value, tuple | list) else [value] * len(elements)
-            if len(parts) != len(elements):
-                raise SimulationError(
-                    f"{self.fmu}: '{name}' has {len(elements)} elements; {len(parts)} values are "
-                    "given."
-                )
-            numbers |= dict(zip(elements, parts, strict=True))
-        return numbers
-
-    def _choice(self, name: str, value: str) -> int:
-        declared = self.variable(name).declaredType
-        items = {
-            item.name: int(item.value) for item in (declared.items if declared else None) or ()
-        }
-        if value not in items:
-            known = f"needed is one of {', '.join(items)}" if items else "it has no choices"
-            raise SimulationError(f"{self.fmu}: '{name}' cannot be '{value}'; {known}.")
-        return items[value]
-
     def initialise(
         self,
         *,
         time: float = 0.0,
         stop: float | None = None,
-        start: Mapping[str, float] | None = None,
+        start: Mapping[str, float | str] | None = None,
     ) -> None:
         """Set parameters, start values and inputs, and go through the initialisation.
 
@@ -224,7 +188,7 @@ class Component:
         *,
         time: float = 0.0,
         stop: float | None = None,
-        start: Mapping[str, float] | None = None,
+        start: Mapping[str, float | str] | None = None,
     ) -> None:
         """Do the first half of `initialise`; inputs may be set and outputs read after it."""
         self.time = time
@@ -241,42 +205,62 @@ class Component:
 
     def step(self, time: float, step: float) -> None:
         """Go from `time` to `time + step` [s]."""
-        self.time = time
-        self._call(self._slave.fmi2DoStep, time, step, True)
+        self.time = self._from.value = time
+        self._size.value = step
+        status = self._do_step(self._instance, self._from, self._size, self._final)
+        if status > WARNING:
+            self._fail("fmi2DoStep", status)
         self.time = time + step
 
     def reset(self) -> None:
         """Go back to before the initialisation, with all start values."""
         self._stepping = False
         self._call(self._slave.fmi2Reset)
+        self.used = False
 
-    def set(self, values: Mapping[str, float]) -> None:
-        """Set variables of any numeric type by name."""
-        reals = {n: x for n, x in values.items() if self.variable(n).type == "Real"}
-        if reals:
-            batch = self.batch(list(reals))
-            batch.values[:] = list(reals.values())
-            batch.write()
-        integers = [n for n in values if n not in reals]
-        if integers:
-            numbers = (fmi2Integer * len(integers))(*(int(values[n]) for n in integers))
-            references = self._references(integers)
-            self._call(self._slave.fmi2SetInteger, references, len(integers), numbers)
+    def set(self, values: Mapping[str, float | str]) -> None:
+        """Set variables of any type by name; text for those of type String only."""
+        kinds: dict[str, list[str]] = {}
+        for name in values:
+            kinds.setdefault(self.variables[name].type, []).append(name)
+        for kind, names in kinds.items():
+            chosen = [values[name] for name in names]
+            if kind == "Real":
+                batch = self.batch(names)
+                batch.values[:] = chosen
+                batch.write()
+            elif kind in ("Boolean", "String"):
+                setter = self._slave.setBoolean if kind == "Boolean" else self._slave.setString
+                references = self.variables.references(names, kind)
+                self._call(lambda _instance, r, c, setter=setter: setter(r, c), references, chosen)
+            else:
+                numbers = (fmi2Integer * len(names))(*map(int, chosen))
+                places = self._references(names, kind)
+                self._call(self._slave.fmi2SetInteger, places, len(names), numbers)
 
     def get(self, names: Iterable[str]) -> Array:
         """Return Real variables, in the order of their names."""
-        return self.batch(list(names)).read().copy()
+        return self.batch(list(names)).read()
 
-    def batch(self, names: Sequence[str]) -> "Batch":
-        """Return a buffer by which the same Real variables are set or read again and again."""
-        for name in names:
-            if self.variable(name).type != "Real":
-                raise SimulationError(f"{self.fmu}: variable '{name}' is not a Real.")
-        return Batch(self, self._references(names))
+    def batch(self, names: Sequence[str], values: Array | None = None) -> Batch:
+        """Return a buffer by which the same Real variables are set or read again and again.
+
+        Parameters
+        ----------
+        names : of the variables.
+        values : (n,) contiguous memory to be that buffer; its own where not given.
+        """
+        return Batch(
+            library=self._slave.dll,
+            instance=self._slave.component,
+            references=self.variables.references(names, "Real"),
+            values=np.zeros(len(names)) if values is None else values,
+            fail=self._fail,
+        )
 
     def slopes(self, names: Sequence[str]) -> Callable[[Array], None]:
         """Return a function that sets the slopes of inputs, (n,) per second, for the next step."""
-        references = self._references(names)
+        references = self._references(names, "Real")
         orders = (fmi2Integer * len(names))(*[1] * len(names))
         values = (fmi2Real * len(names))()
 
@@ -287,35 +271,5 @@ class Component:
 
         return set_slopes
 
-    def _references(self, names: Sequence[str]) -> Any:
-        return (fmi2ValueReference * len(names))(
-            *(self.variable(name).valueReference for name in names)
-        )
-
-
-class Batch:
-    """Values of several Real variables in one buffer; made by `Component.batch`.
-
-    Attributes
-    ----------
-    values : (n,) the buffer.
-    """
-
-    def __init__(self, component: Component, references: Any) -> None:
-        self._component = component
-        self._references = references
-        self._count = len(references)
-        self._buffer = (fmi2Real * self._count)()
-        self.values: Array = np.frombuffer(self._buffer, dtype=np.float64)
-        self._set = component._slave.fmi2SetReal
-        self._get = component._slave.fmi2GetReal
-        self._pointer = ctypes.cast(self._buffer, ctypes.POINTER(fmi2Real))
-
-    def write(self) -> None:
-        """Set the variables to `values`."""
-        self._component._call(self._set, self._references, self._count, self._pointer)
-
-    def read(self) -> Array:
-        """Read the variables into `values` and return these."""
-        self._component._call(self._get, self._references, self._count, self._pointer)
-        return self.values
+    def _references(self, names: Sequence[str], kind: str) -> Any:
+        return (fmi2ValueReference * len(names))(*self.variables.references(names, kind))

@@ -1,15 +1,18 @@
 """A fixed-step master: runs a system of FMUs and keeps the signals that are observed."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cosim.component import Array, Batch, Component
-from cosim.system import ComponentSpec, SystemSpec, Wiring
-from hesr_model.errors import SimulationError
+from cosim.batch import Array, Batch
+from cosim.component import Component
+from cosim.system import SystemSpec, Value
+from cosim.wiring import Element, Wiring
+from hesr_model.errors import HesrError, SimulationError
 from hesr_model.files import written_whole
 from hesr_model.tables import write_table
 
@@ -32,12 +35,22 @@ class Result:
 
     t: Array
     signals: dict[str, Array]
-    failure: SimulationError | None = None
+    failure: HesrError | None = None
 
     def vector(self, signal: str) -> Array:
-        """Return all elements of a signal, (N, n)."""
-        names = [f"{signal}[{i}]" for i in range(1, len(self.signals) + 1)]
-        return np.column_stack([self.signals[name] for name in names if name in self.signals])
+        """Return all elements of an observed signal, (N, n).
+
+        Raises
+        ------
+        SimulationError
+            If it has not been observed.
+        """
+        names = [signal] if signal in self.signals else []
+        while (name := f"{signal}[{len(names) + 1}]") in self.signals:
+            names.append(name)
+        if not names:
+            raise SimulationError(f"signal '{signal}' has not been observed.")
+        return np.column_stack([self.signals[name] for name in names])
 
     def require_success(self) -> "Result":
         """Return itself, or raise what ended the run early."""
@@ -53,25 +66,38 @@ class Result:
 
 @dataclass(kw_only=True, eq=False)
 class _Station:
-    """A component with the places of its signals among the outputs of the system."""
+    """A component at its place in the system.
 
-    spec: ComponentSpec
+    Attributes
+    ----------
+    slave : the component.
+    every : its step in communication steps.
+    inputs : buffer of its connected inputs.
+    sources : (n,) for each of them the place of the output that feeds it.
+    outputs : buffer of its outputs, a part of the values of the system.
+    """
+
     slave: Component
     every: int
-    """Its step in communication steps."""
     inputs: Batch
-    sources: np.ndarray
+    sources: NDArray[np.intp]
     outputs: Batch
-    place: slice
-    step: float
-
-    def read_into(self, values: Array) -> None:
-        values[self.place] = self.outputs.read()
 
     def take(self, values: Array) -> None:
-        if len(self.sources):
-            values.take(self.sources, out=self.inputs.values)
+        """Set the connected inputs."""
+        if self.sources.size:
+            # All places are valid; without that promise NumPy would go through a copy.
+            values.take(self.sources, out=self.inputs.values, mode="clip")
             self.inputs.write()
+
+    def go(self, k: int, step: float) -> None:
+        """Step to the end of communication step k, whose size is `step` [s]."""
+        self.slave.step((k + 1 - self.every) * step, self.every * step)
+
+    def give(self) -> None:
+        """Read the outputs."""
+        if self.outputs.values.size:
+            self.outputs.read()
 
 
 class Master:
@@ -97,12 +123,13 @@ class Master:
     def __enter__(self) -> "Master":
         """Load all FMUs and check the wiring."""
         with ExitStack() as cleanup:
-            slaves = {
+            self._slaves = {
                 c.name: cleanup.enter_context(Component(c.fmu, name=c.name))
                 for c in self.spec.components
             }
-            wiring = Wiring(self.spec, slaves, self._path)
-            self._build(slaves, wiring)
+            variables = {name: slave.variables for name, slave in self._slaves.items()}
+            self._wiring = Wiring(self.spec, variables, self._path)
+            self._build()
             self._cleanup = cleanup.pop_all()
         return self
 
@@ -110,135 +137,159 @@ class Master:
         """Free all FMUs."""
         self._cleanup.close()
 
-    def _build(self, slaves: dict[str, Component], wiring: Wiring) -> None:
-        spec = self.spec
-        observed = [e for signal in spec.observe for e in wiring.elements(signal)]
-        limited = [(e, bounds) for signal, bounds in spec.limits.items()
-                   for e, bounds in _paired(wiring.elements(signal), bounds, signal)]  # fmt: skip
-        wanted = [*wiring.sources.values(), *observed, *(e for e, _ in limited)]
-        self._places: dict[tuple[str, str], int] = {}
-        self._stations: list[_Station] = []
-        for component in spec.components:
-            names = list(dict.fromkeys(v for c, v in wanted if c == component.name))
-            start = len(self._places)
-            self._places |= {(component.name, v): start + i for i, v in enumerate(names)}
-            slave = slaves[component.name]
-            fed = [v for c, v in wiring.sources if c == component.name]
-            every = round((component.step or spec.step) / spec.step)
+    def _build(self) -> None:
+        """Give every output that is needed a place, those of a component side by side."""
+        wiring = self._wiring
+        wanted = [*wiring.sources.values(), *wiring.observed, *(e for e, _ in wiring.limited)]
+        self._names: list[Element] = [
+            element
+            for name in self._slaves
+            for element in dict.fromkeys(wanted)
+            if element[0] == name
+        ]
+        place = {element: i for i, element in enumerate(self._names)}
+        self._values = np.zeros(len(place))
+        self._zeros = np.zeros_like(self._values)
+        self._stations = []
+        for component in self.spec.components:
+            slave = self._slaves[component.name]
+            own = [element for element in self._names if element[0] == component.name]
+            fed = [into for into in wiring.sources if into[0] == component.name]
+            start = place[own[0]] if own else 0
+            values = self._values[start : start + len(own)]
             self._stations.append(
                 _Station(
-                    spec=component,
                     slave=slave,
-                    every=every,
-                    inputs=slave.batch(fed),
-                    sources=np.empty(0, dtype=int),
-                    outputs=slave.batch(names),
-                    place=slice(start, start + len(names)),
-                    step=every * spec.step,
+                    every=self.spec.every(component),
+                    inputs=slave.batch([variable for _, variable in fed]),
+                    sources=np.array([place[wiring.sources[into]] for into in fed], dtype=np.intp),
+                    outputs=slave.batch([variable for _, variable in own], values),
                 )
             )
-        for station in self._stations:
-            own = station.spec.name
-            places = [self._places[out] for (c, _), out in wiring.sources.items() if c == own]
-            station.sources = np.array(places, dtype=int)
-        self._observed = {f"{c}.{v}": self._places[c, v] for c, v in observed}
-        self._rows = np.array(list(self._observed.values()), dtype=int)
-        self._limited = np.array([self._places[e] for e, _ in limited], dtype=int)
-        self._low, self._high = np.array([b for _, b in limited]).reshape(-1, 2).T
-        self._values = np.zeros(len(self._places))
+        self._rows = np.array([place[e] for e in wiring.observed], dtype=np.intp)
+        self._limited = np.array([place[e] for e, _ in wiring.limited], dtype=np.intp)
+        self._low, self._high = np.array([b for _, b in wiring.limited]).reshape(-1, 2).T
 
-    def run(self, progress: Progress | None = None) -> Result:
+    def run(
+        self,
+        progress: Progress | None = None,
+        *,
+        start: Mapping[str, Mapping[str, Value]] | None = None,
+    ) -> Result:
         """Run the system from its start values; a failure ends the run and stands in the result.
 
-        Components can be run again and again: each run begins with a reset.
+        A system can be run again and again: each run begins with a reset.
+
+        Parameters
+        ----------
+        progress : told how far the run has come.
+        start : start values of components for this run, beside those of the system.
         """
-        steps = self.spec.steps
+        steps, step, values = self.spec.steps, self.spec.step, self._values
         kept = np.empty((steps + 1, len(self._rows)))
+        advance = self._gauss_seidel if self.spec.order == "gauss_seidel" else self._jacobi
         done, failure = 0, None
         try:
-            self._initialise()
-            kept[0] = self._values[self._rows]
-            done = 1
-            self._require_sane(0.0)
-            for k in range(steps):
-                self._step(k)
-                kept[k + 1] = self._values[self._rows]
-                done = k + 2
-                self._require_sane((k + 1) * self.spec.step)
+            self._initialise(start or {})
+            for k in range(steps + 1):
+                if k > 0:
+                    advance(k - 1)
+                if values.dot(self._zeros) != 0.0:  # infinity and NaN times zero are NaN
+                    break
+                values.take(self._rows, out=kept[k], mode="clip")
+                done = k + 1
+                if self._limited.size:
+                    self._require_limits(k * step)
                 if progress and k % _TELL_EVERY == 0:
                     progress(k, steps)
         except SimulationError as error:
             failure = error
+        # Where one component gives what is no number, another may be the one that complains.
+        failure = self._not_finite(done * step) or failure
         if progress:
             progress(steps, steps)
-        t = self.spec.step * np.arange(done)
-        signals = {name: kept[:done, i] for i, name in enumerate(self._observed)}
-        return Result(t=t, signals=signals, failure=failure)
+        signals = {".".join(e): kept[:done, i] for i, e in enumerate(self._wiring.observed)}
+        return Result(t=step * np.arange(done), signals=signals, failure=failure)
 
-    def _initialise(self) -> None:
-        values, stations = self._values, self._stations
-        for station in stations:
-            slave = station.slave
-            if slave.used:
-                slave.reset()
-            start = slave.expanded(station.spec.start)
-            slave.enter_initialisation(time=0.0, stop=self.spec.stop, start=start)
-        # One pass for each component: however they feed each other, without a loop that suffices.
-        for _ in stations:
-            for station in stations:
-                station.take(values)
-                station.read_into(values)
-        for station in stations:
+    def _initialise(self, more: Mapping[str, Mapping[str, Value]]) -> None:
+        self._values[:] = 0.0
+        for component, station in zip(self.spec.components, self._stations, strict=True):
+            if station.slave.used:
+                station.slave.reset()
+            own = station.slave.variables.expanded(more.get(component.name, {}))
+            start = self._wiring.start[component.name] | own
+            station.slave.enter_initialisation(time=0.0, stop=self.spec.stop, start=start)
+        self._propagate()
+        for station in self._stations:
             station.slave.exit_initialisation()
-        for station in stations:
-            station.read_into(values)
+        for station in self._stations:
+            station.give()
 
-    def _step(self, k: int) -> None:
-        """Step all components that reach a communication point of theirs at the end of step k."""
-        values = self._values
-        stations = [s for s in self._stations if (k + 1) % s.every == 0]
-        if self.spec.order == "jacobi":
-            for station in stations:
+    def _propagate(self) -> None:
+        """Set each connected input to what feeds it, in the order in which values become known.
+
+        Outputs may depend on more at the start than later; by repetition that settles, too.
+        """
+        order, sources = self._wiring.order, self._wiring.sources
+        feeding = set(sources.values())
+        known: dict[Element, float] = {}
+        for _ in order:
+            before = dict(known)
+            for element in order:
+                name, variable = element
+                if element in sources:
+                    self._slaves[name].set({variable: known[sources[element]]})
+                elif element in feeding:
+                    known[element] = float(self._slaves[name].get([variable])[0])
+                    if not np.isfinite(known[element]):
+                        raise SimulationError(_not_a_number(element, 0.0))
+            if known == before:
+                break
+
+    def _gauss_seidel(self, k: int) -> None:
+        """Step each component that reaches a communication point of its own at the end of step k.
+
+        It is given the newest outputs of all others.
+        """
+        values, step = self._values, self.spec.step
+        for station in self._stations:
+            if (k + 1) % station.every == 0:
                 station.take(values)
-            for station in stations:
-                station.slave.step((k + 1 - station.every) * self.spec.step, station.step)
-            for station in stations:
-                station.read_into(values)
-            return
-        for station in stations:
-            station.take(values)
-            station.slave.step((k + 1 - station.every) * self.spec.step, station.step)
-            station.read_into(values)
+                station.go(k, step)
+                station.give()
 
-    def _require_sane(self, time: float) -> None:
-        """Check that all outputs are finite and the limited ones within their limits."""
-        values = self._values
-        if not np.isfinite(values.sum()):
-            name = self._name(int(np.argmin(np.isfinite(values))))
-            raise SimulationError(f"at t = {time:.9g} s {name} is not a finite number.")
-        if len(self._limited):
-            limited = values[self._limited]
-            inside = (limited >= self._low) & (limited <= self._high)
-            if not inside.all():
-                i = int(np.argmin(inside))
-                raise SimulationError(
-                    f"at t = {time:.9g} s {self._name(int(self._limited[i]))} is {limited[i]:.6g}, "
-                    f"outside its limits {self._low[i]:.6g} to {self._high[i]:.6g}."
-                )
+    def _jacobi(self, k: int) -> None:
+        """Do the same with the outputs of the instant at which the component's step begins."""
+        values, step = self._values, self.spec.step
+        for station in self._stations:
+            if k % station.every == 0:
+                station.take(values)
+        ending = [s for s in self._stations if (k + 1) % s.every == 0]
+        for station in ending:
+            station.go(k, step)
+        for station in ending:
+            station.give()
 
-    def _name(self, place: int) -> str:
-        return next(".".join(e) for e, i in self._places.items() if i == place)
+    def _not_finite(self, time: float) -> SimulationError | None:
+        finite = np.isfinite(self._values)
+        if finite.all():
+            return None
+        return SimulationError(_not_a_number(self._names[int(np.argmin(finite))], time))
+
+    def _require_limits(self, time: float) -> None:
+        values = self._values.take(self._limited, mode="clip")
+        outside = (values < self._low) | (values > self._high)
+        if np.count_nonzero(outside):
+            i = int(np.argmax(outside))
+            name = ".".join(self._names[self._limited[i]])
+            raise SimulationError(
+                f"at t = {time:.9g} s {name} is {values[i]:.6g}, outside its limits "
+                f"{self._low[i]:.6g} to {self._high[i]:.6g}."
+            )
 
 
-def _paired(elements: list[tuple[str, str]], bounds: object, signal: str) -> Iterator:  # type: ignore[type-arg]
-    """Bounds of each element: one pair for all of them, or one for each."""
-    pairs = np.array(bounds, dtype=float).reshape(-1, 2)
-    if len(pairs) not in (1, len(elements)):
-        raise SimulationError(
-            f"limits of '{signal}': {len(pairs)} pairs for {len(elements)} elements."
-        )
-    for i, element in enumerate(elements):
-        yield element, tuple(pairs[i % len(pairs)])
+def _not_a_number(element: Element, time: float) -> str:
+    return f"at t = {time:.9g} s {'.'.join(element)} is not a finite number."
 
 
 def simulate(spec: SystemSpec, path: Path, progress: Progress | None = None) -> Result:

@@ -1,11 +1,12 @@
 """The main job: a study's logs in; rigid body, laws, FMUs and their scores out."""
 
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from inspect import signature
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cosim.scoring import ORACLE, Comparison, by_joint, compare, predict_fmu, within
 from cosim.study import Study
@@ -25,9 +26,15 @@ from hesr_model.robot import RobotDescription, RobotModel
 from hesr_model.robot_log import RobotLog
 from hesr_model.tables import read_table
 
+if TYPE_CHECKING:
+    from cosim.studies.loops import LoopOutcome
+    from fmu_src.arm.plant import Plant
+
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much of it is done, and how much there is."""
 
+
+ARM = "Arm.fmu"
 
 QUICK_LAWS = ("stribeck", "lugre", "parfam_h")
 """Laws of a quick run: the paper's law and its classic baselines."""
@@ -43,12 +50,14 @@ class Outcome:
     comparisons : scores of the FMUs on each test set.
     models : fitted model of each law.
     fmus : path of each law's FMU.
+    loop : what the closed loop gave, None where the study has none.
     """
 
     rigid_body: RigidBody
     comparisons: Mapping[str, Comparison]
     models: Mapping[str, FrictionModel]
     fmus: Mapping[str, Path]
+    loop: "LoopOutcome | None" = None
 
 
 def run_study(
@@ -78,7 +87,9 @@ def run_study(
     """
     study = Study.read(path)
     if quick:
-        study = study.model_copy(update={"laws": QUICK_LAWS, "variants": {}, "refinement": None})
+        study = study.model_copy(
+            update={"laws": QUICK_LAWS, "variants": {}, "refinement": None, "tracking": None}
+        )
     targets(platforms)
     job = Job(study=study, path=path, progress=progress or _silent)
     description = RobotDescription.read(study.robot)
@@ -98,6 +109,9 @@ def run_study(
             export_fmu(fitted, folder / "fmus" / f"{law}.fmu", platforms=platforms)
         job.progress("building FMUs", len(models), len(models))
         comparisons = job.compare(records, files, folder / "fmus")
+        loop = job.closed_loop(
+            model, rigid_body, folder, models, kept=output.parent / f".{output.name}-unfinished"
+        )
         write_json(
             folder / "evaluation.json", {name: c.to_json() for name, c in comparisons.items()}
         )
@@ -106,6 +120,7 @@ def run_study(
         comparisons=comparisons,
         models=models,
         fmus={law: output / "fmus" / f"{law}.fmu" for law in models},
+        loop=loop,
     )
 
 
@@ -176,7 +191,9 @@ class Job:
 
         self.progress("running the arm", 0, 1)
         motions = self.study.twin.motions
-        made = excite(Motions.read(motions), Plant.read(self.study.twin.plant), folder / "logs")
+        plant = Plant.read(self.study.twin.plant)
+        arm = self._arm(plant, folder)
+        made = excite(Motions.read(motions), plant, folder / "logs", fmu=arm)
         self.progress("running the arm", 1, 1)
         for name in names:
             if name not in made:
@@ -185,6 +202,47 @@ class Job:
                     f"its motions give {', '.join(made)}."
                 )
         return {name: made[name] for name in names}
+
+    def _arm(self, plant: "Plant", folder: Path) -> Path | None:
+        """Write the twin's arm as an FMU, where the study names its signals."""
+        if self.study.twin is None or self.study.twin.signals is None:
+            return None
+        from fmu_src.arm.native import export_mjcf
+
+        path = folder / "fmus" / ARM
+        path.parent.mkdir(exist_ok=True)
+        return export_mjcf(plant.model, path, table=self.study.twin.signals)
+
+    def closed_loop(
+        self,
+        robot: RobotModel,
+        body: RigidBody,
+        folder: Path,
+        models: Mapping[str, FrictionModel],
+        *,
+        kept: Path,
+    ) -> "LoopOutcome | None":
+        """Run the loop of the study; what is done of it survives an interrupt in `kept`."""
+        if self.study.tracking is None or self.study.twin is None:
+            return None
+        from cosim.studies.loops import run_loop
+        from fmu_src.arm.plant import Plant
+
+        plant = Plant.read(self.study.twin.plant)
+        laws = {law: folder / "fmus" / f"{law}.fmu" for law in models}
+        outcome = run_loop(
+            self.study.tracking,
+            plant,
+            robot,
+            body,
+            folder,
+            friction=laws,
+            kept=kept,
+            progress=self.progress,
+        )
+        write_json(folder / "closed_loop.json", outcome.to_json())
+        shutil.rmtree(kept, ignore_errors=True)
+        return outcome
 
     def rigid_body(self, logs: Mapping[str, RobotLog], model: RobotModel) -> RigidBody:
         """Identify the rigid body, again once friction is known where the study wants that."""

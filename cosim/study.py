@@ -5,6 +5,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
+from cosim.closed_loop import Tracking
 from hesr_model.config import Config, RelativePath
 
 # Names that become names of files.
@@ -17,10 +18,13 @@ class Twin(Config):
     Attributes
     ----------
     plant : file of the arm.
+    signals : file of the signals of the arm's FMU, which then gives the logs; the arm in Python
+        gives them where left out.
     motions : file of the motions; each becomes a log of its name.
     """
 
     plant: RelativePath
+    signals: RelativePath | None = None
     motions: RelativePath
 
 
@@ -113,6 +117,7 @@ class Study(Config):
     refinement : whether the rigid body is identified again once friction is known.
     bands : parts of test sets that are scored by themselves.
     twin : where the logs come from the digital twin.
+    tracking : closed loop on the twin.
     logs : which logs serve for what.
     """
 
@@ -125,6 +130,7 @@ class Study(Config):
     refinement: Refinement | None = None
     bands: tuple[Band, ...] = ()
     twin: Twin | None = None
+    tracking: Tracking | None = None
     logs: StudyLogs
 
     @model_validator(mode="after")
@@ -132,4 +138,10 @@ class Study(Config):
         for band in self.bands:
             if band.test not in self.logs.test:
                 raise ValueError(f"band '{band.name}' is of the unknown test set '{band.test}'")
+        return self
+
+    @model_validator(mode="after")
+    def _a_loop_needs_an_arm(self) -> Self:
+        if self.tracking and not (self.twin and self.twin.signals):
+            raise ValueError("'tracking' needs the keys 'twin' and 'twin.signals'")
         return self

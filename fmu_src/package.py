@@ -119,10 +119,15 @@ def write_fmu(content: Content, path: Path, *, platforms: Sequence[str] = ("linu
             if content.binary:
                 own = content.binary.library
                 members[f"binaries/{target.folder}/{own.name}"] = own.read_bytes()
-    with written_whole(path) as temporary:
-        _zip(temporary, members, datetime.fromisoformat(about.created))
-        _validate(temporary, path)
+    write_archive(members, path, about.created)
     return path
+
+
+def write_archive(members: Mapping[str, bytes], path: Path, created: str) -> None:
+    """Write an archive with members of one date, ISO 8601, if it is a valid FMU."""
+    with written_whole(path) as temporary:
+        _zip(temporary, members, datetime.fromisoformat(created))
+        _validate(temporary, path)
 
 
 def check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:

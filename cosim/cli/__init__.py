@@ -5,11 +5,11 @@ from typing import NoReturn
 
 import typer
 
-from cosim.cli import check, excite, job, steps
+from cosim.cli import check, excite, job, simulate, steps
 from cosim.cli.app import app
 from hesr_model.errors import HesrError
 
-__all__ = ["app", "check", "excite", "job", "main", "steps"]
+__all__ = ["app", "check", "excite", "job", "main", "simulate", "steps"]
 
 
 def main() -> NoReturn:

@@ -47,6 +47,11 @@ def run(
             console.print(tables.comparison(name, comparison, measure, inputs))
         if comparison.ratios:
             console.print(tables.ratios(name, comparison, inputs))
+    if outcome.loop:
+        from cosim import loop_tables
+
+        for table in loop_tables.outcome(outcome.loop):
+            console.print(table)
     console.print("The figures are those of the FMUs, run through FMPy over the test logs:")
     for fmu in outcome.fmus.values():
         console.print(f"  {fmu}", soft_wrap=True, highlight=False)
@@ -55,21 +60,41 @@ def run(
 
 @app.command()
 def export(
-    law: Annotated[
+    model: Annotated[
         str,
-        typer.Argument(metavar="LAW.json", help="Friction model, or uf850-table1 (the paper's)."),
+        typer.Argument(
+            metavar="MODEL",
+            help="Friction model (JSON), uf850-table1 (the paper's), or an MJCF (XML).",
+        ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="FMU to write.")],
     platform: Platforms = None,
+    signals: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="TABLE.toml",
+            help="Of an MJCF: its inputs and outputs; default: every control and every sensor.",
+        ),
+    ] = None,
 ) -> None:
-    """Write a friction model as an FMU.
+    """Write a friction model, or a robot that MuJoCo simulates, as an FMU.
 
-    Example: hesr export law.json -o Friction.fmu --platform linux64 --platform win64
+    Examples: hesr export law.json -o Friction.fmu --platform linux64 --platform win64;
+    hesr export robot.xml -o Arm.fmu --signals arm.toml
     """
-    from fmu_src import export_fmu, model_file
-    from hesr_model.artifacts import read_model
+    platforms = platform or ["linux64"]
+    if Path(model).suffix.lower() == ".xml":
+        from fmu_src.arm.native import export_mjcf
 
-    export_fmu(read_model(model_file(law)), output, platforms=platform or ["linux64"])
+        export_mjcf(Path(model), output, table=signals, platforms=platforms)
+    else:
+        from fmu_src import export_fmu, model_file
+        from hesr_model.artifacts import read_model
+        from hesr_model.errors import ConfigError
+
+        if signals is not None:
+            raise ConfigError(f"--signals is for an MJCF, a file in .xml; '{model}' is none.")
+        export_fmu(read_model(model_file(model)), output, platforms=platforms)
     typer.echo(f"written to {output}.")
 
 

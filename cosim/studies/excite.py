@@ -3,6 +3,7 @@
 import hashlib
 import logging
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from cosim.arm import FmuArm
 from fmu_src.arm.plant import Arm, ArmOutput, Noise, Plant
 from hesr_model.config import Config
 from hesr_model.errors import ConfigError
@@ -194,7 +196,12 @@ class Recording:
 
 
 def excite(
-    motions: Motions, plant: Plant, folder: Path, *, seed: int | None = None
+    motions: Motions,
+    plant: Plant,
+    folder: Path,
+    *,
+    seed: int | None = None,
+    fmu: Path | None = None,
 ) -> dict[str, Path]:
     """Run the arm along every motion and write one CSV each, with the true friction beside it.
 
@@ -208,6 +215,8 @@ def excite(
         Where the logs go, as ``<name>.csv``; created if need be.
     seed
         Of the noise, in place of the plant file's.
+    fmu
+        The arm as an FMU, which then gives the logs; the arm in Python where left out.
 
     Returns
     -------
@@ -222,7 +231,7 @@ def excite(
         If a log cannot be written.
     """
     paths = {}
-    for recording in recordings(motions, plant, seed=seed):
+    for recording in recordings(motions, plant, seed=seed, fmu=fmu):
         path = folder / f"{recording.log.name}.csv"
         recording.log.write(path)
         _write_truth(truth_of(path), recording)
@@ -232,19 +241,24 @@ def excite(
     return paths
 
 
-def recordings(motions: Motions, plant: Plant, *, seed: int | None = None) -> Iterator[Recording]:
+def recordings(
+    motions: Motions, plant: Plant, *, seed: int | None = None, fmu: Path | None = None
+) -> Iterator[Recording]:
     """Run the arm along every motion, with the truth beside each log; see `excite`."""
-    arm = Arm(plant)
     noise = plant.noise if seed is None else plant.noise.model_copy(update={"seed": seed})
-    for motion in motions.motions:
-        forward = motion.trajectory()
-        both = (forward, forward.time_reversed())
-        for name, trajectory in zip(_names(motion), both, strict=False):
-            yield record(arm, trajectory, noise, name=name, unlogged=motion.unlogged)
+    with ExitStack() as cleanup:
+        arm: Arm | FmuArm = Arm(plant)
+        if fmu is not None:
+            arm = cleanup.enter_context(FmuArm(fmu, plant, arm.limits))
+        for motion in motions.motions:
+            forward = motion.trajectory()
+            both = (forward, forward.time_reversed())
+            for name, trajectory in zip(_names(motion), both, strict=False):
+                yield record(arm, trajectory, noise, name=name, unlogged=motion.unlogged)
 
 
 def record(
-    arm: Arm, trajectory: Trajectory, noise: Noise, *, name: str, unlogged: float = 0.0
+    arm: Arm | FmuArm, trajectory: Trajectory, noise: Noise, *, name: str, unlogged: float = 0.0
 ) -> Recording:
     """Run the arm along one motion from rest and log it.
 
@@ -275,10 +289,15 @@ def record(
     desired = trajectory.sample(np.arange(count + 1) / rate)[0]
     _require_reachable(arm, desired, name)
     commands = np.diff(desired, axis=0) * rate
+    own = noise.model_copy(update={"seed": _seed_of_log(noise.seed, name)})
+    if isinstance(arm, FmuArm):
+        arm.seed = own.seed
     output = arm.reset(desired[0])
-    outputs = []
+    outputs, measured = [], []
     for command in commands:
         outputs.append(output)
+        if isinstance(arm, FmuArm):
+            measured.append(arm.measured)
         output = arm.step(command, 1 / rate)
     kept = outputs[first:]
     truth = ArmOutput(
@@ -287,15 +306,17 @@ def record(
         tau_meas=np.array([sample.tau_meas for sample in kept]),
         tau_f_true=np.array([sample.tau_f_true for sample in kept]),
     )
-    counter = np.arange(len(kept))
-    own = noise.model_copy(update={"seed": _seed_of_log(noise.seed, name)})
-    q = truth.q + own.encoder_error(counter)
+    if isinstance(arm, FmuArm):
+        q, tau = (np.array(values) for values in zip(*measured[first:], strict=True))
+    else:  # the arm in Python has no noise of its own
+        sample = np.arange(first, count)
+        q, tau = truth.q + own.encoder_error(sample), truth.tau_meas + own.torque_error(sample)
     log = RobotLog(
         name=name,
-        t=counter / rate,
+        t=np.arange(len(kept)) / rate,
         q=q,
         dq=np.gradient(q, 1 / rate, axis=0),
-        tau=truth.tau_meas + own.torque_error(counter),
+        tau=tau,
     )
     return Recording(log=log, truth=truth, desired=desired[first:count])
 

@@ -1,19 +1,79 @@
 """Any MJCF as an FMU of native C that carries MuJoCo's library: nothing to install in the host."""
 
+import hashlib
 import importlib.metadata
+import re
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import mujoco
 
-from fmu_src.arm.signals import Signals, delays
+from fmu_src.arm.parts import Signals
+from fmu_src.arm.signals import signals_of
+from fmu_src.arm.signals_h import to_h
+from fmu_src.arm.variables import variables
 from fmu_src.description import Description
-from fmu_src.interface import Interface, Variable, literal
-from fmu_src.package import Binary, Content, own_source
+from fmu_src.interface import Interface
+from fmu_src.package import Binary, Content, check_request, own_source, write_fmu
 from hesr_model.errors import ExportError
 
-_CREATED = "1980-01-01T00:00:00Z"
+CREATED = "1980-01-01T00:00:00Z"
+_SOURCES = ("mjcf.c", "mjcf_parameters.h", "guard.h", "noise.h", "resource.h")
+
+
+def export_mjcf(
+    model: Path,
+    path: Path,
+    *,
+    table: Path | None = None,
+    platforms: Sequence[str] = ("linux64",),
+) -> Path:
+    """Write an MJCF as an FMI 2.0 FMU for co-simulation, simulated by MuJoCo.
+
+    Parameters
+    ----------
+    model : the MJCF.
+    path : the FMU to write, ending in .fmu.
+    table : TOML file that names its signals, see `fmu_src.arm.table`; every control and every
+        sensor where left out.
+    platforms : linux64 is the only one for which MuJoCo is there.
+
+    Returns
+    -------
+    `path`.
+
+    Raises
+    ------
+    ConfigError
+        If the MJCF or the table is missing or not valid, or a name in the table is unknown.
+    ExportError
+        If there is no MuJoCo for a platform, or the model needs more than the FMU carries.
+    ArtifactError
+        If `path` cannot be written.
+    """
+    strange = [target.folder for target in check_request(path, platforms)
+               if target.folder != "linux64"]  # fmt: skip
+    if strange:
+        raise ExportError(
+            f"platform '{strange[0]}': the FMU of an MJCF carries MuJoCo, which is there for "
+            "linux64 only."
+        )
+    signals = signals_of(model, table)
+    content = arm(signals, name=model_name(signals.model, model), source=model.read_bytes())
+    return write_fmu(content, path, platforms=platforms)
+
+
+def model_name(model: Any, path: Path) -> str:
+    """Return the name that an MJCF gives to its model, else that of its file."""
+    name = bytes(model.names).partition(b"\0")[0].decode()
+    return path.stem if name in ("", "MuJoCo Model") else name
+
+
+def identifier_of(name: str) -> str:
+    """Return a name as one of C."""
+    return re.sub(r"^(?=\d)", "_", re.sub(r"\W", "_", name, flags=re.ASCII))
 
 
 def arm(signals: Signals, *, name: str, source: bytes) -> Content:
@@ -28,168 +88,67 @@ def arm(signals: Signals, *, name: str, source: bytes) -> Content:
     Raises
     ------
     ExportError
-        If the installed MuJoCo has no library for this platform, or names are not names in FMI.
+        If the installed MuJoCo has no library for this platform, the model needs plugins, or names
+        are not names in FMI.
     """
     model = signals.model
-    delay, longest = delays(model)
+    if model.nplugin:
+        raise ExportError(
+            f"model '{name}': it uses plugins of MuJoCo, which an FMU does not carry."
+        )
     state = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
-    noisy = [o for o in signals.outputs if o.noise is not None]
     table = Interface(
-        variables=tuple(_variables(signals, delay)),
+        variables=variables(signals),
         own=2 + state,
         model_exchange=False,
         directional_derivatives=False,
     )
-    with tempfile.TemporaryDirectory(prefix="hesr-") as folder:
-        binary = Path(folder, "model.mjb")
-        mujoco.mj_saveModel(model, str(binary), None)
-        compiled = binary.read_bytes()
+    compiled = _binary(model)
+    digest = hashlib.sha256(compiled).hexdigest()
     return Content(
         table=table,
-        about=Description(
-            name=name,
-            identifier="Arm",
-            text=f"{name}, simulated by MuJoCo {mujoco.__version__}.",
-            version=importlib.metadata.version("hesr"),
-            created=_CREATED,
-            step=signals.step,
-            sources=(),
-        ),
-        sources={
-            "mjcf.c": own_source("mjcf.c"),
-            "signals.h": _signals_h(signals, table, state, longest, len(noisy)),
-        },
+        about=description(signals, name),
+        sources={name: own_source(name) for name in _SOURCES}
+        | {"signals.h": to_h(signals, table, state=state, digest=digest)},
         members={
             "resources/model.mjb": compiled,
             "resources/model.xml": source,
-            **_licences(),
+            **licences("mujoco"),
         },
         binary=_library(),
     )
 
 
-def _variables(signals: Signals, delay: float) -> Iterator[Variable]:
-    for one in signals.inputs:
-        yield Variable(name=one.name, role="input", unit=one.unit, description="control")
-    for output in signals.outputs:
-        yield Variable(
-            name=output.name, role="output", unit=output.unit, description="sum of sensors"
-        )
-    yield Variable(name="friction_scale", role="fixed", unit="1", start=1.0,
-                   description="factor on the friction of the elements that are named for it")  # fmt: skip
-    yield Variable(name="payload", role="fixed", unit="kg", description="mass of a payload")
-    yield Variable(name="latency", role="fixed", unit="s", start=delay,
-                   description="delay of those actuators that have one")  # fmt: skip
-    for k, half in enumerate((signals.seed & 0xFFFFFFFF, signals.seed >> 32), start=1):
-        yield Variable(name=f"noise_seed[{k}]", role="fixed", unit="1", start=float(half),
-                       description=f"{'low' if k == 1 else 'high'} 32 bits of the noise's seed")  # fmt: skip
-    for start in signals.starts:
-        yield Variable(name=start.name, role="fixed", unit=start.unit, start=start.value,
-                       description="position at the start")  # fmt: skip
-    for output in signals.outputs:
-        if output.noise is not None:
-            stem, _, index = output.name.partition("[")
-            yield Variable(name=f"{stem}_noise{'[' + index if index else ''}", role="fixed",
-                           unit=output.unit, start=output.noise,
-                           description=f"standard deviation of the noise of {output.name}")  # fmt: skip
-
-
-def _signals_h(
-    signals: Signals, table: Interface, state: int, longest: float, noisy: int
-) -> str:
-    at = table.references
-    first_noise = len(table.variables) - noisy
-    rows = {
-        "drives": [
-            f"{at[i.name]}, {control}" for i in signals.inputs for control in i.controls
-        ],
-        "reads": [
-            f"{at[o.name]}, {address}, {literal(factor)}, {int(scaled)}"
-            for o in signals.outputs
-            for address, factor, scaled in o.reads
-        ],
-        "noises": [
-            f"{at[o.name]}, {first_noise + k}, {o.stream}u"
-            for k, o in enumerate(o for o in signals.outputs if o.noise is not None)
-        ],
-        "starts": [
-            row
-            for s in signals.starts
-            for row in (
-                f"{at[s.name]}, 0, {s.position}, -1, 1.0",
-                *(() if s.activation is None else (
-                    f"{at[s.name]}, 1, {s.activation}, {at[s.held] if s.held else -1}, "
-                    f"{literal(s.gain)}",
-                )),
-            )
-        ],
-        "rubbing": [str(i) for i in signals.friction],
-    }  # fmt: skip
-    counts = {"drives": "DRIVES", "reads": "READS", "noises": "NOISY", "starts": "STARTS",
-              "rubbing": "RUBBING"}  # fmt: skip
-    types = {"drives": "Drive", "reads": "Read", "noises": "Noise", "starts": "Start",
-             "rubbing": "int"}  # fmt: skip
-    empty = {"Drive": "{0, 0}", "Read": "{0, 0, 0.0, 0}", "Noise": "{0, 0, 0u}",
-             "Start": "{0, 0, 0, -1, 1.0}", "int": "0"}  # fmt: skip
-    arrays = []
-    for name, entries in rows.items():
-        kind = types[name]
-        shown = entries if kind == "int" else [f"{{{e}}}" for e in entries]
-        arrays.append(
-            f"static const {kind} {name}[] = {{{', '.join(shown) or empty[kind]}}};"
-        )
-    return _SIGNALS.format(
-        counts=", ".join(f"{counts[n]} = {len(e)}" for n, e in rows.items()),
-        arrays="\n".join(arrays),
-        outputs=len(signals.outputs),
-        first_output=at[signals.outputs[0].name],
-        scale=at["friction_scale"],
-        payload=at["payload"],
-        latency=at["latency"],
-        seed=at["noise_seed[1]"],
-        body=-1 if signals.payload is None else signals.payload,
-        state=state,
-        longest=literal(longest * (1 + 1e-9)),
+def description(signals: Signals, name: str) -> Description:
+    """Return what is said of an FMU of a model besides its variables."""
+    return Description(
+        name=name,
+        identifier=identifier_of(name),
+        text=f"{name}, simulated by MuJoCo {mujoco.__version__}.",
+        version=importlib.metadata.version("hesr"),
+        created=CREATED,
+        step=signals.step,
+        sources=(),
     )
 
 
-_SIGNALS = """\
-/* Generated: which parts of the model are the FMU's signals. */
-#ifndef SIGNALS_H
-#define SIGNALS_H
+def licences(package: str) -> dict[str, bytes]:
+    """Return licence and notices of an installed package as members of an FMU."""
+    files = importlib.metadata.files(package) or ()
+    wanted: Sequence[importlib.metadata.PackagePath] = [
+        f for f in files if "licenses" in f.parts or f.name.upper().startswith("LICENSE")
+    ]
+    return {
+        f"documentation/licenses/{package}-{f.name}": Path(str(f.locate())).read_bytes()
+        for f in wanted
+    }
 
-#define MODEL_FILE "model.mjb"
-#define LONGEST_LATENCY {longest}
 
-/* Places of variables, and sizes. */
-enum {{ FIRST_OUTPUT = {first_output}, FRICTION_SCALE = {scale}, PAYLOAD = {payload} }};
-enum {{ LATENCY = {latency}, NOISE_SEED = {seed}, ADAPTED = 3, OUTPUTS = {outputs} }};
-enum {{ PAYLOAD_BODY = {body}, STATE_SIZE = {state}, {counts} }};
-
-typedef struct {{
-    int input, control;
-}} Drive;
-
-typedef struct {{
-    int output, sensor; /* address in the sensor data */
-    double factor;
-    int scaled; /* whether the factor follows the friction scale */
-}} Read;
-
-typedef struct {{
-    int output, sigma;
-    unsigned stream;
-}} Noise;
-
-typedef struct {{
-    int parameter, activation, index, held_output;
-    double gain;
-}} Start;
-
-{arrays}
-
-#endif
-"""
+def _binary(model: Any) -> bytes:
+    with tempfile.TemporaryDirectory(prefix="hesr-") as folder:
+        file = Path(folder, "model.mjb")
+        mujoco.mj_saveModel(model, str(file), None)
+        return file.read_bytes()
 
 
 def _library() -> Binary:
@@ -201,15 +160,3 @@ def _library() -> Binary:
             "the installed MuJoCo has no library for linux64, the only platform of native arms."
         )
     return Binary(library=found[-1], include=folder / "include")
-
-
-def _licences() -> dict[str, bytes]:
-    """Licence and notices of MuJoCo, from its package."""
-    files = importlib.metadata.files("mujoco") or ()
-    wanted: Sequence[importlib.metadata.PackagePath] = [
-        f for f in files if "licenses" in f.parts or f.name.upper().startswith("LICENSE")
-    ]
-    return {
-        f"documentation/licenses/mujoco-{f.name}": Path(str(f.locate())).read_bytes()
-        for f in wanted
-    }

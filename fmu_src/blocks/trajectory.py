@@ -31,6 +31,7 @@ _PARAMETERS = (
 )
 _SCALARS = (
     ("preview", "s", "how far ahead the outputs _ahead are", 0.0),
+    ("rest_time", "s", "at rest before the motion begins", 0.0),
     ("period", "s", "of a Fourier motion", 10.0),
     ("swing_period", "s", "of the swing", 10.0),
     ("first", "1/s", "frequency of a sine, or at the start of a sweep", 0.25),
@@ -42,16 +43,6 @@ _SCALARS = (
 def trajectory(joints: int, *, step: float = 0.005) -> Content:
     """Return the Trajectory FMU for a number of joints; `step` [s] is the preferred one."""
     zeros = np.zeros(joints)
-    outputs = [
-        variable
-        for tail, text in (("", "desired {}"), ("_ahead", "desired {} a preview time ahead"))
-        for name, unit, what in (
-            ("q", "rad", "position"),
-            ("dq", "rad/s", "velocity"),
-            ("ddq", "rad/s2", "acceleration"),
-        )
-        for variable in vector(name + tail, "output", unit, text.format(what), zeros)
-    ]
     kind = Variable(
         name="kind", role="fixed", description="kind of the motion", enumeration=KIND, start=2.0
     )
@@ -62,6 +53,17 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
         for name in ("a", "b")
         for i in range(1, joints + 1)
         for k in range(1, HARMONICS + 1)
+    ]
+    made_of = [v.name for v in (kind, *scalars, *vectors, *series)]
+    outputs = [
+        variable
+        for tail, text in (("", "desired {}"), ("_ahead", "desired {} a preview time ahead"))
+        for name, unit, what in (
+            ("q", "rad", "position"),
+            ("dq", "rad/s", "velocity"),
+            ("ddq", "rad/s2", "acceleration"),
+        )
+        for variable in vector(name + tail, "output", unit, text.format(what), zeros, made_of)
     ]
     table = Interface(
         variables=(*outputs, kind, *scalars, *vectors, *series),

@@ -7,8 +7,9 @@
  *                      (section V.D and Fig. 6 of the paper)
  *     servo_inversion  dq_comp = C^-1 (tau_d - tau_g), C(s) = Kv + Ki / s being the servo's own
  *
- * A command is held over a sample, so C acts on it in the sample's middle on average. The generated
- * control.h says where the variables stand. */
+ * A command is held over a sample, so C acts on it in the sample's middle on average. The loop
+ * begins at rest, with the servo in equilibrium. The generated control.h says where the variables
+ * stand. */
 #include <math.h>
 #include <stdio.h>
 
@@ -75,6 +76,10 @@ static bool component_initialise(Component *component, void *workspace, Message 
         }
     }
     component_output(component, workspace, why);
+    for (int i = 0; v[COMPENSATION] == SERVO_INVERSION && i < JOINTS; i++) {
+        /* At rest the servo's own integral holds the torque already. */
+        own[INTEGRAL + i] = v[KI + i] > 0.0 ? (v[TAU_D + i] - v[TAU_G + i]) / v[KI + i] : 0.0;
+    }
     remember(component);
     for (int i = 0; i < JOINTS; i++) {
         own[PREVIOUS + i] = own[ERROR + i];

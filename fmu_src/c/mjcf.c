@@ -11,42 +11,31 @@
 #include <string.h>
 
 #include "component_plain.h"
+#include "guard.h"
+#include "mjcf_parameters.h"
+#include "noise.h"
+#include "resource.h"
 #include "signals.h"
-
-#define TWO_PI 6.283185307179586477
 
 /* What is remembered. */
 enum { STARTED = 0, SAMPLES = 1, MUJOCO_STATE = 2 };
 
 typedef struct {
     mjModel *model;
-    mjModel *original; /* without payload and scales */
+    mjModel *original; /* without changes */
     mjData *data;
-    double adapted[ADAPTED]; /* the parameters that the model has been given */
+    bool changed; /* whether the model has been given any changes yet, and which */
+    Changes changes;
 } Workspace;
 
-/* The file in the FMU's resources, whose place is given as a URI. */
-static bool path_of_model(const char *uri, char *path, size_t size) {
-    size_t n = 0;
-    const char *from = uri ? uri : "";
-    if (strncmp(from, "file:", 5) == 0) {
-        from += 5;
-        if (strncmp(from, "//", 2) == 0) {
-            from = strchr(from + 2, '/');
-        }
-    }
-    for (; from && *from && n + 1 < size; from++) {
-        unsigned code;
-        if (*from == '%' && sscanf(from + 1, "%2x", &code) == 1) {
-            path[n++] = (char)code;
-            from += 2;
-        } else {
-            path[n++] = *from;
-        }
-    }
-    const int rest = snprintf(path + n, size - n, "/%s", MODEL_FILE);
-    return from && *from == '\0' && rest > 0 && (size_t)rest < size - n;
-}
+/* A call of one of the component's functions. */
+typedef struct {
+    Component *component;
+    Workspace *workspace;
+    Message *why;
+    double step;
+    const char *path;
+} Call;
 
 static void component_close(void *workspace) {
     Workspace *w = workspace;
@@ -58,86 +47,78 @@ static void component_close(void *workspace) {
     }
 }
 
-static void *component_open(const char *resources, Message *why) {
-    char path[4096];
-    Workspace *w = calloc(1, sizeof *w);
-    if (!w || !path_of_model(resources, path, sizeof path)) {
-        snprintf(why->text, sizeof why->text, "The place of the FMU's resources is not usable.");
-        free(w);
-        return NULL;
-    }
-    w->original = mj_loadModel(path, NULL);
+static bool load(void *argument) {
+    const Call *call = argument;
+    Workspace *w = call->workspace;
+    w->original = mj_loadModel(call->path, NULL);
     w->model = w->original ? mj_copyModel(NULL, w->original) : NULL;
     w->data = w->model ? mj_makeData(w->model) : NULL;
-    if (!w->data || mj_stateSize(w->model, mjSTATE_INTEGRATION) != STATE_SIZE) {
-        snprintf(why->text, sizeof why->text, "%s cannot be loaded from the FMU's resources.",
-                 MODEL_FILE);
-        component_close(w);
+    return w->data && mj_stateSize(w->model, mjSTATE_INTEGRATION) == STATE_SIZE;
+}
+
+static void *component_open(const char *resources, Message *why) {
+    char path[4096];
+    if (mj_version() != mjVERSION_HEADER) {
+        snprintf(why->text, sizeof why->text, "The host has loaded another MuJoCo, version %d.",
+                 mj_version());
         return NULL;
     }
-    return w;
-}
-
-/* A word of the counter-based generator: splitmix64 over seed, stream and counter. */
-static uint64_t mixed(uint64_t z) {
-    z += 0x9E3779B97F4A7C15u;
-    z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
-    z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
-    return z ^ (z >> 31);
-}
-
-static double standard_normal(uint64_t seed, uint64_t stream, uint64_t counter) {
-    const uint64_t gamma = 0x9E3779B97F4A7C15u;
-    const uint64_t base = mixed(mixed(seed) ^ stream);
-    const uint64_t first = mixed(base + 2 * counter * gamma);
-    const uint64_t second = mixed(base + (2 * counter + 1) * gamma);
-    const double u = (double)((first >> 11) + 1) * 0x1p-53;
-    const double w = (double)(second >> 11) * 0x1p-53;
-    return sqrt(-2.0 * log(u)) * cos(TWO_PI * w);
+    if (!path_of_resource(resources, MODEL_FILE, path, sizeof path)) {
+        snprintf(why->text, sizeof why->text,
+                 "fmi2Instantiate: the location of the FMU's resources is needed, as a file URI.");
+        return NULL;
+    }
+    Call call = {.workspace = calloc(1, sizeof(Workspace)), .why = why, .path = path};
+    if (!call.workspace || !guarded(load, &call, why)) {
+        snprintf(why->text, sizeof why->text, "%s cannot be loaded from the FMU's resources.",
+                 MODEL_FILE);
+        component_close(call.workspace);
+        return NULL;
+    }
+    return call.workspace;
 }
 
 /* Give the model the parameters that change it. */
-static void adapt(Workspace *w, const double *v) {
+static void change(Workspace *w, Changes changes) {
     mjModel *m = w->model;
+    if (w->changed && memcmp(&w->changes, &changes, sizeof changes) == 0) {
+        return;
+    }
     mj_copyModel(m, w->original);
     for (int i = 0; i < RUBBING; i++) {
-        /* LuGre's forces all scale with its stiffness, damping and levels, the shape stays. */
-        const int actuator = rubbing[i];
-        mjtNum *bias = &m->actuator_biasprm[actuator * mjNBIAS];
-        mjtNum *dynamics = &m->actuator_dynprm[actuator * mjNDYN];
-        bias[0] *= v[FRICTION_SCALE];
-        bias[3] *= v[FRICTION_SCALE];
-        bias[4] *= v[FRICTION_SCALE];
-        dynamics[5] *= v[FRICTION_SCALE];
-        dynamics[6] *= v[FRICTION_SCALE];
-        m->actuator_damping[actuator] *= v[FRICTION_SCALE];
+        scale_friction(m, rubbing[i], changes.scale);
     }
-    for (int i = 0; i < m->nu; i++) {
+    for (int i = 0; i < m->nactuator && LATENCY >= 0; i++) {
         if (m->actuator_delay[i] > 0.0) {
-            m->actuator_delay[i] = v[LATENCY];
+            m->actuator_delay[i] = delay_of(m, i, changes.latency);
         }
     }
     if (PAYLOAD_BODY >= 0) {
-        m->body_mass[PAYLOAD_BODY] += v[PAYLOAD];
+        m->body_mass[PAYLOAD_BODY] += changes.payload;
         mj_setConst(m, w->data);
     }
-    memcpy(w->adapted, &v[FRICTION_SCALE], sizeof w->adapted);
+    w->changes = changes;
+    w->changed = true;
+}
+
+static void save(Component *component, const Workspace *w) {
+    mj_getState(w->model, w->data, &component->own[MUJOCO_STATE], mjSTATE_INTEGRATION);
 }
 
 /* Put the model and the scratch memory where the component is. */
 static void restore(const Component *component, Workspace *w) {
-    if (memcmp(w->adapted, &component->v[FRICTION_SCALE], sizeof w->adapted) != 0) {
-        adapt(w, component->v);
-    }
+    change(w, changes_of(component->v));
+    memset(w->data->warning, 0, sizeof w->data->warning); /* those of a future that is not to be */
     mj_setState(w->model, w->data, &component->own[MUJOCO_STATE], mjSTATE_INTEGRATION);
 }
 
 static double without_noise(const Component *component, const mjData *data, int output) {
+    const double scale = value_or(component->v, FRICTION_SCALE, 1.0);
     double sum = 0.0;
     for (int i = 0; i < READS; i++) {
         if (reads[i].output == output) {
-            const double scale = reads[i].scaled ? component->v[FRICTION_SCALE] : 1.0;
-            sum += scale * reads[i].factor * data->sensordata[reads[i].sensor];
+            const double factor = (reads[i].scaled ? scale : 1.0) * reads[i].factor;
+            sum += factor * data->sensordata[reads[i].sensor];
         }
     }
     return sum;
@@ -146,7 +127,7 @@ static double without_noise(const Component *component, const mjData *data, int 
 /* Evaluate the forces at the present instant and read all outputs. */
 static void read_sensors(Component *component, Workspace *w) {
     double *v = component->v;
-    const uint64_t seed = (uint64_t)v[NOISE_SEED] | (uint64_t)v[NOISE_SEED + 1] << 32;
+    const uint64_t seed = (uint64_t)seed_half(v, 0) | (uint64_t)seed_half(v, 1) << 32;
     mj_forward(w->model, w->data);
     for (int i = 0; i < OUTPUTS; i++) {
         v[FIRST_OUTPUT + i] = without_noise(component, w->data, FIRST_OUTPUT + i);
@@ -159,88 +140,134 @@ static void read_sensors(Component *component, Workspace *w) {
 }
 
 /* Put everything at its start. */
-static void begin(Component *component, Workspace *w) {
-    const double *v = component->v;
-    adapt(w, v);
+static bool begin(void *argument) {
+    const Call *call = argument;
+    Workspace *w = call->workspace;
+    const double *v = call->component->v;
+    if (!parameters_are_usable(v, call->why)) {
+        return false;
+    }
+    change(w, changes_of(v));
     mj_resetData(w->model, w->data);
     for (int i = 0; i < STARTS; i++) {
         double *place = starts[i].activation ? w->data->act : w->data->qpos;
         place[starts[i].index] = v[starts[i].parameter];
     }
-    /* What a sum of sensors says at rest, an integral can be made to hold. */
-    double held[STARTS > 0 ? STARTS : 1] = {0.0};
+    /* An integral can be made to hold what else acts on its joint, which then rests. */
     mj_forward(w->model, w->data);
     for (int i = 0; i < STARTS; i++) {
-        if (starts[i].held_output >= 0) {
-            held[i] = without_noise(component, w->data, starts[i].held_output) / starts[i].gain;
+        if (starts[i].held_dof >= 0) {
+            w->data->act[starts[i].index] -=
+                w->data->qfrc_smooth[starts[i].held_dof] / starts[i].gain;
         }
     }
-    for (int i = 0; i < STARTS; i++) {
-        if (starts[i].held_output >= 0) {
-            w->data->act[starts[i].index] += held[i];
-        }
-    }
-    mj_getState(w->model, w->data, &component->own[MUJOCO_STATE], mjSTATE_INTEGRATION);
+    save(call->component, w);
+    return true;
 }
 
 static bool component_initialise(Component *component, void *workspace, Message *why) {
-    const double *v = component->v;
-    for (int i = FRICTION_SCALE; i < FRICTION_SCALE + ADAPTED; i++) {
-        if (!(v[i] >= 0.0)) {
-            snprintf(why->text, sizeof why->text, "%s is %g; it must not be negative.",
-                     variables[i].name, v[i]);
-            return false;
-        }
-    }
-    if (v[LATENCY] > LONGEST_LATENCY) {
-        snprintf(why->text, sizeof why->text, "latency is %g s; the model's buffers hold %g s.",
-                 v[LATENCY], LONGEST_LATENCY);
+    Call call = {.component = component, .workspace = workspace, .why = why};
+    if (!guarded(begin, &call, why)) {
         return false;
     }
-    begin(component, workspace);
     component->own[STARTED] = 1.0;
     return true;
 }
 
-static bool component_output(Component *component, void *workspace, Message *why) {
-    (void)why;
-    if (component->own[STARTED] > 0.0) {
-        restore(component, workspace);
-    } else {
-        begin(component, workspace); /* before the initialisation ends, start values may change */
+static bool output(void *argument) {
+    const Call *call = argument;
+    if (call->component->own[STARTED] > 0.0) {
+        restore(call->component, call->workspace);
+    } else if (!begin(argument)) { /* before the initialisation ends, start values may change */
+        return false;
     }
-    read_sensors(component, workspace);
+    read_sensors(call->component, call->workspace);
+    return true;
+}
+
+static bool component_output(Component *component, void *workspace, Message *why) {
+    Call call = {.component = component, .workspace = workspace, .why = why};
+    return guarded(output, &call, why);
+}
+
+/* MuJoCo takes inputs beyond its bound for zero; they are refused instead. */
+static bool drive(const Component *component, const Workspace *w, Message *why) {
+    for (int i = 0; i < DRIVES; i++) {
+        const double value = component->v[drives[i].input];
+        if (!(fabs(value) <= mjMAXVAL)) {
+            snprintf(why->text, sizeof why->text, "%s is %g; the largest that MuJoCo takes is %g.",
+                     variables[drives[i].input].name, value, mjMAXVAL);
+            return false;
+        }
+        w->data->ctrl[drives[i].control] = value;
+    }
+    return true;
+}
+
+/* Whether MuJoCo had to give up something of the motion: it starts again from the beginning where
+ * numbers get out of hand, and leaves out contacts that do not fit into its memory. */
+static bool given_up(const mjData *data, Message *why) {
+    for (int i = mjWARN_CONTACTFULL; i < mjNWARNING; i++) {
+        const mjWarningStat *warning = &data->warning[i];
+        if (warning->number > 0) {
+            tell_of_mujoco(why, mju_warningText(i, (size_t)warning->lastinfo));
+            return true;
+        }
+    }
+    return false;
+}
+
+/* What MuJoCo would find at the beginning of the next step. */
+static bool out_of_bounds(const mjModel *m, const mjData *data) {
+    bool bad = false;
+    for (int i = 0; i < m->nq; i++) {
+        bad = bad || mju_isBad(data->qpos[i]);
+    }
+    for (int i = 0; i < m->nv; i++) {
+        bad = bad || mju_isBad(data->qvel[i]);
+    }
+    return bad;
+}
+
+static bool advance(void *argument) {
+    const Call *call = argument;
+    Workspace *w = call->workspace;
+    const int count = (int)floor(call->step / w->model->opt.timestep + 0.5);
+    restore(call->component, w);
+    if (!drive(call->component, w, call->why)) {
+        return false;
+    }
+    for (int i = 0; i < count; i++) {
+        mj_step(w->model, w->data);
+        if (given_up(w->data, call->why)) {
+            return false;
+        }
+    }
+    if (out_of_bounds(w->model, w->data)) {
+        snprintf(call->why->text, sizeof call->why->text, "The simulation has diverged.");
+        return false;
+    }
+    call->component->own[SAMPLES] += 1.0;
+    save(call->component, w);
+    read_sensors(call->component, w);
     return true;
 }
 
 static bool component_step(Component *component, void *workspace, double step, Message *why) {
     Workspace *w = workspace;
-    const double ratio = step / w->model->opt.timestep;
-    const int count = (int)floor(ratio + 0.5);
-    if (!(ratio < 1e6) || count < 1 || fabs(ratio - count) > 1e-6) {
+    const double own = w->model->opt.timestep, ratio = step / own;
+    if (!(ratio < 1e6) || ratio < 0.5 || fabs(ratio - floor(ratio + 0.5)) > 1e-6) {
         snprintf(why->text, sizeof why->text,
                  "The step is %g s; a multiple of the simulation's own, %g s, is needed.", step,
-                 w->model->opt.timestep);
+                 own);
         return false;
     }
-    restore(component, w);
-    for (int i = 0; i < DRIVES; i++) {
-        w->data->ctrl[drives[i].control] = component->v[drives[i].input];
+    const Component before = *component;
+    Call call = {.component = component, .workspace = workspace, .why = why, .step = step};
+    if (!guarded(advance, &call, why)) {
+        mj_resetData(w->model, w->data);
+        *component = before;
+        return false;
     }
-    for (int i = 0; i < count; i++) {
-        mj_step(w->model, w->data);
-    }
-    for (int i = mjWARN_BADQPOS; i <= mjWARN_BADQACC; i++) {
-        if (w->data->warning[i].number > 0) {
-            snprintf(why->text, sizeof why->text,
-                     "The simulation has diverged between %g and %g s.", component->time,
-                     component->time + step);
-            mj_resetData(w->model, w->data);
-            return false;
-        }
-    }
-    component->own[SAMPLES] += 1.0;
-    mj_getState(w->model, w->data, &component->own[MUJOCO_STATE], mjSTATE_INTEGRATION);
-    read_sensors(component, w);
     return true;
 }

@@ -17,6 +17,9 @@
 /* Longest panel of the rule [s]; at 10 Hz its error is still below rounding. */
 #define PANEL 0.01
 
+/* By which a sum of steps may miss the instant at which the motion begins [s]. */
+#define ROUNDING 1e-9
+
 /* Two clocks, each with the time [s] to which its sweep is integrated, and the integrals [rad]. */
 enum { NOW, AHEAD };
 #define CLOCK (1 + JOINTS)
@@ -68,9 +71,10 @@ static void fourier(const double *v, int i, double t, double *q, double *dq, dou
     }
 }
 
-/* Put the motion at a time where a clock's outputs stand. */
-static void evaluate(Component *component, int clock, double t) {
+/* Put the motion at a time where a clock's outputs stand; it begins after the rest. */
+static void evaluate(Component *component, int clock, double time) {
     double *v = component->v;
+    const double t = fmax(time - v[REST_TIME], 0.0);
     double *q = &v[clock == NOW ? POSITION : POSITION_AHEAD];
     double *dq = &v[clock == NOW ? VELOCITY : VELOCITY_AHEAD];
     double *ddq = &v[clock == NOW ? ACCELERATION : ACCELERATION_AHEAD];
@@ -88,6 +92,9 @@ static void evaluate(Component *component, int clock, double t) {
         } else {
             dq[i] = sweep_velocity(v, i, t, &ddq[i]);
             q[i] = v[OFFSET + i] + component->own[clock * CLOCK + 1 + i];
+        }
+        if (time < v[REST_TIME] - ROUNDING) {
+            dq[i] = ddq[i] = 0.0;
         }
     }
 }

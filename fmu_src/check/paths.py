@@ -39,9 +39,24 @@ _PLACES = (
 _ALONE = re.compile(rb"(?<![A-Za-z0-9_.~-])(?<!\b[A-Za-z]:)|(?<=-[IL])")
 
 
+# No host looks for the FMU's own binary under a name with a version.
+_CARRIED = re.compile(r"binaries/[^/]+/lib[^/]+\.so(\.[0-9]+)+")
+
+
+def skipped(contents: Contents) -> list[str]:
+    """Return the libraries that an FMU carries as somebody else has built them, and why."""
+    return [
+        f"paths in {plain(name)}: a library that the FMU carries, built elsewhere."
+        for name in contents.files
+        if _CARRIED.fullmatch(name)
+    ]
+
+
 def problems(contents: Contents) -> Iterator[str]:
     """Yield the files in which there is such a path."""
     for name, file in contents.files.items():
+        if _CARRIED.fullmatch(name):
+            continue
         found = list(dict.fromkeys(islice(_paths(file), MOST_PATHS)))
         if found:
             more = f" and {len(found) - 1} more of its kind" if len(found) > 1 else ""

@@ -84,6 +84,7 @@ class _Found:
             self.skipped.append("All other checks: the archive could not be read.")
             return
         self._add("paths", paths.problems(contents))
+        self.skipped += paths.skipped(contents)
         root, texts = _model(contents)
         broken = self._add("xml", texts)
         version = None if root is None else root.get("fmiVersion", "")

@@ -1,16 +1,14 @@
 """Fit laws to all joints of a robot, each joint and law in a process of its own."""
 
-import multiprocessing
 import os
-import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from hesr_model import parallel
 from hesr_model.errors import FitError
 from hesr_model.friction.estimator import estimator
 from hesr_model.friction.law import FrictionLaw, FrictionModel
@@ -21,40 +19,6 @@ from hesr_model.residual import FrictionRecord
 
 Progress = Callable[[int, int], None]
 """Called with how many fits are done and how many there are."""
-
-
-def _leave_interrupts_to_parent() -> None:
-    """Let Ctrl-C be answered once, by the parent, which stops its workers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-@contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    """Hold Ctrl-C back, also in processes that are started meanwhile: they inherit that."""
-    if not hasattr(signal, "pthread_sigmask"):  # not on Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _workers(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Yield a pool of processes, which are stopped at once where the block fails."""
-    others = set(multiprocessing.active_children())
-    # Fresh processes: forking one that already runs BLAS or logging threads may dead-lock.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(count, context, initializer=_leave_interrupts_to_parent) as pool:
-        try:
-            yield pool
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for worker in set(multiprocessing.active_children()) - others:
-                worker.terminate()
-            raise
 
 
 def fit_joint(
@@ -146,8 +110,8 @@ def fit_models(
                 fit_joint(registered[law], records[joint], seed=seed, options=settings.get(law)),
             )
     else:
-        with _workers(count) as pool:
-            with _interrupts_held_back():
+        with parallel.workers(count) as pool:
+            with parallel.interrupts_held_back():
                 futures: dict[tuple[str, int], Future[FrictionLaw]] = {
                     (law, joint): pool.submit(
                         fit_joint,
@@ -171,8 +135,7 @@ def fit_models(
             sample_time=round(float(np.median(periods)), 9),
             trained=tuple(TrainedRange.of(of_joint) for of_joint in records),
             training_rmse=tuple(
-                training_error(done[law, joint], of_joint)
-                for joint, of_joint in enumerate(records)
+                training_error(done[law, joint], of_joint) for joint, of_joint in enumerate(records)
             ),
             provenance=dict(provenance or {}),
         )

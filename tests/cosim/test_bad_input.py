@@ -472,7 +472,7 @@ STUDY_FAULTS = {
     "an unknown key in a table": (
         "[twin]",
         "[twin]\nplan = 1",
-        "unknown key 'twin.plan'; allowed here: motions, plant.",
+        "unknown key 'twin.plan'; allowed here: motions, plant, signals.",
     ),
     "no logs": ("[logs]", "[log]", "unknown key 'log'; allowed here: "),
     "an unknown law": (

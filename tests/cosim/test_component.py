@@ -171,3 +171,27 @@ def test_many_components_of_one_file(friction_fmu, tmp_path):
             component.step(0.0, 0.005)
         first, second, third = (c.get(["tau[1]"])[0] for c in (one, two, three))
     assert first == third != second
+
+
+def test_fmus_may_take_memory_from_the_host(friction_fmu):
+    with Component(friction_fmu) as friction:
+        callbacks = friction._slave.callbacks
+        assert callbacks.allocateMemory
+        assert callbacks.freeMemory
+
+
+def test_a_message_of_an_earlier_call_is_no_reason(friction_fmu):
+    with Component(friction_fmu) as friction:
+        friction._log(None, b"", 0, b"", b"all is well")
+        friction._log(None, b"", 1, b"", b"almost")
+        with pytest.raises(SimulationError, match=r"at t = 0 s: fmi2DoStep failed with status 3"):
+            friction._fail("fmi2DoStep", 3)
+    assert friction.messages == ["all is well", "almost"]
+
+
+def test_batches_may_use_memory_of_their_host(friction_fmu):
+    values = np.zeros(4)
+    with Component(friction_fmu) as friction:
+        friction.initialise(start={"dq[1]": 0.1, "dq[2]": 0.2})
+        friction.batch(["dq[1]", "dq[2]"], values[1:3]).read()
+    assert values.tolist() == [0.0, 0.1, 0.2, 0.0]

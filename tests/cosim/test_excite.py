@@ -5,6 +5,7 @@ import pytest
 from scipy.linalg import qr
 
 from cosim.studies.excite import Motions, excite, record, recordings
+from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Arm, Plant
 from hesr_model.errors import ConfigError
 from hesr_model.files import models_folder
@@ -23,6 +24,7 @@ NAMES = [
     "sweep",
     "fourier_test",
     "chirp",
+    "chirp_20s",
 ]
 HOME = np.array([0.0, 0.3, -1.9])
 
@@ -57,6 +59,18 @@ def sine(frequency=2.0, amplitude=(0.2, 0.2, 0.2), periods=2):
 
 
 # --- the default logs -------------------------------------------------------------------------
+
+
+def test_the_arm_as_an_fmu_gives_the_same_logs(motions, plant, everything, tmp_path):
+    folder = FOLDER / "uf850"
+    fmu = export_mjcf(plant.model, tmp_path / "Arm.fmu", table=folder / "arm.toml")
+    for recording in recordings(motions, plant, fmu=fmu):
+        other = everything[recording.log.name]
+        np.testing.assert_allclose(recording.log.q, other.log.q, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(recording.log.tau, other.log.tau, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            recording.truth.tau_f_true, other.truth.tau_f_true, rtol=0, atol=1e-9
+        )
 
 
 def test_every_default_motion_gives_its_logs(everything):

@@ -3,6 +3,8 @@
 import pytest
 from fmu_files import BINARY, changed, members, said
 
+from fmu_src.check import check
+
 
 @pytest.fixture
 def of(source_fmu, tmp_path):
@@ -75,3 +77,13 @@ def test_binaries_and_the_description_are_searched_too(table1_fmu, tmp_path):
     )
     rest = "it holds '/home/anna/robot', a path of the machine on which the FMU was built."
     assert said(path, "paths") == [f"modelDescription.xml: {rest}", f"{BINARY}: {rest}"]
+
+
+def test_what_others_have_built_is_not_looked_at(source_fmu, tmp_path):
+    text = b"/home/anna/robot/x.c"
+    names = ("binaries/linux64/libother.so.4.0.0", "binaries/linux64/libother.so")
+    for name, problems in zip(names, (0, 1), strict=True):
+        fmu = changed(source_fmu, tmp_path / "F.fmu", files={name: text})
+        assert len(said(fmu, "paths")) == problems
+        skipped = f"paths in {name}: a library that the FMU carries, built elsewhere."
+        assert (skipped in check(fmu).skipped) == (problems == 0)

@@ -1,0 +1,84 @@
+"""The twin's arm as an FMU, behind the interface of the Python arm."""
+
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cosim.component import Array, Component
+from fmu_src.arm.plant import ArmOutput, Plant
+
+_TRUE = ("q_true", "dq_true", "tau_true", "tau_f_true")
+_MEASURED = ("q", "tau_meas")
+
+
+class FmuArm:
+    """An arm under velocity command, run as an FMU; a context manager.
+
+    It measures by itself: `measured` is what its noisy outputs say at the instant reached.
+
+    Parameters
+    ----------
+    fmu : of the signals in models/uf850/arm.toml.
+    plant : joints, sample rate and noise.
+    limits : lowest and highest position (n, 2) [rad].
+    """
+
+    def __init__(self, fmu: Path, plant: Plant, limits: Array) -> None:
+        self.plant, self.limits = plant, limits
+        self.seed = plant.noise.seed
+        self.measured: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+        """Position [rad] and torque [N.m] with their noise, (n,) each."""
+        self._component = Component(fmu, name="arm")
+        self._cleanup = ExitStack()
+        self._steps = 0
+
+    def __enter__(self) -> Self:
+        """Load the FMU."""
+        component = self._cleanup.enter_context(self._component)
+        joints = range(1, len(self.plant.joints) + 1)
+        names = [f"{signal}[{i}]" for signal in (*_TRUE, *_MEASURED) for i in joints]
+        self._outputs = component.batch(names)
+        self._command = component.batch([f"dq_cmd[{i}]" for i in joints])
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Free it."""
+        self._cleanup.close()
+
+    def reset(self, q0: ArrayLike) -> ArmOutput:
+        """Put the arm at rest at `q0` (n,) [rad]; see `fmu_src.arm.plant.Arm.reset`."""
+        component = self._component
+        if component.used:
+            component.reset()
+        halves = {"noise_seed[1]": self.seed & 0xFFFFFFFF, "noise_seed[2]": self.seed >> 32}
+        start = {f"q0[{i}]": float(q) for i, q in enumerate(np.asarray(q0), start=1)}
+        noise = {f"{name}[{i}]": sigma
+                 for name, sigmas in (("q_noise", self.plant.noise.encoder),
+                                      ("tau_meas_noise", self.plant.noise.torque))
+                 for i, sigma in enumerate(sigmas, start=1)}  # fmt: skip
+        component.initialise(start={**start, **noise, **halves})
+        self._steps = 0
+        return self._read()
+
+    def step(self, dq_cmd: ArrayLike, dt: float) -> ArmOutput:
+        """Hold a velocity command (n,) [rad/s] for `dt` [s] and return what the arm does then."""
+        self._command.values[:] = dq_cmd
+        self._command.write()
+        self._component.step(self._steps * dt, dt)
+        self._steps += 1
+        return self._read()
+
+    def _read(self) -> ArmOutput:
+        values = self._outputs.read().reshape(len(_TRUE) + len(_MEASURED), -1).copy()
+        q, dq, tau, friction, *measured = values
+        self.measured = (measured[0], measured[1])
+        return ArmOutput(q=q, dq=dq, tau_meas=tau, tau_f_true=friction)

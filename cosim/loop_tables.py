@@ -1,0 +1,79 @@
+"""Tables of the closed loop for the terminal."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich import box
+from rich.table import Table
+
+from cosim.studies.loops import LoopOutcome
+from cosim.studies.robustness import Overcompensation
+from cosim.studies.tracking import Tracked
+from cosim.tables import title
+
+
+def outcome(found: LoopOutcome) -> list[Table]:
+    """Return all tables of a closed loop."""
+    return [
+        tracking("Tracking", found.tables),
+        tracking("Tracking for long", found.long),
+        *sweeps(found.sweeps),
+        overcompensation(found.overcompensation),
+    ]
+
+
+def tracking(heading: str, rows: Sequence[Tracked]) -> Table:
+    """Return the errors of rows in mrad, mean and spread over the motions, by scheme."""
+    joints = rows[0].mean.size
+    table = _table(f"{heading}: RMSE [mrad], mean (spread) over motions")
+    table.add_column("")
+    for joint in range(1, joints + 1):
+        table.add_column(f"J{joint}", justify="right")
+    for scheme in dict.fromkeys(row.scheme for row in rows):
+        table.add_row(f"[italic]{scheme}[/]", *[""] * joints)
+        for row in rows:
+            if row.scheme == scheme:
+                cells = [
+                    f"{1e3 * m:.2f} ({1e3 * s:.2f})" if np.isfinite(m) else "stopped"
+                    for m, s in zip(row.mean, row.spread, strict=True)
+                ]
+                table.add_row(f" {title(row.law)}", *cells)
+        table.add_section()
+    return table
+
+
+def sweeps(rows: Sequence[Tracked]) -> list[Table]:
+    """Return one table for each scheme: changes by laws, the error of the worst joint in mrad."""
+    parted = [(row.scheme.split(": "), row) for row in rows]
+    tables = []
+    for scheme in dict.fromkeys(parts[0] for parts, _ in parted):
+        of_scheme = [(parts[1], row) for parts, row in parted if parts[0] == scheme]
+        laws = list(dict.fromkeys(row.law for _, row in of_scheme))
+        table = _table(f"{scheme}: RMSE of the worst joint [mrad] when the arm changes")
+        table.add_column("")
+        for law in laws:
+            table.add_column(title(law).removeprefix("(").removesuffix(")"), justify="right")
+        for change in dict.fromkeys(change for change, _ in of_scheme):
+            errors = {row.law: row.mean.max() for c, row in of_scheme if c == change}
+            cells = [
+                f"{1e3 * errors[law]:.2f}" if np.isfinite(errors[law]) else "stopped"
+                for law in laws
+            ]
+            table.add_row(change, *cells)
+        tables.append(table)
+    return tables
+
+
+def overcompensation(found: Sequence[Overcompensation]) -> Table:
+    """Return from which factor on friction an arm at rest begins to cycle."""
+    table = _table("Factor on the friction torque at which the arm at rest begins to cycle")
+    for name in ("law", "scheme", "factor"):
+        table.add_column(name)
+    for one in found:
+        factor = "none up to 3" if one.factor is None else f"{one.factor:g}"
+        table.add_row(title(one.law), one.scheme, factor)
+    return table
+
+
+def _table(heading: str) -> Table:
+    return Table(title=heading, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))

@@ -1,0 +1,266 @@
+"""The closed-loop part of a study: which rows, on which motions, with which FMUs."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.closed_loop import Fmus, Scheme, Setting, Tracking
+from cosim.studies.tracking import Motion, Row, Tracked, track
+from fmu_src import export_fmu
+from fmu_src.arm.plant import Plant
+from fmu_src.arm.truth import true_friction
+from fmu_src.blocks.controller import controller
+from fmu_src.blocks.inverse_dynamics import inverse_dynamics
+from fmu_src.blocks.trajectory import trajectory
+from fmu_src.blocks.velocity import velocity
+from fmu_src.package import write_fmu
+from hesr_model.friction.law import FrictionModel
+from hesr_model.rigid_body import RigidBody
+from hesr_model.robot import RobotModel
+from hesr_model.trajectories import random_fourier
+
+VELOCITY_ONLY = "(velocity command only)"
+BODY_ONLY = "(rigid body only)"
+ORACLE = "(oracle)"
+Progress = Callable[[str, int, int], None]
+
+_MARGIN = 0.5  # [rad] beyond the joint limits, where a run has surely diverged
+
+
+def motions(tracking: Tracking, periods: int = 1) -> list[Motion]:
+    """Return the motions of a study as the FMUs take them, run a number of times each."""
+    return [
+        Motion.of(
+            random_fourier(
+                seed=seed,
+                harmonics=tracking.harmonics,
+                period=tracking.duration,
+                peak_velocity=np.array(tracking.peak_velocity),
+                offset=np.array(tracking.offset),
+                periods=periods,
+            )
+        )
+        for seed in tracking.seeds
+    ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loop:
+    """All that the rows of a study share.
+
+    Attributes
+    ----------
+    tracking : the study.
+    friction : FMU of each law.
+    oracle : FMU of the true friction.
+    fmus : the other FMUs, with the identified rigid body.
+    true_body : FMU of the true rigid body.
+    step : communication step [s].
+    noise : standard deviation of the measured torques [N.m].
+    """
+
+    tracking: Tracking
+    friction: Mapping[str, Path]
+    oracle: Path
+    fmus: Fmus
+    true_body: Path
+    step: float
+    noise: tuple[float, ...] = ()
+
+    def setting(self, law: str, scheme: Scheme) -> Setting:
+        """Return the loop of a law in a scheme."""
+        fmus = self.fmus
+        if law == ORACLE:
+            fmus = replace(fmus, friction=self.oracle, body=self.true_body)
+        elif law in self.friction:
+            fmus = replace(fmus, friction=self.friction[law])
+        if law == BODY_ONLY:
+            scheme = replace(scheme, friction_gain=0.0)
+        return Setting(
+            fmus=fmus,
+            scheme=scheme,
+            gains=self.tracking.gains,
+            step=self.step,
+            noise=self.noise,
+        )
+
+    def rows(self) -> Iterator[Row]:
+        """Yield the rows of the tables: every law in every scheme, beside what needs no law."""
+        outer = self.tracking.Kx
+        for Kx in (0.0, outer):
+            yield self.row(VELOCITY_ONLY, Scheme(compensation="none", Kx=Kx))
+        for compensation in ("torque_error", "servo_inversion"):
+            for Kx in (0.0, outer):
+                scheme = Scheme(compensation=compensation, Kx=Kx)  # type: ignore[arg-type]
+                for law in (BODY_ONLY, *self.friction, ORACLE):
+                    yield self.row(law, scheme)
+        for law in self.tracking.sources:
+            for compensation in ("torque_error", "servo_inversion"):
+                for source in ("measured", "filtered"):
+                    scheme = Scheme(compensation=compensation, source=source)  # type: ignore[arg-type]
+                    yield self.row(law, scheme)
+
+    def row(self, law: str, scheme: Scheme) -> Row:
+        """Return one row."""
+        return Row(scheme=scheme.name, law=law, setting=self.setting(law, scheme))
+
+
+_OWN = ("Trajectory", "Controller", "Velocity", "InverseDynamics", "TrueInverseDynamics")
+
+
+def build(
+    folder: Path, robot: RobotModel, body: RigidBody, plant: Plant, *, oracle: FrictionModel
+) -> None:
+    """Write the FMUs of a loop beside those of the arm and the laws.
+
+    Parameters
+    ----------
+    folder : where the FMUs stand.
+    robot, body : the identified rigid body; the true one is that of the robot's model file.
+    plant : the arm, for its sample rate.
+    oracle : true friction.
+    """
+    step = 1.0 / plant.sample_rate
+    contents = (
+        trajectory(robot.n, step=step),
+        controller(robot.n, step=step),
+        velocity(robot.n, step=step),
+        inverse_dynamics(robot, body.parameters, step=step),
+        inverse_dynamics(robot, robot.nominal_parameters, step=step),
+    )
+    for name, content in zip(_OWN, contents, strict=True):
+        write_fmu(content, folder / f"{name}.fmu")
+    export_fmu(oracle, folder / f"{oracle.law}.fmu")
+
+
+def assemble(
+    folder: Path, *, tracking: Tracking, friction: Mapping[str, Path], plant: Plant
+) -> Loop:
+    """Return the loop of the FMUs in a folder that `build` has filled, and of friction laws."""
+    paths = {name: folder / f"{name}.fmu" for name in _OWN}
+    return Loop(
+        tracking=tracking,
+        friction=friction,
+        oracle=folder / "true_friction.fmu",
+        fmus=Fmus(
+            arm=folder / "Arm.fmu",
+            trajectory=paths["Trajectory"],
+            body=paths["InverseDynamics"],
+            friction=next(iter(friction.values())),
+            controller=paths["Controller"],
+            velocity=paths["Velocity"],
+        ),
+        true_body=paths["TrueInverseDynamics"],
+        step=1.0 / plant.sample_rate,
+        noise=plant.noise.torque,
+    )
+
+
+def limits_of(robot: RobotModel) -> np.ndarray:
+    """Return the positions (n, 2) beyond which a run has diverged [rad]."""
+    lower, upper, _ = robot.limits
+    return np.column_stack([lower - _MARGIN, upper + _MARGIN])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopOutcome:
+    """What the closed loop of a study gave.
+
+    Attributes
+    ----------
+    tables : every law in every scheme, on all motions.
+    long : some of them on a long motion, which shows drift.
+    sweeps : some of them with a changed arm or controller.
+    overcompensation : how much too much friction is borne.
+    """
+
+    tables: Sequence[Tracked]
+    long: Sequence[Tracked]
+    sweeps: Sequence[Tracked]
+    overcompensation: Sequence[Any]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data in rad."""
+        return {
+            "tracking": [t.to_json() for t in self.tables],
+            "long": [t.to_json() for t in self.long],
+            "sweeps": [t.to_json() for t in self.sweeps],
+            "overcompensation": [asdict(o) for o in self.overcompensation],
+        }
+
+
+def run_loop(
+    tracking: Tracking,
+    plant: Plant,
+    robot: RobotModel,
+    body: RigidBody,
+    folder: Path,
+    *,
+    friction: Mapping[str, Path],
+    kept: Path | None,
+    progress: Progress,
+) -> LoopOutcome:
+    """Build the FMUs of a loop and run all that a study wants to know of it.
+
+    Parameters
+    ----------
+    tracking : the study.
+    plant : the arm.
+    robot, body : rigid body that was identified.
+    folder : of the results; the FMUs stand in fmus/ there, that of the arm as Arm.fmu.
+    friction : FMU of each law.
+    kept : folder in which finished rows are kept.
+    progress : told how far it has come.
+    """
+    from cosim.studies.robustness import run_overcompensation, run_sweeps
+
+    progress("building the loop", 0, 1)
+    fmus = folder / "fmus"
+    truth = true_friction(plant.model, plant.joints, sample_time=1.0 / plant.sample_rate)
+    build(fmus, robot, body, plant, oracle=truth)
+    loop = assemble(fmus, tracking=tracking, friction=friction, plant=plant)
+    progress("building the loop", 1, 1)
+    tables, long = run_tracking(loop, robot, kept=kept, progress=progress)
+    return LoopOutcome(
+        tables=tables,
+        long=long,
+        sweeps=run_sweeps(loop, robot, body, fmus, kept=kept, progress=progress),
+        overcompensation=run_overcompensation(loop, robot, kept=kept, progress=progress),
+    )
+
+
+def run_tracking(
+    loop: Loop, robot: RobotModel, *, kept: Path | None, progress: Progress
+) -> tuple[list[Tracked], list[Tracked]]:
+    """Run the tables' rows on all motions, and some on a long one; return both."""
+    tracking, limits = loop.tracking, limits_of(robot)
+    tables = track(
+        list(loop.rows()),
+        motions(tracking),
+        duration=tracking.duration,
+        limits=limits,
+        kept=kept,
+        progress=lambda done, all_: progress("tracking", done, all_),
+    )
+    long = track(
+        list(_drifting(loop)),
+        motions(tracking, int(np.ceil(tracking.drift / tracking.duration)))[:1],
+        duration=tracking.drift,
+        limits=limits,
+        kept=kept,
+        progress=lambda done, all_: progress("tracking for long", done, all_),
+    )
+    return tables, long
+
+
+def _drifting(loop: Loop) -> Iterator[Row]:
+    laws: Sequence[str] = (*loop.tracking.sources, ORACLE)
+    yield loop.row(VELOCITY_ONLY, Scheme(compensation="none"))
+    for law in (BODY_ONLY, *laws):
+        yield loop.row(law, Scheme(compensation="torque_error"))
+    for law in laws:
+        yield loop.row(law, Scheme(compensation="servo_inversion"))
+        yield loop.row(law, Scheme(compensation="servo_inversion", Kx=loop.tracking.Kx))

@@ -1,0 +1,178 @@
+"""What the loop bears: payloads, warm and cold friction, noise, latency, wrong servo gains."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cosim.closed_loop import Scheme, Setting, Source
+from cosim.studies.loops import BODY_ONLY, ORACLE, Loop, Progress, limits_of, motions
+from cosim.studies.tracking import Motion, Row, Tracked, track
+from fmu_src.blocks.inverse_dynamics import inverse_dynamics
+from fmu_src.package import write_fmu
+from hesr_model.rigid_body import RigidBody
+from hesr_model.robot import RobotModel
+from hesr_model.trajectories import Sine
+
+PAYLOADS = (1.0, 2.5, 5.0)
+"""Of which the loop knows nothing, and which are identified [kg]."""
+FRICTION_SCALES = (0.5, 0.75, 1.5, 2.0)
+"""Friction of the arm over that on which the laws were trained, as temperature changes it."""
+LATENCIES = (0.0, 0.02, 0.04)
+"""Of the servo, known to the controller [s]."""
+GAIN_ERRORS = (0.8, 1.2)
+"""Servo gains that the controller assumes over the true ones."""
+NOISE = 3.0
+"""Factor on the torque noise."""
+FACTORS = tuple(float(f) for f in np.round(np.arange(0.2, 3.01, 0.2), 1))
+"""On the friction torque, where limit cycling is looked for."""
+CYCLING = 2e-4
+"""RMS motion of an arm that should rest [rad], ten times the encoder's noise, that is cycling."""
+_REST = 4.0  # [s]
+
+_MOTIONS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overcompensation:
+    """From which factor on the friction torque an arm at rest cycles.
+
+    Attributes
+    ----------
+    law, scheme : of the loop.
+    factor : the first of `FACTORS` at which a joint moves by more than `CYCLING`, or the run
+        fails; None where it rests at all of them.
+    """
+
+    law: str
+    scheme: str
+    factor: float | None
+
+
+def run_sweeps(
+    loop: Loop,
+    robot: RobotModel,
+    body: RigidBody,
+    folder: Path,
+    *,
+    kept: Path | None,
+    progress: Progress,
+) -> list[Tracked]:
+    """Run the laws of interest under every change, on a few motions.
+
+    Parameters
+    ----------
+    loop : FMUs and gains.
+    robot, body : rigid body that was identified.
+    folder : where FMUs of identified payloads go.
+    kept, progress : see `track`.
+    """
+    rows = list(_rows(loop, _payload_bodies(robot, body, folder, loop.step)))
+    return track(
+        rows,
+        motions(loop.tracking)[:_MOTIONS],
+        duration=loop.tracking.duration,
+        limits=limits_of(robot),
+        kept=kept,
+        progress=lambda done, all_: progress("robustness", done, all_),
+    )
+
+
+def run_overcompensation(
+    loop: Loop, robot: RobotModel, *, kept: Path | None, progress: Progress
+) -> list[Overcompensation]:
+    """Find out how much too much friction compensation each loop bears."""
+    sources: tuple[Source, ...] = ("desired", "measured", "filtered")
+    # The torque error moves a resting arm by its noise alone, so it tells nothing here.
+    cases = [
+        (law, Scheme(compensation="servo_inversion", source=source))
+        for law in loop.tracking.sources
+        for source in sources
+    ]
+    offset = np.array(loop.tracking.offset)
+    still = Motion.of(Sine(offset=offset, amplitude=np.zeros(len(offset)), frequency=1.0))
+    rows = [
+        Row(
+            scheme=f"{scheme.name}, factor {factor:g}",
+            law=law,
+            setting=loop.setting(law, replace(scheme, friction_gain=factor)),
+        )
+        for law, scheme in cases
+        for factor in FACTORS
+    ]
+    found = track(
+        rows,
+        [still],
+        duration=_REST,
+        limits=limits_of(robot),
+        kept=kept,
+        progress=lambda done, all_: progress("over-compensation", done, all_),
+    )
+    results = []
+    for k, (law, scheme) in enumerate(cases):
+        errors = [t.rmse[0] for t in found[k * len(FACTORS) : (k + 1) * len(FACTORS)]]
+        beyond = (
+            factor
+            for factor, error in zip(FACTORS, errors, strict=True)
+            if not np.all(error < CYCLING)  # NaN of a failed run as well
+        )
+        results.append(Overcompensation(law=law, scheme=scheme.name, factor=next(beyond, None)))
+    return results
+
+
+def _rows(loop: Loop, payloads: Mapping[float, Path]) -> Iterator[Row]:
+    schemes = (
+        Scheme(compensation="torque_error"),
+        Scheme(compensation="servo_inversion"),
+        Scheme(compensation="servo_inversion", Kx=loop.tracking.Kx),
+    )
+    for scheme in schemes:
+        for law in (BODY_ONLY, *loop.tracking.sources, ORACLE):
+            for change, setting in _changed(loop.setting(law, scheme), payloads):
+                yield Row(scheme=f"{scheme.name}: {change}", law=law, setting=setting)
+
+
+def _changed(setting: Setting, payloads: Mapping[float, Path]) -> Iterator[tuple[str, Setting]]:
+    gains, fmus = setting.gains, setting.fmus
+    yield "as it is", setting
+    for mass, body in payloads.items():
+        arm = {"payload": mass}
+        yield f"payload {mass:g} kg", replace(setting, arm=arm)
+        # The servo compensates the gravity of the bare arm, so that is what is subtracted.
+        known = replace(fmus, body=body, gravity=fmus.body)
+        yield f"payload {mass:g} kg, identified", replace(setting, arm=arm, fmus=known)
+    for scale in FRICTION_SCALES:
+        yield f"friction x {scale:g}", replace(setting, arm={"friction_scale": scale})
+    for latency in LATENCIES:
+        changed = gains.model_copy(update={"latency": latency})
+        yield (
+            f"latency {1e3 * latency:g} ms",
+            replace(setting, arm={"latency": latency}, gains=changed),
+        )
+    for error in GAIN_ERRORS:
+        wrong = {name: tuple(error * g for g in getattr(gains, name)) for name in ("Kv", "Ki")}
+        yield (
+            f"servo gains x {error:g}",
+            replace(setting, gains=gains.model_copy(update=wrong)),
+        )
+    noise = tuple(NOISE * sigma for sigma in setting.noise)
+    yield f"torque noise x {NOISE:g}", replace(setting, arm={"tau_meas_noise": noise})
+
+
+def _payload_bodies(
+    robot: RobotModel, body: RigidBody, folder: Path, step: float
+) -> dict[float, Path]:
+    """Rigid bodies with a payload that is known exactly, as FMUs."""
+    source = robot.description.model
+    paths = {}
+    for mass in PAYLOADS:
+        loaded = folder / f"payload_{mass:g}.xml"
+        text = source.read_text(encoding="utf-8")
+        loaded.write_text(text.replace('pos="0 0 0" mass="0"', f'pos="0 0 0" mass="{mass}"'))
+        description = robot.description.model_copy(update={"model": loaded})
+        change = RobotModel(description).nominal_parameters - robot.nominal_parameters
+        content = inverse_dynamics(robot, body.parameters + change, step=step)
+        paths[mass] = write_fmu(content, folder / f"InverseDynamics_{mass:g}kg.fmu")
+        loaded.unlink()
+    return paths

@@ -1,0 +1,206 @@
+"""Tracking in closed loop (Table III): every law in every scheme, through the FMUs."""
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.closed_loop import Setting, system
+from cosim.component import Array
+from cosim.master import Master
+from cosim.system import Value
+from fmu_src.blocks.trajectory import start_values
+from hesr_model import parallel
+from hesr_model.files import sha256, written_whole
+from hesr_model.trajectories import Trajectory
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """A motion as the FMUs take it.
+
+    Attributes
+    ----------
+    parameters : of the Trajectory FMU.
+    q0 : where the arm begins [rad].
+    """
+
+    parameters: Mapping[str, Value]
+    q0: tuple[float, ...]
+
+    @classmethod
+    def of(cls, trajectory: Trajectory) -> "Motion":
+        """Return a motion in closed form as one for the FMUs."""
+        q0 = trajectory.sample(np.zeros(1))[0][0]
+        return cls(parameters=start_values(trajectory), q0=tuple(map(float, q0)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One row of a table: a law in a scheme.
+
+    Attributes
+    ----------
+    scheme : name of the scheme.
+    law : name of the law, or what stands in its place.
+    setting : the loop.
+    """
+
+    scheme: str
+    law: str
+    setting: Setting
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tracked:
+    """How well a row tracks.
+
+    Attributes
+    ----------
+    scheme, law : of the row.
+    rmse : (M, n) error of each motion and joint [rad]; NaN for a run that failed.
+    last : (M, n) mean error over the last tenth of each run [rad], which shows drift.
+    failures : why runs ended early.
+    """
+
+    scheme: str
+    law: str
+    rmse: Array
+    last: Array
+    failures: tuple[str, ...] = ()
+
+    @property
+    def mean(self) -> Array:
+        """Mean over the motions, (n,) [rad]."""
+        return np.asarray(self.rmse.mean(axis=0))
+
+    @property
+    def spread(self) -> Array:
+        """Standard deviation over the motions, (n,) [rad]."""
+        return np.asarray(self.rmse.std(axis=0))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data in rad; a run that failed has no numbers."""
+        return {
+            "scheme": self.scheme,
+            "law": self.law,
+            "rmse": _numbers(self.rmse),
+            "last": _numbers(self.last),
+            "failures": list(self.failures),
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> "Tracked":
+        """Rebuild what `to_json` returned."""
+        return cls(
+            scheme=data["scheme"],
+            law=data["law"],
+            rmse=np.array(data["rmse"], dtype=float),
+            last=np.array(data["last"], dtype=float),
+            failures=tuple(data["failures"]),
+        )
+
+
+def track(
+    rows: Sequence[Row],
+    motions: Sequence[Motion],
+    *,
+    duration: float,
+    limits: Array,
+    kept: Path | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> list[Tracked]:
+    """Run every row along every motion.
+
+    Parameters
+    ----------
+    rows : laws in schemes.
+    motions : what is tracked.
+    duration : of a run [s].
+    limits : (n, 2) positions at which a run is stopped [rad].
+    kept : folder in which finished rows are kept, so that an interrupted study can go on.
+    workers : processes; one for each core where not given, none of its own for 1.
+    progress : told how many rows are done and how many there are.
+
+    Returns
+    -------
+    One result for each row, in their order; runs that failed are part of it.
+    """
+    done: dict[int, Tracked] = {}
+    left: list[int] = []
+    keys = [_key(row, motions, duration) if kept else "" for row in rows]
+    for i, key in enumerate(keys):
+        file = kept / f"{key}.json" if kept else None
+        if file and file.is_file():
+            done[i] = Tracked.from_json(json.loads(file.read_text(encoding="utf-8")))
+        else:
+            left.append(i)
+
+    def keep(i: int, result: Tracked) -> None:
+        done[i] = result
+        if kept:
+            kept.mkdir(parents=True, exist_ok=True)
+            with written_whole(kept / f"{keys[i]}.json") as temporary:
+                temporary.write_text(json.dumps(result.to_json()), encoding="utf-8")
+        if progress:
+            progress(len(done), len(rows))
+
+    if progress:
+        progress(len(done), len(rows))
+    count = min(workers or os.cpu_count() or 1, len(left))
+    if count <= 1:
+        for i in left:
+            keep(i, _tracked(rows[i], motions, duration, limits))
+    else:
+        with parallel.workers(count) as pool:
+            with parallel.interrupts_held_back():
+                futures = {
+                    pool.submit(_tracked, rows[i], motions, duration, limits): i for i in left
+                }
+            for future in as_completed(futures):
+                keep(futures[future], future.result())
+    return [done[i] for i in range(len(rows))]
+
+
+def _tracked(row: Row, motions: Sequence[Motion], duration: float, limits: Array) -> Tracked:
+    spec = system(row.setting, duration=duration, limits=limits)
+    rmse, last, failures = [], [], []
+    with Master(spec) as master:
+        for motion in motions:
+            result = master.run(start={"trajectory": motion.parameters, "arm": {"q0": motion.q0}})
+            error = result.vector("trajectory.q") - result.vector("arm.q_true")
+            if result.failure:
+                failures.append(str(result.failure))
+                error = np.full((1, len(limits)), np.nan)
+            rmse.append(np.sqrt(np.mean(error**2, axis=0)))
+            last.append(np.mean(error[-max(len(error) // 10, 1) :], axis=0))
+    return Tracked(
+        scheme=row.scheme,
+        law=row.law,
+        rmse=np.array(rmse),
+        last=np.array(last),
+        failures=tuple(failures),
+    )
+
+
+def _key(row: Row, motions: Sequence[Motion], duration: float) -> str:
+    """Name of a row's result, which changes with anything that the result depends on."""
+    setting = asdict(row.setting) | {"gains": row.setting.gains.model_dump()}
+    files = {name: sha256(path) for name, path in setting["fmus"].items() if path}
+    moved = [asdict(motion) for motion in motions]
+    data = [row.scheme, row.law, setting | {"fmus": files}, moved, duration]
+    text = json.dumps(data, default=list, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def _numbers(values: Array) -> list[list[float | None]]:
+    return [[float(x) if np.isfinite(x) else None for x in row] for row in values]

@@ -1,0 +1,91 @@
+"""Parts of a compiled model that are the inputs, outputs and start values of an FMU."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True)
+class Input:
+    """One input: its controls in the model."""
+
+    name: str
+    unit: str
+    controls: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Output:
+    """One output: addresses in the sensor data with factors, those that follow the scale; noise."""
+
+    name: str
+    unit: str
+    reads: tuple[tuple[int, float, bool], ...]
+    noise: float | None = None
+    stream: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """A start value: address of a position, and of an activation and the joint's force it holds."""
+
+    name: str
+    unit: str
+    position: int
+    value: float
+    activation: int | None = None
+    gain: float = 1.0
+    held: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delay:
+    """Delay of all actuators that have one, as time from a command until it acts.
+
+    Without interpolation a command acts at the first step after the delay that is written in the
+    model. The time is then a number of whole steps, and half a step less is written: the rounding
+    of sums of steps would else make it a step longer or shorter now and then.
+
+    Attributes
+    ----------
+    usual : of the model as it is [s].
+    longest : that the buffers hold [s].
+    actuators : that have it.
+    """
+
+    usual: float
+    longest: float
+    actuators: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Signals:
+    """All signals of a compiled model."""
+
+    model: Any
+    inputs: tuple[Input, ...]
+    outputs: tuple[Output, ...]
+    starts: tuple[Start, ...] = ()
+    friction: tuple[int, ...] = ()
+    payload: int | None = None
+    step: float = 0.0
+    seed: int = 0
+
+    @cached_property
+    def delay(self) -> Delay | None:
+        """None as well where actuators have different ones, which no one number describes."""
+        model = self.model
+        delayed = np.flatnonzero(np.asarray(model.actuator_delay) > 0)
+        usual = np.unique(model.actuator_delay[delayed])
+        if len(usual) != 1:
+            return None
+        step = float(model.opt.timestep)
+        samples, interpolation = model.actuator_history[delayed].T
+        time = float(usual[0])
+        if not interpolation.any():
+            time = float(np.ceil(time / step - 1e-6)) * step
+        return Delay(
+            usual=time, longest=float(samples.min()) * step, actuators=tuple(map(int, delayed))
+        )

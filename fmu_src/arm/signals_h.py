@@ -1,0 +1,118 @@
+"""The signals of a model as tables of C."""
+
+from collections.abc import Mapping, Sequence
+
+from fmu_src.arm.parts import Signals
+from fmu_src.arm.variables import LATENCY, PAYLOAD, SCALE, SEED, noise_name
+from fmu_src.interface import Interface, literal
+
+# Each table's type, the name of its size and an element that stands where it is empty: C knows no
+# empty arrays.
+_TABLES = {
+    "drives": ("Drive", "DRIVES", "{0, 0}"),
+    "reads": ("Read", "READS", "{0, 0, 0.0, 0}"),
+    "noises": ("Noise", "NOISY", "{0, 0, 0u}"),
+    "starts": ("Start", "STARTS", "{0, 0, 0, -1, 1.0}"),
+    "rubbing": ("int", "RUBBING", "0"),
+}
+
+
+def to_h(signals: Signals, table: Interface, *, state: int, digest: str) -> str:
+    """Return signals.h.
+
+    Parameters
+    ----------
+    signals : of the model.
+    table : its variables.
+    state : how many numbers MuJoCo's integration state has.
+    digest : hash of the compiled model, by which models with equal signals differ.
+    """
+    at = table.references
+    rows = _rows(signals, at)
+    arrays = []
+    for name, (kind, _, empty) in _TABLES.items():
+        arrays.append(f"static const {kind} {name}[] = {{{', '.join(rows[name]) or empty}}};")
+    delay = signals.delay
+    return _SIGNALS.format(
+        digest=digest,
+        counts=", ".join(f"{_TABLES[name][1]} = {len(e)}" for name, e in rows.items()),
+        arrays="\n".join(arrays),
+        outputs=len(signals.outputs),
+        first_output=at[signals.outputs[0].name],
+        scale=at.get(SCALE, -1),
+        payload=at.get(PAYLOAD, -1),
+        latency=at.get(LATENCY, -1),
+        seed=at.get(f"{SEED}[1]", -1),
+        body=-1 if signals.payload is None else signals.payload,
+        state=state,
+        longest=literal(delay.longest if delay else 0.0),
+    )
+
+
+def _rows(signals: Signals, at: Mapping[str, int]) -> dict[str, Sequence[str]]:
+    noisy = [output for output in signals.outputs if output.noise is not None]
+    starts = []
+    for start in signals.starts:
+        starts.append(f"{{{at[start.name]}, 0, {start.position}, -1, 1.0}}")
+        if start.activation is not None:
+            held = -1 if start.held is None else start.held
+            starts.append(
+                f"{{{at[start.name]}, 1, {start.activation}, {held}, {literal(start.gain)}}}"
+            )
+    return {
+        "drives": [
+            f"{{{at[one.name]}, {control}}}" for one in signals.inputs for control in one.controls
+        ],
+        "reads": [
+            f"{{{at[output.name]}, {address}, {literal(factor)}, {int(scaled)}}}"
+            for output in signals.outputs
+            for address, factor, scaled in output.reads
+        ],
+        "noises": [f"{{{at[o.name]}, {at[noise_name(o)]}, {o.stream}u}}" for o in noisy],
+        "starts": starts,
+        "rubbing": [str(actuator) for actuator in signals.friction],
+    }
+
+
+_SIGNALS = """\
+/* Generated: which parts of the model are the FMU's signals. */
+#ifndef SIGNALS_H
+#define SIGNALS_H
+
+/* The compiled model, SHA-256 {digest}. */
+#define MODEL_FILE "model.mjb"
+#define LONGEST_LATENCY {longest}
+
+/* Places of variables, -1 for those that the model does not have, and sizes. */
+enum {{ FIRST_OUTPUT = {first_output}, OUTPUTS = {outputs} }};
+enum {{ FRICTION_SCALE = {scale}, PAYLOAD = {payload}, LATENCY = {latency}, NOISE_SEED = {seed} }};
+enum {{ PAYLOAD_BODY = {body}, STATE_SIZE = {state} }};
+enum {{ {counts} }};
+
+/* What an input drives: its place and that of a control. */
+typedef struct {{
+    int input, control;
+}} Drive;
+
+/* A summand of an output. */
+typedef struct {{
+    int output, sensor; /* address in the sensor data */
+    double factor;
+    int scaled; /* whether the factor follows the friction scale */
+}} Read;
+
+typedef struct {{
+    int output, sigma;
+    unsigned stream;
+}} Noise;
+
+/* A position or an activation that has a start value; the latter may hold what acts on a joint. */
+typedef struct {{
+    int parameter, activation, index, held_dof;
+    double gain;
+}} Start;
+
+{arrays}
+
+#endif
+"""

@@ -1,0 +1,213 @@
+"""A model and its signals simulated in Python: what the native FMU does, without C and FMI."""
+
+import copy
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, cast
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmu_src.arm.parts import Signals
+from fmu_src.arm.variables import LATENCY, PAYLOAD, SCALE, SEED, noise_name, variables
+from hesr_model.errors import SimulationError
+from hesr_model.noise import standard_normal
+
+Array = NDArray[np.float64]
+
+LEAST_SCALE = 1e-9
+"""Of friction that is switched off: MuJoCo has no bristles without stiffness, but their states."""
+
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+_MAX = 1e10
+"""MuJoCo takes controls beyond it for zero, and starts again where a state is beyond it."""
+
+
+class Simulation:
+    """A model under control, with the variables of its FMUs.
+
+    Parameters
+    ----------
+    signals
+        The compiled model, which stays as it is, and what of it is seen.
+    """
+
+    def __init__(self, signals: Signals) -> None:
+        self.signals = signals
+        self.variables = variables(signals)
+        self.defaults = {v.name: v.start for v in self.variables if v.role == "fixed"}
+        """Parameters where none are given."""
+        self._noisy = [k for k, o in enumerate(signals.outputs) if o.noise is not None]
+        self._state_size = mujoco.mj_stateSize(signals.model, _STATE)
+        self._streams = np.array([signals.outputs[k].stream for k in self._noisy])
+        self.reset()
+
+    def reset(self, parameters: Mapping[str, float] | None = None) -> Array:
+        """Begin with these parameters, those left out as in `defaults`; return the outputs.
+
+        Raises
+        ------
+        SimulationError
+            If there is no such parameter, or one has a value that means nothing.
+        """
+        given = self.defaults | dict(parameters or {})
+        self._check(given)
+        self.parameters = given
+        self.samples = 0
+        self._adapt()
+        data = self._data
+        for start in self.signals.starts:
+            data.qpos[start.position] = given[start.name]
+            if start.activation is not None:
+                data.act[start.activation] = given[start.name]
+        mujoco.mj_forward(self._model, data)
+        acting = data.qfrc_smooth.copy()
+        for start in self.signals.starts:
+            if start.activation is not None and start.held is not None:
+                data.act[start.activation] -= acting[start.held] / start.gain
+        return self.outputs()
+
+    def step(self, inputs: ArrayLike, dt: float) -> Array:
+        """Hold the inputs for `dt` and return the outputs at its end.
+
+        Parameters
+        ----------
+        inputs
+            In the order of the signals.
+        dt
+            A positive integer multiple of the model's time step [s].
+
+        Raises
+        ------
+        SimulationError
+            If `dt` is no such multiple, an input is too large, or the simulation diverges; the
+            state is then what it was.
+        """
+        own = float(self._model.opt.timestep)
+        count = round(dt / own)
+        if count < 1 or abs(dt - count * own) > 1e-6 * own:
+            raise SimulationError(
+                f"the step is {dt:g} s; a multiple of the simulation's own, {own:g} s, is needed."
+            )
+        before = self._state()
+        data = self._data
+        for one, value in zip(self.signals.inputs, np.atleast_1d(inputs), strict=True):
+            if not abs(value) <= _MAX:
+                raise SimulationError(f"{one.name} is {value:g}; the largest is {_MAX:g}.")
+            data.ctrl[list(one.controls)] = value
+        with _quiet():
+            mujoco.mj_step(self._model, data, nstep=count)
+        if self._diverged():
+            self._data = mujoco.MjData(self._model)
+            self._restore(before)
+            raise SimulationError(f"the simulation has diverged within {dt:g} s.")
+        self.samples += 1
+        return self.outputs()
+
+    def outputs(self) -> Array:
+        """Return the outputs at the present instant, in the order of the signals."""
+        data = self._data
+        # Where contacts are solved by iteration, the present forces must not become the first guess
+        # of the next step: outputs may be read any number of times.
+        guess = data.qacc_warmstart.copy()
+        mujoco.mj_forward(self._model, data)
+        data.qacc_warmstart[:] = guess
+        found: Array = self._weights @ data.sensordata
+        if self._noisy:
+            found[self._noisy] += self._sigma * standard_normal(
+                self._seed, self._streams, self.samples
+            )
+        return found
+
+    def state(self) -> dict[str, Any]:
+        """Return all that a later call depends on, as numbers and lists of them."""
+        return {
+            "parameters": self.parameters,
+            "samples": self.samples,
+            "state": self._state().tolist(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go back to a state."""
+        if state["parameters"] != self.parameters:
+            self.parameters = dict(state["parameters"])
+            self._adapt()
+        self.samples = int(state["samples"])
+        self._restore(np.array(state["state"]))
+
+    def _state(self) -> Array:
+        state = np.empty(self._state_size)
+        mujoco.mj_getState(self._model, self._data, state, _STATE)
+        return state
+
+    def _restore(self, state: Array) -> None:
+        mujoco.mj_setState(self._model, self._data, state, _STATE)
+
+    def _check(self, given: Mapping[str, float]) -> None:
+        for name, value in given.items():
+            if name not in self.defaults:
+                raise SimulationError(f"there is no parameter '{name}'.")
+            if not np.isfinite(value):
+                raise SimulationError(f"{name} is {value:g}; a finite number is needed.")
+            if name.startswith(f"{SEED}["):
+                if value != int(value) or not 0 <= value < 2**32:
+                    raise SimulationError(
+                        f"{name} is {value:.17g}; a whole number from 0 to 4294967295 is needed."
+                    )
+            elif value < 0 and name not in {s.name for s in self.signals.starts}:
+                raise SimulationError(f"{name} is {value:g}; it must not be negative.")
+        delay = self.signals.delay
+        if delay and given[LATENCY] > delay.longest * (1 + 1e-9):
+            raise SimulationError(
+                f"latency is {given[LATENCY]:g} s; the model's buffers hold {delay.longest:g} s."
+            )
+
+    def _adapt(self) -> None:
+        """Make a model of the parameters and memory for it."""
+        given, signals = self.parameters, self.signals
+        self._model = model = copy.copy(signals.model)
+        scale = given.get(SCALE, 1.0)
+        least = max(scale, LEAST_SCALE)
+        for actuator in signals.friction:
+            model.actuator_biasprm[actuator, [0, 3, 4]] *= least
+            model.actuator_dynprm[actuator, [5, 6]] *= least
+            model.actuator_damping[actuator] *= least
+            model.actuator_dampingpoly[actuator] *= least
+        for actuator in signals.delay.actuators if signals.delay else ():
+            model.actuator_delay[actuator] = _delay(model, actuator, given[LATENCY])
+        self._data = mujoco.MjData(model)
+        if signals.payload is not None:
+            model.body_mass[signals.payload] += given[PAYLOAD]
+            mujoco.mj_setConst(model, self._data)
+            mujoco.mj_resetData(model, self._data)
+        self._weights = np.zeros((len(signals.outputs), model.nsensordata))
+        for row, output in zip(self._weights, signals.outputs, strict=True):
+            for address, factor, scaled in output.reads:
+                row[address] += factor * (scale if scaled else 1.0)
+        self._sigma = np.array([given[noise_name(signals.outputs[k])] for k in self._noisy])
+        self._seed = int(given.get(f"{SEED}[1]", 0)) | int(given.get(f"{SEED}[2]", 0)) << 32
+
+    def _diverged(self) -> bool:
+        data = self._data
+        first = int(mujoco.mjtWarning.mjWARN_CONTACTFULL)
+        bounded = np.all(np.abs(data.qpos) <= _MAX) and np.all(np.abs(data.qvel) <= _MAX)
+        return bool(not bounded or np.any(data.warning.number[first:]))
+
+
+def _delay(model: Any, actuator: int, latency: float) -> float:
+    """Return what is to be written in the model, see `Delay`."""
+    step = float(model.opt.timestep)
+    interpolated = model.actuator_history[actuator, 1] > 0
+    return latency if interpolated else max(np.ceil(latency / step - 1e-6) - 0.5, 0.0) * step
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep MuJoCo from writing its warnings to a file in the working directory."""
+    before = cast(Any, mujoco.get_mju_user_warning())
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)

@@ -1,0 +1,79 @@
+"""The true friction of an MJCF as a friction model: what an oracle knows."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import sympy
+
+from fmu_src.arm.signals import compiled
+from hesr_model.friction.functions import DQ, Q, absolute
+from hesr_model.friction.law import Coefficient, FrictionLaw, FrictionModel, LawForm, Relaxation
+
+_COEFFICIENTS = (
+    ("stiffness", "N.m/rad", "bristle stiffness"),
+    ("coulomb", "N.m", "Coulomb friction"),
+    ("static", "N.m", "static friction"),
+    ("stribeck", "rad/s", "Stribeck velocity"),
+    ("damping", "N.m.s/rad", "viscous friction"),
+    ("cogging", "N.m", "amplitude of the ripple"),
+    ("poles", "1/rad", "ripples in a radian"),
+    ("phase", "rad", "of the ripple"),
+)
+
+
+def true_friction(mjcf: Path, joints: Sequence[str], *, sample_time: float) -> FrictionModel:
+    """Return the friction of an MJCF's passive dcmotor actuators as one law for each joint.
+
+    Each actuator is a LuGre element without micro-damping, with viscous friction and cogging:
+
+        z' = v - stiffness |v| / g(v) z,  g = coulomb + (static - coulomb) exp(-(v / stribeck)^2)
+        tau = stiffness z + damping v - cogging sin(poles q + phase)
+
+    Parameters
+    ----------
+    mjcf : the model.
+    joints : names of its joints, in order.
+    sample_time : at which the laws are run [s].
+    """
+    model = compiled(mjcf)
+    elements: dict[str, list[int]] = {joint: [] for joint in joints}
+    for i in np.flatnonzero(model.actuator_dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR):
+        joint = model.joint(int(model.actuator_trnid[i, 0])).name
+        if model.actuator_ctrlnum[i] == 0 and joint in elements:
+            elements[joint].append(int(i))
+    return FrictionModel(
+        law="true_friction",
+        robot=mjcf.stem,
+        joints=tuple(joints),
+        laws=tuple(_law(model, elements[joint]) for joint in joints),
+        sample_time=sample_time,
+    )
+
+
+def _law(model: object, actuators: Sequence[int]) -> FrictionLaw:
+    coefficients: list[Coefficient] = []
+    values: dict[str, float] = {}
+    relaxations: list[Relaxation] = []
+    torque = sympy.Integer(0)
+    for number, i in enumerate(actuators, start=1):
+        bias, dynamics = model.actuator_biasprm[i], model.actuator_dynprm[i]  # type: ignore[attr-defined]
+        numbers = (dynamics[5], *bias[3:6], model.actuator_damping[i], *bias[:3])  # type: ignore[attr-defined]
+        own = [
+            Coefficient(name=f"{name}_{number}", unit=unit, description=f"{text}, element {number}")
+            for name, unit, text in _COEFFICIENTS
+        ]
+        coefficients += own
+        values |= {c.name: float(x) for c, x in zip(own, numbers, strict=True)}
+        stiffness, coulomb, static, stribeck, damping, cogging, poles, phase = (
+            c.symbol for c in own
+        )
+        level = coulomb + (static - coulomb) * sympy.exp(-((DQ / stribeck) ** 2))
+        element = Relaxation(
+            name=f"z{number}", unit="rad", drive=DQ, rate=stiffness * absolute(DQ) / level
+        )
+        relaxations.append(element)
+        torque += stiffness * element.state + damping * DQ - cogging * sympy.sin(poles * Q + phase)
+    form = LawForm(coefficients=tuple(coefficients), relaxations=tuple(relaxations), output=torque)
+    return FrictionLaw(name="true_friction", form=form, values=values)

@@ -1,0 +1,92 @@
+/* Parameters of the FMU of an MJCF: which values mean something, and what they do to the model. */
+#ifndef MJCF_PARAMETERS_H
+#define MJCF_PARAMETERS_H
+
+#include <math.h>
+#include <mujoco/mujoco.h>
+#include <stdbool.h>
+#include <stdio.h>
+
+#include "component.h"
+#include "signals.h"
+
+/* Parameters that change the model. */
+typedef struct {
+    double scale, payload, latency;
+} Changes;
+
+static double value_or(const double *v, int place, double otherwise) {
+    return place >= 0 ? v[place] : otherwise;
+}
+
+static Changes changes_of(const double *v) {
+    const Changes changes = {value_or(v, FRICTION_SCALE, 1.0), value_or(v, PAYLOAD, 0.0),
+                             value_or(v, LATENCY, -1.0)};
+    return changes;
+}
+
+/* Half of the noise's seed; both are whole numbers of 32 bits. */
+static double seed_half(const double *v, int half) {
+    return NOISE_SEED >= 0 ? v[NOISE_SEED + half] : 0.0;
+}
+
+static bool not_negative(const double *v, int place, Message *why) {
+    if (place >= 0 && !(v[place] >= 0.0)) {
+        snprintf(why->text, sizeof why->text, "%s is %g; it must not be negative.",
+                 variables[place].name, v[place]);
+        return false;
+    }
+    return true;
+}
+
+static bool parameters_are_usable(const double *v, Message *why) {
+    bool usable = not_negative(v, FRICTION_SCALE, why) && not_negative(v, PAYLOAD, why) &&
+                  not_negative(v, LATENCY, why);
+    for (int i = 0; usable && i < NOISY; i++) {
+        usable = not_negative(v, noises[i].sigma, why);
+    }
+    for (int i = 0; usable && i < 2; i++) {
+        const double half = seed_half(v, i);
+        usable = half >= 0.0 && half <= 4294967295.0 && half == floor(half);
+        if (!usable) {
+            snprintf(why->text, sizeof why->text,
+                     "%s is %.17g; a whole number from 0 to 4294967295 is needed.",
+                     variables[NOISE_SEED + i].name, half);
+        }
+    }
+    /* Sums of the timestep are uncertain by some bits. */
+    if (usable && LATENCY >= 0 && value_or(v, LATENCY, 0.0) > LONGEST_LATENCY * (1.0 + 1e-9)) {
+        snprintf(why->text, sizeof why->text, "latency is %g s; the model's buffers hold %g s.",
+                 value_or(v, LATENCY, 0.0), LONGEST_LATENCY);
+        usable = false;
+    }
+    return usable;
+}
+
+/* LuGre's forces all scale with its stiffness, damping and levels; its shape stays. Friction that
+ * is switched off keeps a trace: MuJoCo has no bristles without stiffness, but the model their
+ * states. */
+static void scale_friction(mjModel *m, int actuator, double wanted) {
+    const double scale = fmax(wanted, 1e-9);
+    mjtNum *bias = &m->actuator_biasprm[actuator * mjNBIAS];
+    mjtNum *dynamics = &m->actuator_dynprm[actuator * mjNDYN];
+    bias[0] *= scale; /* amplitude of cogging */
+    bias[3] *= scale; /* Coulomb friction */
+    bias[4] *= scale; /* static friction */
+    dynamics[5] *= scale;
+    dynamics[6] *= scale;
+    m->actuator_damping[actuator] *= scale;
+    for (int i = 0; i < mjNPOLY; i++) {
+        m->actuator_dampingpoly[actuator * mjNPOLY + i] *= scale;
+    }
+}
+
+/* Without interpolation a command acts at the first step after the delay. Half a step less than
+ * that number of whole steps keeps the rounding of the time from making it one more or less. */
+static double delay_of(const mjModel *m, int actuator, double latency) {
+    const double steps = ceil(latency / m->opt.timestep - 1e-6);
+    const bool interpolated = m->actuator_history[2 * actuator + 1] > 0;
+    return interpolated ? latency : fmax(steps - 0.5, 0.0) * m->opt.timestep;
+}
+
+#endif

@@ -1,0 +1,87 @@
+"""The command that makes an FMU of an MJCF, and what it says when it cannot."""
+
+import pytest
+from small_study import Hesr, hesr_here, uf850
+
+from cosim.component import Component
+
+MJCF = """\
+<mujoco>
+  <worldbody><body><joint name="j"/><geom size="0.1" pos="0 0 -0.5"/></body></worldbody>
+  <actuator><motor name="u" joint="j"/></actuator>
+  <sensor><jointpos name="y" joint="j"/></sensor>
+</mujoco>
+"""
+
+
+@pytest.fixture
+def hesr(capsys, monkeypatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+@pytest.fixture
+def mjcf(tmp_path):
+    path = tmp_path / "swing.xml"
+    path.write_text(MJCF)
+    return path
+
+
+def test_an_mjcf_becomes_an_fmu(hesr, mjcf, tmp_path):
+    fmu = tmp_path / "Swing.fmu"
+    answer = hesr("export", mjcf, "-o", fmu)
+    assert answer.code == 0, answer.err
+    assert answer.out == f"written to {fmu}.\n"
+    with Component(fmu) as swing:
+        assert swing.description.modelName == "swing"
+        swing.initialise()
+        swing.set({"u": 0.1})
+        swing.step(0.0, 0.1)
+        assert swing.get(["y"])[0] > 0.0
+
+
+def test_the_twin_with_its_table(hesr, tmp_path):
+    fmu = tmp_path / "Arm.fmu"
+    answer = hesr("export", uf850("uf850.xml"), "-o", fmu, "--signals", uf850("arm.toml"))
+    assert answer.code == 0, answer.err
+    with Component(fmu) as arm:
+        arm.initialise(start={"payload": 1.0})
+        arm.step(0.0, 0.005)
+    answer = hesr("check", fmu)
+    assert answer.code == 0, answer.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["none.xml", "-o", "A.fmu"], "none.xml: no such model file."),
+        (["swing.xml", "-o", "A.zip"], "A.zip: the name of an FMU ends in .fmu."),
+        (["broken.xml", "-o", "A.fmu"], "cannot be compiled as an MJCF"),
+        (["blind.xml", "-o", "A.fmu"], "has no sensor, so an FMU of it would have no output."),
+        (["swing.xml", "-o", "A.fmu", "--signals", "none.toml"], "none.toml: no such file."),
+        (["swing.xml", "-o", "A.fmu", "--signals", "table.toml"], "the model has no sensor 'z'."),
+        (["swing.xml", "-o", "A.fmu", "--signals", "other.toml"], "the model has no actuator 'v'."),
+        (["swing.xml", "-o", "A.fmu", "--platform", "win64"],
+         "platform 'win64': the FMU of an MJCF carries MuJoCo, which is there for linux64 only."),
+        (["swing.xml", "-o", "A.fmu", "--platform", "all"], "for linux64 only."),
+        (["swing.xml", "-o", "A.fmu", "--platform", "vms"], "platform 'vms' is unknown"),
+        (["uf850-table1", "-o", "A.fmu", "--signals", "table.toml"],
+         "--signals is for an MJCF, a file in .xml; 'uf850-table1' is none."),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_done_is_one_sentence(
+    arguments, sentence, hesr, mjcf, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")
+    (tmp_path / "blind.xml").write_text(MJCF.replace('<jointpos name="y" joint="j"/>', ""))
+    output = '[outputs.y]\nunit = "rad"\nsensors = [{ NAME = 1 }]\n'
+    (tmp_path / "table.toml").write_text(output.replace("NAME", "z"))
+    drive = '[inputs.u]\nunit = "N"\nactuators = [["v"]]\n'
+    (tmp_path / "other.toml").write_text(drive + output.replace("NAME", "y"))
+    before = set(tmp_path.iterdir())
+    answer = hesr("export", *arguments)
+    assert answer.code == 2
+    assert answer.out == ""
+    assert answer.err.count("\n") == 1
+    assert sentence in answer.err
+    assert set(tmp_path.iterdir()) == before

@@ -1,0 +1,379 @@
+"""The master: in which order it calls, what it keeps when a run fails, that every FMU is freed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fakes import Fake
+from pythonfmu.builder import FmuBuilder
+
+from cosim.component import Component
+from cosim.master import Master, simulate
+from cosim.system import SystemSpec
+from hesr_model.config import read_toml
+from hesr_model.errors import ConfigError, SimulationError
+from hesr_model.tables import read_table
+
+
+def run(spec):
+    with Master(spec) as master:
+        return master.run()
+
+
+def steps_of(name):
+    return [call[1:] for call in Fake.calls if call[0] == name and call[1] != "start"]
+
+
+# --- in which order ---------------------------------------------------------------------------
+
+
+def test_a_component_is_given_the_newest_outputs(fakes):
+    """Gauss-Seidel: y[k+1] of a clock is what the integrator after it gets in the same step."""
+    spec = fakes(
+        {"clock": "clock", "sum": "fake"}, {"sum.u[1]": "clock.y", "sum.u[2]": "sum.y[1]"},
+        observe=["sum.y"],
+    )  # fmt: skip
+    result = run(spec).require_success()
+    np.testing.assert_allclose(result.t, 0.1 * np.arange(11), rtol=1e-15)
+    y = np.concatenate([[0.0], np.cumsum(0.1 * 0.1 * np.arange(1, 11))])
+    np.testing.assert_allclose(result.vector("sum.y")[:, 0], y, rtol=1e-13)
+    # Its own output is that of the step before.
+    z = np.concatenate([[0.0], np.cumsum(0.1 * y[:-1])])
+    np.testing.assert_allclose(result.vector("sum.y")[:, 1], z, rtol=1e-13, atol=1e-15)
+
+
+@pytest.mark.parametrize("first", ["clock", "sum"])
+def test_jacobi_gives_what_was_at_the_beginning_whatever_the_order(fakes, first):
+    names = {"clock": "clock", "sum": "fake"}
+    spec = fakes(
+        {first: names[first]} | names, {"sum.u[1]": "clock.y", "sum.u[2]": "clock.y"},
+        observe=["sum.y"], order="jacobi",
+    )  # fmt: skip
+    y = np.concatenate([[0.0], np.cumsum(0.1 * 0.1 * np.arange(10))])
+    np.testing.assert_allclose(run(spec).vector("sum.y")[:, 0], y, rtol=1e-13, atol=1e-15)
+
+
+def test_components_step_in_their_order_by_a_step_counter(fakes):
+    run(fakes({"b": "clock", "a": "clock"}, stop=0.7, observe=["a.y"]))
+    starts = [("b", "start"), ("a", "start")]
+    steps = [(name, k * 0.1, 0.1) for k in range(7) for name in ("b", "a")]
+    assert Fake.calls == starts + steps  # exactly: time is never summed
+
+
+@pytest.mark.parametrize("order", ["gauss_seidel", "jacobi"])
+def test_components_of_several_rates(fakes, order):
+    spec = fakes(
+        {"clock": "clock", "slow": {"fmu": "fake", "step": 0.3},
+         "slower": {"fmu": "clock", "step": 0.6}},
+        {"slow.u[1]": "clock.y", "slow.u[2]": "slower.y"},
+        stop=1.2, observe=["slow.y", "slower.y"], order=order,
+    )  # fmt: skip
+    result = run(spec).require_success()
+    np.testing.assert_allclose(steps_of("slow"), [(0.3 * k, 0.3) for k in range(4)], atol=1e-15)
+    np.testing.assert_allclose(steps_of("slower"), [(0, 0.6), (0.6, 0.6)], atol=1e-15)
+    # Held between its steps; inputs are those at the step's end, or with Jacobi at its beginning.
+    inputs = 0.3 * np.arange(1, 5) if order == "gauss_seidel" else 0.3 * np.arange(4)
+    y = np.repeat(np.concatenate([[0.0], np.cumsum(0.3 * inputs)]), 3)[:13]
+    np.testing.assert_allclose(result.vector("slow.y")[:, 0], y, rtol=1e-13, atol=1e-15)
+    np.testing.assert_allclose(
+        result.vector("slower.y")[:, 0], [0.0] * 6 + [0.6] * 6 + [1.2], atol=1e-15
+    )
+
+
+def test_values_go_through_chains_before_the_first_step(fakes):
+    """Twice through the same component, against the order in which components are listed."""
+    spec = fakes(
+        {"last": "gain", "pair": "pair", "middle": "gain",
+         "source": {"fmu": "fake", "start": {"y0": 3.0}}},
+        {"pair.a": "source.y[1]", "middle.u": "pair.b", "pair.c": "middle.y", "last.u": "pair.d",
+         "source.u[1]": "last.y", "source.u[2]": "last.y"},
+        observe=["pair.b", "pair.d", "last.y"],
+    )  # fmt: skip
+    signals = run(spec).signals
+    assert [signals[name][0] for name in spec.observe] == [6.0, 24.0, 48.0]
+
+
+# --- what is kept -----------------------------------------------------------------------------
+
+
+def test_runs_of_one_master_are_identical(fakes):
+    spec = fakes(
+        {"a": {"fmu": "fake", "start": {"y0": 1.0}}, "b": "fake"}, {"a.u": "b.y", "b.u": "a.y"},
+        observe=["a.y", "b.y"],
+    )  # fmt: skip
+    with Master(spec) as master:
+        first = master.run()
+        other = master.run(start={"a": {"y0": 2.0}})
+        again = master.run()
+    for name, values in first.signals.items():
+        np.testing.assert_array_equal(values, again.signals[name])
+        np.testing.assert_allclose(other.signals[name], 2.0 * values, rtol=1e-14)
+
+
+@pytest.mark.parametrize("kind", ["failing", "broken"])
+def test_a_failure_ends_the_run_and_keeps_what_there_is(fakes, kind):
+    spec = fakes(
+        {"sum": "fake", "late": kind}, {"sum.u[1]": "late.y", "sum.u[2]": "late.y"},
+        observe=["sum.y", "late.y"],
+    )  # fmt: skip
+    with Master(spec) as master:
+        result = master.run()
+        said = str(result.failure)
+        if kind == "failing":
+            assert said == "'late' at t = 0.3 s: too late."
+            rows = 4
+        else:
+            assert said == "at t = 0.3 s late.y is not a finite number."
+            rows = 3
+        np.testing.assert_allclose(result.t, 0.1 * np.arange(rows), rtol=1e-15)
+        np.testing.assert_allclose(result.vector("late.y")[:, 0], 0.1 * np.arange(rows))
+        with pytest.raises(SimulationError, match=r"at t = 0\.3 s"):
+            result.require_success()
+        assert str(master.run().failure) == said  # and the system can be run again
+    assert not Fake.alive
+
+
+def test_who_gives_nan_is_named_not_who_refuses_it(fakes):
+    spec = fakes(
+        {"late": "broken", "sum": "fake"}, {"sum.u[1]": "late.y", "sum.u[2]": "late.y"},
+    )  # fmt: skip
+    assert str(run(spec).failure) == "at t = 0.3 s late.y is not a finite number."
+
+
+def test_limits_end_a_run(fakes):
+    spec = fakes(
+        {"sum": {"fmu": "fake", "start": {"u": [1.0, -2.0]}}}, observe=["sum.y"],
+        limits={"sum.y": [-1.1, 1.1]},
+    )  # fmt: skip
+    result = run(spec)
+    assert str(result.failure) == ("at t = 0.6 s sum.y[2] is -1.2, outside its limits -1.1 to 1.1.")
+    # What left its limits is kept as well.
+    np.testing.assert_allclose(result.vector("sum.y")[-1], [0.6, -1.2])
+
+
+def test_limits_hold_at_the_start(fakes):
+    spec = fakes(
+        {"sum": {"fmu": "fake", "start": {"u": 0.0, "y0": 2.0}}}, limits={"sum.y": [-1.0, 1.0]}
+    )
+    assert str(run(spec).failure).startswith("at t = 0 s sum.y[1] is 2, outside its limits")
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_results_are_written(fakes, tmp_path, suffix):
+    spec = fakes({"clock": "clock"}, observe=["clock.y"])
+    result = run(spec)
+    result.write(tmp_path / f"result.{suffix}")
+    table = read_table(tmp_path / f"result.{suffix}")
+    assert table.names == ("t", "clock.y")
+    np.testing.assert_array_equal(
+        table.numbers(table.names), np.column_stack([result.t, result.signals["clock.y"]])
+    )
+
+
+def test_signals_that_were_not_observed(fakes):
+    result = run(fakes({"clock": "clock"}, observe=["clock.y"]))
+    with pytest.raises(SimulationError, match=r"signal 'clock.z' has not been observed"):
+        result.vector("clock.z")
+
+
+def test_progress_is_told(fakes):
+    told = []
+    spec = fakes({"clock": "clock"}, stop=50.0)
+    with Master(spec) as master:
+        master.run(lambda done, steps: told.append((done, steps)))
+    assert told == [(0, 500), (200, 500), (400, 500), (500, 500)]
+
+
+# --- freed ------------------------------------------------------------------------------------
+
+
+def test_every_component_is_freed(fakes):
+    with Master(fakes({"a": "clock", "b": "clock"})) as master:
+        assert Fake.alive == {"a", "b"}
+        master.run()
+    assert not Fake.alive
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError, SimulationError])
+def test_every_component_is_freed_after_an_error(fakes, error):
+    def use():
+        with Master(fakes({"a": "clock", "b": "clock"}, stop=50.0)) as master:
+
+            def stop(done, steps):
+                raise error
+
+            master.run(stop)
+            raise error
+
+    with pytest.raises(error):
+        use()
+    assert not Fake.alive
+
+
+def test_every_component_is_freed_if_the_system_does_not_fit(fakes):
+    spec = fakes({"a": "clock", "b": "fake"})
+    with pytest.raises(ConfigError, match=r"^system: input 'b.u\[1\]' is not connected"):
+        simulate(spec, Path("system"))
+    assert not Fake.alive
+
+
+def test_components_are_freed_if_another_cannot_be_loaded(lag_fmu, tmp_path, monkeypatch):
+    freed = []
+    free = Component._free
+    monkeypatch.setattr(Component, "_free", lambda self: (freed.append(self.name), free(self)))
+    spec = SystemSpec.model_validate(
+        {
+            "step": 0.1,
+            "stop": 1.0,
+            "components": [
+                {"name": "one", "fmu": lag_fmu},
+                {"name": "two", "fmu": lag_fmu},
+                {"name": "three", "fmu": tmp_path / "missing.fmu"},
+            ],
+        }
+    )
+    with pytest.raises(SimulationError, match=r"missing\.fmu: not a readable FMU"):
+        simulate(spec, tmp_path)
+    assert freed == ["two", "one"]
+
+
+# --- FMUs -------------------------------------------------------------------------------------
+
+
+def test_fmus_that_refuse_a_step(lag_fmu, tmp_path):
+    spec = SystemSpec.model_validate(
+        {
+            "step": 0.1,
+            "stop": 1.0,
+            "components": [
+                {"name": "a", "fmu": lag_fmu, "start": {"u": 1.0, "refused": 0.45}},
+                {"name": "b", "fmu": lag_fmu},
+            ],
+            "connections": {"b.u": "a.y"},
+            "observe": ["a.y", "b.y"],
+        }
+    )
+    with Master(spec) as master:
+        for _ in range(2):
+            result = master.run()
+            assert str(result.failure) == (
+                "Lag.fmu ('a') at t = 0.4 s: The step passes 0.45 s, where it is refused."
+            )
+            assert len(result.t) == len(result.signals["b.y"]) == 5
+    result.write(tmp_path / "result.csv")
+    assert len(read_table(tmp_path / "result.csv").numbers(["t"])) == 5
+
+
+def test_fmus_that_refuse_to_start(lag_fmu):
+    spec = SystemSpec.model_validate(
+        {
+            "step": 0.1,
+            "stop": 1.0,
+            "components": [{"name": "a", "fmu": lag_fmu, "start": {"u": 1.0, "T": -1.0}}],
+            "observe": ["a.y"],
+        }
+    )
+    result = simulate(spec, Path("system"))
+    assert str(result.failure) == "Lag.fmu ('a') at t = 0 s: T is -1 s; it must be positive."
+    assert len(result.t) == 0
+
+
+@pytest.fixture(scope="module")
+def odd_fmu(tmp_path_factory):
+    """An FMU of another exporter."""
+    script = Path(__file__).with_name("odd_slave.py")
+    return Path(FmuBuilder.build_FMU(script, dest=tmp_path_factory.mktemp("odd")))
+
+
+def odd_system(fmu, **more):
+    start = {"u": 1.0, "on": True, "times": 3, "text": "four"}
+    data = {
+        "step": 0.1,
+        "stop": 1.0,
+        "components": [{"name": "odd", "fmu": fmu, "start": start}],
+        "observe": ["odd.y"],
+    }
+    return SystemSpec.model_validate(data | more)
+
+
+def test_fmus_with_parameters_of_every_type_that_give_nan_without_an_error(odd_fmu):
+    with Master(odd_system(odd_fmu)) as master:
+        for _ in range(2):
+            result = master.run()
+            np.testing.assert_array_equal(result.signals["odd.y"], [0.0, 12.0, 12.0])
+            assert str(result.failure) == "at t = 0.3 s odd.y is not a finite number."
+
+
+def test_fmus_that_do_not_say_what_their_outputs_depend_on(odd_fmu):
+    spec = odd_system(odd_fmu, connections={"odd.u": "odd.y"})
+    with pytest.raises(ConfigError) as error:
+        simulate(spec, Path("system"))
+    assert "algebraic loop through direct feedthrough: odd." in str(error.value)
+    assert "('odd' does not say what its outputs depend on: every input" in str(error.value)
+
+
+def test_fmus_whose_numbers_overflow_name_the_variable(lag_fmu):
+    start = {"u": -1e308, "x": 1e308, "T": 1e3}
+    spec = SystemSpec.model_validate(
+        {
+            "step": 0.1,
+            "stop": 1.0,
+            "components": [{"name": "a", "fmu": lag_fmu, "start": start}],
+            "observe": ["a.y"],
+        }
+    )
+    said = str(simulate(spec, Path("system")).failure)
+    assert said.startswith("Lag.fmu ('a') at t = 0 s: ")
+    assert "inf" in said
+
+
+# --- the file ---------------------------------------------------------------------------------
+
+
+GOOD = """
+step = 0.1
+stop = 1.0
+[[components]]
+name = "a"
+fmu = "folder/A.fmu"
+[[components]]
+name = "b"
+fmu = "B.fmu"
+"""
+
+
+def test_files_of_fmus_are_beside_the_toml(tmp_path):
+    path = tmp_path / "system.toml"
+    path.write_text(GOOD)
+    spec = read_toml(path, SystemSpec)
+    assert [c.fmu for c in spec.components] == [tmp_path / "folder/A.fmu", tmp_path / "B.fmu"]
+    assert (spec.steps, spec.every(spec.components[0])) == (10, 1)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("stop = 1.0", "stop = 1.03",
+         "the stop time is 1.03 s, no multiple of the communication step, 0.1 s."),
+        ('"B.fmu"', '"B.fmu"\nstep = 0.25',
+         "the step of 'b' is 0.25 s, no multiple of the communication step, 0.1 s."),
+        ('"B.fmu"', '"B.fmu"\nstep = 0.05',
+         "the step of 'b' is 0.05 s, no multiple of the communication step, 0.1 s."),
+        ('name = "b"', 'name = "a"', "two components are named 'a'."),
+        ('name = "b"', 'name = "b.c"', "key 'components.1.name' is 'b.c'"),
+        ("step = 0.1", "step = 0.0", "key 'step' is 0.0: Input should be greater than 0."),
+        ("stop = 1.0", 'stop = 1.0\norder = "random"', "key 'order' is 'random': Input should be"),
+        ("stop = 1.0", "stop = 1.0\nstopp = 2.0", "unknown key 'stopp'; allowed here: components,"),
+        ("stop = 1.0", 'stop = 1.0\nobserve = ["a"]', "key 'observe.0' is 'a'"),
+        ("stop = 1.0", 'stop = 1.0\nlimits = {"a.y" = [1.0, 1.0]}',
+         "the limits 1 and 1 leave nothing between them."),
+        ("stop = 1.0", "", "key 'stop' is missing."),
+    ],
+)  # fmt: skip
+def test_files_that_are_wrong(tmp_path, old, new, said):
+    path = tmp_path / "system.toml"
+    path.write_text(GOOD.replace(old, new))
+    with pytest.raises(ConfigError) as error:
+        read_toml(path, SystemSpec)
+    assert str(error.value).startswith(f"{path}: ")
+    assert said in str(error.value)

@@ -1,0 +1,171 @@
+"""Rows of the tracking study: what they give, that they can go on after an interrupt."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.closed_loop import Scheme
+from cosim.studies import tracking
+from cosim.studies.loops import BODY_ONLY, ORACLE, VELOCITY_ONLY, Loop, assemble, build, motions
+from cosim.studies.robustness import CYCLING, FACTORS, run_overcompensation, run_sweeps
+from cosim.studies.tracking import Tracked, track
+from cosim.study import Study
+from fmu_src import export_fmu, model_file
+from fmu_src.arm.native import export_mjcf
+from fmu_src.arm.plant import Plant
+from fmu_src.arm.truth import true_friction
+from hesr_model.artifacts import read_model
+from hesr_model.files import models_folder
+from hesr_model.rigid_body import RigidBody
+from hesr_model.robot import RobotDescription, RobotModel
+
+UF850 = models_folder() / "uf850"
+WIDE = np.tile([-10.0, 10.0], (3, 1))
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotModel:
+    return RobotModel(RobotDescription.read(UF850 / "robot.toml"))
+
+
+@pytest.fixture(scope="module")
+def body(robot: RobotModel) -> RigidBody:
+    """The true rigid body in place of an identified one."""
+    from cosim.studies.excite import Motions, recordings
+    from hesr_model.rigid_body import identify
+
+    plant = Plant.read(UF850 / "plant.toml")
+    found = Motions.read(models_folder() / "studies" / "uf850_motions.toml")
+    sweep = tuple(m for m in found.motions if m.name == "excitation")
+    logs = [r.log for r in recordings(found.model_copy(update={"motions": sweep}), plant)]
+    return identify(logs[:1], robot, reversed_logs=logs[1:])
+
+
+@pytest.fixture(scope="module")
+def loop(tmp_path_factory: pytest.TempPathFactory, robot: RobotModel, body: RigidBody) -> Loop:
+    """The default study's loop with Table I as its only law, on two short motions."""
+    folder = tmp_path_factory.mktemp("loop")
+    plant = Plant.read(UF850 / "plant.toml")
+    settings = Study.read(models_folder() / "studies" / "default.toml").tracking
+    assert settings
+    settings = settings.model_copy(
+        update={"seeds": (11, 12), "duration": 3.0, "sources": ("parfam_h",), "drift": 6.0,
+                "peak_velocity": (0.6, 0.5, 0.6)}
+    )  # fmt: skip
+    export_mjcf(plant.model, folder / "Arm.fmu", table=UF850 / "arm.toml")
+    law = export_fmu(read_model(model_file("uf850-table1")), folder / "parfam_h.fmu")
+    truth = true_friction(plant.model, plant.joints, sample_time=0.005)
+    build(folder, robot, body, plant, oracle=truth)
+    return assemble(folder, tracking=settings, friction={"parfam_h": law}, plant=plant)
+
+
+def by_name(rows: list[Tracked]) -> dict[tuple[str, str], Tracked]:
+    return {(row.scheme, row.law): row for row in rows}
+
+
+def test_every_law_is_tracked_in_every_scheme(loop: Loop) -> None:
+    rows = list(loop.rows())
+    names = [(row.scheme, row.law) for row in rows]
+    assert len(set(names)) == len(names)
+    for scheme in ("torque_error", "servo_inversion"):
+        for more in ("", ", Kx = 5"):
+            for law in (BODY_ONLY, "parfam_h", ORACLE):
+                assert (scheme + more, law) in names
+        for source in ("measured", "filtered"):
+            assert (f"{scheme}, friction of {source} velocity", "parfam_h") in names
+    assert ("none", VELOCITY_ONLY) in names
+
+
+def test_knowing_the_truth_tracks_best(loop: Loop) -> None:
+    found = by_name(
+        track(list(loop.rows()), motions(loop.tracking), duration=3.0, limits=WIDE, workers=2)
+    )
+    assert all(row.rmse.shape == (2, 3) and not row.failures for row in found.values())
+    oracle = found["servo_inversion", ORACLE].mean
+    assert np.all(oracle < 0.05 * found["servo_inversion", BODY_ONLY].mean)
+    assert np.all(oracle < 0.5e-3)
+    outer = found["servo_inversion, Kx = 5", BODY_ONLY].mean
+    assert np.all(outer < found["servo_inversion", BODY_ONLY].mean)
+
+
+def test_the_result_does_not_depend_on_the_number_of_processes(loop: Loop) -> None:
+    rows = [loop.row("parfam_h", Scheme(compensation="servo_inversion"))]
+    one, two = (
+        track(rows * 2, motions(loop.tracking), duration=1.0, limits=WIDE, workers=n)
+        for n in (1, 2)
+    )
+    assert [t.to_json() for t in one] == [t.to_json() for t in two]
+
+
+class InterruptedForTestError(Exception):
+    pass
+
+
+def test_an_interrupted_study_goes_on_where_it_was(
+    loop: Loop, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [
+        loop.row(law, Scheme(compensation="servo_inversion"))
+        for law in (BODY_ONLY, "parfam_h", ORACLE)
+    ]
+
+    def interrupt(done: int, _all: int) -> None:
+        if done == 2:
+            raise InterruptedForTestError
+
+    settings = {"duration": 1.0, "limits": WIDE, "kept": tmp_path / "kept", "workers": 1}
+    whole = track(rows, motions(loop.tracking), **settings | {"kept": None})
+    with pytest.raises(InterruptedForTestError):
+        track(rows, motions(loop.tracking), progress=interrupt, **settings)
+    ran = []
+    run = tracking._tracked
+    monkeypatch.setattr(tracking, "_tracked", lambda row, *a: ran.append(row.law) or run(row, *a))
+    again = track(rows, motions(loop.tracking), **settings)
+    assert ran == [ORACLE]
+    assert [t.to_json() for t in again] == [t.to_json() for t in whole]
+    # What was kept counts for the very same loop only.
+    gains = rows[0].setting.gains.model_copy(update={"latency": 0.011})
+    other = replace(rows[0], setting=replace(rows[0].setting, gains=gains))
+    track([other], motions(loop.tracking), **settings)
+    assert ran == [ORACLE, BODY_ONLY]
+
+
+def test_a_loop_that_runs_away_is_a_result(loop: Loop) -> None:
+    row = loop.row("parfam_h", Scheme(compensation="servo_inversion", Kx=-20.0))
+    near = np.array([[-1.0, 1.0], [-0.7, 1.3], [-2.9, -0.9]])
+    (found,) = track([row], motions(loop.tracking), duration=3.0, limits=near, workers=1)
+    assert np.all(np.isnan(found.mean))
+    assert "outside its limits" in found.failures[0]
+    assert Tracked.from_json(found.to_json()).failures == found.failures
+
+
+def test_sweeps_change_what_they_say(
+    loop: Loop, robot: RobotModel, body: RigidBody, tmp_path: Path
+) -> None:
+    short = replace(loop, tracking=loop.tracking.model_copy(update={"seeds": (11,)}))
+    rows = by_name(run_sweeps(short, robot, body, tmp_path, kept=None, progress=lambda *_: None))
+    scheme = "servo_inversion, Kx = 5"
+    plain = rows[f"{scheme}: as it is", ORACLE].mean
+    assert np.all(plain < 0.5e-3)
+    loaded = rows[f"{scheme}: payload 5 kg", ORACLE].mean
+    known = rows[f"{scheme}: payload 5 kg, identified", ORACLE].mean
+    assert np.all(known[1:] < 0.3 * loaded[1:]), (known, loaded)
+    assert np.all(rows[f"{scheme}: friction x 2", ORACLE].mean > 2.0 * plain)
+    for latency in (0, 20, 40):  # known to the controller
+        assert np.all(rows[f"{scheme}: latency {latency} ms", ORACLE].mean < 1e-3)
+    assert not list(tmp_path.glob("*.xml"))
+
+
+def test_feed_forward_never_cycles_and_feedback_of_friction_does(
+    loop: Loop, robot: RobotModel
+) -> None:
+    found = {
+        one.scheme: one.factor
+        for one in run_overcompensation(loop, robot, kept=None, progress=lambda *_: None)
+    }
+    assert found["servo_inversion"] is None
+    measured = found["servo_inversion, friction of measured velocity"]
+    assert measured in FACTORS
+    assert CYCLING == 10 * 2e-5  # of the encoder's noise

@@ -1,0 +1,99 @@
+/* A host in plain C, without Python, that steps the FMU of an MJCF.
+ *
+ *     mjcf_host LIBRARY GUID RESOURCES INPUTS OUTPUTS STEPS         print the outputs of every step
+ *     mjcf_host LIBRARY GUID RESOURCES INPUTS OUTPUTS STEPS time    print the time of a step [us]
+ *
+ * Inputs have the value references 0, 1, ..; outputs those that follow. A step is 5 ms. */
+#include <dlfcn.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "fmi2.h"
+
+enum { MOST = 64 };
+#define STEP 0.005
+
+static void fail(const char *what) {
+    fprintf(stderr, "%s\n", what);
+    exit(1);
+}
+
+static void logger(fmi2ComponentEnvironment environment, fmi2String instance, fmi2Status status,
+                   fmi2String category, fmi2String message, ...) {
+    (void)environment, (void)instance, (void)status, (void)category;
+    fprintf(stderr, "%s\n", message);
+}
+
+#define FUNCTION(name)                                                                             \
+    __typeof__(&name) name##_ = NULL;                                                              \
+    {                                                                                              \
+        void *found = dlsym(library, #name);                                                       \
+        if (!found) {                                                                              \
+            fail(#name " is missing");                                                             \
+        }                                                                                          \
+        memcpy(&name##_, &found, sizeof found);                                                    \
+    }
+
+#define DO(call)                                                                                   \
+    if ((call) != fmi2OK) {                                                                        \
+        fail(#call);                                                                               \
+    }
+
+/* A triangle of velocity from -0.6 to 0.6, of additions and multiplications only. */
+static double input(int k, int i) {
+    const int place = (k + 37 * i) % 400;
+    return 0.6 * ((place < 200 ? place : 400 - place) / 100.0 - 1.0);
+}
+
+int main(int count, char **argument) {
+    if (count < 7) {
+        fail("usage: mjcf_host LIBRARY GUID RESOURCES INPUTS OUTPUTS STEPS [time]");
+    }
+    void *library = dlopen(argument[1], RTLD_NOW | RTLD_LOCAL);
+    const int inputs = atoi(argument[4]), outputs = atoi(argument[5]), steps = atoi(argument[6]);
+    if (!library || inputs > MOST || outputs > MOST) {
+        fail(library ? "too many variables" : dlerror());
+    }
+    FUNCTION(fmi2Instantiate)
+    FUNCTION(fmi2FreeInstance)
+    FUNCTION(fmi2SetupExperiment)
+    FUNCTION(fmi2EnterInitializationMode)
+    FUNCTION(fmi2ExitInitializationMode)
+    FUNCTION(fmi2SetReal)
+    FUNCTION(fmi2GetReal)
+    FUNCTION(fmi2DoStep)
+    static const fmi2CallbackFunctions host = {logger, NULL, NULL, NULL, NULL};
+    fmi2Component c = fmi2Instantiate_("host", fmi2CoSimulation, argument[2], argument[3], &host,
+                                       fmi2False, fmi2False);
+    if (!c) {
+        fail("no instance");
+    }
+    DO(fmi2SetupExperiment_(c, fmi2False, 0.0, 0.0, fmi2False, 0.0))
+    DO(fmi2EnterInitializationMode_(c))
+    DO(fmi2ExitInitializationMode_(c))
+    fmi2ValueReference to[MOST], from[MOST];
+    fmi2Real u[MOST], y[MOST];
+    for (int i = 0; i < MOST; i++) {
+        to[i] = (fmi2ValueReference)i;
+        from[i] = (fmi2ValueReference)(inputs + i);
+    }
+    const clock_t start = clock();
+    for (int k = 0; k < steps; k++) {
+        for (int i = 0; i < inputs; i++) {
+            u[i] = input(k, i);
+        }
+        DO(fmi2SetReal_(c, to, (size_t)inputs, u))
+        DO(fmi2DoStep_(c, k * STEP, STEP, fmi2True))
+        DO(fmi2GetReal_(c, from, (size_t)outputs, y))
+        for (int i = 0; count == 7 && i < outputs; i++) {
+            printf("%.17g%c", y[i], i + 1 < outputs ? ' ' : '\n');
+        }
+    }
+    if (count > 7) {
+        printf("%.2f\n", (double)(clock() - start) / CLOCKS_PER_SEC / steps * 1e6);
+    }
+    fmi2FreeInstance_(c);
+    return 0;
+}

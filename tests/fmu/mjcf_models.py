@@ -1,0 +1,138 @@
+"""Models for the tests of FMUs that MuJoCo simulates, and bindings to these."""
+
+import ctypes
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+from binary import CALLBACK, Binary, Callbacks
+
+from hesr_model.files import models_folder
+
+UF850 = models_folder() / "uf850"
+HOME = {"q0[1]": 0.0, "q0[2]": 0.3, "q0[3]": -1.9}
+STEP = 0.005
+
+PENDULUM = """\
+<mujoco model="pendulum">
+  <option timestep="0.002"/>
+  <worldbody>
+    <body>
+      <joint name="pivot" damping="0.1"/>
+      <geom name="bob" type="sphere" size="0.1" pos="0 0 -0.7" mass="1.3"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="pivot" joint="pivot" gear="2"/>
+  </actuator>
+  <sensor>
+    <jointpos name="pivot" joint="pivot"/>
+    <framepos name="bob at" objtype="geom" objname="bob"/>
+    <jointactuatorfrc joint="pivot"/>
+  </sensor>
+</mujoco>
+"""
+
+CART_POLE = """\
+<mujoco model="cart-pole">
+  <option timestep="0.005" integrator="implicitfast"/>
+  <worldbody>
+    <body name="cart">
+      <joint name="slider" type="slide" axis="1 0 0" range="-1 1" limited="true"/>
+      <geom type="box" size="0.2 0.1 0.1" mass="1"/>
+      <body name="pole">
+        <joint name="hinge" axis="0 1 0" damping="0.01"/>
+        <geom type="capsule" size="0.03" fromto="0 0 0 0 0 0.8" mass="0.3"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="left" joint="slider" gear="10"/>
+    <motor name="right" joint="slider" gear="-4"/>
+    <position name="spring" joint="hinge" kp="2"/>
+  </actuator>
+  <sensor>
+    <jointpos name="x" joint="slider"/>
+    <jointvel name="dx" joint="slider"/>
+    <jointpos name="angle" joint="hinge"/>
+    <accelerometer name="acc" site="top"/>
+  </sensor>
+</mujoco>
+""".replace('<geom type="capsule"', '<site name="top" pos="0 0 0.8"/><geom type="capsule"')
+
+CART_POLE_TABLE = """\
+seed = 18446744073709551613
+step = 0.01
+payload = "pole"
+
+[inputs.u]
+unit = "N"
+actuators = [["left", "right"], ["spring"]]
+
+[outputs.mixed]
+unit = "m"
+sensors = [{ x = 1, angle = -0.5 }, { x = 2.5, dx = 1, angle = 3 }]
+noise = [0.01, 0.0]
+streams = [7, 3]
+
+[outputs.angle]
+unit = "rad"
+sensors = [{ angle = 1 }]
+noise = [0.2]
+
+[start.begin]
+unit = "1"
+joints = ["hinge", "slider"]
+"""
+
+
+def names(component: Any, causality: str) -> list[str]:
+    """Names of the variables of a causality, in order."""
+    variables = component.description.modelVariables
+    return [v.name for v in variables if v.causality == causality]
+
+
+def command(k: int, n: int = 3) -> np.ndarray:
+    return 0.8 * np.sin(0.03 * k * np.array([0.6, 0.8, 1.1])[:n])
+
+
+def run(component: Any, steps: int, first: int = 0, step: float = STEP) -> np.ndarray:
+    """Outputs of steps from an initialised component, the present ones first."""
+    inputs = component.batch(names(component, "input"))
+    outputs = component.batch(names(component, "output"))
+    rows = [outputs.read().copy()]
+    for k in range(first, first + steps):
+        inputs.values[:] = command(k, len(inputs.values))
+        inputs.write()
+        component.step(k * step, step)
+        rows.append(outputs.read().copy())
+    return np.array(rows)
+
+
+class Unpacked(Binary):
+    """The functions of an FMU's binary that stands where the archive says, with its resources."""
+
+    def __init__(self, fmu: Path, folder: Path) -> None:
+        self.about = fmpy.read_model_description(fmu)
+        self.vr = {v.name: v.valueReference for v in self.about.modelVariables}
+        with zipfile.ZipFile(fmu) as archive:
+            archive.extractall(folder)
+        self.library = folder / f"binaries/linux64/{self.about.coSimulation.modelIdentifier}.so"
+        self.resources = folder / "resources"
+        self._library = ctypes.CDLL(str(self.library))
+        self.messages = []
+        self.host = Callbacks()
+        self.host.logger = CALLBACK(self._log)
+
+    def at(self, location: str | None) -> ctypes.c_void_p | None:
+        """Make an instance that is told where its resources are."""
+        f = self._library.fmi2Instantiate
+        f.restype = ctypes.c_void_p
+        place = None if location is None else location.encode()
+        c = f(b"one", 1, self.about.guid.encode(), place, ctypes.byref(self.host), 0, 0)
+        return None if c is None else ctypes.c_void_p(c)
+
+    def instantiate(self, **_: Any) -> ctypes.c_void_p | None:
+        return self.at(self.resources.as_uri())

@@ -1,0 +1,135 @@
+"""The native arm at home in any host: without Python, wherever its resources are said to be."""
+
+import subprocess
+from pathlib import Path
+
+import lief
+import mujoco
+import numpy as np
+import pytest
+from mjcf_models import STEP, UF850, Unpacked, names
+
+from cosim.component import Component
+from fmu_src.arm.native import export_mjcf
+from fmu_src.check import check
+from fmu_src.package import own_source
+from fmu_src.toolchain import compile_c
+
+MJCF, TABLE = UF850 / "uf850.xml", UF850 / "arm.toml"
+HOST = Path(__file__).with_name("mjcf_host.c")
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory):
+    return export_mjcf(MJCF, tmp_path_factory.mktemp("arm") / "Arm.fmu", table=TABLE)
+
+
+@pytest.fixture(scope="module")
+def unpacked(fmu, tmp_path_factory):
+    return Unpacked(fmu, tmp_path_factory.mktemp("a folder"))
+
+
+@pytest.mark.parametrize(
+    "form", ["{uri}", "file:{path}", "file://{path}", "file://localhost{path}", "{plain}"]
+)
+def test_the_location_of_the_resources_as_hosts_write_it(form, unpacked):
+    uri = unpacked.resources.as_uri()
+    path = uri.removeprefix("file://")
+    assert "%20" in path
+    location = form.format(uri=uri, path=path, plain=unpacked.resources)
+    c = unpacked.at(location)
+    assert c is not None
+    unpacked("FreeInstance", c)
+
+
+@pytest.mark.parametrize(
+    ("location", "sentence"),
+    [
+        (None, "the location of the FMU's resources is needed, as a file URI."),
+        ("", "the location of the FMU's resources is needed, as a file URI."),
+        ("file://nothing", "the location of the FMU's resources is needed, as a file URI."),
+        ("file:///" + "x" * 5000, "the location of the FMU's resources is needed"),
+        ("file:///nowhere%zz%2", "model.mjb cannot be loaded from the FMU's resources."),
+    ],
+)
+def test_without_its_resources_there_is_a_sentence_and_no_file(
+    location, sentence, unpacked, tmp_path, monkeypatch, capfd
+):
+    monkeypatch.chdir(tmp_path)
+    assert unpacked.at(location) is None
+    assert sentence in unpacked.messages[-1].text
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_model_that_is_damaged(unpacked, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    data = (unpacked.resources / "model.mjb").read_bytes()
+    folder = tmp_path / "r"
+    folder.mkdir()
+    for damaged in (b"", data[:100], data[: len(data) // 2], b"\0" * len(data)):
+        (folder / "model.mjb").write_bytes(damaged)
+        assert unpacked.at(folder.as_uri()) is None
+        assert "model.mjb cannot be loaded" in unpacked.messages[-1].text
+    assert [path.name for path in tmp_path.iterdir()] == ["r"]
+    assert capfd.readouterr() == ("", "")
+
+
+def host(folder):
+    (folder / "fmi2.h").write_text(own_source("fmi2.h"))
+    (folder / "mjcf_host.c").write_text(HOST.read_text())
+    flags = ("-target", "x86_64-linux-gnu.2.17", "-std=gnu99", "-O2", "-Wall", "-Wextra", "-Werror")
+    compile_c(folder / "mjcf_host.c", flags, folder / "host", ("-ldl",))
+    return folder / "host"
+
+
+def test_a_host_without_python_in_an_empty_environment(fmu, unpacked, tmp_path):
+    folder = tmp_path / "work"
+    folder.mkdir()
+    arguments = [unpacked.library, unpacked.about.guid, unpacked.resources.as_uri(), 3, 18, 200]
+    result = subprocess.run(
+        [str(a) for a in (host(tmp_path), *arguments)],
+        capture_output=True, text=True, check=False, env={}, cwd=folder,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    rows = np.array([line.split() for line in result.stdout.splitlines()], dtype=float)
+    assert rows.shape == (200, 18)
+    assert result.stderr == ""
+    assert list(folder.iterdir()) == []
+    with Component(fmu) as arm:
+        arm.initialise()
+        inputs, outputs = arm.batch(names(arm, "input")), arm.batch(names(arm, "output"))
+        for k, row in enumerate(rows):
+            places = (k + 37 * np.arange(3)) % 400
+            inputs.values[:] = 0.6 * (np.where(places < 200, places, 400 - places) / 100.0 - 1.0)
+            inputs.write()
+            arm.step(k * STEP, STEP)
+            np.testing.assert_array_equal(outputs.read(), row)
+
+
+def test_mujoco_is_found_beside_the_binary(unpacked):
+    elf = lief.parse(str(unpacked.library))
+    mujoco_name = f"libmujoco.so.{mujoco.__version__}"
+    assert mujoco_name in elf.libraries
+    run_paths = [entry.runpath for entry in elf.dynamic_entries if hasattr(entry, "runpath")]
+    assert run_paths == ["$ORIGIN"]
+    result = subprocess.run(
+        ["ldd", str(unpacked.library)], capture_output=True, text=True, check=True, env={}
+    )
+    assert "not found" not in result.stdout
+    assert f"{unpacked.library.parent / mujoco_name}" in result.stdout
+    assert "python" not in result.stdout
+
+
+def test_licences_of_what_it_carries(unpacked):
+    folder = unpacked.resources.parent / "documentation/licenses"
+    found = {path.name: path.read_text() for path in folder.iterdir()}
+    assert "Apache License" in found["mujoco-LICENSE"]
+    assert len(found["mujoco-LICENSES_THIRD_PARTY.md"]) > 10_000
+    assert "license.txt" in found
+
+
+def test_every_validator_is_content(fmu):
+    report = check(fmu)
+    assert report.problems == ()
+    assert any("libmujoco" in reason for reason in report.skipped)

@@ -1,0 +1,359 @@
+"""The native arm: equal to the arm in Python, honest with its states, at home in any host."""
+
+import ctypes
+import re
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+from mjcf_models import HOME, STEP, UF850, Unpacked, command, names, run
+
+from cosim.component import Component
+from fmu_src.arm.native import export_mjcf
+from fmu_src.arm.plant import Arm, Plant
+from hesr_model.errors import SimulationError
+from hesr_model.robot import RobotDescription, RobotModel
+
+MJCF, TABLE = UF850 / "uf850.xml", UF850 / "arm.toml"
+HOST = Path(__file__).with_name("mjcf_host.c")
+OUTPUTS = ("q", "tau_meas", "q_true", "dq_true", "tau_true", "tau_f_true")
+QUIET = {f"{name}_noise[{i}]": 0.0 for name in ("q", "tau_meas") for i in (1, 2, 3)}
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory):
+    return export_mjcf(MJCF, tmp_path_factory.mktemp("arm") / "Arm.fmu", table=TABLE)
+
+
+@pytest.fixture(scope="module")
+def unpacked(fmu, tmp_path_factory):
+    return Unpacked(fmu, tmp_path_factory.mktemp("a folder"))
+
+
+def simulated(fmu, steps, start=HOME):
+    with Component(fmu) as arm:
+        arm.initialise(start=start)
+        return run(arm, steps).reshape(steps + 1, -1, 3)
+
+
+def by_name(rows):
+    return {name: rows[:, k] for k, name in enumerate(OUTPUTS)}
+
+
+def test_its_variables(fmu):
+    with Component(fmu) as arm:
+        variables = arm.description.modelVariables
+        assert names(arm, "input") == [f"dq_cmd[{i}]" for i in (1, 2, 3)]
+        assert names(arm, "output") == [f"{name}[{i}]" for name in OUTPUTS for i in (1, 2, 3)]
+    parameters = {v.name: float(v.start) for v in variables if v.causality == "parameter"}
+    assert parameters == {
+        "friction_scale": 1.0, "payload": 0.0, "latency": 0.01,
+        "noise_seed[1]": 1.0, "noise_seed[2]": 0.0,
+        "q0[1]": 0.0, "q0[2]": 0.0, "q0[3]": 0.0,
+        "q_noise[1]": 2e-5, "q_noise[2]": 2e-5, "q_noise[3]": 2e-5,
+        "tau_meas_noise[1]": 1.5, "tau_meas_noise[2]": 1.5, "tau_meas_noise[3]": 0.6,
+    }  # fmt: skip
+
+
+def test_outputs_do_not_depend_on_inputs_directly(fmu):
+    with Component(fmu) as arm:
+        for unknown in arm.description.outputs:
+            assert unknown.dependencies == []
+
+
+def test_it_does_what_the_arm_in_python_does(fmu):
+    plant = Plant.read(UF850 / "plant.toml")
+    arm, steps = Arm(plant), 1000
+    states = [arm.reset([0.0, 0.3, -1.9])]
+    states += [arm.step(command(k), STEP) for k in range(steps)]
+    found, counter = by_name(simulated(fmu, steps)), np.arange(steps + 1)
+    q = np.array([s.q for s in states])
+    tau = np.array([s.tau_meas for s in states])
+    expected = {
+        "q_true": q,
+        "dq_true": [s.dq for s in states],
+        "tau_true": tau,
+        "tau_f_true": [s.tau_f_true for s in states],
+        "q": q + plant.noise.encoder_error(counter),
+        "tau_meas": tau + plant.noise.torque_error(counter),
+    }
+    for name, values in expected.items():
+        np.testing.assert_allclose(found[name], values, rtol=0, atol=1e-9, err_msg=name)
+    assert np.ptp(found["q_true"], axis=0).min() > 0.2
+
+
+def test_what_it_simulates_has_the_torques_of_the_rigid_body_library(unpacked):
+    model = mujoco.MjModel.from_binary_path(str(unpacked.resources / "model.mjb"))
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    model.dof_damping[:] = model.dof_frictionloss[:] = model.actuator_damping[:] = 0
+    model.body_gravcomp[:] = 0
+    robot = RobotModel(RobotDescription.read(UF850 / "robot.toml"))
+    rng = np.random.default_rng(4)
+    q, dq, ddq = (rng.uniform(-a, a, (200, 3)) for a in (2.0, 3.0, 10.0))
+    data, found = mujoco.MjData(model), []
+    for row in zip(q, dq, ddq, strict=True):
+        data.qpos[:], data.qvel[:], data.qacc[:] = row
+        mujoco.mj_inverse(model, data)
+        found.append(data.qfrc_inverse.copy())
+    expected = robot.torque(robot.nominal_parameters, q, dq, ddq)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+# --- parameters -------------------------------------------------------------------------------
+
+
+def test_a_payload_is_what_the_servo_comes_to_hold(fmu):
+    """Gravity compensation does not know of it: the integral settles on its weight."""
+    robot = RobotModel(RobotDescription.read(UF850 / "robot.toml"))
+    with Component(fmu) as arm:
+        arm.initialise(start=HOME | QUIET | {"payload": 2.0, "friction_scale": 0.05})
+        for k in range(2000):
+            arm.step(k * STEP, STEP)
+        q = arm.get([f"q_true[{i}]" for i in (1, 2, 3)])
+        torque = arm.get([f"tau_true[{i}]" for i in (1, 2, 3)])
+        friction = arm.get([f"tau_f_true[{i}]" for i in (1, 2, 3)])
+    still = np.zeros((1, 3))
+    gravity = robot.torque(robot.nominal_parameters, q[None], still, still)[0]
+    model = mujoco.MjModel.from_xml_path(str(MJCF))
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    jacobian, body = np.zeros((3, 3)), model.body("payload").id
+    mujoco.mj_jacBodyCom(model, data, jacobian, None, body)
+    weight = jacobian.T @ [0.0, 0.0, 2.0 * 9.81]
+    np.testing.assert_allclose(torque - friction - gravity, weight, atol=1e-3)
+    assert abs(weight[1]) > 5.0
+
+
+def scaled_twin(scale, folder):
+    """The MJCF and its table with all friction scaled in their text."""
+
+    def scaled(match):
+        numbers = [float(x) for x in match[2].split()]
+        forces = numbers[:-1] if match[1] == "lugre" else numbers[:1]
+        values = [scale * x for x in forces] + numbers[len(forces) :]
+        return f'{match[1]}="{" ".join(map(repr, values))}"'
+
+    mjcf, table = folder / "uf850.xml", folder / "arm.toml"
+    mjcf.write_text(re.sub(r'\b(lugre|damping|cogging)="([^"]*)"', scaled, MJCF.read_text()))
+    text = TABLE.read_text()
+    for viscous in ("joint1_dq = 16.6", "joint2_dq = 12.5", "joint3_dq = 4.0"):
+        name, value = viscous.split(" = ")
+        assert viscous in text
+        text = text.replace(viscous, f"{name} = {scale * float(value)!r}")
+    table.write_text(text)
+    return export_mjcf(mjcf, folder / "Scaled.fmu", table=table)
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.7])
+def test_the_friction_scale_is_that_of_all_friction_in_the_mjcf(scale, fmu, tmp_path):
+    expected = simulated(scaled_twin(scale, tmp_path), 300)
+    found = simulated(fmu, 300, HOME | {"friction_scale": scale})
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+    usual = by_name(simulated(fmu, 300))["tau_f_true"]
+    assert np.abs(by_name(found)["tau_f_true"] - usual).max() > 1.0
+
+
+def test_friction_can_be_switched_off(fmu):
+    rows = by_name(simulated(fmu, 100, HOME | {"friction_scale": 0.0}))
+    np.testing.assert_allclose(rows["tau_f_true"], 0.0, atol=1e-7)
+    assert np.ptp(rows["q_true"], axis=0).min() > 0.01
+
+
+@pytest.mark.parametrize("milliseconds", [0, 1, 7, 25, 50])
+def test_the_latency_is_the_time_until_a_command_acts(milliseconds, fmu):
+    with Component(fmu) as arm:
+        arm.initialise(start=HOME | QUIET | {"latency": milliseconds * 1e-3})
+        rest = arm.get(["tau_true[1]"])[0]
+        arm.set({"dq_cmd[1]": 0.1})
+        torque = []
+        for k in range(60):
+            arm.step(k * 1e-3, 1e-3)
+            torque.append(arm.get(["tau_true[1]"])[0] - rest)
+    # Read at the end of step k, a command that was given before the first one.
+    first = next(k for k, value in enumerate(torque, start=1) if abs(value) > 1e-6)
+    assert first == max(milliseconds, 1)
+
+
+def test_seed_and_levels_of_the_noise(fmu):
+    plain = by_name(simulated(fmu, 20, HOME))
+    other = by_name(simulated(fmu, 20, HOME | {"noise_seed[2]": 1.0}))
+    loud = by_name(simulated(fmu, 20, HOME | {"q_noise[2]": 4e-5}))
+    assert np.all(plain["q"] != other["q"])
+    np.testing.assert_array_equal(plain["q_true"], other["q_true"])
+    noise = plain["q"] - plain["q_true"]
+    np.testing.assert_allclose((loud["q"] - loud["q_true"])[:, 1], 2 * noise[:, 1], atol=1e-15)
+    np.testing.assert_array_equal(loud["q"][:, 0], plain["q"][:, 0])
+
+
+@pytest.mark.parametrize(
+    ("start", "sentence"),
+    [
+        ({"latency": 0.051}, r"latency is 0\.051 s; the model's buffers hold 0\.05 s\."),
+        ({"latency": -0.001}, r"latency is -0\.001; it must not be negative\."),
+        ({"friction_scale": -1.0}, r"friction_scale is -1; it must not be negative\."),
+        ({"payload": -2.0}, r"payload is -2; it must not be negative\."),
+        ({"q_noise[2]": -1.0}, r"q_noise\[2\] is -1; it must not be negative\."),
+        ({"noise_seed[1]": 0.5}, r"noise_seed\[1\] is 0\.5; a whole number from 0 to 4294967295"),
+        ({"noise_seed[2]": 2.0**32}, r"noise_seed\[2\] is 4294967296; a whole number"),
+    ],
+)
+def test_a_parameter_that_means_nothing_is_refused(start, sentence, fmu):
+    with Component(fmu) as arm:
+        with pytest.raises(SimulationError, match=sentence):
+            arm.initialise(start=start)
+        arm.reset()
+        arm.initialise()
+        arm.step(0.0, STEP)
+
+
+@pytest.mark.parametrize("step", [0.0004, 0.0055])
+def test_a_step_that_is_no_multiple_is_refused_and_the_next_one_done(step, fmu):
+    with Component(fmu) as arm:
+        arm.initialise()
+        with pytest.raises(SimulationError, match=r"a multiple of the simulation's own, 0\.001 s"):
+            arm.step(0.0, step)
+        arm.step(0.0, STEP)
+
+
+def test_an_input_that_mujoco_would_take_for_zero_is_refused(fmu):
+    with Component(fmu) as arm:
+        arm.initialise()
+        arm.set({"dq_cmd[2]": 2e10})
+        with pytest.raises(SimulationError, match=r"dq_cmd\[2\] is 2e\+10; the largest that"):
+            arm.step(0.0, STEP)
+
+
+# --- states -----------------------------------------------------------------------------------
+
+
+def steps(binary, c, first, last):
+    rows = []
+    for k in range(first, last):
+        inputs = {f"dq_cmd[{i}]": x for i, x in enumerate(command(k), start=1)}
+        assert binary.set_all(c, inputs) == 0
+        assert binary.step(c, STEP * k, STEP) == 0
+        rows.append(binary.get(c, *(f"{name}[{i}]" for name in OUTPUTS for i in (1, 2, 3))))
+    return rows
+
+
+def started(binary, start):
+    c = binary.instantiate()
+    assert binary.set_all(c, start) == 0
+    assert binary("SetupExperiment", c, 0, 0.0, 0.0, 0, 0.0) == 0
+    assert binary("EnterInitializationMode", c) == 0
+    assert binary("ExitInitializationMode", c) == 0
+    return c
+
+
+PARAMETERS = [
+    {"payload": 1.5, "friction_scale": 0.8, "latency": 0.02},
+    {"payload": 0.0, "friction_scale": 0.0, "latency": 0.0},
+]
+
+
+@pytest.mark.parametrize("parameters", PARAMETERS)
+def test_a_saved_state_goes_on_bit_for_bit_here_and_in_a_fresh_instance(parameters, unpacked):
+    c, state = started(unpacked, HOME | parameters), ctypes.c_void_p()
+    steps(unpacked, c, 0, 50)
+    assert unpacked("GetFMUstate", c, ctypes.byref(state)) == 0
+    size = ctypes.c_size_t()
+    assert unpacked("SerializedFMUstateSize", c, state, ctypes.byref(size)) == 0
+    data = ctypes.create_string_buffer(size.value)
+    assert unpacked("SerializeFMUstate", c, state, data, size) == 0
+    first = steps(unpacked, c, 50, 150)
+    assert unpacked("SetFMUstate", c, state) == 0
+    assert steps(unpacked, c, 50, 150) == first
+    other, copy = unpacked.instantiate(), ctypes.c_void_p()
+    assert unpacked("DeSerializeFMUstate", other, data.raw, size, ctypes.byref(copy)) == 0
+    assert unpacked("SetFMUstate", other, copy) == 0
+    assert steps(unpacked, other, 50, 150) == first
+    for instance, saved in ((c, state), (other, copy)):
+        assert unpacked("FreeFMUstate", instance, ctypes.byref(saved)) == 0
+        unpacked("FreeInstance", instance)
+
+
+def test_a_state_goes_on_in_another_process(fmu, tmp_path):
+    script = """
+import ctypes, sys
+from pathlib import Path
+import test_arm_native as t
+from mjcf_models import HOME, Unpacked
+fmu, folder, file, todo = (Path(a) for a in sys.argv[1:])
+binary, state = Unpacked(fmu, folder), ctypes.c_void_p()
+if todo.name == "save":
+    c = t.started(binary, HOME | {"payload": 1.0})
+    t.steps(binary, c, 0, 30)
+    binary("GetFMUstate", c, ctypes.byref(state))
+    size = ctypes.c_size_t()
+    binary("SerializedFMUstateSize", c, state, ctypes.byref(size))
+    data = ctypes.create_string_buffer(size.value)
+    binary("SerializeFMUstate", c, state, data, size)
+    file.write_bytes(data.raw)
+else:
+    c, data = binary.instantiate(), file.read_bytes()
+    assert binary("DeSerializeFMUstate", c, data, len(data), ctypes.byref(state)) == 0
+    assert binary("SetFMUstate", c, state) == 0
+sys.stdout.write(repr(t.steps(binary, c, 30, 60)))
+"""
+    answers = [
+        subprocess.run(
+            [sys.executable, "-c", script, fmu, tmp_path / todo,
+             tmp_path / "state", todo],
+            capture_output=True, text=True, check=True, cwd=Path(__file__).parent,
+        ).stdout
+        for todo in ("save", "load")
+    ]  # fmt: skip
+    assert answers[0] == answers[1] != ""
+
+
+def test_a_reset_brings_back_the_start(unpacked):
+    c = started(unpacked, HOME | {"payload": 1.5, "latency": 0.03})
+    steps(unpacked, c, 0, 40)
+    assert unpacked("Reset", c) == 0
+    assert unpacked.set_all(c, HOME) == 0
+    assert unpacked("SetupExperiment", c, 0, 0.0, 0.0, 0, 0.0) == 0
+    assert unpacked("EnterInitializationMode", c) == 0
+    assert unpacked("ExitInitializationMode", c) == 0
+    assert steps(unpacked, c, 0, 40) == steps(unpacked, started(unpacked, HOME), 0, 40)
+
+
+def test_many_instances_do_not_disturb_each_other(unpacked):
+    alone = {k: steps(unpacked, started(unpacked, {"q0[2]": 0.01 * k}), 0, 20) for k in range(20)}
+    together = {k: started(unpacked, {"q0[2]": 0.01 * k}) for k in range(20)}
+    found = {k: [] for k in together}
+    for n in range(20):
+        for k, c in together.items():
+            found[k] += steps(unpacked, c, n, n + 1)
+    assert found == alone
+    for c in together.values():
+        unpacked("FreeInstance", c)
+
+
+def test_instances_in_threads(unpacked):
+    instances = [started(unpacked, HOME) for _ in range(8)]
+    with ThreadPoolExecutor(4) as pool:
+        rows = list(pool.map(lambda c: steps(unpacked, c, 0, 200), instances))
+    for other in rows[1:]:
+        assert other == rows[0]
+
+
+# --- the file ---------------------------------------------------------------------------------
+
+
+def test_the_fmu_is_valid_and_built_the_same_twice(fmu, tmp_path):
+    assert validate_fmu(str(fmu)) == []
+    again = export_mjcf(MJCF, tmp_path / "Arm.fmu", table=TABLE)
+    assert again.read_bytes() == fmu.read_bytes()
+
+
+def test_another_mass_makes_another_guid(unpacked, tmp_path):
+    other = tmp_path / "uf850.xml"
+    other.write_text(MJCF.read_text().replace('mass="4.807"', 'mass="4.808"'))
+    fmu = export_mjcf(other, tmp_path / "Arm.fmu", table=TABLE)
+    assert Unpacked(fmu, tmp_path / "x").about.guid != unpacked.about.guid

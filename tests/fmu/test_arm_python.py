@@ -1,0 +1,232 @@
+"""The arm as an FMU in Python: the same variables and the same results as the native one."""
+
+import ctypes
+
+import numpy as np
+import pytest
+from fmpy import read_model_description
+from fmpy.validation import validate_fmu
+from mjcf_models import HOME, PENDULUM, STEP, UF850, command, names, run
+
+from cosim.component import Component
+from fmu_src.arm.native import export_mjcf
+from fmu_src.arm.plant import Arm, Plant
+from fmu_src.arm.python_fmu import export_python_arm
+from fmu_src.arm.signals import signals_of
+from fmu_src.arm.simulation import Simulation
+from hesr_model.errors import ConfigError, ExportError, SimulationError
+
+MJCF, TABLE = UF850 / "uf850.xml", UF850 / "arm.toml"
+CHANGED = {"payload": 1.5, "friction_scale": 1.3, "latency": 0.02, "noise_seed[2]": 7.0}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("arms")
+
+
+@pytest.fixture(scope="module")
+def native(folder):
+    return export_mjcf(MJCF, folder / "Native.fmu", table=TABLE)
+
+
+@pytest.fixture(scope="module")
+def python(folder):
+    return export_python_arm(MJCF, TABLE, folder / "Python.fmu")
+
+
+@pytest.fixture
+def simulation():
+    return Simulation(signals_of(MJCF, TABLE))
+
+
+def simulated(fmu, start, steps):
+    with Component(fmu) as arm:
+        arm.initialise(start=start)
+        return run(arm, steps)
+
+
+def test_the_same_variables(native, python):
+    def shown(fmu):
+        return [
+            (v.name, v.valueReference, v.causality, v.variability, v.initial, v.start, v.unit)
+            for v in read_model_description(str(fmu)).modelVariables
+        ]
+
+    assert shown(python) == shown(native)
+
+
+def test_the_same_dependencies(native, python):
+    def shown(fmu, part):
+        unknowns = getattr(read_model_description(str(fmu)), part)
+        return [(u.variable.name, [v.name for v in u.dependencies]) for u in unknowns]
+
+    for part in ("outputs", "initialUnknowns"):
+        assert shown(python, part) == shown(native, part)
+        assert all(needed == [] for _, needed in shown(python, part))
+
+
+def test_it_says_that_it_needs_its_host_s_python(python):
+    about = read_model_description(str(python)).coSimulation
+    assert about.needsExecutionTool is True
+    assert about.canInterpolateInputs is False
+
+
+@pytest.mark.parametrize("start", [HOME, HOME | CHANGED, HOME | {"friction_scale": 0.0}])
+def test_the_same_trajectory(start, native, python):
+    expected, found = simulated(native, start, 600), simulated(python, start, 600)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+def test_the_trajectory_of_the_arm_without_fmi(simulation):
+    arm = Arm(Plant.read(UF850 / "plant.toml"))
+    quiet = {name: 0.0 for name in simulation.defaults if "_noise[" in name}
+    state, row = arm.reset([0.0, 0.3, -1.9]), simulation.reset(HOME | quiet)
+    for k in range(400):
+        tau, expected = state.tau_meas, state.q
+        np.testing.assert_allclose(row.reshape(6, 3)[[0, 1]], [expected, tau], rtol=0, atol=1e-9)
+        state, row = arm.step(command(k), STEP), simulation.step(command(k), STEP)
+
+
+def test_a_simulation_can_be_read_any_number_of_times(simulation):
+    other = Simulation(signals_of(MJCF, TABLE))
+    for k in range(20):
+        row = simulation.step(command(k), STEP)
+        other.step(command(k), STEP)
+        for _ in range(3):
+            np.testing.assert_array_equal(other.outputs(), row)
+
+
+def test_a_simulation_goes_back_to_a_state(simulation):
+    simulation.reset(HOME | CHANGED)
+    for k in range(30):
+        simulation.step(command(k), STEP)
+    state = simulation.state()
+    first = [simulation.step(command(k), STEP) for k in range(30, 60)]
+    simulation.reset()
+    simulation.restore(state)
+    np.testing.assert_array_equal([simulation.step(command(k), STEP) for k in range(30, 60)], first)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "sentence"),
+    [
+        ({"latency": 0.051}, r"latency is 0\.051 s; the model's buffers hold 0\.05 s"),
+        ({"payload": -1.0}, r"payload is -1; it must not be negative"),
+        ({"payload": np.inf}, r"payload is inf; a finite number is needed"),
+        ({"noise_seed[1]": 0.5}, r"noise_seed\[1\] is 0\.5; a whole number"),
+        ({"mass": 1.0}, r"there is no parameter 'mass'"),
+    ],
+)
+def test_parameters_that_mean_nothing(parameters, sentence, simulation):
+    with pytest.raises(SimulationError, match=sentence):
+        simulation.reset(parameters)
+
+
+def test_steps_and_inputs_that_mean_nothing(simulation):
+    with pytest.raises(SimulationError, match="a multiple of the simulation's own"):
+        simulation.step(np.zeros(3), 0.0055)
+    with pytest.raises(SimulationError, match=r"dq_cmd\[2\] is 2e\+10"):
+        simulation.step([0.0, 2e10, 0.0], STEP)
+    with pytest.raises(SimulationError, match=r"dq_cmd\[1\] is nan"):
+        simulation.step([np.nan, 0.0, 0.0], STEP)
+
+
+def test_a_simulation_that_diverges_stays_where_it_was(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    mjcf = tmp_path / "bad.xml"
+    mjcf.write_text(PENDULUM.replace('damping="0.1"', 'stiffness="-1e9"'))
+    simulation = Simulation(signals_of(mjcf))
+    simulation.reset({"start_pivot": 0.1})
+    seen = []
+
+    def go():
+        for _ in range(100):
+            seen.append(simulation.outputs())
+            simulation.step([0.0], 0.1)
+
+    with pytest.raises(SimulationError, match="diverged"):
+        go()
+    np.testing.assert_array_equal(simulation.outputs(), seen[-1])
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.xml"]
+    assert capfd.readouterr() == ("", "")
+
+
+def listening(component):
+    """PythonFMU tells nothing, not even of errors, unless it is asked to."""
+    component._slave.fmi2SetDebugLogging(component._slave.component, True, 0, None)
+    return component
+
+
+def test_a_step_that_is_refused_says_why_and_can_be_done_again(python):
+    with Component(python) as arm:
+        listening(arm).initialise(start=HOME)
+        with pytest.raises(SimulationError, match=r"a multiple of the simulation's own, 0\.001 s"):
+            arm.step(0.0, 0.0055)
+        arm.step(0.0, STEP)
+
+
+def test_a_parameter_that_means_nothing_says_why(python):
+    with Component(python) as arm, pytest.raises(SimulationError, match="buffers hold"):
+        listening(arm).initialise(start={"latency": 1.0})
+
+
+def test_instances_and_a_saved_state(python):
+    with Component(python) as one, Component(python, name="other") as other:
+        one.initialise(start=HOME | CHANGED)
+        other.initialise(start=HOME)
+        run(one, 20)
+        run(other, 5)
+        slave, state = one._slave, ctypes.c_void_p()
+        slave.fmi2GetFMUstate(slave.component, ctypes.byref(state))
+        first = run(one, 20, 20)
+        slave.fmi2SetFMUstate(slave.component, state)
+        np.testing.assert_array_equal(run(one, 20, 20), first)
+        data = slave.serializeFMUState(state)
+        copy = other._slave.deSerializeFMUstate(data)
+        other._slave.setFMUState(copy)
+        np.testing.assert_array_equal(run(other, 20, 20), first)
+        slave.fmi2FreeFMUstate(slave.component, ctypes.byref(state))
+
+
+def test_a_reset_brings_back_the_start(python):
+    with Component(python) as arm:
+        arm.initialise(start=HOME | CHANGED)
+        run(arm, 10)
+        arm.reset()
+        arm.initialise(start=HOME)
+        found = run(arm, 30)
+    np.testing.assert_array_equal(found, simulated(python, HOME, 30))
+
+
+def test_it_is_valid_and_built_the_same_twice(python, tmp_path):
+    assert validate_fmu(str(python)) == []
+    again = export_python_arm(MJCF, TABLE, tmp_path / "Python.fmu")
+    assert again.read_bytes() == python.read_bytes()
+
+
+def test_without_a_table(tmp_path):
+    mjcf = tmp_path / "pendulum.xml"
+    mjcf.write_text(PENDULUM)
+    native = export_mjcf(mjcf, tmp_path / "Native.fmu")
+    python = export_python_arm(mjcf, None, tmp_path / "Python.fmu")
+    rows = []
+    for fmu in (native, python):
+        with Component(fmu) as pendulum:
+            pendulum.initialise(start={"start_pivot": 0.4})
+            assert names(pendulum, "input") == ["pivot"]
+            rows.append(run(pendulum, 200, step=0.01))
+    np.testing.assert_allclose(rows[1], rows[0], rtol=0, atol=1e-9)
+
+
+def test_files_that_cannot_become_one(tmp_path):
+    with pytest.raises(ExportError, match=r"the name of an FMU ends in \.fmu"):
+        export_python_arm(MJCF, TABLE, tmp_path / "Arm.zip")
+    with pytest.raises(ConfigError, match="no such model file"):
+        export_python_arm(tmp_path / "none.xml", None, tmp_path / "Arm.fmu")
+    (tmp_path / "part.xml").write_text("<mujoco><asset/></mujoco>")
+    whole = tmp_path / "whole.xml"
+    whole.write_text(PENDULUM.replace("<option", '<include file="part.xml"/><option'))
+    with pytest.raises(ConfigError, match="refers to other files"):
+        export_python_arm(whole, None, tmp_path / "Arm.fmu")
+    assert not (tmp_path / "Arm.fmu").exists()

@@ -1,0 +1,33 @@
+"""A small FMU, of which systems can be made."""
+
+from pathlib import Path
+
+from fmu_src.description import Description
+from fmu_src.interface import Interface, Variable
+from fmu_src.package import Content, write_fmu
+
+SOURCE = Path(__file__).with_name("fmu") / "refusing_lag.c"
+
+
+def lag(folder: Path) -> Path:
+    """Write the FMU of T x' = u - x, y = x; a step past the time `refused` fails."""
+    table = Interface(
+        variables=(
+            Variable(name="u", role="input", description="input", unit="1"),
+            Variable(name="y", role="output", description="output", unit="1", dependencies=("x",)),
+            Variable(name="x", role="state", description="state", unit="1", start=0.25),
+            Variable(name="der(x)", role="local", description="its derivative", unit="1/s",
+                     derivative_of="x", dependencies=("u", "x", "T")),
+            Variable(name="T", role="fixed", description="time constant", unit="s", start=0.5),
+            Variable(name="refused", role="fixed", description="time", unit="s", start=1e9),
+        ),
+        directional_derivatives=False,
+    )  # fmt: skip
+    about = Description(
+        name="Lag", identifier="lag", text="A first-order lag.", version="1", step=0.01,
+        created="2000-01-01T00:00:00Z", sources=("all.c",),
+    )  # fmt: skip
+    sources = {"lag.c": SOURCE.read_text(encoding="utf-8")}
+    return write_fmu(
+        Content(table=table, about=about, members={}, sources=sources), folder / "Lag.fmu"
+    )
