@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from rich import box
+from rich.markup import escape
 from rich.table import Table
 
 from cosim.studies.loops import LoopOutcome
@@ -15,17 +16,17 @@ from cosim.tables import title
 def outcome(found: LoopOutcome) -> list[Table]:
     """Return all tables of a closed loop."""
     return [
-        tracking("Tracking", found.tables),
-        tracking("Tracking for long", found.long),
+        tracking("Tracking: RMSE [mrad], mean (spread) over motions", found.tables),
+        tracking("One long motion: RMSE [mrad] (mean error of its last tenth)", found.long),
         *sweeps(found.sweeps),
         overcompensation(found.overcompensation),
     ]
 
 
 def tracking(heading: str, rows: Sequence[Tracked]) -> Table:
-    """Return the errors of rows in mrad, mean and spread over the motions, by scheme."""
+    """Return the errors of rows in mrad by scheme: their spread or, of one motion, its end."""
     joints = rows[0].mean.size
-    table = _table(f"{heading}: RMSE [mrad], mean (spread) over motions")
+    table = _table(heading)
     table.add_column("")
     for joint in range(1, joints + 1):
         table.add_column(f"J{joint}", justify="right")
@@ -33,9 +34,10 @@ def tracking(heading: str, rows: Sequence[Tracked]) -> Table:
         table.add_row(f"[italic]{scheme}[/]", *[""] * joints)
         for row in rows:
             if row.scheme == scheme:
+                beside = row.spread if len(row.rmse) > 1 else row.last[0]
                 cells = [
-                    f"{1e3 * m:.2f} ({1e3 * s:.2f})" if np.isfinite(m) else "stopped"
-                    for m, s in zip(row.mean, row.spread, strict=True)
+                    f"{1e3 * m:.2f} ({1e3 * b:.2f})" if np.isfinite(m) else "stopped"
+                    for m, b in zip(row.mean, beside, strict=True)
                 ]
                 table.add_row(f" {title(row.law)}", *cells)
         table.add_section()
@@ -76,4 +78,6 @@ def overcompensation(found: Sequence[Overcompensation]) -> Table:
 
 
 def _table(heading: str) -> Table:
-    return Table(title=heading, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    return Table(
+        title=escape(heading), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    )
