@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
+from fmu_src.arm.signals import compiled
 from hesr_model.config import Config, RelativePath
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.noise import standard_normal
@@ -140,7 +140,7 @@ class Arm:
 
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
-        self._model = _compile(plant.model)
+        self._model = compiled(plant.model)
         self._data = mujoco.MjData(self._model)
         self.timestep = float(self._model.opt.timestep)
         """Step of the simulation [s]; commands are held for a multiple of it."""
@@ -238,13 +238,3 @@ class Arm:
             tau_meas=tau_meas,
             tau_f_true=-passive,
         )
-
-
-def _compile(path: Path) -> Any:
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such model file.")
-    try:
-        return mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
-        reason = " ".join(str(error).split()).rstrip(".")
-        raise ConfigError(f"{path}: cannot be compiled as an MJCF ({reason}).") from error

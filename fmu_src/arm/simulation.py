@@ -21,6 +21,7 @@ LEAST_SCALE = 1e-9
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _MAX = 1e10
+_BLOCK = 256  # samples of noise that are drawn at once
 """MuJoCo takes controls beyond it for zero, and starts again where a state is beyond it."""
 
 
@@ -40,6 +41,8 @@ class Simulation:
         """Parameters where none are given."""
         self._noisy = [k for k, o in enumerate(signals.outputs) if o.noise is not None]
         self._state_size = mujoco.mj_stateSize(signals.model, _STATE)
+        drives = [(c, k) for k, one in enumerate(signals.inputs) for c in one.controls]
+        self._controls, self._driven = np.array(drives, dtype=int).reshape(-1, 2).T
         self._streams = np.array([signals.outputs[k].stream for k in self._noisy])
         self.reset()
 
@@ -92,10 +95,11 @@ class Simulation:
             )
         before = self._state()
         data = self._data
-        for one, value in zip(self.signals.inputs, np.atleast_1d(inputs), strict=True):
+        values = np.atleast_1d(np.asarray(inputs, dtype=float))
+        for one, value in zip(self.signals.inputs, values.tolist(), strict=True):
             if not abs(value) <= _MAX:
                 raise SimulationError(f"{one.name} is {value:g}; the largest is {_MAX:g}.")
-            data.ctrl[list(one.controls)] = value
+        data.ctrl[self._controls] = values[self._driven]
         with _quiet():
             mujoco.mj_step(self._model, data, nstep=count)
         if self._diverged():
@@ -115,10 +119,18 @@ class Simulation:
         data.qacc_warmstart[:] = guess
         found: Array = self._weights @ data.sensordata
         if self._noisy:
-            found[self._noisy] += self._sigma * standard_normal(
-                self._seed, self._streams, self.samples
-            )
+            found[self._noisy] += self._sigma * self._noise(self.samples)
         return found
+
+    def _noise(self, sample: int) -> Array:
+        """Return a sample's normal numbers; drawing many samples takes hardly longer than one."""
+        row = sample - self._drawn_from
+        if not 0 <= row < len(self._drawn):
+            self._drawn_from = sample
+            counters = np.arange(sample, sample + _BLOCK)[:, None]
+            self._drawn = standard_normal(self._seed, self._streams, counters)
+            row = 0
+        return np.asarray(self._drawn[row])
 
     def state(self) -> dict[str, Any]:
         """Return all that a later call depends on, as numbers and lists of them."""
@@ -186,13 +198,15 @@ class Simulation:
             for address, factor, scaled in output.reads:
                 row[address] += factor * (scale if scaled else 1.0)
         self._sigma = np.array([given[noise_name(signals.outputs[k])] for k in self._noisy])
+        self._drawn, self._drawn_from = np.empty((0, len(self._noisy))), 0
         self._seed = int(given.get(f"{SEED}[1]", 0)) | int(given.get(f"{SEED}[2]", 0)) << 32
 
     def _diverged(self) -> bool:
         data = self._data
         first = int(mujoco.mjtWarning.mjWARN_CONTACTFULL)
-        bounded = np.all(np.abs(data.qpos) <= _MAX) and np.all(np.abs(data.qvel) <= _MAX)
-        return bool(not bounded or np.any(data.warning.number[first:]))
+        extremes = (data.qpos.max(), -data.qpos.min(), data.qvel.max(), -data.qvel.min())
+        bounded = all(extreme <= _MAX for extreme in extremes)  # which NaN is not
+        return not bounded or bool(data.warning.number[first:].any())
 
 
 def _delay(model: Any, actuator: int, latency: float) -> float:
