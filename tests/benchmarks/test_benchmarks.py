@@ -16,7 +16,9 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from threadpoolctl import threadpool_limits
 
 from fmu_src import model_file
+from fmu_src.friction.codegen import law_functions
 from hesr_model.artifacts import read_model
+from hesr_model.friction.estimator import estimator
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fit import fit_joint
 from hesr_model.friction.parfam import paper, refine
@@ -95,10 +97,8 @@ def test_three_stage_fit_of_a_joint(
     assert law.name == "parfam_h"
 
 
-@pytest.mark.parametrize("law", ["stribeck", "lugre"])
-def test_fit_of_a_classical_law(
-    benchmark: BenchmarkFixture, data: FrictionRecord, law: str
-) -> None:
+@pytest.mark.parametrize("law", ["stribeck", "lugre", "rbfnn_h", "mlp_h"])
+def test_fit_of_another_law(benchmark: BenchmarkFixture, data: FrictionRecord, law: str) -> None:
     fitted = benchmark.pedantic(fit_joint, args=(law, [data]), kwargs={"seed": 0}, rounds=3)
     assert fitted.name == law
 
@@ -124,6 +124,18 @@ def test_residual_and_jacobian_of_the_last_stage(
     with threadpool_limits(1):
         jacobian = benchmark(lambda: (problem.residual(point), problem.jacobian(point)))[1]
     assert jacobian.shape == (ROWS, 11)
+
+
+@pytest.mark.parametrize(
+    ("name", "structure"), [("rbfnn_h", {"centres": 40}), ("mlp_h", {"hidden": 16})]
+)
+def test_lowering_of_the_largest_networks(
+    name: str, structure: dict[str, int], benchmark: BenchmarkFixture
+) -> None:
+    """Aim: 2 s, to C with tangents."""
+    form = estimator(name).form(structure)
+    text = benchmark.pedantic(law_functions, args=(form, "law_1"), kwargs={"tunable": False})
+    assert "law_1_torque_tangent" in text
 
 
 def test_prediction_over_a_log(benchmark: BenchmarkFixture, data: FrictionRecord) -> None:

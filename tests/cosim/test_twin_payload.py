@@ -17,7 +17,7 @@ from hesr_model.trajectories import random_fourier
 FOLDER = models_folder() / "uf850"
 LAST_LINK = '<inertial pos="0.000484 -0.000334 -0.014217"'
 PAYLOAD = """
-<body name="payload" gravcomp="1">
+<body name="load" gravcomp="1">
   <inertial pos="0.02 -0.01 0.08" mass="1.5"
     fullinertia="0.004 0.005 0.003 0.0002 0.0001 -0.0003"/>
 </body>
@@ -41,7 +41,7 @@ def folders(tmp_path_factory):
     with_payload = tmp_path_factory.mktemp("loaded") / "uf850"
     shutil.copytree(FOLDER, with_payload)
     text = (FOLDER / "uf850.xml").read_text()
-    place = text.index("</body>", text.index(LAST_LINK))
+    place = text.index('<body name="payload"', text.index(LAST_LINK))
     (with_payload / "uf850.xml").write_text(text[:place] + PAYLOAD + text[place:])
     return FOLDER, with_payload
 

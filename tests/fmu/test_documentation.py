@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmu_src import export_fmu, friction
+from fmu_src import export_fmu
 from fmu_src.description import Description
+from fmu_src.friction import component as friction
 from fmu_src.friction.datasheet import EULER, RK4, fastest, figure
 from fmu_src.friction.documentation import to_html
 from fmu_src.friction.mathml import equations

@@ -2,12 +2,10 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from time import process_time
 
 import numpy as np
 import pytest
 
-from fmu_src.friction.codegen import law_functions
 from hesr_model.errors import ArtifactError, FitError
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fit import fit_joint
@@ -130,19 +128,6 @@ def test_sizes_that_no_network_may_have_are_refused() -> None:
     for sizes in ((), (0,), (4, 17)):
         with pytest.raises(FitError, match="from 1 to 16"):
             fit_joint("mlp_h", [record(300)], seed=0, options={"hidden": sizes})
-
-
-@pytest.mark.parametrize(
-    ("estimator", "structure"), [(RbfnnH, {"centres": 40}), (MlpH, {"hidden": 16})]
-)
-def test_the_largest_networks_lower_fast(
-    estimator: type[RbfnnH] | type[MlpH], structure: dict[str, int]
-) -> None:
-    start = process_time()
-    law = law_with(estimator, structure)
-    predict(law, t=[0.0, 0.01], dq=[0.0, 0.1])
-    law_functions(law.form, "law_1")
-    assert process_time() - start < 2.0
 
 
 # --- inputs -----------------------------------------------------------------------------------
@@ -320,14 +305,6 @@ def test_a_single_log_is_left_out_in_blocks(name: str) -> None:
     law = fit_joint(name, [record(2000)], seed=3, options={"cells": 1})
     unseen = record(seed=2)
     assert rmse(predict(law, t=unseen.t, dq=unseen.dq) - unseen.tau) < 0.6
-
-
-@pytest.mark.parametrize("name", ["rbfnn_h", "mlp_h"])
-def test_a_fit_takes_seconds(name: str) -> None:
-    long = [record(4750, seed=seed) for seed in (0, 1)]
-    start = process_time()
-    fit_joint(name, long, seed=0)
-    assert process_time() - start < 4.0
 
 
 def test_standing_still_for_most_of_a_log_leaves_enough_to_learn() -> None:

@@ -125,6 +125,12 @@ def test_a_model_of_another_robot_is_refused(
     log = rough(name="run")
     body = identify([log], arm_model)
     friction = fitted([log], arm_model, body, "stribeck")
-    two = replace(friction, joints=friction.joints[:2], laws=friction.laws[:2], trained=())
+    two = replace(
+        friction,
+        joints=friction.joints[:2],
+        laws=friction.laws[:2],
+        trained=(),
+        training_rmse=(),
+    )
     with pytest.raises(ArtifactError, match="is for the joints j1, j2; the robot has j1, j2, j3"):
         identify_again([log], arm_model, body, two)
