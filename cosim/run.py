@@ -143,6 +143,12 @@ class Job:
             self._require_law(f"variants.{name}.options", variant.law, variant.options)
         if study.refinement:
             self._require_law("refinement.law", study.refinement.law, {})
+        for law in study.tracking.sources if study.tracking else ():
+            if law not in self.laws:
+                raise ConfigError(
+                    f"{self.path}: key 'tracking.sources': law '{law}' is none of the study's, "
+                    f"{', '.join(self.laws)}."
+                )
 
     def _require_law(self, key: str, law: str, options: Mapping[str, Any]) -> None:
         """Check that there is the law and that it takes the options."""

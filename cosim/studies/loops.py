@@ -17,10 +17,11 @@ from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import trajectory
 from fmu_src.blocks.velocity import velocity
 from fmu_src.package import write_fmu
+from hesr_model.errors import ConfigError
 from hesr_model.friction.law import FrictionModel
 from hesr_model.rigid_body import RigidBody
 from hesr_model.robot import RobotModel
-from hesr_model.trajectories import random_fourier
+from hesr_model.trajectories import Fourier, random_fourier
 
 VELOCITY_ONLY = "(velocity command only)"
 BODY_ONLY = "(rigid body only)"
@@ -32,19 +33,44 @@ _MARGIN = 0.5  # [rad] beyond the joint limits, where a run has surely diverged
 
 def motions(tracking: Tracking, periods: int = 1) -> list[Motion]:
     """Return the motions of a study as the FMUs take them, run a number of times each."""
-    return [
-        Motion.of(
-            random_fourier(
-                seed=seed,
-                harmonics=tracking.harmonics,
-                period=tracking.duration,
-                peak_velocity=np.array(tracking.peak_velocity),
-                offset=np.array(tracking.offset),
-                periods=periods,
+    return [Motion.of(_fourier(tracking, seed, periods)) for seed in tracking.seeds]
+
+
+def _fourier(tracking: Tracking, seed: int, periods: int = 1) -> Fourier:
+    return random_fourier(
+        seed=seed,
+        harmonics=tracking.harmonics,
+        period=tracking.duration,
+        peak_velocity=np.array(tracking.peak_velocity),
+        offset=np.array(tracking.offset),
+        periods=periods,
+    )
+
+
+def require_reachable(tracking: Tracking, robot: RobotModel) -> None:
+    """Check that the motions of a study are for the robot and within its limits.
+
+    Raises
+    ------
+    ConfigError
+        Naming the motion and the joint.
+    """
+    for key, entries in (("peak_velocity", tracking.peak_velocity), ("offset", tracking.offset)):
+        if len(entries) != robot.n:
+            raise ConfigError(
+                f"tracking: key '{key}' has {len(entries)} entries; the robot has {robot.n} joints."
             )
-        )
-        for seed in tracking.seeds
-    ]
+    lower, upper, _ = robot.limits
+    t = np.linspace(0.0, tracking.duration, 2001)
+    for seed in tracking.seeds:
+        q = _fourier(tracking, seed).sample(t)[0]
+        for k, name in enumerate(robot.description.joints):
+            least, most = float(q[:, k].min()), float(q[:, k].max())
+            if least < lower[k] or most > upper[k]:
+                raise ConfigError(
+                    f"tracking: the motion of seed {seed} takes {name} from {least:.3f} to "
+                    f"{most:.3f} rad; it can go from {lower[k]:.3f} to {upper[k]:.3f} rad."
+                )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,6 +243,7 @@ def run_loop(
     """
     from cosim.studies.robustness import run_overcompensation, run_sweeps
 
+    require_reachable(tracking, robot)
     progress("building the loop", 0, 1)
     fmus = folder / "fmus"
     truth = true_friction(plant.model, plant.joints, sample_time=1.0 / plant.sample_rate)

@@ -24,6 +24,7 @@ from cosim.studies.excite import Motions, excite
 from fmu_src import export_fmu, model_file
 from fmu_src.arm.plant import Plant
 from hesr_model.artifacts import read_model, write_model, write_rigid_body
+from hesr_model.files import models_folder
 from hesr_model.friction.fit import fit_models
 from hesr_model.residual import friction_records
 from hesr_model.rigid_body import identify
@@ -467,7 +468,38 @@ def test_a_log_of_another_joint_count(
     assert sentence.startswith(f"{bench.log}: has column 'q3', but the robot has 2 joints;")
 
 
+TRACKING = """
+[tracking]
+seeds = [1]
+duration = 2.0
+harmonics = 3
+peak_velocity = [0.5, 0.5, 0.5]
+offset = [0.0, 0.3, -1.9]
+Kx = 5.0
+sources = ["lugre"]
+
+[tracking.gains]
+Kp = [0.0, 0.0, 0.0]
+Kd = [0.0, 0.0, 0.0]
+decay = 4.0
+Kv = [90.5, 150.8, 52.8]
+Ki = [905.0, 1508.0, 528.0]
+latency = 0.01
+
+"""
+SIGNALS = f'signals = "{models_folder() / "uf850" / "arm.toml"}"'
+
 STUDY_FAULTS = {
+    "a loop without an arm": (
+        "[logs]\n",
+        f"{TRACKING}[logs]\n",
+        "'tracking' needs the keys 'twin' and 'twin.signals'",
+    ),
+    "a loop with a law that the study has not": (
+        "[twin]\n",
+        f"{TRACKING}[twin]\n{SIGNALS}\n",
+        "key 'tracking.sources': law 'lugre' is none of the study's, stribeck, parfam_h.",
+    ),
     "an unknown key": ("seed = 3", "sead = 3", "unknown key 'sead'; allowed here: "),
     "an unknown key in a table": (
         "[twin]",

@@ -8,7 +8,16 @@ import pytest
 
 from cosim.closed_loop import Scheme
 from cosim.studies import tracking
-from cosim.studies.loops import BODY_ONLY, ORACLE, VELOCITY_ONLY, Loop, assemble, build, motions
+from cosim.studies.loops import (
+    BODY_ONLY,
+    ORACLE,
+    VELOCITY_ONLY,
+    Loop,
+    assemble,
+    build,
+    motions,
+    require_reachable,
+)
 from cosim.studies.robustness import CYCLING, FACTORS, run_overcompensation, run_sweeps
 from cosim.studies.tracking import Tracked, track
 from cosim.study import Study
@@ -17,6 +26,7 @@ from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr_model.artifacts import read_model
+from hesr_model.errors import ConfigError
 from hesr_model.files import models_folder
 from hesr_model.rigid_body import RigidBody
 from hesr_model.robot import RobotDescription, RobotModel
@@ -63,6 +73,24 @@ def loop(tmp_path_factory: pytest.TempPathFactory, robot: RobotModel, body: Rigi
 
 def by_name(rows: list[Tracked]) -> dict[tuple[str, str], Tracked]:
     return {(row.scheme, row.law): row for row in rows}
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (
+            {"offset": (0.0, 0.3, 0.0)},
+            r"tracking: the motion of seed 11 takes joint3 from -\d\.\d{3} to 0\.\d{3} rad; "
+            r"it can go from -4\.224 to 0\.061 rad\.",
+        ),
+        ({"offset": (0.0, 0.3)}, r"tracking: key 'offset' has 2 entries; the robot has 3 joints\."),
+    ],
+)
+def test_motions_that_the_arm_cannot_make_are_refused(
+    change: dict[str, tuple[float, ...]], sentence: str, loop: Loop, robot: RobotModel
+) -> None:
+    with pytest.raises(ConfigError, match=sentence):
+        require_reachable(loop.tracking.model_copy(update=change), robot)
 
 
 def test_every_law_is_tracked_in_every_scheme(loop: Loop) -> None:
