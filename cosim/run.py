@@ -192,7 +192,8 @@ class Job:
         if self.study.twin is None:
             return {name: self.path.parent / name for name in names}
         # MuJoCo is loaded for a twin only, not for measured logs.
-        from cosim.studies.excite import Motions, excite
+        from cosim.studies.excite import excite
+        from cosim.studies.motions import Motions
         from fmu_src.arm.plant import Plant
 
         self.progress("running the arm", 0, 1)

@@ -6,168 +6,23 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
 
 from cosim.arm import FmuArm
+from cosim.studies.motions import Motions, names_of
 from fmu_src.arm.plant import Arm, ArmOutput, Noise, Plant
-from hesr_model.config import Config
 from hesr_model.errors import ConfigError
 from hesr_model.files import written_whole
 from hesr_model.noise import words
 from hesr_model.robot_log import RobotLog
 from hesr_model.tables import write_table
-from hesr_model.trajectories import Sine, Sweep, Trajectory, chirp, random_fourier
+from hesr_model.trajectories import Trajectory
 
 Array = NDArray[np.float64]
-PerJoint = Annotated[tuple[float, ...], Field(min_length=1)]
 
 _log = logging.getLogger(__name__)
-
-
-class _Motion(Config):
-    """What every motion has.
-
-    Attributes
-    ----------
-    name
-        Of the log, and of its file.
-    also_reversed
-        Whether the time-reversed motion is run, too, as ``<name>_reversed``.
-    """
-
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
-    also_reversed: bool = False
-
-    @property
-    def unlogged(self) -> float:
-        """Time that is run before the log begins [s]."""
-        return 0.0
-
-
-class FourierMotion(_Motion):
-    """Fourier series drawn from a seed; see `hesr_model.trajectories.random_fourier`.
-
-    Attributes
-    ----------
-    periods, unlogged_periods
-        How many periods are run, and how many of the first ones are not logged.
-    """
-
-    kind: Literal["fourier"]
-    seed: int
-    harmonics: int = Field(ge=2)
-    period: float = Field(gt=0)
-    peak_velocity: PerJoint
-    offset: PerJoint
-    periods: int = Field(default=1, ge=1)
-    unlogged_periods: int = Field(default=0, ge=0)
-
-    @property
-    def unlogged(self) -> float:
-        """Time that is run before the log begins [s]."""
-        return self.unlogged_periods * self.period
-
-    def trajectory(self) -> Trajectory:
-        """Return the motion in closed form."""
-        return random_fourier(
-            seed=self.seed,
-            harmonics=self.harmonics,
-            period=self.period,
-            peak_velocity=np.array(self.peak_velocity),
-            offset=np.array(self.offset),
-            periods=self.periods,
-        )
-
-
-class SineMotion(_Motion):
-    """Sine; see `hesr_model.trajectories.Sine`."""
-
-    kind: Literal["sine"]
-    frequency: float = Field(gt=0)
-    amplitude: PerJoint
-    offset: PerJoint
-    periods: int = Field(ge=1)
-
-    def trajectory(self) -> Trajectory:
-        """Return the motion in closed form."""
-        return Sine(
-            offset=np.array(self.offset),
-            amplitude=np.array(self.amplitude),
-            frequency=self.frequency,
-            periods=self.periods,
-        )
-
-
-class ChirpMotion(_Motion):
-    """Chirp of constant peak velocity; see `hesr_model.trajectories.chirp`."""
-
-    kind: Literal["chirp"]
-    first: float = Field(gt=0)
-    last: float = Field(gt=0)
-    length: float = Field(gt=0)
-    amplitude: PerJoint
-    start: PerJoint
-
-    def trajectory(self) -> Trajectory:
-        """Return the motion in closed form."""
-        return chirp(
-            start=np.array(self.start),
-            amplitude=np.array(self.amplitude),
-            first=self.first,
-            last=self.last,
-            length=self.length,
-        )
-
-
-class SweepMotion(_Motion):
-    """Sweep whose amplitude swings; see `hesr_model.trajectories.Sweep`."""
-
-    kind: Literal["sweep"]
-    first: float = Field(gt=0)
-    last: float = Field(gt=0)
-    length: float = Field(gt=0)
-    amplitude: PerJoint
-    swing: PerJoint
-    swing_phase: PerJoint
-    swing_period: float = Field(gt=0)
-    start: PerJoint
-
-    def trajectory(self) -> Trajectory:
-        """Return the motion in closed form."""
-        return Sweep(
-            start=np.array(self.start),
-            amplitude=np.array(self.amplitude),
-            swing=np.array(self.swing),
-            phase=np.array(self.swing_phase),
-            swing_period=self.swing_period,
-            first=self.first,
-            last=self.last,
-            length=self.length,
-        )
-
-
-Motion = Annotated[
-    FourierMotion | SineMotion | ChirpMotion | SweepMotion, Field(discriminator="kind")
-]
-
-
-class Motions(Config):
-    """The motions of a study, each of which becomes a log (or two, see `_Motion`)."""
-
-    motions: tuple[Motion, ...] = Field(min_length=1)
-
-    @field_validator("motions")
-    @classmethod
-    def _names_differ(cls, motions: tuple[Motion, ...]) -> tuple[Motion, ...]:
-        names = [name for motion in motions for name in _names(motion)]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"two logs would be named '{name}'; names must differ")
-        return motions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -253,7 +108,7 @@ def recordings(
         for motion in motions.motions:
             forward = motion.trajectory()
             both = (forward, forward.time_reversed())
-            for name, trajectory in zip(_names(motion), both, strict=False):
+            for name, trajectory in zip(names_of(motion), both, strict=False):
                 yield record(arm, trajectory, noise, name=name, unlogged=motion.unlogged)
 
 
@@ -331,11 +186,6 @@ def _write_truth(path: Path, recording: Recording) -> None:
     columns |= {f"tau_f{k}": f for k, f in enumerate(recording.truth.tau_f_true.T, start=1)}
     with written_whole(path) as temporary:
         write_table(temporary, columns)
-
-
-def _names(motion: Motion) -> tuple[str, ...]:
-    """Names of the logs that a motion gives."""
-    return (motion.name, f"{motion.name}_reversed") if motion.also_reversed else (motion.name,)
 
 
 def _seed_of_log(seed: int, name: str) -> int:

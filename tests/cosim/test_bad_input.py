@@ -20,7 +20,8 @@ import numpy as np
 import pytest
 from small_study import Hesr, contents, hesr_here, hesr_in_a_process, uf850, write_study
 
-from cosim.studies.excite import Motions, excite
+from cosim.studies.excite import excite
+from cosim.studies.motions import Motions
 from fmu_src import export_fmu, model_file
 from fmu_src.arm.plant import Plant
 from hesr_model.artifacts import read_model, write_model, write_rigid_body

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from small_study import MOTIONS, Hesr, hesr_here, uf850
 
-from cosim.studies.excite import Motions, excite
+from cosim.studies.excite import excite
+from cosim.studies.motions import Motions
 from fmu_src.arm.plant import Plant
 from hesr_model.artifacts import read_rigid_body
 

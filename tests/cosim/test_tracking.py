@@ -8,6 +8,7 @@ import pytest
 
 from cosim.closed_loop import Scheme
 from cosim.studies import tracking
+from cosim.studies.excite import recordings
 from cosim.studies.loops import (
     BODY_ONLY,
     ORACLE,
@@ -18,6 +19,7 @@ from cosim.studies.loops import (
     motions,
     require_reachable,
 )
+from cosim.studies.motions import Motions
 from cosim.studies.robustness import CYCLING, FACTORS, run_overcompensation, run_sweeps
 from cosim.studies.tracking import Tracked, track
 from cosim.study import Study
@@ -28,7 +30,7 @@ from fmu_src.arm.truth import true_friction
 from hesr_model.artifacts import read_model
 from hesr_model.errors import ConfigError
 from hesr_model.files import models_folder
-from hesr_model.rigid_body import RigidBody
+from hesr_model.rigid_body import RigidBody, identify
 from hesr_model.robot import RobotDescription, RobotModel
 
 UF850 = models_folder() / "uf850"
@@ -42,10 +44,7 @@ def robot() -> RobotModel:
 
 @pytest.fixture(scope="module")
 def body(robot: RobotModel) -> RigidBody:
-    """The true rigid body in place of an identified one."""
-    from cosim.studies.excite import Motions, recordings
-    from hesr_model.rigid_body import identify
-
+    """What the excitation of the default study gives."""
     plant = Plant.read(UF850 / "plant.toml")
     found = Motions.read(models_folder() / "studies" / "uf850_motions.toml")
     sweep = tuple(m for m in found.motions if m.name == "excitation")
