@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,7 +17,9 @@ from cosim.master import Master
 from cosim.monolithic import run_loop
 from cosim.system import SystemSpec
 from fmu_src import model_file
+from fmu_src.arm.python_fmu import export_python_arm
 from hesr_model.artifacts import read_model
+from hesr_model.files import models_folder
 
 Tell = Callable[[str], None]
 
@@ -68,6 +71,22 @@ def test_ten_seconds_of_the_closed_loop(
         f"{1e3 * with_fmi:.0f} ms, without FMI {1e3 * without:.0f} ms, ratio {ratio:.2f} (aim 1.5);"
         f" positions agree to {error:.0e} rad"
     )
+
+
+def test_ten_seconds_with_the_arm_as_a_python_fmu(
+    bench: Bench, benchmark: BenchmarkFixture, tell: Tell, tmp_path: Path
+) -> None:
+    """Aim: 40 times real time."""
+    benchmark.group = "10 s of the closed loop at 200 Hz, six or seven FMUs"
+    folder = models_folder() / "uf850"
+    arm = export_python_arm(folder / "uf850.xml", folder / "arm.toml", tmp_path / "Arm.fmu")
+    loop = bench.loop(SCHEMES["servo_inversion"])
+    spec = replace(bench, fmus=replace(bench.fmus, arm=arm)).system(loop)
+    with Master(spec) as master:
+        benchmark.pedantic(lambda: master.run().require_success(), rounds=5, warmup_rounds=1)
+        speed = loop.stop / least(lambda: master.run())
+    benchmark.extra_info |= {"times real time": speed}
+    tell(f"with the arm as a PythonFMU: {speed:.0f} times real time (aim 40)")
 
 
 def test_starting_the_closed_loop(bench: Bench, benchmark: BenchmarkFixture) -> None:
