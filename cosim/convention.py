@@ -14,8 +14,8 @@ import numpy as np
 
 from cosim.component import Array, Component
 from fmu_src.friction.embedded import embedded_model
-from fmu_src.friction.reference import Motion, reference_motion
-from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, errors, torques
+from fmu_src.friction.reference import reference_motion
+from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, errors, torques
 from hesr_model.errors import SimulationError
 from hesr_model.friction.functions import INPUTS
 

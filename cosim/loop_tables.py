@@ -7,9 +7,9 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from cosim.studies.loops import LoopOutcome
 from cosim.studies.robustness import Overcompensation
 from cosim.studies.tracking import Tracked
+from cosim.studies.whole_loop import LoopOutcome
 from cosim.tables import title
 
 

@@ -27,7 +27,7 @@ from hesr_model.robot_log import RobotLog
 from hesr_model.tables import read_table
 
 if TYPE_CHECKING:
-    from cosim.studies.loops import LoopOutcome
+    from cosim.studies.whole_loop import LoopOutcome
     from fmu_src.arm.plant import Plant
 
 Progress = Callable[[str, int, int], None]
@@ -232,7 +232,7 @@ class Job:
         """Run the loop of the study; what is done of it survives an interrupt in `kept`."""
         if self.study.tracking is None or self.study.twin is None:
             return None
-        from cosim.studies.loops import run_loop
+        from cosim.studies.whole_loop import run_loop
         from fmu_src.arm.plant import Plant
 
         plant = Plant.read(self.study.twin.plant)

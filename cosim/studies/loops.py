@@ -1,9 +1,8 @@
 """The closed-loop part of a study: which rows, on which motions, with which FMUs."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -11,7 +10,6 @@ from cosim.closed_loop import Fmus, Scheme, Setting, Tracking
 from cosim.studies.tracking import Motion, Row, Tracked, track
 from fmu_src import export_fmu
 from fmu_src.arm.plant import Plant
-from fmu_src.arm.truth import true_friction
 from fmu_src.blocks.controller import controller
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import trajectory
@@ -189,74 +187,6 @@ def limits_of(robot: RobotModel) -> np.ndarray:
     """Return the positions (n, 2) beyond which a run has diverged [rad]."""
     lower, upper, _ = robot.limits
     return np.column_stack([lower - _MARGIN, upper + _MARGIN])
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LoopOutcome:
-    """What the closed loop of a study gave.
-
-    Attributes
-    ----------
-    tables : every law in every scheme, on all motions.
-    long : some of them on a long motion, which shows drift.
-    sweeps : some of them with a changed arm or controller.
-    overcompensation : how much too much friction is borne.
-    """
-
-    tables: Sequence[Tracked]
-    long: Sequence[Tracked]
-    sweeps: Sequence[Tracked]
-    overcompensation: Sequence[Any]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON data in rad."""
-        return {
-            "tracking": [t.to_json() for t in self.tables],
-            "long": [t.to_json() for t in self.long],
-            "sweeps": [t.to_json() for t in self.sweeps],
-            "overcompensation": [asdict(o) for o in self.overcompensation],
-        }
-
-
-def run_loop(
-    tracking: Tracking,
-    plant: Plant,
-    robot: RobotModel,
-    body: RigidBody,
-    folder: Path,
-    *,
-    friction: Mapping[str, Path],
-    kept: Path | None,
-    progress: Progress,
-) -> LoopOutcome:
-    """Build the FMUs of a loop and run all that a study wants to know of it.
-
-    Parameters
-    ----------
-    tracking : the study.
-    plant : the arm.
-    robot, body : rigid body that was identified.
-    folder : of the results; the FMUs stand in fmus/ there, that of the arm as Arm.fmu.
-    friction : FMU of each law.
-    kept : folder in which finished rows are kept.
-    progress : told how far it has come.
-    """
-    from cosim.studies.robustness import run_overcompensation, run_sweeps
-
-    require_reachable(tracking, robot)
-    progress("building the loop", 0, 1)
-    fmus = folder / "fmus"
-    truth = true_friction(plant.model, plant.joints, sample_time=1.0 / plant.sample_rate)
-    build(fmus, robot, body, plant, oracle=truth)
-    loop = assemble(fmus, tracking=tracking, friction=friction, plant=plant)
-    progress("building the loop", 1, 1)
-    tables, long = run_tracking(loop, robot, kept=kept, progress=progress)
-    return LoopOutcome(
-        tables=tables,
-        long=long,
-        sweeps=run_sweeps(loop, robot, body, fmus, kept=kept, progress=progress),
-        overcompensation=run_overcompensation(loop, robot, kept=kept, progress=progress),
-    )
 
 
 def run_tracking(

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmu_src.friction.reference import UNKNOWN_SPEED, Motion
-from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, errors, torques
+from fmu_src.friction.reference import UNKNOWN_SPEED
+from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, errors, torques
 from hesr_model.errors import SimulationError
 from hesr_model.friction.audit import ENCODER, REACH, Audit, audit
 from hesr_model.friction.evaluate import Array

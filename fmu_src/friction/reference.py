@@ -4,14 +4,13 @@ The files follow the FMI cross-check: NAME_in.csv, NAME_ref.csv and NAME_ref.opt
 from the laws in Python, not by the FMU, so that they are a check of the FMU, too.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson
 
-from fmu_src.friction.settings import CONTINUOUS, torques
+from fmu_src.friction.settings import CONTINUOUS, Motion, torques
 from hesr_model.errors import SimulationError
 from hesr_model.friction.functions import INPUTS
 from hesr_model.friction.law import FrictionModel
@@ -50,26 +49,6 @@ model_exchange/{name}_in.csv, _ref.csv, _ref.opt
 _NONE = """\
 There are no reference results: the torque of this law is not finite on the reference motion.
 """
-
-
-@dataclass(frozen=True, kw_only=True)
-class Motion:
-    """Inputs of all joints over time.
-
-    Attributes
-    ----------
-    t : (N,) [s].
-    dq, q, tau_load : (N, n) [rad/s], [rad], [N.m].
-    """
-
-    t: Array
-    dq: Array
-    q: Array
-    tau_load: Array
-
-    def by_joint(self) -> Iterator[tuple[Array, Array, Array]]:
-        """Yield (dq, q, tau_load) of each joint, each (N,)."""
-        return zip(self.dq.T, self.q.T, self.tau_load.T, strict=True)
 
 
 def reference_motion(

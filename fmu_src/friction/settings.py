@@ -8,18 +8,14 @@ Whatever the way, the torque is read after the step, at the time of row k + 1. T
 the law itself what an FMU that is run so gives; `cosim.convention` runs the FMU.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hesr_model.friction.evaluate import Array, predict
 from hesr_model.friction.law import FrictionLaw, FrictionModel
 from hesr_model.metrics import near_reversals, rmse
-
-if TYPE_CHECKING:
-    from fmu_src.friction.reference import Motion
 
 SETTINGS: Mapping[str, str] = {
     "hold": "inputs of the step's beginning, held",
@@ -30,6 +26,26 @@ SETTINGS: Mapping[str, str] = {
 
 CONTINUOUS = "continuous"
 """Not a way of a master: the law integrated finely, its inputs linear between the rows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """Inputs of all joints over time.
+
+    Attributes
+    ----------
+    t : (N,) [s].
+    dq, q, tau_load : (N, n) [rad/s], [rad], [N.m].
+    """
+
+    t: Array
+    dq: Array
+    q: Array
+    tau_load: Array
+
+    def by_joint(self) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield (dq, q, tau_load) of each joint, each (N,)."""
+        return zip(self.dq.T, self.q.T, self.tau_load.T, strict=True)
 
 
 @dataclass(frozen=True, kw_only=True)
