@@ -44,7 +44,7 @@ class Target:
 
 
 # glibc 2.17 is that of the oldest systems which tools still support. FMI 2.0 has no folder for
-# 64-bit ARM Linux; the one here is that which importers look for.
+# 64-bit ARM Linux; the one here is FMI 3.0's, which FMI 2.0.5 asks for.
 _ELF = ("-fPIC", "-Wl,--build-id=none", "-lm")
 _MACH_O = ("-fPIC", "-Wl,-install_name,@rpath/{library}")
 TARGETS: Mapping[str, Target] = {
