@@ -5,7 +5,7 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-C_FILES := $(wildcard fmu_src/c/*.c fmu_src/c/*.h tests/fmu/*.c)
+C_FILES := $(wildcard fmu_src/c/*.c fmu_src/c/*.h tests/fmu/*.c tests/fmu/*.h)
 
 .PHONY: run test lint format benchmark clean
 

@@ -1,6 +1,5 @@
 """The twin's arm as an FMU, behind the interface of the Python arm."""
 
-from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -33,12 +32,11 @@ class FmuArm:
         self.measured: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
         """Position [rad] and torque [N.m] with their noise, (n,) each."""
         self._component = Component(fmu, name="arm")
-        self._cleanup = ExitStack()
         self._steps = 0
 
     def __enter__(self) -> Self:
         """Load the FMU."""
-        component = self._cleanup.enter_context(self._component)
+        component = self._component.__enter__()
         joints = range(1, len(self.plant.joints) + 1)
         names = [f"{signal}[{i}]" for signal in (*_TRUE, *_MEASURED) for i in joints]
         self._outputs = component.batch(names)
@@ -52,7 +50,7 @@ class FmuArm:
         trace: TracebackType | None,
     ) -> None:
         """Free it."""
-        self._cleanup.close()
+        self._component.__exit__(kind, error, trace)
 
     def reset(self, q0: ArrayLike) -> ArmOutput:
         """Put the arm at rest at `q0` (n,) [rad]; see `fmu_src.arm.plant.Arm.reset`."""

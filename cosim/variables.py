@@ -128,7 +128,7 @@ class Variables:
             raise SimulationError(
                 f"{self._fmu}: '{name}' is of type {variable.type}; it cannot be {value!r}."
             )
-        return value  # type: ignore[no-any-return]
+        return value
 
     def _choice(self, name: str, value: str) -> int:
         declared = self[name].declaredType

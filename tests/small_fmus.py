@@ -6,7 +6,7 @@ from fmu_src.description import Description
 from fmu_src.interface import Interface, Variable
 from fmu_src.package import Content, write_fmu
 
-SOURCE = Path(__file__).with_name("fmu") / "refusing_lag.c"
+SOURCE = Path(__file__).with_name("fmu") / "lag.c"
 
 
 def lag(folder: Path) -> Path:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.closed_loop import Fmus, Scheme, Setting, Tracking
+from cosim.closed_loop import Compensation, Fmus, Scheme, Setting, Source, Tracking
 from cosim.studies.tracking import Motion, Row, Tracked, track
 from fmu_src import export_fmu
 from fmu_src.arm.plant import Plant
@@ -26,6 +26,8 @@ BODY_ONLY = "(rigid body only)"
 ORACLE = "(oracle)"
 Progress = Callable[[str, int, int], None]
 
+_COMPENSATIONS: tuple[Compensation, ...] = ("torque_error", "servo_inversion")
+_MEASURED: tuple[Source, ...] = ("measured", "filtered")
 _MARGIN = 0.5  # [rad] beyond the joint limits, where a run has surely diverged
 
 
@@ -116,15 +118,15 @@ class Loop:
         outer = self.tracking.Kx
         for Kx in (0.0, outer):
             yield self.row(VELOCITY_ONLY, Scheme(compensation="none", Kx=Kx))
-        for compensation in ("torque_error", "servo_inversion"):
+        for compensation in _COMPENSATIONS:
             for Kx in (0.0, outer):
-                scheme = Scheme(compensation=compensation, Kx=Kx)  # type: ignore[arg-type]
+                scheme = Scheme(compensation=compensation, Kx=Kx)
                 for law in (BODY_ONLY, *self.friction, ORACLE):
                     yield self.row(law, scheme)
         for law in self.tracking.sources:
-            for compensation in ("torque_error", "servo_inversion"):
-                for source in ("measured", "filtered"):
-                    scheme = Scheme(compensation=compensation, source=source)  # type: ignore[arg-type]
+            for compensation in _COMPENSATIONS:
+                for source in _MEASURED:
+                    scheme = Scheme(compensation=compensation, source=source)
                     yield self.row(law, scheme)
 
     def row(self, law: str, scheme: Scheme) -> Row:

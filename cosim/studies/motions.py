@@ -5,10 +5,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
+from cosim.closed_loop import PerJoint
 from hesr_model.config import Config
 from hesr_model.trajectories import Sine, Sweep, Trajectory, chirp, random_fourier
-
-PerJoint = Annotated[tuple[float, ...], Field(min_length=1)]
 
 
 class _Motion(Config):

@@ -137,7 +137,7 @@ def track(
     """
     done: dict[int, Tracked] = {}
     left: list[int] = []
-    keys = [_key(row, motions, duration) if kept else "" for row in rows]
+    keys = _keys(rows, motions, duration, limits) if kept else [""] * len(rows)
     for i, key in enumerate(keys):
         file = kept / f"{key}.json" if kept else None
         if file and file.is_file():
@@ -192,14 +192,22 @@ def _tracked(row: Row, motions: Sequence[Motion], duration: float, limits: Array
     )
 
 
-def _key(row: Row, motions: Sequence[Motion], duration: float) -> str:
-    """Name of a row's result, which changes with anything that the result depends on."""
-    setting = asdict(row.setting) | {"gains": row.setting.gains.model_dump()}
-    files = {name: sha256(path) for name, path in setting["fmus"].items() if path}
+def _keys(
+    rows: Sequence[Row], motions: Sequence[Motion], duration: float, limits: Array
+) -> list[str]:
+    """Return names of the rows' results, which change with anything that these depend on."""
+    hashes: dict[Path, str] = {}  # rows share their FMUs
     moved = [asdict(motion) for motion in motions]
-    data = [row.scheme, row.law, setting | {"fmus": files}, moved, duration]
-    text = json.dumps(data, default=list, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:24]
+    keys = []
+    for row in rows:
+        setting = asdict(row.setting) | {"gains": row.setting.gains.model_dump()}
+        paths = {name: path for name, path in setting["fmus"].items() if path}
+        hashes |= {path: sha256(path) for path in paths.values() if path not in hashes}
+        files = {name: hashes[path] for name, path in paths.items()}
+        data = [row.scheme, row.law, setting | {"fmus": files}, moved, duration, limits.tolist()]
+        text = json.dumps(data, default=list, sort_keys=True)
+        keys.append(hashlib.sha256(text.encode()).hexdigest()[:24])
+    return keys
 
 
 def _numbers(values: Array) -> list[list[float | None]]:

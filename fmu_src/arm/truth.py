@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -52,14 +53,14 @@ def true_friction(mjcf: Path, joints: Sequence[str], *, sample_time: float) -> F
     )
 
 
-def _law(model: object, actuators: Sequence[int]) -> FrictionLaw:
+def _law(model: Any, actuators: Sequence[int]) -> FrictionLaw:
     coefficients: list[Coefficient] = []
     values: dict[str, float] = {}
     relaxations: list[Relaxation] = []
     torque = sympy.Integer(0)
     for number, i in enumerate(actuators, start=1):
-        bias, dynamics = model.actuator_biasprm[i], model.actuator_dynprm[i]  # type: ignore[attr-defined]
-        numbers = (dynamics[5], *bias[3:6], model.actuator_damping[i], *bias[:3])  # type: ignore[attr-defined]
+        bias, dynamics = model.actuator_biasprm[i], model.actuator_dynprm[i]
+        numbers = (dynamics[5], *bias[3:6], model.actuator_damping[i], *bias[:3])
         own = [
             Coefficient(name=f"{name}_{number}", unit=unit, description=f"{text}, element {number}")
             for name, unit, text in _COEFFICIENTS

@@ -13,6 +13,7 @@ derivatives dx.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import sympy
 from sympy.printing.c import C99CodePrinter
@@ -60,6 +61,7 @@ class _Printer(C99CodePrinter):
         return f"fabs({self._print(expr.args[0])})"
 
 
+@lru_cache(maxsize=256)
 def switches(form: LawForm) -> tuple[sympy.Expr, ...]:
     """Return the expressions of inputs at whose zeros the law jumps or bends.
 

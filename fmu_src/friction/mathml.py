@@ -56,7 +56,7 @@ def symbol(name: str) -> str:
     return f"<math>{_name(name)}</math>"
 
 
-class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]
+class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not typed
     """Prints the symbols of a law as they are read, and our own functions.
 
     Symbols are replaced by others that sort as formulas are written: coefficients, then states,
@@ -102,11 +102,11 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]
             written = written.replace(found, better)
         return written
 
-    def _print_Symbol(self, sym: sympy.Symbol, style: str = "plain") -> Any:  # noqa: N802
+    def _print_Symbol(self, sym: sympy.Symbol, style: str = "plain") -> Any:
         del style
         return self._element("mi", sym.name)
 
-    def _print_Float(self, expr: sympy.Float) -> Any:  # noqa: N802
+    def _print_Float(self, expr: sympy.Float) -> Any:
         return self._element("mn", f"{float(expr):.12g}")
 
     def _print_sgn(self, expr: sympy.Expr) -> Any:

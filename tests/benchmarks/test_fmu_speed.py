@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from c_hosts import build_host
 from fmpy import extract, read_model_description
 from fmpy.fmi2 import FMU2Slave
 from pytest_benchmark.fixture import BenchmarkFixture
@@ -18,13 +19,10 @@ from pythonfmu.builder import FmuBuilder
 from cosim.component import Component
 from cosim.replay import replay
 from fmu_src import export_fmu, model_file
-from fmu_src.package import own_source
-from fmu_src.toolchain import compile_c
 from hesr_model.artifacts import read_model
 from hesr_model.friction.law import FrictionModel
 
 STEP = 0.005
-HOST = Path(__file__).parents[1] / "fmu" / "host.c"
 Tell = Callable[[str], None]
 
 
@@ -80,12 +78,7 @@ def test_set_step_get(any_fmu: Path, benchmark: BenchmarkFixture) -> None:
 
 @pytest.fixture(scope="module")
 def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("host")
-    (folder / "fmi2.h").write_text(own_source("fmi2.h"))
-    (folder / "host.c").write_text(HOST.read_text())
-    flags = ("-target", "x86_64-linux-gnu.2.17", "-std=gnu99", "-O2")  # valgrind knows no newer CPU
-    compile_c(folder / "host.c", flags, folder / "host", ("-ldl",))
-    return folder / "host"
+    return build_host("host.c", tmp_path_factory.mktemp("host"))
 
 
 @pytest.mark.parametrize("discretisation", ["euler", "exact"])

@@ -5,63 +5,9 @@
  *
  * Inputs dq[i] have the value references 0, 1, ..; outputs tau[i] those from FIRST_TAU. The motion
  * is made by additions and multiplications only, so it is the same to the last digit everywhere. */
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <time.h>
-
-#include "fmi2.h"
-
-#ifdef _WIN32
-#include <windows.h>
-static void *load(const char *path) {
-    return (void *)LoadLibraryA(path);
-}
-static void *find(void *library, const char *name) {
-    FARPROC f = GetProcAddress((HMODULE)library, name);
-    void *p = NULL;
-    memcpy(&p, &f, sizeof p);
-    return p;
-}
-#else
-#include <dlfcn.h>
-static void *load(const char *path) {
-    return dlopen(path, RTLD_NOW | RTLD_LOCAL);
-}
-static void *find(void *library, const char *name) {
-    return dlsym(library, name);
-}
-#endif
+#include "host.h"
 
 enum { MOST = 16 };
-#define STEP 0.005
-
-static void fail(const char *what) {
-    fprintf(stderr, "%s\n", what);
-    exit(1);
-}
-
-static void logger(fmi2ComponentEnvironment environment, fmi2String instance, fmi2Status status,
-                   fmi2String category, fmi2String message, ...) {
-    (void)environment, (void)instance, (void)status, (void)category;
-    fprintf(stderr, "%s\n", message);
-}
-
-/* A function of the library, as one of its declared type. */
-#define FUNCTION(name)                                                                             \
-    __typeof__(&name) name##_ = NULL;                                                              \
-    {                                                                                              \
-        void *found = find(library, #name);                                                        \
-        if (!found) {                                                                              \
-            fail(#name " is missing");                                                             \
-        }                                                                                          \
-        memcpy(&name##_, &found, sizeof found);                                                    \
-    }
-
-#define DO(call)                                                                                   \
-    if ((call) != fmi2OK) {                                                                        \
-        fail(#call);                                                                               \
-    }
 
 /* A triangle of velocity with rests at its ends, from -1.2 to 1.2 rad/s. */
 static double velocity(int k, int joint) {
@@ -80,23 +26,8 @@ int main(int count, char **argument) {
     if (!library || joints < 1 || joints > MOST) {
         fail("the library cannot be loaded");
     }
-    FUNCTION(fmi2Instantiate)
-    FUNCTION(fmi2FreeInstance)
-    FUNCTION(fmi2SetupExperiment)
-    FUNCTION(fmi2EnterInitializationMode)
-    FUNCTION(fmi2ExitInitializationMode)
-    FUNCTION(fmi2SetReal)
-    FUNCTION(fmi2GetReal)
-    FUNCTION(fmi2DoStep)
-    static const fmi2CallbackFunctions host = {logger, NULL, NULL, NULL, NULL};
-    fmi2Component c =
-        fmi2Instantiate_("host", fmi2CoSimulation, argument[2], NULL, &host, fmi2False, fmi2False);
-    if (!c) {
-        fail("no instance");
-    }
-    DO(fmi2SetupExperiment_(c, fmi2False, 0.0, 0.0, fmi2False, 0.0))
-    DO(fmi2EnterInitializationMode_(c))
-    DO(fmi2ExitInitializationMode_(c))
+    FUNCTIONS
+    BEGIN(argument[2], NULL)
     fmi2ValueReference dq[MOST], tau[MOST];
     fmi2Real u[MOST], y[MOST];
     double seconds = 0.0;

@@ -1,12 +1,13 @@
-/* A component of the tests: T x' = u - x, y = x, by the exact step for inputs held. */
+/* A component of the tests: T x' = u - x, y = x, by the exact step for inputs held; it refuses a
+ * step past a time that is given to it. */
 #include <math.h>
 #include <stdio.h>
 
 #include "component_alone.h"
 #include "component_plain.h"
 
-/* Value references, in the order of the table in test_seam.py. */
-enum { U, Y, X, DER_X, T };
+/* Value references, in the order of the table in small_fmus.py. */
+enum { U, Y, X, DER_X, T, REFUSED };
 
 static bool component_initialise(Component *component, void *workspace, Message *why) {
     (void)workspace;
@@ -27,6 +28,11 @@ static bool component_output(Component *component, void *workspace, Message *why
 
 static bool component_step(Component *component, void *workspace, double step, Message *why) {
     double *v = component->v;
+    if (component->time + step > v[REFUSED]) {
+        snprintf(why->text, sizeof why->text, "The step passes %g s, where it is refused.",
+                 v[REFUSED]);
+        return false;
+    }
     v[X] += (v[U] - v[X]) * -expm1(-step / v[T]);
     return component_output(component, workspace, why);
 }

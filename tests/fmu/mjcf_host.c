@@ -4,42 +4,9 @@
  *     mjcf_host LIBRARY GUID RESOURCES INPUTS OUTPUTS STEPS time    print the time of a step [us]
  *
  * Inputs have the value references 0, 1, ..; outputs those that follow. A step is 5 ms. */
-#include <dlfcn.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <time.h>
-
-#include "fmi2.h"
+#include "host.h"
 
 enum { MOST = 64 };
-#define STEP 0.005
-
-static void fail(const char *what) {
-    fprintf(stderr, "%s\n", what);
-    exit(1);
-}
-
-static void logger(fmi2ComponentEnvironment environment, fmi2String instance, fmi2Status status,
-                   fmi2String category, fmi2String message, ...) {
-    (void)environment, (void)instance, (void)status, (void)category;
-    fprintf(stderr, "%s\n", message);
-}
-
-#define FUNCTION(name)                                                                             \
-    __typeof__(&name) name##_ = NULL;                                                              \
-    {                                                                                              \
-        void *found = dlsym(library, #name);                                                       \
-        if (!found) {                                                                              \
-            fail(#name " is missing");                                                             \
-        }                                                                                          \
-        memcpy(&name##_, &found, sizeof found);                                                    \
-    }
-
-#define DO(call)                                                                                   \
-    if ((call) != fmi2OK) {                                                                        \
-        fail(#call);                                                                               \
-    }
 
 /* A triangle of velocity from -0.6 to 0.6, of additions and multiplications only. */
 static double input(int k, int i) {
@@ -51,28 +18,13 @@ int main(int count, char **argument) {
     if (count < 7) {
         fail("usage: mjcf_host LIBRARY GUID RESOURCES INPUTS OUTPUTS STEPS [time]");
     }
-    void *library = dlopen(argument[1], RTLD_NOW | RTLD_LOCAL);
+    void *library = load(argument[1]);
     const int inputs = atoi(argument[4]), outputs = atoi(argument[5]), steps = atoi(argument[6]);
     if (!library || inputs > MOST || outputs > MOST) {
-        fail(library ? "too many variables" : dlerror());
+        fail(library ? "too many variables" : "the library cannot be loaded");
     }
-    FUNCTION(fmi2Instantiate)
-    FUNCTION(fmi2FreeInstance)
-    FUNCTION(fmi2SetupExperiment)
-    FUNCTION(fmi2EnterInitializationMode)
-    FUNCTION(fmi2ExitInitializationMode)
-    FUNCTION(fmi2SetReal)
-    FUNCTION(fmi2GetReal)
-    FUNCTION(fmi2DoStep)
-    static const fmi2CallbackFunctions host = {logger, NULL, NULL, NULL, NULL};
-    fmi2Component c = fmi2Instantiate_("host", fmi2CoSimulation, argument[2], argument[3], &host,
-                                       fmi2False, fmi2False);
-    if (!c) {
-        fail("no instance");
-    }
-    DO(fmi2SetupExperiment_(c, fmi2False, 0.0, 0.0, fmi2False, 0.0))
-    DO(fmi2EnterInitializationMode_(c))
-    DO(fmi2ExitInitializationMode_(c))
+    FUNCTIONS
+    BEGIN(argument[2], argument[3])
     fmi2ValueReference to[MOST], from[MOST];
     fmi2Real u[MOST], y[MOST];
     for (int i = 0; i < MOST; i++) {

@@ -1,22 +1,19 @@
 """The native arm at home in any host: without Python, wherever its resources are said to be."""
 
 import subprocess
-from pathlib import Path
 
 import lief
 import mujoco
 import numpy as np
 import pytest
+from c_hosts import build_host
 from mjcf_models import STEP, UF850, Unpacked, names
 
 from cosim.component import Component
 from fmu_src.arm.native import export_mjcf
 from fmu_src.check import check
-from fmu_src.package import own_source
-from fmu_src.toolchain import compile_c
 
 MJCF, TABLE = UF850 / "uf850.xml", UF850 / "arm.toml"
-HOST = Path(__file__).with_name("mjcf_host.c")
 
 
 @pytest.fixture(scope="module")
@@ -75,20 +72,12 @@ def test_a_model_that_is_damaged(unpacked, tmp_path, monkeypatch, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def host(folder):
-    (folder / "fmi2.h").write_text(own_source("fmi2.h"))
-    (folder / "mjcf_host.c").write_text(HOST.read_text())
-    flags = ("-target", "x86_64-linux-gnu.2.17", "-std=gnu99", "-O2", "-Wall", "-Wextra", "-Werror")
-    compile_c(folder / "mjcf_host.c", flags, folder / "host", ("-ldl",))
-    return folder / "host"
-
-
 def test_a_host_without_python_in_an_empty_environment(fmu, unpacked, tmp_path):
     folder = tmp_path / "work"
     folder.mkdir()
     arguments = [unpacked.library, unpacked.about.guid, unpacked.resources.as_uri(), 3, 18, 200]
     result = subprocess.run(
-        [str(a) for a in (host(tmp_path), *arguments)],
+        [str(a) for a in (build_host("mjcf_host.c", tmp_path), *arguments)],
         capture_output=True, text=True, check=False, env={}, cwd=folder,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr

@@ -8,28 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from c_hosts import build_host
 from fmpy import read_model_description
 
 from fmu_src import export_fmu
-from fmu_src.package import own_source
-from fmu_src.toolchain import compile_c
 
-HOST = Path(__file__).with_name("host.c")
 STEPS = 1000
 AGREEMENT = 1e-13  # of the peak; the C libraries differ in the last digits
 
 WINE = shutil.which("wine") or shutil.which("wine64")
 QEMU = shutil.which("qemu-aarch64")
 ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")  # of Debian's libc6-arm64-cross
-
-
-def build_host(folder, target, *last):
-    (folder / "fmi2.h").write_text(own_source("fmi2.h"))
-    (folder / "host.c").write_text(HOST.read_text())
-    program = folder / f"host-{target}"
-    flags = ("-target", target, "-std=gnu99", "-O2", "-Wall", "-Wextra", "-Werror")
-    compile_c(folder / "host.c", flags, program, last)
-    return program
 
 
 def torques(fmu, folder, library, program, *before, **environment):
@@ -52,7 +41,7 @@ def torques(fmu, folder, library, program, *before, **environment):
 def native(table1, tmp_path_factory):
     folder = tmp_path_factory.mktemp("native")
     fmu = export_fmu(table1, folder / "F.fmu", platforms=["all"])
-    program = build_host(folder, "x86_64-linux-gnu.2.17", "-ldl")
+    program = build_host("host.c", folder)
     return fmu, torques(fmu, folder, "linux64/friction_parfam_h.so", program)
 
 
@@ -65,7 +54,7 @@ def assert_agrees(rows, reference):
 @pytest.mark.skipif(WINE is None, reason="wine, which runs Windows programs, is not installed")
 def test_windows(native, tmp_path):
     fmu, reference = native
-    program = build_host(tmp_path, "x86_64-windows-gnu").rename(tmp_path / "host.exe")
+    program = build_host("host.c", tmp_path, "x86_64-windows-gnu").rename(tmp_path / "host.exe")
     rows = torques(
         fmu, tmp_path, "win64/friction_parfam_h.dll", program, WINE,
         WINEPREFIX=str(tmp_path / "wine"), WINEDEBUG="-all", DISPLAY="",
@@ -79,13 +68,13 @@ def test_windows(native, tmp_path):
 )
 def test_linux_on_arm(native, tmp_path):
     fmu, reference = native
-    program = build_host(tmp_path, "aarch64-linux-gnu.2.17", "-ldl")
+    program = build_host("host.c", tmp_path, "aarch64-linux-gnu.2.17")
     library = "aarch64-linux/friction_parfam_h.so"
     assert_agrees(torques(fmu, tmp_path, library, program, QEMU, "-L", ARM_LIBRARIES), reference)
 
 
 def test_the_host_says_what_is_wrong(native, tmp_path):
-    program = build_host(tmp_path, "x86_64-linux-gnu.2.17", "-ldl")
+    program = build_host("host.c", tmp_path)
     command = [program, tmp_path / "none.so", "{}", "3", "9", "1"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (result.returncode, result.stderr) == (1, "the library cannot be loaded\n")

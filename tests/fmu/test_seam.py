@@ -9,35 +9,15 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
+from small_fmus import lag
 
 from cosim.component import Component
-from fmu_src.description import Description
-from fmu_src.interface import Interface, Variable
-from fmu_src.package import Content, write_fmu
 from hesr_model.errors import SimulationError
-
-LAG_C = Path(__file__).with_name("lag.c")
 
 
 @pytest.fixture(scope="module")
 def fmu(tmp_path_factory):
-    table = Interface(
-        variables=(
-            Variable(name="u", role="input", description="input", unit="1"),
-            Variable(name="y", role="output", description="output", unit="1", dependencies=("x",)),
-            Variable(name="x", role="state", description="state", unit="1", start=0.25),
-            Variable(name="der(x)", role="local", description="its derivative", unit="1/s",
-                     derivative_of="x", dependencies=("u", "x", "T")),
-            Variable(name="T", role="fixed", description="time constant", unit="s", start=0.5),
-        ),
-        directional_derivatives=False,
-    )  # fmt: skip
-    about = Description(
-        name="Lag", identifier="lag", text="A first-order lag.", version="1", step=0.01,
-        created="2000-01-01T00:00:00Z", sources=("all.c",),
-    )  # fmt: skip
-    content = Content(table=table, about=about, members={}, sources={"lag.c": LAG_C.read_text()})
-    return write_fmu(content, tmp_path_factory.mktemp("lag") / "Lag.fmu")
+    return lag(tmp_path_factory.mktemp("lag"))
 
 
 def expected(t):
@@ -49,11 +29,11 @@ def test_it_is_valid(fmu):
 
 
 def test_co_simulation(fmu):
-    with Component(fmu) as lag:
-        lag.initialise(start={"u": 2.0})
+    with Component(fmu) as one:
+        one.initialise(start={"u": 2.0})
         for k in range(50):
-            assert lag.get(["y"])[0] == pytest.approx(expected(0.01 * k), rel=1e-13)
-            lag.step(0.01 * k, 0.01)
+            assert one.get(["y"])[0] == pytest.approx(expected(0.01 * k), rel=1e-13)
+            one.step(0.01 * k, 0.01)
 
 
 def test_model_exchange(fmu):
@@ -66,10 +46,10 @@ def test_model_exchange(fmu):
 
 def test_a_component_says_why_it_cannot_start(fmu):
     with (
-        Component(fmu) as lag,
+        Component(fmu) as one,
         pytest.raises(SimulationError, match=r"T is -1 s; it must be positive"),
     ):
-        lag.initialise(start={"T": -1.0})
+        one.initialise(start={"T": -1.0})
 
 
 def test_flags_say_that_there_are_no_derivatives(fmu):
@@ -86,7 +66,7 @@ def test_an_importer_compiles_it(fmu, tmp_path):
     own = Path(shutil.copy(fmu, tmp_path / "Lag.fmu"))
     subprocess.run([sys.executable, "-m", "fmpy", "compile", str(own)], check=True, cwd=tmp_path)
     assert own.read_bytes() != fmu.read_bytes()
-    with Component(own) as lag:
-        lag.initialise(start={"u": 2.0})
-        lag.step(0.0, 0.3)
-        assert lag.get(["y"])[0] == pytest.approx(expected(0.3), rel=1e-13)
+    with Component(own) as one:
+        one.initialise(start={"u": 2.0})
+        one.step(0.0, 0.3)
+        assert one.get(["y"])[0] == pytest.approx(expected(0.3), rel=1e-13)

@@ -1,0 +1,23 @@
+"""Hosts in plain C, built for any platform."""
+
+from pathlib import Path
+
+from fmu_src.package import own_source
+from fmu_src.toolchain import compile_c
+
+HOSTS = Path(__file__).with_name("fmu")
+
+
+def build_host(name: str, folder: Path, target: str = "x86_64-linux-gnu.2.17") -> Path:
+    """Compile a host of the tests in a folder and return the program.
+
+    The target's plainest processor is meant, which emulators and valgrind know.
+    """
+    sources = {"fmi2.h": own_source("fmi2.h")}
+    sources |= {n: (HOSTS / n).read_text(encoding="utf-8") for n in ("host.h", name)}
+    for file, text in sources.items():
+        (folder / file).write_text(text, encoding="utf-8")
+    program = folder / f"host-{target}"
+    flags = ("-target", target, "-std=gnu99", "-O2", "-Wall", "-Wextra", "-Werror")
+    compile_c(folder / name, flags, program, ("-ldl",) if "linux" in target else ())
+    return program
