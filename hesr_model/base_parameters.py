@@ -32,14 +32,18 @@ def base_columns(model: RobotModel) -> tuple[int, ...]:
 def dependence(model: RobotModel, base: tuple[int, ...]) -> Array:
     """Matrix K (len(base), P) by which base columns carry all columns: Y = Y_b K.
 
-    Standard parameters pi and base parameters K pi give the same torque.
+    Standard parameters pi and base parameters K pi give the same torque. K (without unit within a
+    kind of parameter) has the rows of `base`.
     """
     columns = at_random_states(model)
     return np.asarray(np.linalg.lstsq(columns[:, list(base)], columns, rcond=None)[0], dtype=float)
 
 
 def at_random_states(model: RobotModel) -> Array:
-    """Regressor stacked over random states within the joints' limits, (samples * n, P)."""
+    """Regressor stacked over random states within the joints' limits, (samples * n, P).
+
+    Its column of a parameter is in [N.m] per unit of that parameter.
+    """
     rng = np.random.default_rng(0)
     lower, upper, speed = model.limits
     shape = (_RANDOM_STATES, model.n)

@@ -53,6 +53,17 @@ def read_toml(path: Path, schema: type[Schema]) -> Schema:
         raise ConfigError(f"{path}: cannot be read ({error}).") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: not valid TOML ({error}).") from error
+    return validated(path, schema, data)
+
+
+def validated(path: Path, schema: type[Schema], data: Any) -> Schema:
+    """Validate what has been read from a file.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file, the key, what was found and what is allowed there.
+    """
     try:
         return schema.model_validate(data, context={"folder": path.parent})
     except ValidationError as error:

@@ -88,14 +88,14 @@ class Search:
         )
 
     def pack(self, motion: Fourier) -> Array:
-        """Return the coordinates of a motion."""
+        """Return the coordinates of a motion, (coordinates,) without unit."""
         of_a, of_b = self._at_rest
         shape = np.hstack([motion.a @ of_a, motion.b @ of_b]) / self.limits.velocity[:, None]
         place = (motion.offset - self._middle) / self._reach
         return np.concatenate([shape.ravel(), place, [np.log(motion.period)]])
 
     def unpack(self, x: Array) -> Fourier:
-        """Return the motion of coordinates."""
+        """Return the motion of coordinates x, (coordinates,) without unit."""
         shape, offset, period = self._split(x)
         of_a, of_b = self._at_rest
         free = self.harmonics - 1
@@ -107,7 +107,7 @@ class Search:
         """Logarithm of a bound of cond(W_b), plus `weight` times the mean squared excess.
 
         The excess is what |q - middle|, |dq|, |ddq| and |tau| have above their limits, relative
-        to them.
+        to them. The gradient is by the coordinates x, (coordinates,) without unit.
         """
         shape, offset, period = self._split(x)
         rate = 2 * np.pi / period

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from hesr_model import interrupts
 from hesr_model.errors import ArtifactError
 
 
@@ -19,7 +20,11 @@ def models_folder() -> Path:
 
 
 def sha256(path: Path) -> str:
-    """Hex SHA-256 of a file's bytes."""
+    """Hex SHA-256 of a file's bytes; of a folder, of the names and hashes of its files."""
+    if path.is_dir():
+        files = sorted(file for file in path.rglob("*") if file.is_file())
+        lines = [f"{sha256(file)}  {file.relative_to(path).as_posix()}\n" for file in files]
+        return hashlib.sha256("".join(lines).encode()).hexdigest()
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
@@ -42,15 +47,21 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
         raise _unwritable(path, error) from error
     try:
         yield temporary
-        for file in sorted(p for p in temporary.rglob("*") if p.is_file()):
-            target = path / file.relative_to(temporary)
-            try:
-                target.parent.mkdir(parents=True, exist_ok=True)
-                file.replace(target)
-            except OSError as error:
-                raise _unwritable(target, error) from error
+        with interrupts.put_off():  # half of the files would fit nothing
+            _move(temporary, path)
     finally:
-        shutil.rmtree(temporary)
+        with interrupts.put_off():
+            shutil.rmtree(temporary)
+
+
+def _move(temporary: Path, path: Path) -> None:
+    for file in sorted(p for p in temporary.rglob("*") if p.is_file()):
+        target = path / file.relative_to(temporary)
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(target)
+        except OSError as error:
+            raise _unwritable(target, error) from error
 
 
 @contextmanager

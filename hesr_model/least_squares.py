@@ -27,10 +27,12 @@ class Block:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
-    """Unknowns (P,), their standard errors (P,), and how well posed the problem was.
+    """Unknowns of a least-squares problem, and how well posed it was.
 
     Attributes
     ----------
+    x, standard_errors
+        (P,) unknowns and their standard errors, in their units.
     condition
         Of the weighted matrix, columns divided by their scales.
     ridge
@@ -57,7 +59,8 @@ def solve(blocks: Sequence[Block], *, scale: Array, weighted: bool) -> Solution:
     ----------
     scale
         (P,) size that each column usually has. It must not come from the data: a column that
-        the data hardly excite, scaled up to the others, would get a huge coefficient.
+        the data hardly excite, scaled up to the others, would get a huge coefficient. In the
+        column's unit, [N.m] per unit of its parameter.
     """
     factors = [_compressed(block) for block in blocks]
     counts = np.array([len(block.target) for block in blocks])

@@ -1,15 +1,25 @@
 """The format of a robot's logs, as its TOML file declares it."""
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, Field, ValidationInfo
 
 from hesr_model.config import Config
+from hesr_model.errors import RobotError
+from hesr_model.units import KNOWN, fits
+
+_PLACES = ("{}", "{1}", "{0}", "{name}")
 
 
 def _one_place_for_the_joint(columns: str | tuple[str, ...]) -> str | tuple[str, ...]:
-    if isinstance(columns, str) and columns.count("{}") != 1:
-        raise ValueError("the pattern needs '{}' once, where the joint number (1, 2, ...) stands")
+    if isinstance(columns, str) and sum(map(columns.count, _PLACES)) != 1:
+        raise ValueError(
+            "the pattern needs '{}' once, where the joint number (1, 2, ...) stands; '{0}' stands "
+            "for the number counted from 0, '{name}' for the joint's name"
+        )
     return columns
 
 
@@ -17,8 +27,38 @@ def _or_empty(columns: str | tuple[str, ...]) -> str | tuple[str, ...]:
     return _one_place_for_the_joint(columns) if columns else columns
 
 
+def _known_unit(units: str | tuple[str, ...], info: ValidationInfo) -> str | tuple[str, ...]:
+    known = KNOWN[str(info.field_name)]
+    for unit in (units,) if isinstance(units, str) else units:
+        if unit not in known:
+            raise ValueError(f"known units are {', '.join(map(repr, known))}")
+    return units
+
+
 Columns = Annotated[str | tuple[str, ...], AfterValidator(_one_place_for_the_joint)]
-"""A pattern such as ``q{}``, filled with the joint number from 1, or one name per joint."""
+"""A pattern such as ``q{}`` or ``actual_q_{0}``, or one name per joint; see `column_names`."""
+
+Unit = Annotated[str, AfterValidator(_known_unit)]
+Units = Annotated[str | tuple[str, ...], AfterValidator(_known_unit)]
+"""One unit for all joints, or one per joint."""
+
+
+def column_names(columns: str | tuple[str, ...], joints: Sequence[str]) -> list[str]:
+    """Return one column per joint.
+
+    A pattern holds ``{}`` or ``{1}`` where the joint number counted from 1 stands, ``{0}`` where
+    it is counted from 0, or ``{name}`` for the joint's name.
+    """
+    if isinstance(columns, str):
+        return [_filled(columns, k, name) for k, name in enumerate(joints)]
+    return list(columns)
+
+
+def _filled(pattern: str, index: int, name: str) -> str:
+    for place, text in zip(_PLACES, (index + 1, index + 1, index, name), strict=True):
+        if place in pattern:
+            return pattern.replace(place, str(text))
+    return pattern
 
 
 class LogColumns(Config):
@@ -35,16 +75,60 @@ class LogColumns(Config):
 
 
 class LogUnits(Config):
-    """Units of a log's columns: SI only, declared so that a log in other units is noticed.
+    """Units of a log, for all joints or one per joint; SI where left out.
 
-    Prismatic joints are in m, m/s and N; what is declared here is for the revolute ones.
+    Joints that slide are in m, m/s and N where nothing else is said.
     """
 
-    t: Literal["s"] = "s"
-    q: Literal["rad"] = "rad"
-    dq: Literal["rad/s"] = "rad/s"
-    tau: Literal["N.m"] = "N.m"
-    current: Literal["A"] = "A"
+    t: Unit = "s"
+    q: Units = "rad"
+    dq: Units = "rad/s"
+    tau: Units = "N.m"
+    current: Units = "A"
+
+    def factors(self, quantity: str, joints: int) -> NDArray[np.float64]:
+        """Return what one logged unit of a quantity is in SI, an array of shape (joints,)."""
+        units = getattr(self, quantity)
+        each = [units] * joints if isinstance(units, str) else units
+        return np.array([KNOWN[quantity][unit] for unit in each])
+
+    def require_fitting(self, joints: Sequence[str], slides: Sequence[bool]) -> None:
+        """Check that no joint that slides is in units of one that turns, and the other way.
+
+        Raises
+        ------
+        RobotError
+            Naming the key, the unit and the joint.
+        """
+        for quantity in type(self).model_fields:
+            units = getattr(self, quantity)
+            each = [units] * len(joints) if isinstance(units, str) else units
+            for joint, unit, sliding in zip(joints, each, slides, strict=True):
+                if not fits(quantity, unit, slides=sliding):
+                    raise RobotError(
+                        f"key 'log.units.{quantity}' is '{unit}' for joint '{joint}', which "
+                        f"{'slides' if sliding else 'turns'}; give a list of one unit per joint."
+                    )
+
+
+class LogBag(Config):
+    """Where a ROS bag holds the joints' states.
+
+    Attributes
+    ----------
+    topic
+        Of messages ``sensor_msgs/msg/JointState``.
+    joints
+        Names of the robot's joints in these messages, in the order of `joints` of the robot; the
+        same names where left out.
+    effort
+        What the messages' effort is: torque ``"tau"``, or ``"current"``, as drivers of some
+        robots publish it.
+    """
+
+    topic: str = "/joint_states"
+    joints: tuple[str, ...] | None = None
+    effort: Literal["tau", "current"] = "tau"
 
 
 class LogFormat(Config):
@@ -56,6 +140,12 @@ class LogFormat(Config):
         Nominal rate [Hz]; a log at less than half or more than twice of it is refused.
     filter_cutoff
         Cut-off [Hz] of the zero-phase low pass on q and dq.
+    columns
+        Of CSV, Parquet and MATLAB files.
+    units
+        Of these columns, and of a bag's messages.
+    bag
+        Of ROS bags.
     torque_per_ampere
         One factor per joint [N.m/A]; with it, torque is taken from the current columns.
     """
@@ -64,4 +154,5 @@ class LogFormat(Config):
     filter_cutoff: float = Field(default=15.0, gt=0)
     columns: LogColumns = LogColumns()
     units: LogUnits = LogUnits()
+    bag: LogBag = LogBag()
     torque_per_ampere: tuple[float, ...] | None = None

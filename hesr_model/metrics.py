@@ -65,12 +65,12 @@ def score(records: Sequence["FrictionRecord"], predictions: Sequence[Array]) -> 
 
 
 def rmse(error: Array) -> float:
-    """Root of the mean squared error."""
+    """Root of the mean squared error, of any shape, in the error's unit."""
     return float(np.sqrt(np.mean(np.square(error))))
 
 
 def moving(dq: Array) -> Mask:
-    """Rows at which a joint moves: |dq| > `MOVING`."""
+    """Rows (N,) at which a joint moves: |dq| > `MOVING` [rad/s]."""
     return np.asarray(np.abs(dq) > MOVING)
 
 
@@ -87,7 +87,7 @@ def reversals(dq: Array) -> NDArray[np.intp]:
 
 
 def near_reversals(t: Array, dq: Array) -> Mask:
-    """Rows within `REVERSAL_WINDOW` of a reversal."""
+    """Rows (N,) within `REVERSAL_WINDOW` of a reversal, of t [s] and dq [rad/s], (N,) each."""
     near = np.zeros(len(t), dtype=bool)
     for instant in t[reversals(dq)]:
         near |= np.abs(t - instant) <= REVERSAL_WINDOW
@@ -95,7 +95,7 @@ def near_reversals(t: Array, dq: Array) -> Mask:
 
 
 def time_band(t: Array, start: float, stop: float) -> Mask:
-    """Rows with start <= t < stop [s], for instance one frequency band of a chirp."""
+    """Rows (N,) with start <= t < stop [s], for instance one frequency band of a chirp."""
     return np.asarray((t >= start) & (t < stop))
 
 

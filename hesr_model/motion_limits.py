@@ -112,7 +112,8 @@ class Limits:
         """Make a motion smaller until it keeps all limits, and leave one that does as it is.
 
         Each joint's path is shrunk to its limits of position, velocity and acceleration and moved
-        into its range; then, for torque, all paths together towards the position `rest`.
+        into its range; then, for torque, all paths together towards the position `rest`, (n,)
+        [rad].
 
         Raises
         ------
@@ -166,7 +167,7 @@ class Limits:
         return towards_rest(low)
 
     def rest(self, model: RobotModel) -> Array:
-        """Position (n,) within the limits where gravity takes the least share of the torque limits.
+        """Position (n,) [rad] where gravity takes the least share of the torque limits.
 
         Raises
         ------
@@ -200,7 +201,7 @@ class Limits:
 
 
 def one_period(motion: Fourier) -> tuple[Array, Array, Array]:
-    """Position, velocity and acceleration at points as close as peaks need."""
+    """Position, velocity, acceleration at points as close as peaks need, (N, n) in SI units."""
     points = _POINTS * motion.a.shape[1]
     return motion.sample(np.linspace(0.0, motion.period, points, endpoint=False))
 

@@ -54,7 +54,7 @@ def words(seed: int, stream: ArrayLike, index: ArrayLike) -> NDArray[np.uint64]:
     Returns
     -------
     ndarray
-        64 random bits each, of the broadcast shape.
+        64 random bits each, of the broadcast shape, without unit.
     """
     streams, indices = np.broadcast_arrays(
         np.asarray(stream, dtype=np.uint64), np.asarray(index, dtype=np.uint64)
@@ -79,7 +79,7 @@ def standard_normal(seed: int, stream: ArrayLike, counter: ArrayLike) -> NDArray
     Returns
     -------
     ndarray
-        Of the broadcast shape.
+        Of the broadcast shape, without unit.
     """
     first = np.asarray(counter, dtype=np.uint64) * np.uint64(2)
     u = (words(seed, stream, first) >> np.uint64(11)).astype(np.float64)

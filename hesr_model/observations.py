@@ -21,13 +21,13 @@ SLOW_SHARE = 0.25
 
 
 def peaks(motions: Sequence[Motion]) -> Array:
-    """Highest speed of each joint in any of the motions, (n,)."""
+    """Highest speed of each joint in any of the motions, (n,) [rad/s]."""
     fastest: Array = np.max([np.max(np.abs(motion.dq), axis=0) for motion in motions], axis=0)
     return fastest
 
 
 def slow_speeds(motions: Sequence[Motion]) -> Array:
-    """Speed (n,) below which a joint's rows are dropped."""
+    """Speed (n,) [rad/s] below which a joint's rows are dropped."""
     return np.minimum(SLOW, SLOW_SHARE * peaks(motions))
 
 
@@ -57,7 +57,13 @@ def averaged(
     model: RobotModel,
     base: tuple[int, ...],
 ) -> list[Block]:
-    """One block per joint: means of forward and reversed rows, where velocities are opposite."""
+    """One block per joint: means of forward and reversed rows, where velocities are opposite.
+
+    Raises
+    ------
+    FitError
+        If the logs are not counterparts of each other.
+    """
     if not motions or len(motions) != len(counterparts):
         raise FitError(
             f"{len(motions)} logs come with {len(counterparts)} time-reversed ones; "

@@ -70,7 +70,7 @@ class Payload:
 
     @property
     def standard_errors(self) -> Array:
-        """Standard errors (10,) of the parameters."""
+        """Standard errors (10,) of the parameters, in their SI units."""
         return np.sqrt(np.diag(self.covariance))
 
     @property

@@ -79,7 +79,10 @@ def pseudo_inertia(parameters: Array) -> Array:
 
 
 def link_parameters(pseudo: Array) -> Array:
-    """Ten parameters of a link from its pseudo-inertia; the inverse of `pseudo_inertia`."""
+    """Ten parameters (10,) of a link from its pseudo-inertia (4, 4), all in SI units.
+
+    The inverse of `pseudo_inertia`.
+    """
     sigma, (mx, my, mz), m = pseudo[:3, :3], pseudo[:3, 3], pseudo[3, 3]
     inertia = np.trace(sigma) * np.eye(3) - sigma
     (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = inertia
@@ -103,7 +106,7 @@ def fit(
     base
         Whose standard errors are given.
     rmse
-        Residual of each block under the unconstrained fit, for the first weights.
+        (blocks,) residual of each block under the unconstrained fit [N.m], for the first weights.
     weighted
         Whether each block is divided by its own residual's size, or all by the same.
     """

@@ -12,6 +12,7 @@ from pydantic import Field
 from hesr_model.config import Config, RelativePath, read_toml
 from hesr_model.errors import RobotError
 from hesr_model.log_format import LogFormat
+from hesr_model.model_file import load, motion_subspace, require_one_axis, set_joint
 
 Array = NDArray[np.float64]
 
@@ -68,21 +69,19 @@ class RobotDescription(Config):
         return description
 
     def require_one_per_joint(self) -> None:
-        """Check that the gains and every list of columns have one entry per joint.
+        """Check that the gains and every list of columns or units have one entry per joint.
 
         Raises
         ------
         RobotError
             Naming the key, the entries found and the entries needed.
         """
-        columns = self.log.columns
         lists = {
             "gear_ratio": self.gear_ratio,
             "log.torque_per_ampere": self.log.torque_per_ampere,
-            "log.columns.q": columns.q,
-            "log.columns.dq": columns.dq,
-            "log.columns.tau": columns.tau,
-            "log.columns.current": columns.current,
+            "log.bag.joints": self.log.bag.joints,
+            **{f"log.columns.{key}": entries for key, entries in self.log.columns},
+            **{f"log.units.{key}": entries for key, entries in self.log.units},
         }
         for key, entries in lists.items():
             if isinstance(entries, tuple) and len(entries) != len(self.joints):
@@ -126,7 +125,8 @@ class RobotModel:
     ------
     RobotError
         If the model file is missing or cannot be parsed, if a joint is not in it, is of a kind
-        with more than one degree of freedom, or is listed out of order.
+        with more than one degree of freedom, or is listed out of order, or is logged in units of
+        another kind.
     """
 
     def __init__(self, description: RobotDescription) -> None:
@@ -135,13 +135,15 @@ class RobotModel:
         description.require_one_per_joint()
         self.description = description
         self._pin: Any = pinocchio
-        self._model: Any = self._reduced(_load(pinocchio, description.model))
+        self._model: Any = self._reduced(load(description.model))
         self._data: Any = self._model.createData()
         self.rotor_nominal: Array = np.array(self._model.armature, dtype=float)
         """Rotor inertias (n,) [kg.m2] that the model file gives (`armature` of an MJCF)."""
         # The rotor columns carry what a model file says about rotors.
         self._model.armature = np.zeros(self.n)
         self._model.gravity.linear = np.array(description.gravity)
+        slides = [joint.prismatic for joint in self.tree]
+        description.log.units.require_fitting(description.joints, slides)
 
     def _reduced(self, model: Any) -> Any:
         """Lock every joint that the description does not list."""
@@ -162,12 +164,12 @@ class RobotModel:
         neutral = self._pin.neutral(model)
         for name, value in self.description.locked.items():
             joint = model.joints[model.getJointId(name)]
-            _require_one_axis(joint, name, path)
-            _set_joint(joint, neutral, np.array(value))
+            require_one_axis(joint, name, path)
+            set_joint(joint, neutral, np.array(value))
         others = [model.getJointId(name) for name in known if name not in wanted]
         reduced = self._pin.buildReducedModel(model, others, neutral)
         for joint, name in zip(list(reduced.joints)[1:], wanted, strict=True):
-            _require_one_axis(joint, name, path)
+            require_one_axis(joint, name, path)
         return reduced
 
     @property
@@ -218,7 +220,7 @@ class RobotModel:
         frames = []
         for k, name in enumerate(self.description.joints, start=1):
             placement = self._model.jointPlacements[k]
-            subspace = _subspace(self._model.joints[k], self._pin.neutral(self._model))
+            subspace = motion_subspace(self._model.joints[k], self._pin.neutral(self._model))
             prismatic = bool(np.any(subspace[:3]))
             frames.append(
                 JointFrame(
@@ -260,8 +262,9 @@ class RobotModel:
     def torque(self, parameters: Array, q: Array, dq: Array, ddq: Array) -> Array:
         """Rigid-body torque Y pi, (N, n) [N.m; N for prismatic joints], of any parameters.
 
-        With dq = ddq = 0 this is the gravity torque. The recursive algorithms of the library
-        would divide by the masses, which identified parameters leave at zero.
+        Parameters are (P,), motions q, dq, ddq are (N, n) as in `regressor`. With dq = ddq = 0 this
+        is the gravity torque. The recursive algorithms of the library would divide by the masses,
+        which identified parameters leave at zero.
         """
         parts = [np.empty((0, self.n))]
         for start in range(0, len(q), _ROWS_AT_ONCE):
@@ -273,42 +276,5 @@ class RobotModel:
         """Joint positions in the library's coordinates, where an unlimited joint takes two."""
         states = np.zeros((len(q), self._model.nq))
         for k, joint in enumerate(list(self._model.joints)[1:]):
-            _set_joint(joint, states.T, q[:, k])
+            set_joint(joint, states.T, q[:, k])
         return states
-
-
-def _load(pin: Any, path: Path) -> Any:
-    """Parse a URDF or an MJCF."""
-    if not path.is_file():
-        raise RobotError(f"{path}: no such model file.")
-    try:
-        if path.suffix.lower() == ".xml":
-            return pin.buildModelFromMJCF(str(path))
-        return pin.buildModelFromUrdf(str(path))
-    except (RuntimeError, ValueError) as error:
-        kind = "an MJCF" if path.suffix.lower() == ".xml" else "a URDF"
-        reason = " ".join(str(error).split()).rstrip(".")
-        raise RobotError(f"{path}: cannot be parsed as {kind} ({reason}).") from error
-
-
-def _require_one_axis(joint: Any, name: str, path: Path) -> None:
-    if joint.nv != 1:
-        raise RobotError(
-            f"{path}: joint '{name}' has {joint.nv} degrees of freedom; "
-            "only revolute and prismatic joints can be used."
-        )
-
-
-def _set_joint(joint: Any, states: Array, position: Array) -> None:
-    """Write joint positions into `states`, (nq,) or (nq, N)."""
-    if joint.nq == 1:
-        states[joint.idx_q] = position
-    else:
-        states[joint.idx_q], states[joint.idx_q + 1] = np.cos(position), np.sin(position)
-
-
-def _subspace(joint: Any, state: Array) -> Array:
-    """Motion subspace (6,) of a joint: linear part, angular part."""
-    data = joint.createData()
-    joint.calc(data, state)
-    return np.asarray(data.S, dtype=float).ravel()

@@ -1,4 +1,4 @@
-"""Robot logs: read from CSV or Parquet, checked, written."""
+"""Robot logs: read from files of many kinds, converted to SI, checked, written."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
 from hesr_model.files import sha256, written_whole
-from hesr_model.log_format import Columns
+from hesr_model.log_files.bag import is_bag, read_bag
+from hesr_model.log_files.columns import read_columns
+from hesr_model.log_files.samples import Samples
 from hesr_model.robot import RobotDescription
-from hesr_model.tables import Table, read_table, write_table
+from hesr_model.tables import write_table
 
 Array = NDArray[np.float64]
 
@@ -64,29 +66,38 @@ class RobotLog:
 
     @classmethod
     def read(cls, path: Path, robot: RobotDescription) -> "RobotLog":
-        """Read a CSV (with a header) or a Parquet file and check it.
+        """Read a log and check it, columns and units as the robot file says.
+
+        By the suffix it is a CSV (with a header), Parquet (``.parquet``, ``.pq``), MATLAB
+        (``.mat``) or a ROS bag (a folder, ``.db3``, ``.mcap``, ``.bag``).
 
         Rows in messages are counted as an editor shows them: the header of a CSV is row 1, the
-        first row of its data row 2. A Parquet file has no header: its first row is row 1.
+        first row of its data row 2. Other files have no header: their first row is row 1.
 
         Raises
         ------
         LogError
-            If the file is missing, empty or not a table; if a column is missing; if joints are
-            more or fewer than the robot's; if a cell is empty, not a number, NaN or infinite; if
-            time does not increase, leaps, or runs at another rate than the robot's.
+            If the file is missing, empty or not of its kind, or the package that reads it is not
+            installed; if a column or topic is missing; if joints are more or fewer than the
+            robot's; if a cell is empty, not a number, NaN or infinite; if time does not increase,
+            leaps, or runs at another rate than the robot's; if currents come without gains.
         RobotError
-            If the robot file has not one current gain per joint.
+            If a list of the robot file has not one entry per joint.
         """
         robot.require_one_per_joint()
-        table = read_table(path)
-        columns, n = robot.log.columns, len(robot.joints)
-        t = table.numbers([columns.t])[:, 0]
-        q = _joints(table, columns.q, n)
-        dq = _joints(table, columns.dq, n) if columns.dq else None
-        tau = _torque(table, robot)
-        log = cls(name=path.stem, t=t, q=q, dq=dq, tau=tau, path=path, sha256=sha256(path))
-        _require_steady_time(log, table, robot)
+        read = read_bag if is_bag(path) else read_columns
+        samples = read(path, robot)
+        units, n = robot.log.units, len(robot.joints)
+        log = cls(
+            name=path.stem,
+            t=samples.t,
+            q=samples.q * units.factors("q", n),
+            dq=None if samples.dq is None else samples.dq * units.factors("dq", n),
+            tau=_torque(path, samples, robot),
+            path=path,
+            sha256=sha256(path),
+        )
+        _require_steady_time(log, samples, robot)
         return log
 
     def write(self, path: Path) -> None:
@@ -124,76 +135,39 @@ def require_moving(logs: Sequence[RobotLog], joints: Sequence[str]) -> None:
             )
 
 
-def _names(columns: Columns, n: int) -> list[str]:
-    if isinstance(columns, str):
-        return [columns.format(k) for k in range(1, n + 1)]
-    return list(columns)
-
-
-def _joints(table: Table, columns: Columns, n: int) -> Array:
-    """One quantity of all joints, (N, n); as many columns as joints."""
-    if isinstance(columns, str):
-        _require_joint_count(table, columns, n)
-    return table.numbers(_names(columns, n))
-
-
-def _require_joint_count(table: Table, pattern: str, n: int) -> None:
-    found = 0
-    while pattern.format(found + 1) in table.names:
-        found += 1
-    if found > n:
+def _torque(path: Path, samples: Samples, robot: RobotDescription) -> Array:
+    """Torque (N, n) [N.m], from currents where the file holds these."""
+    units, gains, n = robot.log.units, robot.log.torque_per_ampere, len(robot.joints)
+    if not samples.is_current:
+        return np.asarray(samples.effort * units.factors("tau", n))
+    if gains is None:
         raise LogError(
-            f"{table.path}: has column '{pattern.format(n + 1)}', but the robot has {n} joints; "
-            "name the columns one by one under 'log.columns' of the robot file to use some."
+            f"{path}: its efforts are currents by 'log.bag.effort' of the robot file, which needs "
+            "'log.torque_per_ampere' for them."
         )
-    rest = [name for name in table.names if name == pattern.format(n)]
-    if 0 < found < n and not rest:
-        raise LogError(
-            f"{table.path}: column '{pattern.format(found + 1)}' is missing; it has {found} "
-            f"joints, but the robot has {n}."
-        )
+    return np.asarray(samples.effort * units.factors("current", n) * gains)
 
 
-def _torque(table: Table, robot: RobotDescription) -> Array:
-    """Torque as logged, or from currents where the robot file gives gains for them."""
-    columns, gains, n = robot.log.columns, robot.log.torque_per_ampere, len(robot.joints)
-    torque, current = _names(columns.tau, n), _names(columns.current, n)
-    if gains is not None and current[0] in table.names:
-        factors: Array = np.array(gains)
-        return _joints(table, columns.current, n) * factors
-    if torque[0] in table.names:
-        return _joints(table, columns.tau, n)
-    if current[0] in table.names:
-        raise LogError(
-            f"{table.path}: column '{torque[0]}' is missing; to use the currents in "
-            f"'{current[0]}', give 'log.torque_per_ampere' in the robot file."
-        )
-    raise LogError(
-        f"{table.path}: column '{torque[0]}' (torque) or '{current[0]}' (current) is missing; "
-        f"it has {', '.join(table.names)}."
-    )
-
-
-def _require_steady_time(log: RobotLog, table: Table, robot: RobotDescription) -> None:
-    column = robot.log.columns.t
+def _require_steady_time(log: RobotLog, samples: Samples, robot: RobotDescription) -> None:
     if len(log.t) < 2:
         raise LogError(f"{log.where}: has {len(log.t)} rows of data; at least 2 are needed.")
     steps = np.diff(log.t)
     if np.any(steps <= 0):
         k = int(np.argmax(steps <= 0)) + 1
         raise LogError(
-            f"{log.where}: column '{column}', row {table.row(k)}: time must increase, but "
+            f"{log.where}: {samples.time}, {samples.place(k)}: time must increase, but "
             f"{log.t[k]:.10g} s follows {log.t[k - 1]:.10g} s."
         )
     if np.any(steps > _LONGEST_GAP * log.period):
         k = int(np.argmax(steps > _LONGEST_GAP * log.period)) + 1
         raise LogError(
-            f"{log.where}: column '{column}', row {table.row(k)}: a gap of {steps[k - 1]:.4g} s; "
+            f"{log.where}: {samples.time}, {samples.place(k)}: a gap of {steps[k - 1]:.4g} s; "
             f"at most {_LONGEST_GAP:g} sample periods of {log.period:.4g} s may be missing."
         )
     nominal = robot.log.sample_rate
     if nominal and not 1 / _RATE_MARGIN <= nominal * log.period <= _RATE_MARGIN:
         raise LogError(
-            f"{log.where}: column '{column}': rows are {log.period:.4g} s apart, but the robot "
-            f"file's sample_rate of {nominal:g} Hz means {1 / nominal:.4g} s; time must be in s."
+            f"{log.where}: {samples.time}: rows are {log.period:.4g} s apart, but the robot "
+            f"file's sample_rate of {nominal:g} Hz means {1 / nominal:.4g} s; time must be in s, "
+            "or its unit stand under 'log.units.t'."
         )

@@ -23,20 +23,29 @@ class Table:
     ----------
     names
         All columns of the file.
+    others
+        What else is in the file and cannot be a column, told where a column is missed.
     """
 
     path: Path
     names: tuple[str, ...]
+    others: tuple[str, ...] = ()
     _arrow: Any
+    _dialect: "_Dialect | None" = None
+
+    @property
+    def listing(self) -> str:
+        """What the file holds, for a message that misses something."""
+        return ", ".join((*self.names, *self.others))
 
     def row(self, index: int) -> int:
         """Row of the sample `index` as an editor shows it: a CSV's header is row 1."""
-        if _is_parquet(self.path):
+        if self._dialect is None:
             return index + 1
-        return [number for number, _ in _csv_rows(self.path)][index + 1]
+        return [number for number, _ in _csv_rows(self.path, self._dialect)][index + 1]
 
     def numbers(self, names: Sequence[str]) -> Array:
-        """Columns as floats, (N, len(names)).
+        """Columns as floats, (N, len(names)), in the units of the file.
 
         Raises
         ------
@@ -46,9 +55,7 @@ class Table:
         """
         for name in names:
             if name not in self.names:
-                raise LogError(
-                    f"{self.path}: column '{name}' is missing; it has {', '.join(self.names)}."
-                )
+                raise LogError(f"{self.path}: column '{name}' is missing; it has {self.listing}.")
         return np.column_stack([self._column(name) for name in names])
 
     def _column(self, name: str) -> Array:
@@ -71,7 +78,8 @@ class Table:
     def _first_text(self, name: str) -> LogError:
         """Error for a column that is not numeric, at its first cell that is none."""
         cells = self._arrow.column(name).to_pylist()
-        k = next((k for k, cell in enumerate(cells) if not _is_number(cell)), 0)
+        point = self._dialect.decimal if self._dialect else "."
+        k = next((k for k, cell in enumerate(cells) if not _is_number(cell, point)), 0)
         return LogError(
             f"{self.path}: column '{name}', row {self.row(k)}: {str(cells[k])!r} where a number "
             "is needed."
@@ -80,6 +88,9 @@ class Table:
 
 def read_table(path: Path) -> Table:
     """Open a CSV (with a header; blank lines are ignored) or a Parquet file.
+
+    A CSV's cells are separated as its header's are: by commas, else by semicolons, tabs or single
+    blanks; the latter three may have decimal commas. A header may begin with ``#``.
 
     Raises
     ------
@@ -91,17 +102,26 @@ def read_table(path: Path) -> Table:
         raise LogError(f"{path}: no such log file.")
     if path.stat().st_size == 0:
         raise LogError(f"{path}: is empty; a log needs a header and rows of data.")
-    arrow = _read_parquet(path) if _is_parquet(path) else _read_csv(path)
+    dialect = None if _is_parquet(path) else _dialect(path)
+    arrow = _read_csv(path, dialect) if dialect else _read_parquet(path)
     names = tuple(arrow.column_names)
     if twice := [name for name, count in Counter(names).items() if count > 1]:
         raise LogError(f"{path}: column '{twice[0]}' stands twice; names must differ.")
     if arrow.num_rows == 0:
         raise LogError(f"{path}: has no rows of data below its header.")
-    return Table(path=path, names=names, _arrow=arrow)
+    return Table(path=path, names=names, _arrow=arrow, _dialect=dialect)
+
+
+def table_of(path: Path, columns: Mapping[str, Array], others: Sequence[str] = ()) -> Table:
+    """Make a table of columns (N,), in their units, that were read from a file of another kind."""
+    import pyarrow
+
+    arrow = pyarrow.table({name: np.ascontiguousarray(values) for name, values in columns.items()})
+    return Table(path=path, names=tuple(columns), others=tuple(others), _arrow=arrow)
 
 
 def write_table(path: Path, columns: Mapping[str, Array]) -> None:
-    """Write columns of equal length as CSV or Parquet, by the suffix; numbers keep all digits."""
+    """Write columns (N,), of any unit, as CSV or Parquet by the suffix; numbers keep all digits."""
     import pyarrow
 
     table = pyarrow.table({name: np.ascontiguousarray(column) for name, column in columns.items()})
@@ -115,21 +135,41 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
         pyarrow.csv.write_csv(table, path, pyarrow.csv.WriteOptions(quoting_style="none"))
 
 
-def _csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+@dataclass(frozen=True, kw_only=True)
+class _Dialect:
+    """How the cells of a CSV are separated, and its decimal point."""
+
+    delimiter: str
+    decimal: str = "."
+
+
+def _dialect(path: Path) -> _Dialect:
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            lines = (line for line in file if line.strip())
+            header, first = next(lines, ""), next(lines, "")
+    except UnicodeDecodeError as error:
+        raise LogError(f"{path}: cannot be read as CSV text.") from error
+    delimiter = next((d for d in ",;\t " if d in header.strip().lstrip("# ")), ",")
+    decimal = "," if delimiter != "," and "," in first else "."
+    return _Dialect(delimiter=delimiter, decimal=decimal)
+
+
+def _csv_rows(path: Path, dialect: _Dialect) -> Iterator[tuple[int, list[str]]]:
     """Lines of a CSV that are not blank, each with its number from 1."""
     with path.open(encoding="utf-8-sig", newline="") as file:
-        reader = csv.reader(file)
+        reader = csv.reader(file, delimiter=dialect.delimiter)
         for cells in reader:
             if cells:
                 yield reader.line_num, cells
 
 
-def _is_number(cell: object) -> bool:
+def _is_number(cell: object, point: str) -> bool:
     import pyarrow
 
     try:
         # Not Python's float, which also takes "1_000".
-        pyarrow.scalar(str(cell).strip()).cast(pyarrow.float64())
+        pyarrow.scalar(str(cell).strip().replace(point, ".")).cast(pyarrow.float64())
     except pyarrow.ArrowInvalid:
         return False
     return True
@@ -149,32 +189,48 @@ def _read_parquet(path: Path) -> Any:
         raise LogError(f"{path}: cannot be read as Parquet.") from error
 
 
-def _read_csv(path: Path) -> Any:
+def _read_csv(path: Path, dialect: _Dialect) -> Any:
     import pyarrow
     import pyarrow.csv
 
     try:
-        number, header = next(_csv_rows(path), (0, []))
+        number, header = next(_csv_rows(path, dialect), (0, []))
     except (UnicodeDecodeError, csv.Error) as error:
         raise LogError(f"{path}: cannot be read as CSV text.") from error
     if not header:
         raise LogError(f"{path}: is empty; a log needs a header and rows of data.")
+    names = _names(header)
     options = pyarrow.csv.ReadOptions(
-        column_names=[name.strip() for name in header],
+        column_names=names,
         skip_rows=number,
         # One block: a column's type is inferred from all of it, not from its first megabyte.
         block_size=min(path.stat().st_size + 1, 2**31 - 1),
     )
     try:
-        return pyarrow.csv.read_csv(path, options)
+        return pyarrow.csv.read_csv(
+            path,
+            options,
+            pyarrow.csv.ParseOptions(delimiter=dialect.delimiter),
+            pyarrow.csv.ConvertOptions(decimal_point=dialect.decimal),
+        )
     except pyarrow.ArrowInvalid as error:
-        raise _ragged(path, len(header)) from error
+        raise _ragged(path, dialect, len(names)) from error
 
 
-def _ragged(path: Path, width: int) -> LogError:
+def _names(header: Sequence[str]) -> list[str]:
+    """Names in a header, without the ``#`` that some programs put before them."""
+    names = [name.strip() for name in header]
+    if names[0] == "#":
+        return names[1:]
+    return [names[0].removeprefix("#").strip(), *names[1:]]
+
+
+def _ragged(path: Path, dialect: _Dialect, width: int) -> LogError:
     """Error for a CSV that cannot be parsed, at its first row of another length."""
     try:
-        for number, cells in _csv_rows(path):
+        rows = _csv_rows(path, dialect)
+        next(rows)
+        for number, cells in rows:
             if len(cells) != width:
                 return LogError(
                     f"{path}: row {number} has {len(cells)} cells; the header has {width} columns."

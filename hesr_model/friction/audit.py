@@ -17,17 +17,21 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import SimulationError
+from hesr_model.friction.cycles import (
+    AMPLITUDES,
+    ENCODER,
+    FREQUENCIES,
+    ClosedMotions,
+    Cycle,
+    closed_motions,
+    cycles,
+    encoder_noise,
+)
 from hesr_model.friction.evaluate import Array, predict
 from hesr_model.friction.functions import TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.trained import Range, TrainedRange
-from hesr_model.noise import standard_normal
 
-FREQUENCIES = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)
-"""Of the closed cycles [Hz]. A law that drives at low speed gives more per cycle the slower it is:
-Table I gives 12 and 21 J on joints 1 and 2 at 0.05 Hz, 63 and 104 J at 0.01 Hz."""
-AMPLITUDES = (1 / 100, 1 / 20, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0)
-"""Velocity amplitudes of the cycles, as shares of the largest trained speed."""
 SLOWEST = 1e-3
 """Slowest steady speed looked at, as a share of the largest trained speed."""
 REACH = 1.5
@@ -35,35 +39,10 @@ REACH = 1.5
 EXPLODES = 2.5
 """A torque just outside that is larger than this many times the largest trained one is refused.
 Viscous friction gives up to 1.5 times, quadratic or load-dependent viscous friction 2.25 times."""
-ENCODER = 20e-6
-"""RMS noise of the encoder [rad] of which the chatter at rest is made."""
-
-_SETTLING = 3.0  # [s] before a cycle is measured: several memories of the laws' states
 _STEADY = 1e6  # [s] after which sliding is steady, even at the slowest speed
 _POSITIONS = 32  # over which steady torque is averaged, where a law knows the position
-_NOISE_ROWS = 4000
-_NUMERICAL = 1e-9  # least share of the work that is not taken for rounding
+_NUMERICAL = 1e-9  # [N.m]; a lesser difference is taken for rounding
 _SMALL, _SMALLER = 1e-6, 1e-9  # [rad/s] to either side of rest; no smooth law bends within
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cycle:
-    """A motion dq = amplitude cos(2 pi frequency t) at constant load, and the law's work in it.
-
-    Attributes
-    ----------
-    amplitude : of the velocity [rad/s].
-    frequency : as sampled [Hz].
-    tau_load : load torque [N.m].
-    work : that the law takes out of one settled cycle [J]; negative is generated energy.
-    share : work over the integral of |tau dq|, from 1 (a brake) to -1 (a motor).
-    """
-
-    amplitude: float
-    frequency: float
-    tau_load: float
-    work: float
-    share: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,13 +93,10 @@ class Audit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Response:
-    """Settling and one closed cycle of `rows` rows, for each amplitude: (A, K) arrays."""
+    """Torque (A, K) over motions at a constant load."""
 
-    amplitudes: Array
-    frequency: float
+    motions: ClosedMotions
     tau_load: float
-    rows: int
-    dq: Array
     tau: Array
 
 
@@ -137,14 +113,16 @@ def audit(law: FrictionLaw, trained: TrainedRange) -> Audit:
     SimulationError
         If the torque is not finite, or the discretisation not stable, within the trained range.
     """
-    loads = _loads(law, trained, 1.0)
+    loads = loads_of(law, trained)
     responses = list(_responses(law, trained, np.multiply(AMPLITUDES, trained.speed), loads))
     largest = _largest(responses)
     if not isfinite(largest):
         raise SimulationError(f"law '{law.name}': torque is not finite within the trained range.")
     outside = _largest_outside(law, trained)
     driving, both_ways = _steady(law, trained, loads)
-    cycle = min((c for r in responses for c in _cycles(r)), key=lambda c: c.work)
+    cycle = min(
+        (c for r in responses for c in cycles(r.motions, r.tau_load, r.tau)), key=lambda c: c.work
+    )
     generating = cycle if cycle.work < 0.0 else None
     jump, slope = _at_rest(law, trained, loads, 0.0)
     _, slope_of_step = _at_rest(law, trained, loads, trained.sample_time)
@@ -172,7 +150,7 @@ def explodes(law: FrictionLaw, trained: TrainedRange) -> bool:
     return _too_large(_largest_outside(law, trained), trained)
 
 
-def _loads(law: FrictionLaw, trained: TrainedRange, reach: float) -> tuple[float, ...]:
+def loads_of(law: FrictionLaw, trained: TrainedRange, reach: float = 1.0) -> tuple[float, ...]:
     """Return the least, the smallest and the greatest load; only one where the law uses none.
 
     Between these, friction that depends on the load is monotonic as a rule.
@@ -194,46 +172,13 @@ def _run(law: FrictionLaw, t: Array, dq: Array, q: Array, load: float | Array) -
 def _responses(
     law: FrictionLaw, trained: TrainedRange, amplitudes: Array, loads: Sequence[float]
 ) -> Iterator[_Response]:
-    """Run the law over cycles of every frequency and load, all amplitudes in one go.
-
-    The samples of a cycle lie symmetrically, so each position is passed once at dq and once at
-    -dq: a torque of position alone, such as motor ripple, sums to no work however fast it is.
-    """
+    """Run the law over cycles of every frequency and load, all amplitudes in one go."""
     for wanted in FREQUENCIES:
-        half = max(4, round(0.5 / (wanted * trained.sample_time)))
-        settling = half * max(1, round(2.0 * wanted * _SETTLING))
-        phase = np.pi / half * np.arange(-settling, 2 * half)
-        frequency = 0.5 / (half * trained.sample_time)
-        dq = amplitudes[:, None] * np.cos(phase)
-        q = trained.middle + amplitudes[:, None] / (2.0 * np.pi * frequency) * np.sin(phase)
-        t = trained.sample_time * np.arange(dq.size)
+        motions = closed_motions(trained, amplitudes, wanted)
+        t: Array = trained.sample_time * np.arange(motions.dq.size, dtype=float)
         for load in loads:
-            tau = _run(law, t, dq.ravel(), q.ravel(), load).reshape(dq.shape)
-            yield _Response(
-                amplitudes=amplitudes,
-                frequency=frequency,
-                tau_load=load,
-                rows=2 * half,
-                dq=dq,
-                tau=tau,
-            )
-
-
-def _cycles(response: _Response) -> Iterator[Cycle]:
-    """Return the work in the measured cycle of each amplitude."""
-    dt = 1.0 / (response.frequency * response.rows)
-    power = (response.tau * response.dq)[:, -response.rows :]
-    for amplitude, row in zip(response.amplitudes, power, strict=True):
-        work, moved = float(row.sum()) * dt, float(np.abs(row).sum()) * dt
-        share = work / moved if moved > 0.0 else 0.0
-        rounding = abs(share) < _NUMERICAL
-        yield Cycle(
-            amplitude=float(amplitude),
-            frequency=response.frequency,
-            tau_load=response.tau_load,
-            work=0.0 if rounding else work,
-            share=0.0 if rounding else share,
-        )
+            tau = _run(law, t, motions.dq.ravel(), motions.q.ravel(), load)
+            yield _Response(motions=motions, tau_load=load, tau=tau.reshape(motions.dq.shape))
 
 
 def _largest(responses: Sequence[_Response]) -> float:
@@ -241,14 +186,14 @@ def _largest(responses: Sequence[_Response]) -> float:
 
     Before that, the torque also answers the jump to full speed with which a run begins.
     """
-    return float(np.max([np.max(np.abs(r.tau[:, -r.rows :])) for r in responses]))
+    return float(np.max([np.max(np.abs(r.tau[:, -r.motions.rows :])) for r in responses]))
 
 
 def _largest_outside(law: FrictionLaw, trained: TrainedRange) -> float:
     """Return the largest |tau| up to `REACH` times outside, infinite where it cannot be run."""
     amplitudes = trained.speed * np.linspace(1.0, REACH, 3)
     try:
-        return _largest(list(_responses(law, trained, amplitudes, _loads(law, trained, REACH))))
+        return _largest(list(_responses(law, trained, amplitudes, loads_of(law, trained, REACH))))
     except SimulationError:
         return np.inf
 
@@ -322,8 +267,6 @@ def _at_rest(
 
 def _chatter(law: FrictionLaw, trained: TrainedRange, load: float) -> float:
     """Return the standard deviation [N.m] of the torque at rest under encoder noise."""
-    settling = round(_SETTLING / trained.sample_time)
-    noise = ENCODER * standard_normal(0, 0, np.arange(settling + _NOISE_ROWS + 1))
-    t = trained.sample_time * np.arange(len(noise) - 1, dtype=float)
-    tau = _run(law, t, np.diff(noise) / trained.sample_time, trained.middle + noise[1:], load)
-    return float(np.std(tau[settling:]))
+    dq, q, settling = encoder_noise(trained)
+    t = trained.sample_time * np.arange(len(dq), dtype=float)
+    return float(np.std(_run(law, t, dq, q, load)[settling:]))

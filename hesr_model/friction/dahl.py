@@ -61,7 +61,11 @@ class DahlBasis(OneForm):
         )
 
     def space(self) -> SearchSpace:
-        """Search nothing: everything is linear."""
+        """Search nothing: everything is linear.
+
+        An element that drives makes no friction, and no simulator has one, so the plain F_i are not
+        negative; with load, F_i alone need not be what an element carries.
+        """
         linear = (*_FORCE, *(_LOAD if self.load else ()), SIGMA_2, TAU_0)
         return SearchSpace(
             bounds=(),
@@ -69,6 +73,7 @@ class DahlBasis(OneForm):
             values=tuple(
                 (k.name, sympy.Float(1.0 / d)) for k, d in zip(_KAPPA, DEFLECTIONS, strict=True)
             ),
+            non_negative=0 if self.load else len(_FORCE),
         )
 
 

@@ -47,7 +47,10 @@ class Described(Estimator):
         return Ripple.from_json(structure["ripple"]).extend(core)
 
     def finish(self, structure: Mapping[str, Any], problem: Separable, point: Array) -> FrictionLaw:
-        """Return the law at a point of a core's problem, with ripple added where it helps."""
+        """Return the law at a point of a core's problem, with ripple added where it helps.
+
+        The point is that of `Separable.numbers`.
+        """
         complete = dict(structure)
         samples = problem.samples
         if self.ripple and samples.gear_ratio is not None:
@@ -93,6 +96,12 @@ class OneForm(Described):
 
 
 def no_structure(name: str, structure: Mapping[str, Any]) -> None:
-    """Refuse structure data for a law that has only one form."""
+    """Refuse structure data for a law that has only one form.
+
+    Raises
+    ------
+    ArtifactError
+        Naming the law and what was found.
+    """
     if structure:
         raise ArtifactError(f"law '{name}' has no structure, found {dict(structure)}.")

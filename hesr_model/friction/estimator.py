@@ -2,7 +2,8 @@
 
 An estimator turns friction records of one joint into a frozen law. Hyper-parameters go into the
 constructor, data into `fit`, randomness through a passed generator. To add a law, write one class
-with `form` and `fit`, decorate it with `register` and list its module in `friction/laws.py`.
+with `form` and `fit`, decorate it with `register` and name its module in an entry point of the
+group `hesr.laws` (`docs/add-a-law.md`).
 """
 
 from abc import ABC, abstractmethod
@@ -11,7 +12,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from hesr_model.errors import ArtifactError
+from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.residual import FrictionRecord
 
@@ -60,15 +61,39 @@ Registered = TypeVar("Registered", bound=type[Estimator])
 
 
 def register(estimator: Registered) -> Registered:
-    """Enter an estimator under its name."""
+    """Enter an estimator under its name; the same class again, as in a notebook, replaces it.
+
+    Raises
+    ------
+    ConfigError
+        If an estimator of another module has the name.
+    """
+    other = _REGISTRY.get(estimator.name, estimator).__module__
+    if other != estimator.__module__:
+        raise ConfigError(
+            f"law '{estimator.name}' of the module '{estimator.__module__}' has the name of one of "
+            f"'{other}'; names must differ."
+        )
     _REGISTRY[estimator.name] = estimator
     return estimator
 
 
-def registry() -> Mapping[str, type[Estimator]]:
-    """All estimators by name, in the order in which they were registered."""
-    from hesr_model.friction import laws  # noqa: F401 - importing it fills the registry
+def registered() -> Mapping[str, type[Estimator]]:
+    """Estimators that were registered until now, by name."""
+    return _REGISTRY
 
+
+def registry() -> Mapping[str, type[Estimator]]:
+    """All estimators by name, in the order in which they were registered.
+
+    Raises
+    ------
+    ConfigError
+        If the law of another package cannot be loaded.
+    """
+    from hesr_model.friction.laws import load_laws  # here, because laws import this module
+
+    load_laws()
     return _REGISTRY
 
 

@@ -24,7 +24,7 @@ _SERIES_BELOW = 1e-3
 
 
 def phi(z: Array) -> Array:
-    """Return (1 - exp(-z)) / z, continued by phi(0) = 1."""
+    """Return (1 - exp(-z)) / z, continued by phi(0) = 1; z has any shape and no unit."""
     small = np.abs(z) < _SERIES_BELOW
     safe = np.where(small, 1.0, z)
     series = 1.0 - z / 2.0 * (1.0 - z / 3.0 * (1.0 - z / 4.0 * (1.0 - z / 5.0)))
@@ -57,6 +57,11 @@ def step_coefficients(
     b: Array, r: Array, dt: Array, discretisation: Discretisation
 ) -> tuple[Array, Array]:
     """Return (a, c) of one step x+ = a x + c of x' = b - r x with b and r held over dt.
+
+    Parameters
+    ----------
+    b, r, dt : (N,) drive [unit of x per s], rate [1/s] and step [s].
+    discretisation : exact, or explicit Euler (eq. 10).
 
     Raises
     ------

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hesr_model import parallel
+from hesr_model import interrupts, parallel
+from hesr_model.artifacts import provenance as source_of
 from hesr_model.errors import FitError
 from hesr_model.friction.estimator import estimator
 from hesr_model.friction.law import FrictionLaw, FrictionModel
@@ -58,6 +59,54 @@ def fit_joint(
     with threadpool_limits(1):
         fitted = configured.fit(records, np.random.default_rng(seed))
         return with_standard_errors(fitted, records)
+
+
+def fit(
+    law: str,
+    *logs: Sequence[FrictionRecord],
+    seed: int = 0,
+    options: Mapping[str, Any] | None = None,
+    robot: str = "robot",
+    workers: int = 1,
+) -> FrictionModel:
+    """Fit one law to every joint of a robot.
+
+    Parameters
+    ----------
+    law : name in the registry, as `hesr laws` lists them.
+    logs : the records of one log each, as `residual.friction_records` returns them.
+    seed : of the fit: same logs, same seed, same model.
+    options : hyper-parameters of the law's estimator.
+    robot : name that the model carries.
+    workers : processes. With more than one, joints are fitted in fresh processes, which import the
+        calling script: it then needs its `if __name__ == "__main__":`.
+
+    Raises
+    ------
+    ArtifactError
+        If the law is unknown.
+    FitError
+        If no log is given, or the logs are of different joints; if the records do not determine the
+        law, or lack what it needs.
+    """
+    if not logs:
+        raise FitError(f"law '{law}': there is no log to fit it to; give the records of one.")
+    joints = [tuple(record.joint for record in log) for log in logs]
+    for own in joints[1:]:
+        if own != joints[0]:
+            raise FitError(
+                f"law '{law}': one log is of the joints {', '.join(joints[0])}, another one of "
+                f"{', '.join(own)}; all must be of the same."
+            )
+    return fit_models(
+        [law],
+        [list(of_joint) for of_joint in zip(*logs, strict=True)],
+        robot=robot,
+        seed=seed,
+        options={law: dict(options or {})},
+        provenance=source_of(files=[], seed=seed),
+        workers=workers,
+    )[law]
 
 
 def fit_models(
@@ -111,7 +160,7 @@ def fit_models(
             )
     else:
         with parallel.workers(count) as pool:
-            with parallel.interrupts_held_back():
+            with interrupts.put_off():
                 futures: dict[tuple[str, int], Future[FrictionLaw]] = {
                     (law, joint): pool.submit(
                         fit_joint,

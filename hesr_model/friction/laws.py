@@ -1,6 +1,15 @@
-"""The laws that come with HESR, in the order in which tables show them."""
+"""The laws there are, in the order in which tables show them: those of HESR, then installed ones.
 
+A package of anybody brings a law by an entry point of the group `hesr.laws`: its name is that of
+the law, its value the module that registers it (see `docs/add-a-law.md`).
+"""
+
+from functools import cache
 from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+
+from hesr_model.errors import ConfigError
+from hesr_model.friction.estimator import registered
 
 MODULES = (
     "stribeck",
@@ -14,5 +23,36 @@ MODULES = (
 )
 """Modules of `hesr_model.friction` whose import registers estimators."""
 
-for _module in MODULES:
-    import_module(f"hesr_model.friction.{_module}")
+GROUP = "hesr.laws"
+"""Group of the entry points by which other packages bring laws."""
+
+
+@cache
+def load_laws() -> None:
+    """Register all laws.
+
+    Raises
+    ------
+    ConfigError
+        If the law of another package cannot be loaded.
+    """
+    for module in MODULES:
+        import_module(f"hesr_model.friction.{module}")
+    for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
+        _load(entry)
+
+
+def _load(entry: EntryPoint) -> None:
+    package = entry.dist.name if entry.dist else "?"
+    try:
+        entry.load()
+    except Exception as error:  # whatever the module of somebody else may raise
+        raise ConfigError(
+            f"law '{entry.name}' of the package '{package}' cannot be loaded "
+            f"({type(error).__name__}: {error}); mend the package or uninstall it."
+        ) from error
+    if entry.name not in registered():
+        raise ConfigError(
+            f"law '{entry.name}' of the package '{package}' is not registered by "
+            f"'{entry.value}'; the entry point must have the name of the law."
+        )

@@ -116,7 +116,7 @@ class Ripple:
         )
 
     def columns(self, samples: Samples, times: Times) -> Array:
-        """Return the (N, 2 orders) waves."""
+        """Return the (N, 2 orders) waves, cosines and sines without unit."""
         lag, smoothing = times
         angle = self.gear_ratio * (samples.q - lag * samples.dq)
         fast = self.gear_ratio * smoothing * samples.dq
@@ -138,7 +138,7 @@ def select(
 
     Parameters
     ----------
-    base : (N, L) columns of the law without ripple.
+    base : (N, L) columns of the law without ripple, [N.m] per unit of their coefficients.
     samples : rows of the joint.
     gear_ratio : turns of the motor per turn of the joint.
     folds : (N,) masks of the rows that are left out in turn.

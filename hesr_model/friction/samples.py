@@ -82,12 +82,15 @@ class Samples:
         )
 
     def recurrence(self, a: Array, c: Array) -> Array:
-        """Run x[k] = a[k] x[k-1] + c[k] from 0 at the first row of every record."""
+        """Run x[k] = a[k] x[k-1] + c[k] from 0 at the first row of every record, all (N,)."""
         return recurrence(np.where(self.begins, 0.0, a), np.where(self.begins, 0.0, c), 0.0)
 
 
 def least_squares(columns: Array, target: Array) -> Array:
-    """Return the coefficients of least norm that explain the (N,) target best."""
+    """Return the (K,) coefficients of least norm by which (N, K) columns explain a target best.
+
+    The (N,) target has any unit; the coefficients are in that of the target per column.
+    """
     return np.asarray(np.linalg.lstsq(columns, target)[0], dtype=np.float64)
 
 
@@ -99,9 +102,14 @@ def non_negative_least_squares(
     Negative ones are set to zero one by one, the worst first: exact for the few, nearly orthogonal
     columns of friction laws, and far faster than a general solver inside a search.
 
+    Parameters
+    ----------
+    columns, target : (N, K) and (N,), in any units.
+    non_negative : how many, from the first.
+
     Returns
     -------
-    (columns,) coefficients and the sum of squared residuals.
+    (K,) coefficients and the sum of squared residuals.
     """
     gram, moment = columns.T @ columns, columns.T @ target
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))

@@ -82,11 +82,14 @@ class Separable:
         )
 
     def numbers(self, point: Array) -> Array:
-        """Return the searched numbers of a point."""
+        """Return the searched numbers of a point (searched,), in the units of the coefficients."""
         return np.where(self._logarithmic, np.exp(np.where(self._logarithmic, point, 0.0)), point)
 
     def point(self, numbers: Mapping[str, float]) -> Array:
-        """Return the point of searched numbers, moved inside the bounds."""
+        """Return the point of searched numbers, shape (searched,) in their units or as logarithms.
+
+        It is moved inside the bounds.
+        """
         raw = np.array([numbers[name] for name in self.space.names])
         scaled = np.where(self._logarithmic, np.log(np.where(self._logarithmic, raw, 1.0)), raw)
         low, high = self.bounds.T
@@ -94,7 +97,7 @@ class Separable:
         return np.clip(scaled, low + margin, high - margin)
 
     def columns(self, point: Array) -> Array:
-        """Return the (N, len(linear)) columns of the torque."""
+        """Return the (N, len(linear)) columns of the torque at a point [N.m per unit of each]."""
         s = self.samples
         numbers = tuple(self.numbers(point))
         inputs = (s.dq, s.q, s.tau_load)
@@ -109,13 +112,16 @@ class Separable:
         return columns
 
     def solve(self, point: Array) -> tuple[Array, float]:
-        """Return the linear unknowns of a point and the sum of squared residuals [N^2.m^2]."""
+        """Return (len(linear),) unknowns at a point and the sum of squared residuals [N^2.m^2]."""
         return non_negative_least_squares(
             self.columns(point), self.samples.tau, non_negative=self.space.non_negative
         )
 
     def search(self, rng: np.random.Generator, *, effort: int = 40) -> Array:
-        """Return the best point of differential evolution (`effort` generations at most)."""
+        """Return the best point of differential evolution (`effort` generations at most).
+
+        Shape and units are those of `point`.
+        """
         if not len(self.bounds):
             return np.zeros(0)
         best = differential_evolution(
@@ -128,7 +134,8 @@ class Separable:
         """Return the point after a local search of all coefficients at once.
 
         The residual has its linear unknowns projected out, so the search runs over everything while
-        it steps in the searched numbers only. Only `rows` count.
+        it steps in the searched numbers only. Only `rows` count. Shape and units of the point are
+        those of `point`.
         """
         if not len(self.bounds):
             return point
@@ -147,7 +154,10 @@ class Separable:
         return np.asarray(found.x)
 
     def values(self, point: Array, unknowns: Array) -> dict[str, float]:
-        """Return every coefficient of the form by name."""
+        """Return every coefficient of the form by name, in its unit, from a point and its unknowns.
+
+        Both have the shapes of `solve`.
+        """
         known = dict(zip(self.space.names, self.numbers(point), strict=True))
         known |= dict(zip(self.space.linear, unknowns, strict=True))
         # Coefficients that are multiples of a zero would leave their ratios undefined: 0 / 0.
@@ -162,7 +172,13 @@ class Separable:
 def left_out_cost(
     columns: Array, tau: Array, folds: Sequence[np.ndarray[Any, np.dtype[np.bool_]]]
 ) -> float:
-    """Mean square on each fold of a linear law solved on the other rows, over all rows."""
+    """Mean square on each fold of a linear law solved on the other rows, over all rows.
+
+    Parameters
+    ----------
+    columns, tau : (N, K) columns and (N,) torque [N.m].
+    folds : (N,) masks of the rows that are left out in turn.
+    """
     gram, moment = columns.T @ columns, columns.T @ tau
     total = 0.0
     for fold in folds:

@@ -53,7 +53,7 @@ def with_standard_errors(law: FrictionLaw, records: Sequence[FrictionRecord]) ->
 
 
 def standard_errors(jacobian: Array, residual: Array) -> Array:
-    """Return the (P,) standard errors of a least-squares solution.
+    """Return the (P,) standard errors of a least-squares solution, in the unknowns' units.
 
     Parameters
     ----------
@@ -69,7 +69,10 @@ def standard_errors(jacobian: Array, residual: Array) -> Array:
 
 
 def correlation_length(residual: Array) -> float:
-    """Integrated autocorrelation of a residual in rows, at least 1 (cut at the first crossing)."""
+    """Integrated autocorrelation of a residual (N,), in rows whatever the residual's unit.
+
+    At least 1; cut at the first crossing.
+    """
     centred = residual - residual.mean()
     size = 2 ** int(np.ceil(np.log2(2 * len(centred))))
     spectrum = np.abs(np.fft.rfft(centred, size)) ** 2

@@ -12,7 +12,8 @@ from hesr_model.artifacts import read_model
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.files import models_folder
 from hesr_model.friction import audit as module
-from hesr_model.friction.audit import ENCODER, audit, explodes
+from hesr_model.friction.audit import audit, explodes
+from hesr_model.friction.cycles import ENCODER
 from hesr_model.friction.evaluate import Stepper
 from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute, sgn
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation

@@ -180,3 +180,15 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_work(tmp_path: Pa
             worked = True
         assert str(caught.value) == f"{path}: cannot be written there (Not a directory)."
         assert not worked
+
+
+def test_the_hash_of_a_folder_is_of_the_names_and_bytes_in_it(tmp_path: Path) -> None:
+    folder = tmp_path / "bag"
+    (folder / "inner").mkdir(parents=True)
+    (folder / "inner" / "a").write_text("1", encoding="utf-8")
+    first = sha256(folder)
+    assert sha256(folder) == first
+    (folder / "inner" / "a").write_text("2", encoding="utf-8")
+    changed = sha256(folder)
+    (folder / "inner" / "a").rename(folder / "inner" / "b")
+    assert len({first, changed, sha256(folder)}) == 3

@@ -123,10 +123,14 @@ def test_structures_of_another_kind_are_refused(
 
 def test_sizes_that_no_network_may_have_are_refused() -> None:
     for sizes in ((), (1,), (10, 41), (2.5,)):
-        with pytest.raises(FitError, match="from 2 to 40"):
+        with pytest.raises(
+            FitError, match=r"'centres' is .*; needed are whole numbers from 2 to 40\."
+        ):
             fit_joint("rbfnn_h", [record(300)], seed=0, options={"centres": sizes})
     for sizes in ((), (0,), (4, 17)):
-        with pytest.raises(FitError, match="from 1 to 16"):
+        with pytest.raises(
+            FitError, match=r"'hidden' is .*; needed are whole numbers from 1 to 16\."
+        ):
             fit_joint("mlp_h", [record(300)], seed=0, options={"hidden": sizes})
 
 
@@ -155,7 +159,11 @@ def test_networks_that_explode_are_passed_over(records: list[FrictionRecord]) ->
             made.append(wild)
             yield wild
 
-    with pytest.raises(FitError, match=r"'j1'.* explodes just outside the trained speeds.*\.$"):
+    said = (
+        r"^joint 'j1': the torque of the best networks explodes just outside the trained speeds; "
+        r"more training motion is needed\.$"
+    )
+    with pytest.raises(FitError, match=said):
         first_tame(endless(), records)
     assert len(made) == TRIED
 

@@ -464,19 +464,37 @@ def test_a_function_that_is_not_of_the_family_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "named"),
+    ("options", "sentence"),
     [
-        ({"search": "papr"}, "'papr'"),
-        ({"discretisation": "rk4"}, "'rk4'"),
-        ({"cells": 0}, "cells"),
-        ({"starts": 0}, "starts"),
-        ({"candidates": 0}, "candidates"),
-        ({"search": "paper", "functions": ()}, "functions"),
+        (
+            {"search": "papr"},
+            "ParFam option 'search' is 'papr'; allowed are projection, paper.",
+        ),
+        (
+            {"discretisation": "rk4"},
+            "ParFam option 'discretisation' is 'rk4'; allowed are exact, euler.",
+        ),
+        ({"cells": 0}, "ParFam option 'cells' is 0; needed is at least 1."),
+        ({"starts": 0}, "ParFam option 'starts' is 0; needed is at least 1."),
+        ({"candidates": 0}, "ParFam option 'candidates' is 0; needed is at least 1."),
+        ({"units": 3}, "ParFam option 'units' is 3; allowed are 1 and 2."),
+        (
+            {"search": "paper", "functions": ()},
+            "ParFam option 'functions' is empty; the paper's search needs one.",
+        ),
     ],
 )
-def test_options_that_mean_nothing_are_refused(options: dict[str, object], named: str) -> None:
-    with pytest.raises(FitError, match=named):
+def test_options_that_mean_nothing_are_refused(options: dict[str, object], sentence: str) -> None:
+    with pytest.raises(FitError) as caught:
         ParFamH(**options)
+    assert str(caught.value) == sentence
+
+
+def test_a_state_that_is_not_of_the_family_is_refused() -> None:
+    with pytest.raises(ArtifactError) as caught:
+        ParFamH.form({"linear": ["dq"], "units": [], "state": "odd"})
+    known = ", ".join(family.STATES)
+    assert str(caught.value) == f"ParFam state 'odd' is unknown; known are {known}."
 
 
 def test_an_unknown_option_is_refused_by_name() -> None:

@@ -5,6 +5,7 @@ import pinocchio as pin
 import pytest
 
 from hesr_model.errors import ConfigError, RobotError
+from hesr_model.log_format import LogFormat, LogUnits
 from hesr_model.robot import RobotDescription, RobotModel
 
 ARM_TOML = """
@@ -127,6 +128,30 @@ def test_a_sliding_and_an_unlimited_joint(tmp_path: Path) -> None:
     np.testing.assert_allclose(arm.rotation @ [0, 0, 1], [np.sin(0.5), 0, np.cos(0.5)])
 
 
+@pytest.mark.parametrize(
+    ("units", "message"),
+    [
+        (
+            LogUnits(q="deg"),
+            r"^key 'log\.units\.q' is 'deg' for joint 'lift', which slides; give a list of one",
+        ),
+        (
+            LogUnits(dq=("mm/s", "mm/s")),
+            r"^key 'log\.units\.dq' is 'mm/s' for joint 'arm', which turns; give a list of one",
+        ),
+    ],
+)
+def test_units_of_the_other_kind_of_joint_are_refused(
+    tmp_path: Path, units: LogUnits, message: str
+) -> None:
+    path = tmp_path / "lift.urdf"
+    path.write_text(LIFT_URDF, encoding="utf-8")
+    lift = RobotDescription(name="lift", model=path, joints=("lift", "arm"))
+    RobotModel(lift.model_copy(update={"log": LogFormat(units=LogUnits(q=("mm", "deg")))}))
+    with pytest.raises(RobotError, match=message):
+        RobotModel(lift.model_copy(update={"log": LogFormat(units=units)}))
+
+
 def test_the_tree_places_the_joints(arm_model: RobotModel) -> None:
     j1, j2, j3 = arm_model.tree
     assert [j1.parent, j2.parent, j3.parent] == [-1, 0, 1]
@@ -153,6 +178,14 @@ def test_a_description_is_read_and_finds_its_model(tmp_path: Path, arm: RobotDes
             "[log.columns]\nq = ['a', 'b']\n",
             r"key 'log.columns.q' of robot 'arm' has 2 entries; its 3 joints need one each",
         ),
+        (
+            "[log.units]\nq = ['deg', 'deg']\n",
+            r"key 'log.units.q' of robot 'arm' has 2 entries; its 3 joints need one each",
+        ),
+        (
+            "[log.bag]\njoints = ['a', 'b']\n",
+            r"key 'log.bag.joints' of robot 'arm' has 2 entries; its 3 joints need one each",
+        ),
     ],
 )
 def test_one_entry_per_joint_is_needed(tmp_path: Path, more: str, message: str) -> None:
@@ -163,13 +196,27 @@ def test_one_entry_per_joint_is_needed(tmp_path: Path, more: str, message: str) 
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ("[log.units]\nq = 'deg'\n", r"key 'log\.units\.q' is 'deg': .*'rad'"),
-        ("[log.units]\nt = 'ms'\n", r"key 'log\.units\.t' is 'ms': .*'s'"),
-        ("[log.units]\ntau = 'kgf.m'\n", r"key 'log\.units\.tau' is 'kgf\.m': .*'N\.m'"),
+        (
+            "[log.units]\nq = 'grad'\n",
+            r"key 'log\.units\.q' is 'grad': known units are 'rad', 'deg', 'rev', 'm', 'mm'\.$",
+        ),
+        (
+            "[log.units]\nt = 'min'\n",
+            r"key 'log\.units\.t' is 'min': known units are 's', 'ms', 'us', 'ns'\.$",
+        ),
+        (
+            "[log.units]\ntau = ['N.m', 'kgf.m', 'N.m']\n",
+            r"key 'log\.units\.tau' is .*'kgf\.m'.*: known units are 'N\.m', 'mN\.m', 'N'\.$",
+        ),
         ("[log]\nfilter_cutoff = 0\n", r"key 'log\.filter_cutoff' is 0: .*greater than 0"),
         (
             "[log.columns]\nq = 'q'\n",
-            r"key 'log\.columns\.q' is 'q': the pattern needs '\{\}' once",
+            r"key 'log\.columns\.q' is 'q': the pattern needs '\{\}' once, where the joint "
+            r"number \(1, 2, \.\.\.\) stands; '\{0\}' stands for the number counted from 0",
+        ),
+        (
+            "[log.columns]\nq = 'q{}_{name}'\n",
+            r"key 'log\.columns\.q' is 'q\{\}_\{name\}': the pattern needs '\{\}' once",
         ),
         ("rotor = true\n", r"unknown key 'rotor'; allowed here: .*gravity, joints"),
     ],

@@ -131,7 +131,8 @@ def test_a_fit_states_the_errors_of_its_law() -> None:
     bare = DahlBasis().fit([record], np.random.default_rng(0))
     assert bare.standard_errors == {}
     found = fit_joint("dahl", [record], seed=0)
-    assert set(found.standard_errors) == set(found.values)
+    idle = {f"kappa_{i}" for i in range(1, 6) if found.values[f"F_{i}"] == 0.0}
+    assert set(found.standard_errors) == set(found.values) - idle
     assert all(error > 0.0 for error in found.standard_errors.values())
 
 

@@ -129,7 +129,7 @@ def left_out(z: Array, y: Array, folds: Sequence[Rows], starts: Sequence[Array])
 
     Returns
     -------
-    (decays,) mean over the starts and all rows.
+    (decays,) mean over the starts and all rows, relative to the torque's variance.
     """
     stride = max(1, len(y) // SEARCHED_ROWS)
     total = np.zeros(len(DECAYS))

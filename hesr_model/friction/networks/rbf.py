@@ -160,7 +160,8 @@ def left_out(z: Array, samples: Samples, count: int, rng: np.random.Generator) -
 def clustered(z: Array, count: int, rng: np.random.Generator) -> tuple[Array, float]:
     """Return (count, 3) centres by k-means and their mean distance to the nearest other one.
 
-    There are fewer centres than `count` where fewer rows differ.
+    Both are in the units of z, the (N, 3) standardised inputs. There are fewer centres than `count`
+    where fewer rows differ.
     """
     # Rows that are equal, as of a joint at rest, would leave k-means nothing to choose from.
     points = np.unique(z[:: max(1, len(z) // CLUSTERED_ROWS)], axis=0)
@@ -174,12 +175,19 @@ def clustered(z: Array, count: int, rng: np.random.Generator) -> tuple[Array, fl
 
 
 def gaussians(z: Array, centres: Array, width: float) -> Array:
-    """Return the (N, K) Gaussians of (N, 3) inputs."""
+    """Return the (N, K) Gaussians of inputs z (N, 3) about centres (K, 3), all standardised."""
     return np.asarray(np.exp(cdist(z, centres, "sqeuclidean") / (-2.0 * width**2)))
 
 
 def ridge_weights(columns: Array, tau: Array, ridges: Sequence[float]) -> tuple[Array, Array]:
-    """Return the (R,) offsets and (K, R) weights of ridge regression, the offset not shrunk."""
+    """Return the (R,) offsets and (K, R) weights of ridge regression, the offset not shrunk.
+
+    Parameters
+    ----------
+    columns : (N, K) Gaussians, without unit.
+    tau : (N,) torque [N.m]; offsets and weights have its unit.
+    ridges : R weights of the squared coefficients.
+    """
     mean, level = columns.mean(axis=0), float(tau.mean())
     centred = columns - mean
     eigenvalues, vectors = np.linalg.eigh(centred.T @ centred / len(tau))

@@ -32,7 +32,7 @@ class Network:
     cost: float
 
     def output(self, z: Array) -> Array:
-        """Return the (N,) output for (N, 3) inputs."""
+        """Return the (N,) output for inputs z, (N, 3), all standardised."""
         hidden = np.tanh(z @ self.theta[1:] + self.theta[0])
         return np.asarray(hidden @ self.gains + self.bias)
 

@@ -62,7 +62,7 @@ class Candidate:
         return replace(self, theta=theta, gain=float(gain))
 
     def torque(self, features: Array) -> Array:
-        """Return the (N,) torque for (N, 4) features."""
+        """Return the (N,) torque [N.m] for (N, 4) features 1, dq, h, dh in SI units."""
         linear = features @ self.c
         if self.g is None:
             return np.asarray(linear)

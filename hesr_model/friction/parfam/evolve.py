@@ -21,7 +21,7 @@ ARGUMENT_LIMIT = 12.0
 
 
 def linear(cell: Cell, features: Array, tau: Array) -> Candidate:
-    """Return the law without a unit."""
+    """Return the law without a unit g: linear in the (N, 4) features, fitted to tau (N,) [N.m]."""
     c = least_squares(features, tau)
     cost = float(np.mean((tau - features @ c) ** 2))
     return Candidate(
@@ -89,7 +89,7 @@ def arguments(
 
 
 def starting_points(rng: np.random.Generator, count: int, features: int) -> Array:
-    """Return (count, features) random starts of theta for standardised features."""
+    """Return random starts of theta, shape (count, features), for standardised features."""
     starts = rng.normal(size=(count, features))
     return np.asarray(starts * rng.uniform(0.3, 2.0, size=(count, 1)))
 

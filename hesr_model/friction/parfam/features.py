@@ -29,12 +29,12 @@ class HysteresisFeatures:
         return 1.0 / float(steps.max() if self.discretisation == "euler" else np.median(steps))
 
     def columns(self, alpha: float, beta: float) -> Array:
-        """Return the (N, 4) features 1, dq, h, dh."""
+        """Return the (N, 4) features 1, dq [rad/s], h [1], dh [1/s]."""
         target = np.tanh(beta * self.samples.dq)
         return self._columns(alpha, target, self._decay(alpha))
 
     def with_derivatives(self, alpha: float, beta: float) -> tuple[Array, Array, Array]:
-        """Return (N, 4) features and the (N, 2) derivatives of h and of dh by (alpha, beta).
+        """Return (N, 4) features and (N, 2) derivatives of h and dh by (alpha, beta), SI units.
 
         The derivatives obey the recurrence of h itself, driven by its partial derivatives.
         """

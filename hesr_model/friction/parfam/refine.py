@@ -134,7 +134,10 @@ def _still_as_good(features: HysteresisFeatures, candidate: Candidate) -> float:
 def left_out_cost(
     features: HysteresisFeatures, candidate: Candidate, folds: Sequence[Rows]
 ) -> float:
-    """Mean square on each fold of the candidate refined without it, averaged over all rows."""
+    """Mean square [N^2.m^2] on each of the folds, masks (N,), of the candidate refined without it.
+
+    Averaged over all rows.
+    """
     total = 0.0
     for fold in folds:
         held = Refinement(features, candidate, ~fold).run(FOLD)[0]
@@ -168,7 +171,7 @@ class Refinement:
         ).astype(bool)
 
     def pack(self) -> Array:
-        """Return the start as the vector that is searched."""
+        """Return the start as the vector that is searched, (parameters,) in their units or logs."""
         place = (np.log([self.start.alpha, self.start.beta]) - self.low) / self.span
         place = np.clip(place, 1e-6, 1.0 - 1e-6)
         full = np.concatenate(
@@ -182,7 +185,7 @@ class Refinement:
         return np.asarray(full[self.active])
 
     def unpack(self, point: Array, cost: float = np.nan) -> Candidate:
-        """Return the candidate of a searched vector."""
+        """Return the candidate of a point (parameters,) in the units of `pack`."""
         full = np.zeros(11)
         full[self.active] = point
         place = expit(full[:2])
@@ -198,13 +201,13 @@ class Refinement:
         )
 
     def residual(self, point: Array) -> Array:
-        """Return the residual [N.m] of the counted rows."""
+        """Return the residual [N.m] of the counted rows, shape (rows,), at a point of `pack`."""
         candidate = self.unpack(point)
         columns = self.features.columns(candidate.alpha, candidate.beta)[self.rows]
         return candidate.torque(columns) - self.tau
 
     def jacobian(self, point: Array) -> Array:
-        """Return the Jacobian of the residual, (counted rows, parameters)."""
+        """Return the Jacobian of the residual at a point, shape (rows, parameters), units alike."""
         k = self.unpack(point)
         x, dh, ddh = (e[self.rows] for e in self.features.with_derivatives(k.alpha, k.beta))
         scaled = x / self.scale
@@ -225,7 +228,7 @@ class Refinement:
         return full if self.active.all() else full[:, self.active]
 
     def run(self, evaluations: int) -> tuple[Candidate, Array]:
-        """Return the refined candidate and (parameters,) t-statistics of its coefficients."""
+        """Return the refined candidate and its t-statistics, shape (parameters,), without unit."""
         solution = least_squares(
             self.residual,
             self.pack(),

@@ -82,7 +82,7 @@ def with_unit(
     Parameters
     ----------
     trial : what the unit is added to.
-    features : (N, 4) features 1, dq, h, dh of the argument.
+    features : (N, 4) features 1, dq [rad/s], h, dh [1/s] of the argument.
     functions : functions g that are tried.
     starts : random starts for each g, drawn from `rng`.
     """

@@ -1,0 +1,302 @@
+"""Logs from ROS bags, written by the library that reads them, with no ROS installed."""
+
+import logging
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hesr_model.errors import LogError
+from hesr_model.files import sha256
+from hesr_model.log_format import LogBag, LogColumns, LogFormat, LogUnits
+from hesr_model.robot import RobotDescription
+from hesr_model.robot_log import RobotLog
+
+N = 50
+JOINTS = ("a", "b")
+START = 1_700_000_000_123_456_789
+"""[ns] of the first stamp: seconds since 1970 in a float would be rounded to 0.2 us."""
+
+STEP = 10_000_000
+"""[ns]"""
+
+pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'hesr[ros]'")
+
+
+def content() -> dict[str, np.ndarray]:
+    position, velocity, effort = np.random.default_rng(3).normal(size=(3, N, 2))
+    return {"position": position, "velocity": velocity, "effort": effort}
+
+
+def message(k: int, names: Sequence[str] = JOINTS, **fields: Any) -> dict[str, Any]:
+    """Message k of the topic, with all fields of the joints named; others are zero."""
+    known = {name: column for column, name in enumerate(JOINTS)}
+    values = {
+        field: [series[k, known[name]] if name in known else 0.0 for name in names]
+        for field, series in content().items()
+    }
+    return {"stamp": START + k * STEP, "names": names, **values, **fields}
+
+
+def messages() -> list[dict[str, Any]]:
+    return [message(k) for k in range(N)]
+
+
+def write(
+    folder: Path,
+    written: Iterable[dict[str, Any]],
+    *,
+    storage: str = "SQLITE3",
+    topic: str = "/joint_states",
+) -> Path:
+    """Write a ROS 2 bag of one topic of joint states and one of texts."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    text = store.types["std_msgs/msg/String"]
+    with Writer(folder, version=9, storage_plugin=StoragePlugin[storage]) as writer:
+        texts = writer.add_connection("/note", text.__msgtype__, typestore=store)
+        writer.write(texts, START, store.serialize_cdr(text(data="hello"), text.__msgtype__))
+        kind = "sensor_msgs/msg/JointState"
+        states = writer.add_connection(topic, kind, typestore=store)
+        for k, item in enumerate(written):
+            raw = store.serialize_cdr(joint_state(store, item), kind)
+            # Messages arrive late and unevenly, which must not matter.
+            writer.write(states, START + k * STEP + 3_000_000 + k % 7 * 100_000, raw)
+    return folder
+
+
+def joint_state(store: Any, item: dict[str, Any], **header: Any) -> Any:
+    types = store.types
+    seconds, nanoseconds = divmod(item["stamp"], 1_000_000_000)
+    stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
+    return types["sensor_msgs/msg/JointState"](
+        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id="", **header),
+        name=list(item["names"]),
+        **{field: np.array(item[field], dtype=float) for field in content()},
+    )
+
+
+def robot(
+    *,
+    bag: LogBag | None = None,
+    columns: LogColumns | None = None,
+    joints: tuple[str, ...] = JOINTS,
+    **more: Any,
+) -> RobotDescription:
+    log = LogFormat(bag=bag or LogBag(), columns=columns or LogColumns(), **more)
+    # No test here opens the model.
+    return RobotDescription(name="two", model=Path("two.urdf"), joints=joints, log=log)
+
+
+def require_content(log: RobotLog) -> None:
+    assert log.dq is not None
+    np.testing.assert_allclose(log.t, 0.01 * np.arange(N), rtol=1e-15, atol=0)
+    np.testing.assert_array_equal(log.q, content()["position"])
+    np.testing.assert_array_equal(log.dq, content()["velocity"])
+    np.testing.assert_array_equal(log.tau, content()["effort"])
+
+
+@pytest.mark.parametrize(("storage", "suffix"), [("SQLITE3", ".db3"), ("MCAP", ".mcap")])
+def test_a_bag_is_read_as_a_folder_and_as_a_file(tmp_path: Path, storage: str, suffix: str) -> None:
+    folder = write(tmp_path / "run", messages(), storage=storage)
+    log = RobotLog.read(folder, robot())
+    require_content(log)
+    assert (log.name, log.sha256) == ("run", sha256(folder))
+    (file,) = folder.glob(f"*{suffix}")
+    require_content(RobotLog.read(file, robot()))
+
+
+def test_a_bag_of_an_older_ros_2_without_definitions_of_its_messages_is_read(
+    tmp_path: Path,
+) -> None:
+    import sqlite3
+
+    folder = write(tmp_path / "run", messages())
+    (file,) = folder.glob("*.db3")
+    with sqlite3.connect(file) as database:
+        database.execute("DELETE FROM message_definitions")
+    database.close()
+    require_content(RobotLog.read(folder, robot()))
+
+
+def test_a_bag_of_ros_1_is_read(tmp_path: Path) -> None:
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store, kind = get_typestore(Stores.ROS1_NOETIC), "sensor_msgs/msg/JointState"
+    with Writer(tmp_path / "run.bag") as writer:
+        states = writer.add_connection("/joint_states", kind, typestore=store)
+        for k, item in enumerate(messages()):
+            raw = store.serialize_ros1(joint_state(store, item, seq=k), kind)
+            writer.write(states, item["stamp"], raw)
+    require_content(RobotLog.read(tmp_path / "run.bag", robot()))
+
+
+def test_joints_may_come_in_any_order_with_others_and_not_in_every_message(
+    tmp_path: Path,
+) -> None:
+    orders = (("a", "b"), ("b", "gripper", "a"), ("gripper", "b", "a"))
+    mixed = []
+    for k in range(N):
+        mixed.append(message(k, orders[k % 3]))
+        mixed.append(message(k, ("gripper",)))  # of another driver, at the same instant
+    require_content(RobotLog.read(write(tmp_path / "run", mixed), robot()))
+
+
+def test_joints_of_messages_may_have_other_names(tmp_path: Path) -> None:
+    bag = LogBag(topic="/arm/states", joints=("b", "a"))
+    folder = write(tmp_path / "run", messages(), topic="/arm/states")
+    log = RobotLog.read(folder, robot(bag=bag, joints=("first", "second")))
+    np.testing.assert_array_equal(log.q, content()["position"][:, ::-1])
+
+
+def test_units_of_messages_become_si(tmp_path: Path) -> None:
+    units = LogUnits(t="ms", q="deg", dq="deg/s", tau="mN.m")  # t is of tables: stamps are in ns
+    log = RobotLog.read(write(tmp_path / "run", messages()), robot(units=units))
+    assert log.dq is not None
+    np.testing.assert_allclose(log.t, 0.01 * np.arange(N), rtol=1e-15)
+    np.testing.assert_allclose(log.q, np.deg2rad(content()["position"]), rtol=1e-15)
+    np.testing.assert_allclose(log.dq, np.deg2rad(content()["velocity"]), rtol=1e-15)
+    np.testing.assert_allclose(log.tau, 1e-3 * content()["effort"], rtol=1e-15)
+
+
+def test_effort_may_be_current(tmp_path: Path) -> None:
+    folder = write(tmp_path / "run", messages())
+    bag = LogBag(effort="current")
+    gains = (10.0, -4.0)
+    log = RobotLog.read(folder, robot(bag=bag, torque_per_ampere=gains))
+    np.testing.assert_array_equal(log.tau, content()["effort"] * gains)
+    # Gains alone do not make currents of torques.
+    require_content(RobotLog.read(folder, robot(torque_per_ampere=gains)))
+    message = (
+        r"run: its efforts are currents by 'log\.bag\.effort' .* 'log\.torque_per_ampere' for them"
+    )
+    with pytest.raises(LogError, match=message):
+        RobotLog.read(folder, robot(bag=bag))
+
+
+def test_velocity_that_is_missing_is_derived_and_that_is_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = write(tmp_path / "run", [message(k, velocity=[]) for k in range(N)])
+    with caplog.at_level(logging.WARNING):
+        assert RobotLog.read(folder, robot()).dq is None
+    assert "topic '/joint_states': has no velocity, which is derived from the position" in (
+        caplog.text
+    )
+    caplog.clear()
+    assert RobotLog.read(folder, robot(columns=LogColumns(dq=""))).dq is None
+    assert not caplog.text
+
+
+def replaced(k: int, **fields: Any) -> list[dict[str, Any]]:
+    return [message(j, **(fields if j == k else {})) for j in range(N)]
+
+
+PROBLEMS = [
+    ([], r"run: topic '/joint_states': has no messages\.$"),
+    (
+        [message(k, ("a", "x")) for k in range(N)],
+        r"topic '/joint_states': has no joint 'b'; its messages list a, x; if names differ from "
+        r"the model's, give them under 'log\.bag\.joints' of the robot file\.$",
+    ),
+    (
+        [message(k, JOINTS[k % 2 :][:1]) for k in range(N)],
+        r"no message lists all of a, b; they must be published together\.$",
+    ),
+    (
+        [message(k, stamp=0) for k in range(N)],
+        r"its messages have no time stamps \(all are 0\); needed is time\.$",
+    ),
+    (
+        [message(k, effort=[]) for k in range(N)],
+        r"its messages have no effort, so there is no torque to learn from; record torques or",
+    ),
+    (
+        [message(k, position=[]) for k in range(N)],
+        r"its messages have no position; positions are needed\.$",
+    ),
+    (
+        replaced(4, effort=[1.0]),
+        r"topic '/joint_states', message 5: effort has 1 entries for 2 joints\.$",
+    ),
+    (
+        replaced(4, effort=[1.0, np.nan]),
+        r"message 5: effort of joint 'b' is nan; a finite number is needed\.$",
+    ),
+    (
+        replaced(4, velocity=[-np.inf, 1.0]),
+        r"message 5: velocity of joint 'a' is -inf; a finite number is needed\.$",
+    ),
+    (
+        replaced(4, stamp=START + 3 * STEP),
+        r"topic '/joint_states', message 5: time must increase, but 0\.03 s follows 0\.03 s\.$",
+    ),
+    (
+        messages()[:20] + messages()[40:],
+        r"topic '/joint_states', message 21: a gap of 0\.21 s; at most 10 sample periods of 0\.01",
+    ),
+    (messages()[:1], r"run: has 1 rows of data; at least 2 are needed\.$"),
+]
+
+
+@pytest.mark.parametrize(("written", "text"), PROBLEMS)
+def test_an_error_names_the_topic_and_the_message(
+    tmp_path: Path, written: list[dict[str, Any]], text: str
+) -> None:
+    folder = write(tmp_path / "run", written)
+    with pytest.raises(LogError, match=text):
+        RobotLog.read(folder, robot())
+
+
+@pytest.mark.parametrize(
+    ("topic", "message"),
+    [
+        (
+            "/states",
+            r"run: has no topic '/states'; topics of joint states are /joint_states; name one "
+            r"under 'log\.bag\.topic' of the robot file\.$",
+        ),
+        (
+            "/note",
+            r"run: topic '/note' has messages std_msgs/msg/String; needed are "
+            r"sensor_msgs/msg/JointState\.$",
+        ),
+    ],
+)
+def test_a_wrong_topic_is_named(tmp_path: Path, topic: str, message: str) -> None:
+    folder = write(tmp_path / "run", messages())
+    with pytest.raises(LogError, match=message):
+        RobotLog.read(folder, robot(bag=LogBag(topic=topic)))
+
+
+@pytest.mark.parametrize("name", ["run.db3", "run.mcap", "run.bag"])
+def test_what_is_not_a_bag_is_refused(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    with pytest.raises(LogError, match=rf"{name}: no such log file\.$"):
+        RobotLog.read(path, robot())
+    path.write_bytes(bytes(range(256)) * 8)
+    with pytest.raises(LogError, match=rf"{name}: cannot be read as a ROS bag \(.+\)\.$"):
+        RobotLog.read(path, robot())
+    with pytest.raises(LogError, match=r"is a folder without 'metadata\.yaml', so it is no ROS"):
+        RobotLog.read(tmp_path, robot())
+    (tmp_path / "metadata.yaml").write_text("nothing: here\n", encoding="utf-8")
+    with pytest.raises(LogError, match=r"cannot be read as a ROS bag \(.*rosbag2_bagfile_info"):
+        RobotLog.read(tmp_path, robot())
+
+
+def test_without_rosbags_it_is_said_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "run.mcap").write_bytes(b"anything")
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    message = (
+        r"run\.mcap: reading a ROS bag needs the package rosbags: pip install 'hesr\[ros\]'\.$"
+    )
+    with pytest.raises(LogError, match=message):
+        RobotLog.read(tmp_path / "run.mcap", robot())

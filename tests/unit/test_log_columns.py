@@ -1,0 +1,188 @@
+"""Tables as other programs write them: separators, names of columns, units."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hesr_model.errors import LogError
+from hesr_model.log_format import LogColumns, LogFormat, LogUnits
+from hesr_model.robot import RobotDescription
+from hesr_model.robot_log import RobotLog
+
+HEADER = ["t", "q1", "q2", "dq1", "dq2", "tau1", "tau2"]
+
+Read = Callable[..., RobotLog]
+
+
+def rows(count: int = 20) -> np.ndarray:
+    """Two joints at 100 Hz, each number another one."""
+    values = np.random.default_rng(1).normal(size=(count, 7)).round(6)
+    values[:, 0] = 0.01 * np.arange(count)
+    return values
+
+
+@pytest.fixture
+def read(tmp_path: Path) -> Read:
+    def read_text(
+        text: str, log: LogFormat | None = None, joints: Sequence[str] = "ab"
+    ) -> RobotLog:
+        path = tmp_path / "run.csv"
+        path.write_bytes(text.encode())
+        # No test here opens the model.
+        model = Path("two.urdf")
+        robot = RobotDescription(
+            name="two", model=model, joints=tuple(joints), log=log or LogFormat()
+        )
+        return RobotLog.read(path, robot)
+
+    return read_text
+
+
+def written(
+    values: np.ndarray, header: Sequence[str] = HEADER, *, delimiter: str = ",", end: str = "\n"
+) -> str:
+    lines = [header, *([f"{x:.9g}" for x in row] for row in values)]
+    return "".join(delimiter.join(line) + end for line in lines)
+
+
+def require_equal(log: RobotLog, values: np.ndarray) -> None:
+    assert log.dq is not None
+    np.testing.assert_array_equal(np.column_stack([log.t, log.q, log.dq, log.tau]), values)
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t", " "])
+def test_cells_may_be_separated_otherwise(read: Read, delimiter: str) -> None:
+    require_equal(read(written(rows(), delimiter=delimiter)), rows())
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_decimals_may_have_commas_where_cells_are_not_separated_by_them(
+    read: Read, delimiter: str
+) -> None:
+    require_equal(read(written(rows(), delimiter=delimiter).replace(".", ",")), rows())
+
+
+def test_a_header_may_be_a_comment_as_numpy_writes_it(read: Read, tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "saved.csv", rows(), header=" ".join(HEADER), fmt="%.9g")
+    text = (tmp_path / "saved.csv").read_text()
+    assert text.startswith("# t q1")
+    require_equal(read(text), rows())
+    require_equal(read("#" + written(rows())), rows())
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (
+            lambda lines: [*lines[:3], lines[3] + ";9", *lines[4:]],
+            r"run\.csv: row 4 has 8 cells; the header has 7 columns\.$",
+        ),
+        (
+            lambda lines: [*lines[:3], lines[3].replace(",", "x", 1), *lines[4:]],
+            r"run\.csv: column 't', row 4: '0x02' where a number is needed\.$",
+        ),
+    ],
+)
+def test_errors_know_the_separator(
+    read: Read, spoil: Callable[[list[str]], list[str]], message: str
+) -> None:
+    lines = written(rows(), delimiter=";").replace(".", ",").splitlines()
+    with pytest.raises(LogError, match=message):
+        read("\n".join(spoil(lines)))
+
+
+RTDE = [
+    "timestamp",
+    *(
+        f"{quantity}_{k}"
+        for quantity in ("actual_q", "actual_qd", "actual_current", "target_moment")
+        for k in range(2)
+    ),
+]
+"""As Universal Robots' recorder writes: blanks between cells, joints counted from 0."""
+
+UR = LogColumns(
+    t="timestamp",
+    q="actual_q_{0}",
+    dq="actual_qd_{0}",
+    tau="target_moment_{0}",
+    current="actual_current_{0}",
+)
+
+
+def test_a_log_of_universal_robots_is_read_by_the_names_of_its_columns(read: Read) -> None:
+    values = np.column_stack([rows(), 2.0 * rows()[:, 5:]])
+    text = written(values, RTDE, delimiter=" ", end="\r\n")
+    currents = read(text, LogFormat(columns=UR, torque_per_ampere=(10.0, -4.0)))
+    np.testing.assert_array_equal(currents.tau, rows()[:, 5:] * [10.0, -4.0])
+    np.testing.assert_array_equal(currents.q, rows()[:, 1:3])
+    moments = read(text, LogFormat(columns=UR))
+    np.testing.assert_array_equal(moments.tau, values[:, 7:])
+
+
+def test_joints_counted_from_zero_are_counted_right_in_messages(read: Read) -> None:
+    values = np.column_stack([rows(), rows()[:, 5:]])
+    log = LogFormat(columns=UR)
+    text = written(values, [name.replace("actual_q_1", "q_1") for name in RTDE], delimiter=" ")
+    message = r"column 'actual_q_1' is missing; it has 1 joints, but the robot has 2\.$"
+    with pytest.raises(LogError, match=message):
+        read(text, log)
+    with pytest.raises(LogError, match=r"has column 'actual_q_1', but the robot has 1 joints"):
+        read(written(values, RTDE, delimiter=" "), log, joints=["a"])
+
+
+def test_columns_may_be_named_after_the_joints(read: Read) -> None:
+    columns = LogColumns(q="{name}_pos", dq="{name}_vel", tau="{name}_eff")
+    header = ["t", "lift_pos", "tilt_pos", "lift_vel", "tilt_vel", "lift_eff", "tilt_eff"]
+    log = LogFormat(columns=columns)
+    require_equal(read(written(rows(), header), log, ["lift", "tilt"]), rows())
+    # A robot may use some of the joints that are logged.
+    assert read(written(rows(), header), log, ["tilt"]).q.tolist() == rows()[:, 2:3].tolist()
+    with pytest.raises(LogError, match=r"column 'turn_pos' is missing; it has t, lift_pos, tilt"):
+        read(written(rows(), header), log, ["turn"])
+
+
+UNITS = [
+    (LogUnits(t="ms"), 0, 1e-3),
+    (LogUnits(t="us"), 0, 1e-6),
+    (LogUnits(t="ns"), 0, 1e-9),
+    (LogUnits(q="deg"), slice(1, 3), np.pi / 180),
+    (LogUnits(q="rev"), slice(1, 3), 2 * np.pi),
+    (LogUnits(q=("mm", "deg")), slice(1, 3), [1e-3, np.pi / 180]),
+    (LogUnits(dq="deg/s"), slice(3, 5), np.pi / 180),
+    (LogUnits(dq="rpm"), slice(3, 5), 2 * np.pi / 60),
+    (LogUnits(dq="rev/s"), slice(3, 5), 2 * np.pi),
+    (LogUnits(dq=("mm/s", "m/s")), slice(3, 5), [1e-3, 1.0]),
+    (LogUnits(tau="mN.m"), slice(5, 7), 1e-3),
+    (LogUnits(tau=("N", "N.m")), slice(5, 7), 1.0),
+]
+
+
+@pytest.mark.parametrize(("units", "columns", "factor"), UNITS)
+def test_units_become_si(
+    read: Read, units: LogUnits, columns: int | slice, factor: float | list[float]
+) -> None:
+    expected = rows()
+    expected[:, columns] *= factor
+    log = read(written(rows()), LogFormat(units=units))
+    assert log.dq is not None
+    found = np.column_stack([log.t, log.q, log.dq, log.tau])
+    np.testing.assert_allclose(found, expected, rtol=1e-15)
+
+
+def test_milliamperes_become_torques(read: Read) -> None:
+    header = [name.replace("tau", "i") for name in HEADER]
+    log = LogFormat(units=LogUnits(current="mA"), torque_per_ampere=(10.0, -4.0))
+    expected = rows()[:, 5:] * [0.01, -0.004]
+    np.testing.assert_allclose(read(written(rows(), header), log).tau, expected, rtol=1e-15)
+
+
+def test_a_rate_that_does_not_fit_hints_at_the_unit_of_time(read: Read) -> None:
+    values = rows()
+    values[:, 0] *= 1e3
+    with pytest.raises(LogError, match=r"must be in s, or its unit stand under 'log\.units\.t'\.$"):
+        read(written(values), LogFormat(sample_rate=100.0))
+    log = read(written(values), LogFormat(sample_rate=100.0, units=LogUnits(t="ms")))
+    assert log.period == pytest.approx(0.01)

@@ -1,0 +1,208 @@
+"""Logs from MATLAB: versions 5 and 7 by SciPy, 7.3 by h5py."""
+
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+from scipy.io import savemat
+
+from hesr_model.errors import LogError
+from hesr_model.log_files.matlab import read_matlab
+from hesr_model.log_format import LogColumns, LogFormat
+from hesr_model.robot import RobotDescription
+from hesr_model.robot_log import RobotLog
+
+N = 40
+
+HEADER_7_3 = (b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM").ljust(
+    512, b"\0"
+)
+
+Save = Callable[[Path, Mapping[str, Any]], None]
+
+
+def content() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(2)
+    q, dq, tau = rng.normal(size=(3, N, 2))
+    return {"t": 0.01 * np.arange(N)[:, None], "q": q, "dq": dq, "tau": tau}
+
+
+def robot(columns: LogColumns | None = None, joints: tuple[str, ...] = ("a", "b")) -> Any:
+    # No test here opens the model.
+    log = LogFormat(columns=columns or LogColumns())
+    return RobotDescription(name="two", model=Path("two.urdf"), joints=joints, log=log)
+
+
+def save_classic(path: Path, data: Mapping[str, Any]) -> None:
+    savemat(path, data)
+
+
+def save_compressed(path: Path, data: Mapping[str, Any]) -> None:
+    savemat(path, data, do_compression=True)
+
+
+def save_hdf5(path: Path, data: Mapping[str, Any]) -> None:
+    """Version 7.3: HDF5 behind MATLAB's header, arrays transposed, structs as groups."""
+    h5py = pytest.importorskip("h5py", reason="h5py is not installed: pip install 'hesr[matlab]'")
+
+    def put(group: Any, items: Mapping[str, Any]) -> None:
+        for name, value in items.items():
+            if isinstance(value, Mapping):
+                group.create_group(name).attrs["MATLAB_class"] = np.bytes_("struct")
+                put(group[name], value)
+            elif isinstance(value, str):
+                codes = np.array([[ord(letter)] for letter in value], dtype=np.uint16)
+                group[name] = codes
+                group[name].attrs["MATLAB_class"] = np.bytes_("char")
+            else:
+                group[name] = np.transpose(np.atleast_2d(value))
+                group[name].attrs["MATLAB_class"] = np.bytes_("double")
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        put(file, data)
+        file.create_group("#refs#")["a"] = np.zeros(3)
+    with path.open("r+b") as raw:
+        raw.write(HEADER_7_3)
+
+
+SAVES = pytest.mark.parametrize("save", [save_classic, save_compressed, save_hdf5])
+
+
+def require_content(log: RobotLog) -> None:
+    assert log.dq is not None
+    np.testing.assert_array_equal(log.t, content()["t"].ravel())
+    for name in ("q", "dq", "tau"):
+        np.testing.assert_array_equal(getattr(log, name), content()[name])
+
+
+@SAVES
+def test_matrices_are_read_by_the_default_names(tmp_path: Path, save: Save) -> None:
+    save(tmp_path / "run.mat", {**content(), "rate": 100.0, "note": "sample"})
+    log = RobotLog.read(tmp_path / "run.mat", robot())
+    require_content(log)
+    assert log.name == "run"
+    assert len(log.sha256) == 64
+
+
+@SAVES
+def test_it_does_not_matter_which_way_matrices_lie(tmp_path: Path, save: Save) -> None:
+    save(tmp_path / "run.mat", {name: value.T for name, value in content().items()})
+    require_content(RobotLog.read(tmp_path / "run.mat", robot()))
+
+
+@SAVES
+def test_fields_of_structs_are_named_as_in_matlab(tmp_path: Path, save: Save) -> None:
+    data = content()
+    # As Simulink's "structure with time": signals are n x 1 x N.
+    signal = {"values": data["tau"].T[:, None, :]}
+    log = {"time": data["t"], "arm": {"q": data["q"], "dq": data["dq"]}, "tau": signal}
+    save(tmp_path / "run.mat", {"log": log})
+    columns = LogColumns(
+        t="log.time", q="log.arm.q{}", dq="log.arm.dq{}", tau=["log.tau.values1", "log.tau.values2"]
+    )
+    require_content(RobotLog.read(tmp_path / "run.mat", robot(columns)))
+
+
+def test_elements_of_a_struct_array_are_counted(tmp_path: Path) -> None:
+    data = content()
+    signals = np.empty(3, dtype=[("values", object)])
+    for k, name in enumerate(("q", "dq", "tau")):
+        signals[k]["values"] = data[name]
+    save_classic(tmp_path / "run.mat", {"out": {"time": data["t"], "signals": signals}})
+    names = {
+        name: f"out.signals({k}).values{{}}" for k, name in enumerate(("q", "dq", "tau"), start=1)
+    }
+    require_content(RobotLog.read(tmp_path / "run.mat", robot(LogColumns(t="out.time", **names))))
+
+
+@SAVES
+def test_vectors_of_one_joint_are_named_one_by_one(tmp_path: Path, save: Save) -> None:
+    data = {name: value[:, :1] for name, value in content().items()}
+    save(tmp_path / "run.mat", data)
+    columns = LogColumns(q=("q",), dq=("dq",), tau=("tau",))
+    log = RobotLog.read(tmp_path / "run.mat", robot(columns, ("a",)))
+    np.testing.assert_array_equal(log.tau, content()["tau"][:, :1])
+
+
+@SAVES
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda d: {"time": d["t"], "q": d["q"]},
+            r"run\.mat: column 't' is missing; it has (time \(40\), q \(40 x 2\)|"
+            r"q \(40 x 2\), time \(40\))\. Tables and timeseries of MATLAB cannot be read: save",
+        ),
+        (
+            lambda d: {"note": f"nothing but {', '.join(d)}"},
+            r"run\.mat: column 't' is missing; it has no numeric arrays\. Tables and timeseries",
+        ),
+        (
+            lambda d: {**d, "q": d["q"][:-1]},
+            r"run\.mat: column 'q1' is missing; it has .*tau1, tau2.*q \(39 x 2\)",
+        ),
+        (
+            lambda d: {**d, "dq": np.where(np.arange(N)[:, None] == 3, np.nan, d["dq"])},
+            r"run\.mat: column 'dq1', row 4: an empty cell or NaN where a finite number is needed",
+        ),
+        (
+            lambda d: {**d, "t": d["t"][::-1].copy()},
+            r"run\.mat: column 't', row 2: time must increase, but 0\.38 s follows 0\.39 s\.$",
+        ),
+    ],
+)
+def test_an_error_names_what_is_wrong(
+    tmp_path: Path, save: Save, change: Callable[[dict[str, Any]], dict[str, Any]], message: str
+) -> None:
+    save(tmp_path / "run.mat", change(content()))
+    with pytest.raises(LogError, match=message):
+        RobotLog.read(tmp_path / "run.mat", robot())
+
+
+@pytest.mark.parametrize("start", [b"", b"MATLAB 5.0", HEADER_7_3 + b"\x89HDF\r\n\x1a\n"])
+def test_what_is_not_a_matlab_file_is_refused(tmp_path: Path, start: bytes) -> None:
+    path = tmp_path / "run.mat"
+    with pytest.raises(LogError, match=r"run\.mat: no such log file\.$"):
+        RobotLog.read(path, robot())
+    if b"HDF" in start:
+        pytest.importorskip("h5py", reason="h5py is not installed: pip install 'hesr[matlab]'")
+    path.write_bytes(start + bytes(range(256)) * 4)
+    with pytest.raises(LogError, match=r"run\.mat: cannot be read as a MATLAB file\.$"):
+        RobotLog.read(path, robot())
+
+
+WRITTEN_BY_MATLAB = Path(scipy.io.__file__).parent / "matlab" / "tests" / "data"
+"""SciPy brings files that MATLAB wrote, of all versions, with objects, functions, broken ones."""
+
+
+@pytest.mark.filterwarnings("ignore::scipy.io.matlab.MatReadWarning")  # of those that are broken
+def test_files_that_matlab_wrote_are_read_or_refused_in_a_sentence() -> None:
+    pytest.importorskip("h5py", reason="h5py is not installed: pip install 'hesr[matlab]'")
+    files = sorted(WRITTEN_BY_MATLAB.glob("*.mat"))
+    if not files:
+        pytest.skip("this SciPy was installed without its tests")
+    assert len(files) > 50
+    for file in files:
+        with pytest.raises(LogError, match=r"(column 'nothing' is missing|cannot be read as)"):
+            read_matlab(file, time="nothing")
+    angles = np.linspace(0.0, 2 * np.pi, 9)
+    for file in (*WRITTEN_BY_MATLAB.glob("testdouble_*"), *WRITTEN_BY_MATLAB.glob("testhdf5_*")):
+        found = read_matlab(file, time="testdouble").numbers(["testdouble"])
+        np.testing.assert_allclose(found[:, 0], angles)
+
+
+def test_without_h5py_it_is_said_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "run.mat").write_bytes(HEADER_7_3 + b"\x89HDF\r\n\x1a\n")
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    message = (
+        r"run\.mat: is of MATLAB's version 7\.3, which needs the package h5py: "
+        r"pip install 'hesr\[matlab\]', or save it in MATLAB with the option '-v7'\.$"
+    )
+    with pytest.raises(LogError, match=message):
+        RobotLog.read(tmp_path / "run.mat", robot())

@@ -1,0 +1,135 @@
+"""Findings of the property battery: what is expected, and their file."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hesr_model.errors import ArtifactError
+from hesr_model.friction import expectations
+from hesr_model.friction.expectations import EXPECTATIONS
+from hesr_model.friction.properties import (
+    FORMAT,
+    Curve,
+    Figure,
+    Finding,
+    JointProperties,
+    Plot,
+    Properties,
+    read_properties,
+    write_properties,
+)
+
+Change = Callable[[dict[str, Any]], None]
+
+PLOT = Plot(x="x [m]", y="y [N]", curves=(Curve(label="one", x=(0.0, 0.1), y=(1.0, -2.5)),))
+
+
+def found(**changes: Finding) -> Properties:
+    """Findings on one joint: everything passes but what is given."""
+    figure = Figure(name="miss", value=0.1 + 0.2, unit="1")
+    passed = Finding(verdict="pass", figures=(figure,), plot=PLOT)
+    joint = JointProperties(
+        joint="elbow",
+        speed=1.2,
+        level=10.0,
+        deflection=1e-3,
+        inertia=None,
+        findings={key: changes.get(key, passed) for key in EXPECTATIONS},
+    )
+    return Properties(law="lugre", robot="arm", tau_load=-2.0, joints=(joint,))
+
+
+def test_every_expectation_says_who_expects_it_and_how_it_is_measured() -> None:
+    assert len(EXPECTATIONS) == 10
+    for key, e in EXPECTATIONS.items():
+        assert e.key == key
+        assert e.sources
+        for source in e.sources:
+            assert source.who
+            assert 1900 < source.year < 2030
+            assert source.title[0].isupper()
+        for text in (e.measured, e.expected):
+            assert text.endswith(".")
+        assert len(e.short) <= 6
+    for attribute in ("title", "short", "measured"):
+        assert len({getattr(e, attribute) for e in EXPECTATIONS.values()}) == 10
+
+
+@pytest.mark.parametrize(
+    ("key", "bound"),
+    [
+        ("presliding", f"{expectations.SMOOTH:.0%}"),
+        ("presliding", f"{expectations.RATE:.0%}"),
+        ("memory", f"{expectations.CLOSED:.0%}"),
+        ("breakaway", f"{expectations.FALLS:.0%}"),
+        ("lag", f"{expectations.WIDTH:.0%}"),
+        ("stick_slip", f"{expectations.WEAKENING:.0%}"),
+        ("dither", f"{1e6 * expectations.HELD:.0f} urad"),
+        ("hold", f"{1e6 * expectations.HELD:.0f} urad"),
+        ("chatter", f"{expectations.QUIET:.0%}"),
+        ("coupling", f"{1e3 * expectations.STEP:.0f} ms"),
+    ],
+)
+def test_the_bound_that_decides_is_the_one_that_is_said(key: str, bound: str) -> None:
+    assert bound in EXPECTATIONS[key].expected
+
+
+def test_findings_come_back_from_their_file_digit_by_digit(tmp_path: Path) -> None:
+    file = tmp_path / "properties.json"
+    failed = Finding(verdict="fail", figures=(Figure(name="miss", value=None, unit="1"),))
+    some = found(memory=failed, hold=Finding(verdict="not run", reason="No inertia."))
+    other = replace(found(), law="dahl")
+    write_properties(file, {"a": some, "b": other})
+    assert read_properties(file) == {"a": some, "b": other}
+    data = json.loads(file.read_text(encoding="utf-8"))
+    assert data["format"] == FORMAT
+    assert data["expectations"]["memory"]["sources"][0]["year"] == 1986
+
+
+def _without(key: str) -> Change:
+    def change(data: dict[str, Any]) -> None:
+        del data["laws"]["a"]["joints"][0]["findings"][key]
+
+    return change
+
+
+def _with(key: str, value: object) -> Change:
+    def change(data: dict[str, Any]) -> None:
+        data["laws"]["a"]["joints"][0]["findings"]["hold"][key] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (_without("hold"), "key 'hold' is missing."),
+        (
+            _with("verdict", "maybe"),
+            "not findings of the property battery (verdict is 'maybe').",
+        ),
+        (_with("figures", [1]), "not findings of the property battery ("),
+        (
+            lambda data: data.update(format="other"),
+            f"'format' is 'other', needed is '{FORMAT}'.",
+        ),
+    ],
+)
+def test_a_damaged_file_is_refused(change: Change, said: str, tmp_path: Path) -> None:
+    file = tmp_path / "properties.json"
+    write_properties(file, {"a": found()})
+    data = json.loads(file.read_text(encoding="utf-8"))
+    change(data)
+    file.write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(ArtifactError) as caught:
+        read_properties(file)
+    assert str(caught.value).startswith(f"{file}: {said}")
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ArtifactError, match=r"none\.json: no such file\."):
+        read_properties(tmp_path / "none.json")
