@@ -165,10 +165,10 @@ def _types(root: ET.Element, table: Interface) -> None:
         return
     definitions = ET.SubElement(root, "TypeDefinitions")
     for enumeration in enumerations.values():
+        choices = ", ".join(f"{i} = {text}" for i, (_, text) in enumerate(enumeration.items, 1))
         simple = ET.SubElement(definitions, "SimpleType", name=enumeration.name)
-        items = ET.SubElement(simple, "Enumeration")
-        for value, (name, text) in enumerate(enumeration.items, start=1):
-            ET.SubElement(items, "Item", name=name, value=str(value), description=text)
+        simple.set("description", choices)
+        ET.SubElement(simple, "Integer", min="1", max=str(len(enumeration.items)))
 
 
 def _scalar(variable: Variable, reference: int, table: Interface) -> ET.Element:
@@ -184,10 +184,18 @@ def _scalar(variable: Variable, reference: int, table: Interface) -> ET.Element:
         attributes["initial"] = initial
     element = ET.Element("ScalarVariable", attributes)
     if variable.enumeration:
+        # An Integer, since Maestro loads no FMU with an Enumeration and libcosim sets none. The
+        # choices stand in the text that tools show; `cosim.variables` finds their names there.
+        choices = ", ".join(
+            f"{i} = {name}" for i, (name, _) in enumerate(variable.enumeration.items, 1)
+        )
+        element.set("description", f"{variable.description}: {choices}")
         ET.SubElement(
             element,
-            "Enumeration",
+            "Integer",
             declaredType=variable.enumeration.name,
+            min="1",
+            max=str(len(variable.enumeration.items)),
             start=str(int(variable.start)),
         )
         return element

@@ -130,6 +130,7 @@ def _odd(twice: bool) -> str:
 def to_c(interface: Interface, guid: str) -> str:
     """Return interface.h: the GUID and the tables of variables of the C side."""
     rows = []
+    felt = {name for v in interface.variables if v.computed for name in v.dependencies}
     for variable in interface.variables:
         kind = (
             f"INTEGER, 1, {len(variable.enumeration.items)}"
@@ -137,7 +138,10 @@ def to_c(interface: Interface, guid: str) -> str:
             else "REAL, 0, 0"
         )
         start = literal(variable.start)
-        rows.append(f'    {{"{variable.name}", {start}, {variable.role.upper()}, {kind}}},')
+        counts = int(variable.role != "input" or variable.name in felt)
+        rows.append(
+            f'    {{"{variable.name}", {start}, {variable.role.upper()}, {kind}, {counts}}},'
+        )
     derivatives = interface.derivatives
     states = [interface.references[v.derivative_of or ""] for v in derivatives]
     nominals = [literal(interface.variables[i].nominal) for i in states]

@@ -100,9 +100,7 @@ def write_fmu(content: Content, path: Path, *, platforms: Sequence[str] = ("linu
     """
     wanted = check_request(path, platforms)
     table, about = content.table, content.about
-    sources = _sources(content)
-    guid = _guid(table, about, sources)
-    sources["interface.h"] = to_c(table, guid)
+    guid, sources = translation_unit(table, about, content.sources)
     members: dict[str, bytes] = {
         "modelDescription.xml": to_xml(table, about, guid),
         "documentation/licenses/license.txt": (_HERE / "templates/license.txt").read_bytes(),
@@ -123,15 +121,37 @@ def write_fmu(content: Content, path: Path, *, platforms: Sequence[str] = ("linu
     return path
 
 
+def translation_unit(
+    table: Interface, about: Description, own: Mapping[str, str]
+) -> tuple[str, dict[str, str]]:
+    """Return an FMU's GUID and the texts of all its C files by name; all.c includes the others.
+
+    Parameters
+    ----------
+    table : its variables.
+    about : what the description says of it.
+    own : the component's own files; see `Content.sources`.
+    """
+    sources = _sources(own)
+    guid = _guid(table, about, sources)
+    return guid, sources | {"interface.h": to_c(table, guid)}
+
+
 def write_archive(members: Mapping[str, bytes], path: Path, created: str) -> None:
     """Write an archive with members of one date, ISO 8601, if it is a valid FMU."""
     with written_whole(path) as temporary:
-        _zip(temporary, members, datetime.fromisoformat(created))
+        zip_members(temporary, members, created)
         _validate(temporary, path)
 
 
 def check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
-    """Return the wanted targets; refuses names before anything that takes time."""
+    """Return the wanted targets; refuses names before anything that takes time.
+
+    Raises
+    ------
+    ExportError
+        If the path does not end in .fmu, or a platform is unknown.
+    """
     if path.suffix != ".fmu":
         raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
     return targets(platforms)
@@ -149,8 +169,8 @@ def _link_flags(binary: Binary | None, target: Target) -> tuple[str, ...]:
     return (f"-isystem{binary.include}", str(binary.library), "-Wl,-rpath,$ORIGIN")
 
 
-def _sources(content: Content) -> dict[str, str]:
-    files = {name: own_source(name) for name in _GLUE} | dict(content.sources)
+def _sources(own: Mapping[str, str]) -> dict[str, str]:
+    files = {name: own_source(name) for name in _GLUE} | dict(own)
     parts = [name for name in files if name.endswith(".c")]
     files["all.c"] = _ALL_C + "".join(f'#include "{name}"\n' for name in parts)
     return files
@@ -166,7 +186,9 @@ def _guid(table: Interface, about: Description, sources: Mapping[str, str]) -> s
     return f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"
 
 
-def _zip(path: Path, members: Mapping[str, bytes], date: datetime) -> None:
+def zip_members(path: Path, members: Mapping[str, bytes], created: str) -> None:
+    """Write an archive with members of one date, ISO 8601: the same bytes every time."""
+    date = datetime.fromisoformat(created)
     with zipfile.ZipFile(path, "w") as archive:
         for name, content in members.items():
             entry = zipfile.ZipInfo(name, date.timetuple()[:6])

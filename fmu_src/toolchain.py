@@ -106,6 +106,25 @@ def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = 
     return parts[0] if len(parts) == 1 else universal(parts)
 
 
+# A module that is started by its host and imports nothing: the C library's functions that are used
+# need no operating system. Small, because it stands in a page.
+_WASM = ("-target", "wasm32-wasi", "-mexec-model=reactor", *CFLAGS, "-Oz", "-g0", "-s")
+
+
+def build_wasm(source: Path) -> bytes:
+    """Compile one translation unit to a WebAssembly module and return its bytes.
+
+    Raises
+    ------
+    ExportError
+        If the compiler fails, with the first line of what it says.
+    """
+    with tempfile.TemporaryDirectory(prefix="hesr-") as folder:
+        output = Path(folder, f"{source.stem}.wasm")
+        compile_c(source, _WASM, output)
+        return output.read_bytes()
+
+
 def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[str] = ()) -> None:
     """Run the compiler on one source file.
 

@@ -6,6 +6,27 @@ from fmu_src.description import Description
 from fmu_src.interface import Interface, Variable
 from fmu_src.package import Content, write_fmu
 
+LAGS = """
+name = "lags"
+step = 0.1
+stop = 1.0
+observe = ["a.y", "b.y"]
+
+[[components]]
+name = "a"
+fmu = "FMU"
+start = { u = 2.0, T = 0.5, x = 0.25 }
+
+[[components]]
+name = "b"
+fmu = "FMU"
+step = 0.2
+
+[connections]
+"b.u" = "a.y"
+"""
+"""A system of two of them; FMU stands for the file."""
+
 SOURCE = Path(__file__).with_name("fmu") / "lag.c"
 
 

@@ -47,7 +47,7 @@ class Simulation:
         self.reset()
 
     def reset(self, parameters: Mapping[str, float] | None = None) -> Array:
-        """Begin with these parameters, those left out as in `defaults`; return the outputs.
+        """Begin with these parameters, others as in `defaults`; return the outputs, see `outputs`.
 
         Raises
         ------
@@ -77,7 +77,7 @@ class Simulation:
         Parameters
         ----------
         inputs
-            In the order of the signals.
+            (inputs,) in the order of the signals and in their units.
         dt
             A positive integer multiple of the model's time step [s].
 
@@ -110,7 +110,7 @@ class Simulation:
         return self.outputs()
 
     def outputs(self) -> Array:
-        """Return the outputs at the present instant, in the order of the signals."""
+        """Return the outputs (outputs,) at this instant, in the signals' order and units."""
         data = self._data
         # Where contacts are solved by iteration, the present forces must not become the first guess
         # of the next step: outputs may be read any number of times.

@@ -54,11 +54,17 @@ enum {
  * wider than a solver is uncertain of where a zero lies, so no crossing is found twice. */
 static const double REST = 1e-9;
 
+/* Some hosts repeat a step that is refused, without another one in between, until somebody ends
+ * them. So often it is fmi2Discard, then an error. */
+enum { MOST_REFUSALS = 10 };
+
 /* All that GetFMUstate copies: it holds no pointers. */
 typedef struct {
     Component component;
     double slope[VARIABLES]; /* of inputs, for the next step only */
     double stop;             /* end of the experiment [s] */
+    double refused;          /* the step that was refused last [s] */
+    int refusals;            /* how many times, without another step in between */
     int type;                /* fmi2ModelExchange or fmi2CoSimulation */
     int mode;
     int sloped; /* whether any slope has been set */

@@ -38,6 +38,17 @@ static bool move(Memory *memory, void *workspace, double step, Message *why) {
     return component_step(&memory->component, workspace, step, why);
 }
 
+static fmi2Status refuse_step(Instance *instance, double step, const Message *why) {
+    Memory *memory = &instance->memory;
+    memory->refusals = step == memory->refused ? memory->refusals + 1 : 1;
+    memory->refused = step;
+    if (memory->refusals <= MOST_REFUSALS) {
+        return refuse(instance, "%s", why->text);
+    }
+    complain(instance, "%s This step has been asked for %d times.", why->text, memory->refusals);
+    return failed(instance);
+}
+
 FMI2_STATUS(fmi2DoStep)
 (fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_set_state_before) {
     Instance *instance = entered(c, MAY_STEP, "fmi2DoStep");
@@ -61,8 +72,9 @@ FMI2_STATUS(fmi2DoStep)
     memory->component.time = time;
     if (!move(memory, instance->workspace, step, &why)) {
         memory->stale = true;
-        return refuse(instance, "%s", why.text);
+        return refuse_step(instance, step, &why);
     }
+    memory->refusals = 0;
     memory->component.time = time + step;
     memory->stale = false;
     if (!all_finite(memory, &why)) {

@@ -9,8 +9,9 @@ static int settable(Role role) {
     case TUNABLE:
         return INSTANTIATED | INITIALISING | STEPPING | AT_EVENT;
     case FIXED:
-    case STATE:
         return INSTANTIATED | INITIALISING;
+    case STATE: /* one by one, too, where fmi2SetContinuousStates sets all: section 3.1 says so */
+        return INSTANTIATED | INITIALISING | AT_EVENT | CONTINUOUS;
     default:
         return 0;
     }
@@ -118,8 +119,8 @@ FMI2_STATUS(fmi2SetReal)
     }
     for (size_t i = 0; i < n; i++) {
         instance->memory.component.v[vr[i]] = value[i];
+        instance->memory.stale |= variables[vr[i]].felt;
     }
-    instance->memory.stale = true;
     return fmi2OK;
 }
 
@@ -144,8 +145,8 @@ FMI2_STATUS(fmi2SetInteger)
     }
     for (size_t i = 0; i < n; i++) {
         instance->memory.component.v[vr[i]] = value[i];
+        instance->memory.stale |= variables[vr[i]].felt;
     }
-    instance->memory.stale = true;
     return fmi2OK;
 }
 

@@ -11,6 +11,7 @@
 
 #include "component_alone.h"
 #include "laws.h"
+#include "relax.h"
 
 /* What the component remembers besides its variables. */
 enum {
@@ -18,35 +19,6 @@ enum {
     USED = 1,      /* the inputs that were held over it */
     HELD = USED + JOINTS * INPUTS_OF_JOINT,
 };
-
-/* Below this the series of phi is exact to double precision and the quotient is not; the same
- * number as in hesr_model.friction.evaluate. */
-#define PHI_SERIES_BELOW 1e-3
-
-/* (1 - exp(-z)) / z, continued by phi(0) = 1; e is expm1(-z). */
-static double phi(double z, double e) {
-    if (fabs(z) < PHI_SERIES_BELOW) {
-        return 1.0 - z / 2.0 * (1.0 - z / 3.0 * (1.0 - z / 4.0 * (1.0 - z / 5.0)));
-    }
-    return -e / z;
-}
-
-static double derivative_of_phi(double z, double e) {
-    if (fabs(z) < PHI_SERIES_BELOW) {
-        return -1.0 / 2.0 + z * (1.0 / 3.0 - z * (1.0 / 8.0 - z * (1.0 / 30.0 - z / 144.0)));
-    }
-    return (1.0 + e - phi(z, e)) / z;
-}
-
-/* Advance x' = b - r x by dt [s] with b and r held: exactly, or by an Euler step (eq. 10). */
-static double relax(double x, double b, double r, double dt, bool euler) {
-    const double z = r * dt;
-    if (euler) {
-        return (1.0 - z) * x + b * dt;
-    }
-    const double e = expm1(-z);
-    return (1.0 + e) * x + b * dt * phi(z, e);
-}
 
 /* All that a law is evaluated at. */
 typedef struct {
@@ -96,26 +68,6 @@ static bool component_output(Component *component, void *workspace, Message *why
     return true;
 }
 
-/* Whether a state can move by a step. */
-static bool can_move(const Place *at, int joint, int state, double rate, double step, bool euler,
-                     Message *why) {
-    const double z = rate * step;
-    if (!(z >= 0.0)) {
-        snprintf(why->text, sizeof why->text,
-                 "%s: the relaxation rate is %g 1/s at %s = %g; it must not be negative.",
-                 variables[state].name, rate, variables[DQ + joint].name, at->u[0]);
-        return false;
-    }
-    if (euler && !(z < 1.0)) {
-        snprintf(why->text, sizeof why->text,
-                 "%s: Euler needs rate * step < 1 but found %g at %s = %g; take a smaller "
-                 "step or the exact discretisation.",
-                 variables[state].name, z, variables[DQ + joint].name, at->u[0]);
-        return false;
-    }
-    return true;
-}
-
 static bool component_step(Component *component, void *workspace, double step, Message *why) {
     const bool euler = component->v[DISCRETISATION] == EULER;
     double drive[JOINTS][MAX_STATES], rate[JOINTS][MAX_STATES];
@@ -124,7 +76,8 @@ static bool component_step(Component *component, void *workspace, double step, M
         const Place at = place_of(component, i);
         at.joint->relaxations(at.k, at.u, at.s, drive[i], rate[i]);
         for (int j = 0; j < at.joint->states; j++) {
-            if (!can_move(&at, i, at.joint->first_state + j, rate[i][j], step, euler, why)) {
+            const char *state = variables[at.joint->first_state + j].name;
+            if (!can_relax(state, rate[i][j], step, euler, variables[DQ + i].name, at.u[0], why)) {
                 return false;
             }
         }
@@ -137,23 +90,12 @@ static bool component_step(Component *component, void *workspace, double step, M
             component->own[USED + i * INPUTS_OF_JOINT + j] = at.u[j];
         }
         for (int j = 0; j < at.joint->states; j++) {
-            x[j] = relax(x[j], drive[i][j], rate[i][j], step, euler);
+            const Decay over = decay(rate[i][j], step, euler);
+            x[j] = relax(x[j], drive[i][j], &over);
         }
         evaluate(component, i, &at, drive[i], rate[i]);
     }
     return true;
-}
-
-/* Derivative of a state that a step has just reached with respect to what its drive and rate depend
- * on; the state before the step is recovered from the one after it. */
-static double tangent_of_relax(double x, double b, double r, double db, double dr, double dt,
-                               bool euler) {
-    const double z = r * dt, dz = dr * dt;
-    if (euler) {
-        return db * dt - (x - b * dt) / (1.0 - z) * dz;
-    }
-    const double e = expm1(-z);
-    return db * dt * phi(z, e) - (x - b * dt * phi(z, e) - b * dt * derivative_of_phi(z, e)) * dz;
 }
 
 /* d tau / d dq of a joint, with the states following as they did in the last step. */
@@ -176,7 +118,8 @@ static double slope_of_step(const Component *component, int i) {
         joint->relaxations(at.k, used, s, drive, rate);
         joint->relaxations_tangent(at.k, used, s, no_change, du, d_drive, d_rate);
         for (int j = 0; j < joint->states; j++) {
-            d_x[j] = tangent_of_relax(x[j], drive[j], rate[j], d_drive[j], d_rate[j], step, euler);
+            const Decay over = decay(rate[j], step, euler);
+            d_x[j] = tangent_of_relax(x[j], drive[j], d_drive[j], d_rate[j], &over);
         }
     }
     joint->relaxations(at.k, at.u, at.s, drive, rate);

@@ -23,6 +23,7 @@ typedef struct {
     Role role;
     Type type;
     int low, high; /* bounds of an INTEGER */
+    int felt;      /* whether what is computed depends on it directly */
 } Variable;
 
 #endif

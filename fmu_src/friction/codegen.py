@@ -8,7 +8,12 @@ Each distinct form becomes five functions,
     relaxations_tangent, torque_tangent        their derivatives along dk, du, (tx, tdx)
 
 over its coefficients k, the inputs u = (dq, q, tau_load), the held signs s, the states x and their
-derivatives dx.
+derivatives dx. A solver inside an FMU, which wants values and derivatives of the same place, gets
+three that share what both have in common,
+
+    switches(k, u, z)
+    relaxations(k, u, s, du, drive, rate, d_drive, d_rate)
+    torque(k, u, s, x, dx, du, tx, tdx, slope)
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -100,6 +105,50 @@ class _Arguments:
         return sympy.Add(*(expression.diff(symbol) * self.seeds[symbol] for symbol in used))
 
 
+@dataclass(frozen=True)
+class _Lowered:
+    """A form with held signs, and what its functions read."""
+
+    bends: tuple[sympy.Expr, ...]
+    moving: Mapping[str, sympy.Expr]
+    """Drive and rate of every state, by where they are written."""
+    torque: sympy.Expr
+    inner: _Arguments
+    """Coefficients and inputs."""
+    smooth: _Arguments
+    """These and the held signs."""
+    outer: _Arguments
+    """These, the states and their derivatives."""
+
+
+def _lowered(form: LawForm, *, tunable: bool) -> _Lowered:
+    """Return a form with held signs; `tunable` says whether tangents follow the coefficients."""
+    bends = switches(form)
+    signs = [sympy.Dummy(f"{i}", real=True) for i, _ in enumerate(bends, start=1)]
+    held = {sgn(e): s for e, s in zip(bends, signs, strict=True)}
+    held |= {absolute(e): s * e for e, s in zip(bends, signs, strict=True)}
+    inner = _Arguments().plus((c.symbol for c in form.coefficients), "k", "dk" if tunable else "")
+    inner = inner.plus(INPUTS, "u", "du")
+    smooth = inner.plus(signs, "s", "")
+    outer = smooth.plus((r.state for r in form.relaxations), "x", "tx")
+    return _Lowered(
+        bends=bends,
+        moving={
+            f"{kind}[{i}]": expression.xreplace(held)
+            for i, r in enumerate(form.relaxations)
+            for kind, expression in (("drive", r.drive), ("rate", r.rate))
+        },
+        torque=form.output.xreplace(held),
+        inner=inner,
+        smooth=smooth,
+        outer=outer.plus((r.derivative for r in form.relaxations), "dx", "tdx"),
+    )
+
+
+_Function = tuple[str, str, _Arguments, Mapping[str, sympy.Expr], str, str]
+"""What it returns and is called, its arguments, what it computes, what it reads and writes."""
+
+
 def law_functions(form: LawForm, name: str, *, tunable: bool = True) -> str:
     """Return the C functions of a form, called `{name}_relaxations` and so on.
 
@@ -114,30 +163,41 @@ def law_functions(form: LawForm, name: str, *, tunable: bool = True) -> str:
     ExportError
         If an expression has a function that C does not have.
     """
-    bends = switches(form)
-    signs = [sympy.Dummy(f"{i}", real=True) for i, _ in enumerate(bends, start=1)]
-    held = {sgn(e): s for e, s in zip(bends, signs, strict=True)}
-    held |= {absolute(e): s * e for e, s in zip(bends, signs, strict=True)}
-    inner = _Arguments().plus((c.symbol for c in form.coefficients), "k", "dk" if tunable else "")
-    inner = inner.plus(INPUTS, "u", "du")
-    smooth = inner.plus(signs, "s", "")
-    outer = smooth.plus((r.state for r in form.relaxations), "x", "tx")
-    outer = outer.plus((r.derivative for r in form.relaxations), "dx", "tdx")
-    moving = {
-        f"{kind}[{i}]": expression.xreplace(held)
-        for i, r in enumerate(form.relaxations)
-        for kind, expression in (("drive", r.drive), ("rate", r.rate))
-    }
-    torque = form.output.xreplace(held)
-    functions = (
-        ("void", "switches", inner, {f"z[{i}]": e for i, e in enumerate(bends)}, "k u", "z"),
-        ("void", "relaxations", smooth, moving, "k u s", "drive rate"),
-        ("double", "torque", outer, {"return": torque}, "k u s x dx", ""),
-        ("void", "relaxations_tangent", smooth,
-         {place: smooth.tangent(e) for place, e in moving.items()}, "k u s dk du", "drive rate"),
-        ("double", "torque_tangent", outer, {"return": outer.tangent(torque)},
-         "k u s x dx dk du tx tdx", ""),
-    )  # fmt: skip
+    own = _lowered(form, tunable=tunable)
+    tangents = {place: own.smooth.tangent(e) for place, e in own.moving.items()}
+    slope = {"return": own.outer.tangent(own.torque)}
+    return _written(
+        name,
+        _switches(own),
+        ("void", "relaxations", own.smooth, own.moving, "k u s", "drive rate"),
+        ("double", "torque", own.outer, {"return": own.torque}, "k u s x dx", ""),
+        ("void", "relaxations_tangent", own.smooth, tangents, "k u s dk du", "drive rate"),
+        ("double", "torque_tangent", own.outer, slope, "k u s x dx dk du tx tdx", ""),
+    )
+
+
+def law_functions_with_slopes(form: LawForm, name: str) -> str:
+    """Return C functions of a form that give values and derivatives at once, for a solver.
+
+    Parameters and errors are those of `law_functions`; coefficients do not change here.
+    """
+    own = _lowered(form, tunable=False)
+    both = own.moving | {f"d_{place}": own.smooth.tangent(e) for place, e in own.moving.items()}
+    torque = {"slope[0]": own.outer.tangent(own.torque), "return": own.torque}
+    return _written(
+        name,
+        _switches(own),
+        ("void", "relaxations", own.smooth, both, "k u s du", "drive rate d_drive d_rate"),
+        ("double", "torque", own.outer, torque, "k u s x dx du tx tdx", "slope"),
+    )
+
+
+def _switches(own: _Lowered) -> _Function:
+    targets = {f"z[{i}]": e for i, e in enumerate(own.bends)}
+    return ("void", "switches", own.inner, targets, "k u", "z")
+
+
+def _written(name: str, *functions: _Function) -> str:
     lines: list[str] = []
     for kind, function, arguments, targets, reads, writes in functions:
         pointers = [f"const double *{p}" for p in reads.split()]

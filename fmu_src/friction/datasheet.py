@@ -8,7 +8,8 @@ import numpy as np
 from fmu_src.friction.reference import UNKNOWN_SPEED
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, errors, torques
 from hesr_model.errors import SimulationError
-from hesr_model.friction.audit import ENCODER, REACH, Audit, audit
+from hesr_model.friction.audit import REACH, Audit, audit
+from hesr_model.friction.cycles import ENCODER
 from hesr_model.friction.evaluate import Array
 from hesr_model.friction.functions import INPUTS, lowered
 from hesr_model.friction.law import FrictionLaw, FrictionModel

@@ -1,19 +1,19 @@
 """documentation/index.html of a friction FMU: its data sheet."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import Any
-
-import jinja2
 
 from fmu_src.description import Description
 from fmu_src.friction import datasheet
 from fmu_src.friction.codegen import switches
-from fmu_src.friction.component import DISCRETISATION, exposed
+from fmu_src.friction.component import DISCRETISATION
 from fmu_src.friction.datasheet import figure
 from fmu_src.friction.mathml import equations, symbol
+from fmu_src.friction.place import exposed
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import SETTINGS, Error
+from fmu_src.html import rendered
 from fmu_src.interface import Interface
 from hesr_model.errors import HesrError
 from hesr_model.friction.equation import equations as equations_with_numbers
@@ -27,38 +27,49 @@ _NO_DATE = "1980-01-01"  # stands for none in archives
 _RANGES = {**INPUT_UNITS, "tau": "N.m"}
 
 
-def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
+def to_html(
+    model: FrictionModel,
+    table: Interface,
+    about: Description,
+    *,
+    live: str = "",
+    properties: str = "",
+) -> str:
     """Return the page.
 
-    It needs nothing but itself and `model.png` beside its folder: no script, no font, no network.
+    It needs nothing but itself and `model.png` beside its folder: no font, no network, and no
+    script but that of its live section.
+
+    Parameters
+    ----------
+    model, table, about : of the FMU.
+    live : HTML of `live.page`, if the page shall have such a section.
+    properties : HTML of `properties_sheet.section`, likewise.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parents[1] / "templates"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
     used = {symbol for law in model.laws for symbol in law.form.inputs}
     start = table.variables[table.references["discretisation"]].start
-    return environment.get_template("index.html.j2").render(
+    return rendered(
+        "index.html.j2",
         about=about,
         dated=not about.created.startswith(_NO_DATE),
         model=model,
-        titles=list(dict.fromkeys(_title(law) for law in model.laws)),
+        live=live,
+        properties=properties,
+        titles=list(dict.fromkeys(title(law) for law in model.laws)),
         unused=[f"{symbol.name}[i]" for symbol in INPUTS if symbol not in used],
         discretisation=DISCRETISATION.items[int(start) - 1][0],
         joints=[
             _joint(joint, name, law)
             for joint, (name, law) in enumerate(zip(model.joints, model.laws, strict=True), start=1)
         ],
-        training=_training(model.provenance),
+        training=training(model.provenance),
         trained_rows=_trained_rows(model.trained),
         **_measured(model),
     )
 
 
-def _title(law: FrictionLaw) -> str:
+def title(law: FrictionLaw) -> str:
+    """Return what the registry calls a law, or its own name."""
     known = registry()
     return known[law.name].title if law.name in known else law.name
 
@@ -109,7 +120,7 @@ def _rows(law: FrictionLaw, joint: int) -> list[dict[str, str]]:
     ]
 
 
-def _training(provenance: Mapping[str, Any]) -> dict[str, Any]:
+def training(provenance: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the model says of where it comes from; names of files without their folders."""
     files = [f for f in provenance.get("files") or () if isinstance(f, Mapping)]
     versions = provenance.get("versions") or {}

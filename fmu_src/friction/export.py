@@ -4,27 +4,39 @@ import json
 import os
 import re
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from fmu_src.description import Description
 from fmu_src.friction.component import interface, laws_to_c
 from fmu_src.friction.documentation import to_html
 from fmu_src.friction.embedded import EMBEDDED_MODEL
 from fmu_src.friction.pictures import model_png
+from fmu_src.friction.properties_sheet import section
 from fmu_src.friction.reference import reference_files
-from fmu_src.package import Content, check_request, own_source, write_fmu
+from fmu_src.interface import Interface
+from fmu_src.live.page import live_assets, live_section
+from fmu_src.live.section import live_data
+from fmu_src.live.wasm import wasm
+from fmu_src.package import Content, check_request, own_source, translation_unit, write_fmu
 from hesr_model.artifacts import model_to_json
 from hesr_model.errors import ExportError
 from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.properties import Properties
 
 # The dates that a ZIP archive can hold; the first also stands for no date.
 _FIRST_DATE, _LAST_DATE = datetime(1980, 1, 1, tzinfo=UTC), datetime(2107, 12, 31, tzinfo=UTC)
 
 
 def export_fmu(
-    model: FrictionModel, path: Path, *, platforms: Sequence[str] = ("linux64",)
+    model: FrictionModel,
+    path: Path,
+    *,
+    platforms: Sequence[str] = ("linux64",),
+    properties: Properties | None = None,
 ) -> Path:
     """Write a friction model as an FMI 2.0 FMU for co-simulation and model exchange.
 
@@ -36,6 +48,7 @@ def export_fmu(
     model : one law for each joint.
     path : the FMU to write, ending in .fmu.
     platforms : names of `toolchain.TARGETS`, or "all".
+    properties : what the property battery found on the model, for the documentation.
 
     Returns
     -------
@@ -49,36 +62,79 @@ def export_fmu(
         If `path` cannot be written.
     """
     check_request(path, platforms)
-    return write_fmu(content(model), path, platforms=platforms)
+    return write_fmu(content(model, properties), path, platforms=platforms)
 
 
-def content(model: FrictionModel) -> Content:
+def export_bare(model: FrictionModel, path: Path) -> Path:
+    """Write the same FMU for linux64 without its documentation, to try the law in.
+
+    Arguments and errors are those of `export_fmu`.
+    """
+    table, about, sources = _component(model)
+    return write_fmu(Content(table=table, about=about, sources=sources, members={}), path)
+
+
+def live_of(model: FrictionModel) -> dict[str, Any]:
+    """Return the data of a model's live section, for pages besides the one in its FMU.
+
+    Raises
+    ------
+    ExportError
+        If the model cannot be expressed in C or FMI, or the compiler fails.
+    """
+    table, about, sources = _component(model)
+    return live_data(model, table, wasm(translation_unit(table, about, sources)[1]))
+
+
+def content(model: FrictionModel, properties: Properties | None = None) -> Content:
     """Return the FMU of a friction model, before it is compiled."""
-    table = interface(model)
-    about = Description(
-        name=f"Friction of {model.robot} by {model.law}",
-        identifier=re.sub(r"\W", "_", f"friction_{model.law}", flags=re.ASCII),
-        text=f"Joint friction torque of {len(model.joints)} joints from their motion.",
-        version=version("hesr"),
-        created=_created(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        step=model.sample_time,
-        sources=("all.c",),
-    )
-    sources = {name: own_source(name) for name in ("friction.c", "law_math.h")}
+    table, about, sources = _component(model)
+    with ThreadPoolExecutor(max_workers=1) as pool:
+        # The compiler is a process of its own; the picture is drawn beside it.
+        module = pool.submit(wasm, translation_unit(table, about, sources)[1])
+        picture = model_png(model)
+        live = live_section(live_data(model, table, module.result())) + live_assets()
     return Content(
         table=table,
         about=about,
-        sources=sources | {"laws.h": laws_to_c(model, table)},
+        sources=sources,
         members={
-            "model.png": model_png(model),
-            "documentation/index.html": to_html(model, table, about).encode(),
+            "model.png": picture,
+            "documentation/index.html": to_html(
+                model, table, about, live=live, properties=section(properties) if properties else ""
+            ).encode(),
             EMBEDDED_MODEL: (json.dumps(model_to_json(model), indent=2) + "\n").encode(),
             **reference_files(model, about.identifier),
         },
     )
 
 
-def _created(model: FrictionModel) -> datetime:
+def _component(model: FrictionModel) -> tuple[Interface, Description, dict[str, str]]:
+    """Return the variables, the description and the own C files of a model's FMU."""
+    table = interface(model)
+    about = Description(
+        name=f"Friction of {model.robot} by {model.law}",
+        identifier=re.sub(r"\W", "_", f"friction_{model.law}", flags=re.ASCII),
+        text=f"Joint friction torque of {len(model.joints)} joints from their motion.",
+        version=version("hesr"),
+        created=date_of(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        step=model.sample_time,
+        sources=("all.c",),
+    )
+    sources = {name: own_source(name) for name in ("friction.c", "law_math.h", "relax.h")}
+    return table, about, sources | {"laws.h": laws_to_c(model, table)}
+
+
+def date_of(model: FrictionModel) -> datetime:
+    """Return the date in the FMU of a model.
+
+    That of SOURCE_DATE_EPOCH, else that of the provenance ("created"), else a fixed one.
+
+    Raises
+    ------
+    ExportError
+        If what is there is no date.
+    """
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     created = model.provenance.get("created")
     date = _FIRST_DATE

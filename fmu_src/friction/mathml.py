@@ -4,6 +4,7 @@ A formula comes as several `math` elements, one for each term of a sum, so that 
 break the line between them.
 """
 
+from collections.abc import Mapping
 from html import escape
 from typing import Any
 
@@ -15,6 +16,8 @@ from hesr_model.friction.law import FrictionLaw, LawForm
 
 MOST_TERMS = 12
 """Longer sums, as of networks, are shown by their first terms and their last one."""
+
+_DIGITS = 4
 
 _GREEK = {
     "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "kappa": "κ", "lambda": "λ", "mu": "μ",
@@ -33,9 +36,15 @@ _BETTER = {
 }
 
 
-def equations(law: FrictionLaw) -> list[str]:
-    """Return the torque and then each state's derivative as MathML, without numbers."""
-    printer = _Printer(law.form)
+def equations(law: FrictionLaw, *, numbers: bool = False) -> list[str]:
+    """Return the torque and then each state's derivative as MathML.
+
+    Parameters
+    ----------
+    law : whose equations.
+    numbers : whether coefficients are shown by their values, to four digits, not by their names.
+    """
+    printer = _Printer(law.form, law.values if numbers else {})
     lines = [[f"{_name('tau')}{_EQUALS}", *printer.terms(law.form.output)]]
     for r in law.form.relaxations:
         state, rate = _name(r.name), printer.text(r.rate)
@@ -63,8 +72,13 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
     then inputs.
     """
 
-    def __init__(self, form: LawForm) -> None:
+    def __init__(self, form: LawForm, values: Mapping[str, float]) -> None:
         super().__init__()
+        self._values = {
+            c.symbol: sympy.Float(f"{values[c.name]:.{_DIGITS}g}")
+            for c in form.coefficients
+            if c.name in values
+        }
         written = {c.symbol: _name(c.name) for c in form.coefficients}
         for r in form.relaxations:
             written |= {r.derivative: _dotted(_name(r.name)), r.state: _name(r.name)}
@@ -91,7 +105,8 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
 
     def _readable(self, expression: sympy.Expr) -> sympy.Expr:
         # A function of another class is not moved below the fraction line where it falls.
-        return expression.xreplace(self._replaced).replace(sympy.exp, _EXP)
+        shown = expression.xreplace(self._values).xreplace(self._replaced)
+        return shown.replace(sympy.exp, _EXP)
 
     def _text(self, expression: sympy.Expr) -> str:
         written: str = self._print(expression).toxml()
@@ -107,7 +122,17 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
         return self._element("mi", sym.name)
 
     def _print_Float(self, expr: sympy.Float) -> Any:
-        return self._element("mn", f"{float(expr):.12g}")
+        # Numbers that SymPy has multiplied have more digits than were put in.
+        text = f"{float(expr):.{_DIGITS if self._values else 12}g}"
+        if "e" not in text:
+            return self._element("mn", text)
+        mantissa, exponent = text.split("e")
+        power = self.dom.createElement("msup")
+        power.appendChild(self._element("mn", "10"))
+        power.appendChild(self._element("mn", str(int(exponent)).replace("-", "−")))
+        if mantissa == "1":
+            return power
+        return self._row(self._element("mn", mantissa), self._element("mo", "×"), power)
 
     def _print_sgn(self, expr: sympy.Expr) -> Any:
         return self._applied("sgn", expr)

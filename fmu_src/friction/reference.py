@@ -92,7 +92,7 @@ def _of_joint(
 ) -> tuple[Array, Array, Array]:
     """Return (dq, q, tau_load) of one joint; `rate` is in rad/s, `angle` at t = 0 in rad."""
     grown = 0.5 - 0.5 * np.cos(np.pi * np.minimum(t / lead_in, 1.0)) if lead_in else 1.0
-    dq = _speed(trained) * grown * np.sin(rate * t + angle)
+    dq = trained_speed(trained) * grown * np.sin(rate * t + angle)
     q = cumulative_simpson(dq, x=t, initial=0.0)
     q += (trained.middle if trained else 0.0) - 0.5 * (q.min() + q.max())
     low, high = trained.tau_load if trained else (0.0, 0.0)
@@ -101,7 +101,8 @@ def _of_joint(
     return dq, q, load
 
 
-def _speed(trained: TrainedRange | None) -> float:
+def trained_speed(trained: TrainedRange | None) -> float:
+    """Return the largest speed that was trained both ways, or `UNKNOWN_SPEED` [rad/s]."""
     if trained is None:
         return UNKNOWN_SPEED
     both_ways = min(-trained.dq[0], trained.dq[1])

@@ -44,7 +44,7 @@ class Motion:
     tau_load: Array
 
     def by_joint(self) -> Iterator[tuple[Array, Array, Array]]:
-        """Yield (dq, q, tau_load) of each joint, each (N,)."""
+        """Yield (dq, q, tau_load) of each joint, each (N,) [rad/s, rad, N.m]."""
         return zip(self.dq.T, self.q.T, self.tau_load.T, strict=True)
 
 
@@ -86,7 +86,7 @@ def torques(model: FrictionModel, motion: "Motion", setting: str, *, substeps: i
 
 
 def errors(motion: "Motion", torque: Array, truth: Array) -> tuple[Error, ...]:
-    """Return the error of each joint's torque, both (N, n) [N.m]."""
+    """Return the error of each joint's torque against the truth, both (N, n) [N.m]."""
     found = []
     for dq, difference in zip(motion.dq.T, (torque - truth).T, strict=True):
         near = near_reversals(motion.t, dq)

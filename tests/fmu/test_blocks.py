@@ -140,7 +140,7 @@ def test_trajectories_can_begin_after_a_rest(fmus: Mapping[str, Path], name: str
 
 
 def test_motions_that_the_fmu_cannot_make() -> None:
-    with pytest.raises(ExportError, match=r"kind 'Reversed' cannot be made by the FMU"):
+    with pytest.raises(ExportError, match=r"kind 'Reversed' cannot be made by the FMU\."):
         start_values(Reversed(forward=MOTIONS["sweep"]))
     many = random_fourier(
         seed=1, harmonics=HARMONICS + 1, period=9.0, peak_velocity=PEAK + 1, offset=OFFSET

@@ -128,7 +128,7 @@ def test_equal_forms_are_written_once(make_law, make_model):
 
 def test_functions_without_a_counterpart_in_c_are_refused():
     form = LawForm(coefficients=(), output=sympy.besselj(0, DQ))
-    with pytest.raises(ExportError, match=r"besselj\(0, dq\)' has no counterpart in C"):
+    with pytest.raises(ExportError, match=r"besselj\(0, dq\)' has no counterpart in C\."):
         law_functions(form, "law")
 
 
@@ -138,11 +138,16 @@ def test_table_of_variables():
         variables=(
             Variable(name="u[1]", role="input", description="", unit="rad", start=0.1),
             Variable(name="kind", role="fixed", description="", enumeration=choice, start=2),
+            Variable(name="held", role="input", description="", unit="rad"),
+            Variable(
+                name="y", role="output", description="", unit="rad", dependencies=("u[1]", "kind")
+            ),
         )
     )
     text = to_c(table, "{guid}")
-    assert '{"u[1]", 0.10000000000000001, INPUT, REAL, 0, 0},' in text
-    assert '{"kind", 2.0, FIXED, INTEGER, 1, 2},' in text
+    assert '{"u[1]", 0.10000000000000001, INPUT, REAL, 0, 0, 1},' in text
+    assert '{"kind", 2.0, FIXED, INTEGER, 1, 2, 1},' in text
+    assert '{"held", 0.0, INPUT, REAL, 0, 0, 0},' in text  # no output is older for it
     assert '#define MODEL_GUID "{guid}"' in text
 
 

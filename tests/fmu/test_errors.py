@@ -4,8 +4,11 @@ import ctypes
 import math
 
 import pytest
+from fmpy import simulate_fmu
+from fmpy.fmi1 import FMICallException
 
-from fmu_src import export_fmu
+from fmu_src import export_fmu, model_file
+from hesr_model.artifacts import read_model
 
 OK, DISCARD, ERROR = 0, 2, 3
 
@@ -83,6 +86,30 @@ def test_euler_with_a_step_that_is_too_long(binary):
     outputs = ("dq[1]", "h[1]", "der(h[1])", "tau[1]", "dtau_ddq[1]")
     assert binary.get(c, *outputs) == binary.get(other, *outputs)
     assert binary.get(c, "dq[1]") == [pytest.approx(0.4 + 0.5 * 0.005)]
+
+
+def test_a_step_that_is_refused_again_and_again(binary):
+    """Hosts that repeat it would not end; those that try another one go on."""
+    text = (
+        "h[1]: Euler needs rate * step < 1 but found 1.137 at dq[1] = 0; take a smaller step or "
+        "the exact discretisation."
+    )
+    c = binary.ready()
+    for step in (0.1, 0.11, 0.1):
+        for _ in range(10):
+            assert binary.step(c, 0.0, step) == DISCARD
+    binary.messages.clear()
+    assert binary.step(c, 0.0, 0.1) == ERROR
+    assert_failed(binary, c, f"{text} This step has been asked for 11 times.")
+
+
+def test_fmpy_ends_where_every_step_is_refused(tmp_path):
+    fmu = export_fmu(read_model(model_file("uf850-table1")), tmp_path / "Friction.fmu")
+    told = []
+    with pytest.raises(FMICallException):
+        simulate_fmu(str(fmu), output_interval=0.1, stop_time=1.0, fmi_type="CoSimulation",
+                     logger=lambda *message: told.append(message[-1]))  # fmt: skip
+    assert told[-1].endswith(b"This step has been asked for 11 times.")
 
 
 def test_a_rate_that_is_negative(binary):

@@ -2,11 +2,19 @@
 
 from dataclasses import replace
 
+import mujoco
+import numpy as np
 import pytest
 import sympy
 
 from fmu_src import export_fmu
-from hesr_model.errors import ExportError
+from fmu_src.arm.native import arm, export_mjcf
+from fmu_src.arm.signals import signals_of
+from fmu_src.friction.datasheet import costs
+from fmu_src.friction.settings import Motion
+from fmu_src.package import write_fmu
+from hesr_model.errors import ExportError, SimulationError
+from hesr_model.files import models_folder
 from hesr_model.friction.functions import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
 
@@ -36,3 +44,39 @@ def test_states_that_are_named_as_the_output(make_model, tmp_path):
     law = FrictionLaw(name="odd", form=form, values={})
     with pytest.raises(ExportError, match=r"'tau\[1\]' is used twice"):
         export_fmu(make_model(law), tmp_path / "F.fmu")
+
+
+def test_a_torque_that_is_not_finite_has_no_data_sheet(make_model):
+    own = Coefficient(name="c", unit="s/rad", description="far too steep")
+    form = LawForm(coefficients=(own,), output=sympy.exp(own.symbol * DQ))
+    law = FrictionLaw(name="odd", form=form, values={"c": 1e4})
+    t = 0.01 * np.arange(100)
+    dq = np.sin(t)[:, None]
+    motion = Motion(t=t, dq=dq, q=np.zeros_like(dq), tau_load=np.zeros_like(dq))
+    with np.errstate(over="ignore", invalid="ignore"), pytest.raises(SimulationError) as caught:
+        costs(make_model(law), motion)
+    assert str(caught.value) == "the torque is not finite on this motion."
+
+
+ARM = models_folder() / "uf850" / "uf850.xml"
+
+
+def test_an_arm_is_for_the_platform_of_its_library_only(tmp_path):
+    content = arm(signals_of(ARM), name="UF850", source=ARM.read_bytes())
+    with pytest.raises(ExportError) as caught:
+        write_fmu(content, tmp_path / "Arm.fmu", platforms=("win64",))
+    library = f"libmujoco.so.{mujoco.__version__}"
+    assert str(caught.value) == (
+        f"platform 'win64': this FMU carries {library}, which is for linux64 only."
+    )
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_arm_needs_the_library_of_its_platform(tmp_path, monkeypatch):
+    monkeypatch.setattr(mujoco, "__file__", str(tmp_path / "mujoco" / "__init__.py"))
+    with pytest.raises(ExportError) as caught:
+        export_mjcf(ARM, tmp_path / "Arm.fmu")
+    assert str(caught.value) == (
+        "the installed MuJoCo has no library for linux64, the only platform of native arms."
+    )
+    assert not list(tmp_path.iterdir())

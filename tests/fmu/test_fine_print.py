@@ -133,14 +133,18 @@ def test_declared_dependencies_are_those_of_the_binary(root, fmu):
 
 
 def test_choice_of_the_integration(root):
-    (choice,) = (v for v in scalars(root) if v[0].tag == "Enumeration")
+    """An Integer: Maestro 3.1.1 loads no FMU with an Enumeration, libcosim sets none."""
+    assert "Enumeration" not in {v[0].tag for v in scalars(root)}
+    (choice,) = (v for v in scalars(root) if v[0].tag == "Integer")
     assert choice.attrib["name"] == "discretisation"
+    assert choice.get("description").endswith(": 1 = exact, 2 = euler")
     assert (choice.get("causality"), choice.get("variability")) == ("parameter", "fixed")
-    assert choice[0].attrib == {"declaredType": "Discretisation", "start": "1"}
+    limits = {"min": "1", "max": "2"}
+    assert choice[0].attrib == {"declaredType": "Discretisation", "start": "1"} | limits
     (kind,) = root.findall("TypeDefinitions/SimpleType")
     assert kind.get("name") == "Discretisation"
-    items = [(item.get("name"), item.get("value")) for item in kind[0]]
-    assert (kind[0].tag, items) == ("Enumeration", [("exact", "1"), ("euler", "2")])
+    assert kind.get("description").startswith("1 = exact for inputs held over a step")
+    assert (kind[0].tag, kind[0].attrib) == ("Integer", limits)
 
 
 def test_numbers_of_indicators_and_states(root, fmu):

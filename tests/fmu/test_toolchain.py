@@ -153,7 +153,7 @@ def test_date(epoch, created, expected, table1, load, tmp_path, monkeypatch):
 
 def test_a_date_that_is_none_is_refused(table1, tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "today")
-    with pytest.raises(ExportError, match="SOURCE_DATE_EPOCH is 'today'"):
+    with pytest.raises(ExportError, match=r"SOURCE_DATE_EPOCH is 'today'; needed is a date\."):
         export_fmu(table1, tmp_path / "F.fmu")
 
 
@@ -179,8 +179,24 @@ def test_name_of_the_file_ends_in_fmu(table1, tmp_path):
 
 def test_failure_of_the_compiler_is_told(tmp_path):
     (tmp_path / "bad.c").write_text("int f(void) { return x; }\n")
-    with pytest.raises(ExportError, match="undeclared identifier 'x'"):
+    said = r"^bad\.o: the C compiler failed: .*undeclared identifier 'x'\.$"
+    with pytest.raises(ExportError, match=said):
         compile_c(tmp_path / "bad.c", ("-c",), tmp_path / "bad.o")
+
+
+def test_a_compiler_that_cannot_be_started_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    (tmp_path / "good.c").write_text("int x;\n")
+    said = r"^the C compiler cannot be run \(No such file or directory\)\.$"
+    with pytest.raises(ExportError, match=said):
+        compile_c(tmp_path / "good.c", ("-c",), tmp_path / "good.o")
+
+
+def test_no_platform_is_refused(table1, tmp_path):
+    with pytest.raises(ExportError) as caught:
+        export_fmu(table1, tmp_path / "F.fmu", platforms=[])
+    known = "linux64, win64, darwin64, aarch64-linux"
+    assert str(caught.value) == f"no platform is given; known are {known} and 'all'."
 
 
 def test_universal_files_hold_their_parts_at_pages():

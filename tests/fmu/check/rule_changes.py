@@ -67,3 +67,21 @@ def of_type(kind: str, type_attributes: dict[str, str], own: dict[str, str]) -> 
         )
 
     return change
+
+
+def enumeration(*items: tuple[str, str], start: str) -> Change:
+    """Add an Enumeration of names and values, and a parameter of it."""
+
+    def change(xml: Xml) -> None:
+        kind = xml.add_type("Choice", "Enumeration")
+        for name, value in items:
+            etree.SubElement(kind, "Item", name=name, value=value)
+        xml.add_variable(
+            "Enumeration",
+            {"declaredType": "Choice", "start": start},
+            name="choice",
+            causality="parameter",
+            variability="fixed",
+        )
+
+    return change

@@ -3,7 +3,7 @@
 import pytest
 from fmu_files import Xml, changed, said
 from lxml import etree
-from rule_changes import put, sentences
+from rule_changes import enumeration, put, sentences
 
 GENERAL = {
     "neither kind": (
@@ -95,13 +95,12 @@ GENERAL = {
         "the type 'tau[1]' has the name of a variable.",
     ),
     "item twice": (
-        lambda xml: put("TypeDefinitions//Item[2]", name=xml.find(
-            "TypeDefinitions//Item[1]").get("name"))(xml),
-        "the item of the enumeration 'Discretisation', 'exact' is defined 2 times.",
+        enumeration(("a", "1"), ("a", "2"), start="1"),
+        "the item of the enumeration 'Choice', 'a' is defined 2 times.",
     ),
     "value twice": (
-        lambda xml: put("TypeDefinitions//Item[1]", value="2")(xml),
-        "the enumeration 'Discretisation' has 2 items of the value 2.",
+        enumeration(("a", "2"), ("b", "2"), start="2"),
+        "the enumeration 'Choice' has 2 items of the value 2.",
     ),
 }  # fmt: skip
 

@@ -1,7 +1,7 @@
 """Rules on variables: one change of Table I, one sentence that names the variable."""
 
 import pytest
-from rule_changes import NUMBER, PARAMETER, both, new, of_type, own, sentences, var
+from rule_changes import NUMBER, PARAMETER, both, enumeration, new, of_type, own, sentences, var
 
 VARIABLES = {
     "name twice": (
@@ -82,9 +82,9 @@ VARIABLES = {
         "the variable 'x' has the nominal value 0; it is above 0.",
     ),
     "item": (
-        own("discretisation", start="7"),
-        "the variable 'discretisation' has the start value 7, which is no item of the enumeration "
-        "'Discretisation'.",
+        enumeration(("a", "1"), ("b", "2"), start="7"),
+        "the variable 'choice' has the start value 7, which is no item of the enumeration "
+        "'Choice'.",
     ),
     "type": (
         new("Real", {"start": "1", "declaredType": "T"}, name="x", **PARAMETER),
@@ -93,7 +93,7 @@ VARIABLES = {
     "other type": (
         new("Real", {"start": "1", "declaredType": "Discretisation"}, name="x", **PARAMETER),
         "the variable 'x' is of type Real, but its declared type 'Discretisation' is of type "
-        "Enumeration.",
+        "Integer.",
     ),
     "unit": (
         own("tau[1]", unit="furlong"),

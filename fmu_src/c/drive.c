@@ -1,0 +1,149 @@
+/* Component: the motor of each joint under its friction law; torque in, speed and angle out.
+ *
+ *     inertia dq' = tau_motor - tau_f / ratio - tau_link / ratio,  q' = dq
+ *     tau_link    = stiffness (q / ratio - q_link) + damping (dq / ratio - dq_link)
+ *
+ * and tau_f of the law at dq / ratio. An inner step of h solves for the speed at its end,
+ *
+ *     R(v) = inertia (v - dq) / h - tau_motor + (tau_f(v, x(v)) + tau_link(v)) / ratio = 0
+ *
+ * with the states x of the law relaxed over the step at that speed (implicit Euler). Of several
+ * roots the one is taken that is reached first from dq in the direction in which R falls.
+ *
+ * The generated laws.h defines the functions of the laws and where the variables of a joint stand.
+ */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "component_alone.h"
+#include "component_plain.h"
+#include "laws.h"
+#include "root.h"
+
+/* What the component remembers besides its variables. */
+enum { STEPPED = 0 /* whether any step has been made */ };
+
+/* Inner steps of one step; more take longer than anybody waits. */
+#define MOST_PARTS 1e7
+
+/* By how much a number of steps may pass a whole one. */
+#define ROUNDING 1e-9
+
+/* One inner step of a joint. */
+static bool advance(const Step *step, int i, Motion *motion, Message *why) {
+    const Joint *joint = step->joint;
+    Trial trial;
+    if (!solve(step, motion, &trial, variables[DQ + i].name, why)) {
+        return false;
+    }
+    for (int j = 0; j < joint->states; j++) {
+        if (!can_relax(variables[joint->first_state + j].name, trial.rate[j], step->h, step->euler,
+                       variables[DQ + i].name, trial.v, why)) {
+            return false;
+        }
+        motion->x[j] = trial.x[j];
+        motion->dx[j] = trial.dx[j];
+    }
+    motion->ddq = (trial.v - motion->dq) / step->h;
+    motion->q += step->h * trial.v;
+    motion->dq = trial.v;
+    motion->tau_f = trial.tau_f;
+    motion->tau_link = trial.tau_link;
+    return true;
+}
+
+static Motion motion_of(const Component *component, int i) {
+    const Joint *joint = &joints[i];
+    const double *v = component->v;
+    Motion motion = {.q = v[Q + i], .dq = v[DQ + i]};
+    memcpy(motion.x, &v[joint->first_state], (size_t)joint->states * sizeof motion.x[0]);
+    return motion;
+}
+
+static void put(Component *component, int i, const Motion *motion) {
+    const Joint *joint = &joints[i];
+    double *v = component->v, *x = &v[joint->first_state];
+    v[Q + i] = motion->q;
+    v[DQ + i] = motion->dq;
+    v[DDQ + i] = motion->ddq;
+    v[TAU_F + i] = motion->tau_f;
+    v[TAU_LINK + i] = motion->tau_link;
+    for (int j = 0; j < joint->states; j++) {
+        x[j] = motion->x[j];
+        x[joint->states + j] = motion->dx[j];
+    }
+}
+
+/* Whether a parameter is what it must be; NaN is not. */
+static bool sound(int variable, double value, bool right, const char *needed, Message *why) {
+    if (!right) {
+        snprintf(why->text, sizeof why->text, "%s is %g; it must %s.", variables[variable].name,
+                 value, needed);
+    }
+    return right;
+}
+
+static bool component_initialise(Component *component, void *workspace, Message *why) {
+    const double *v = component->v;
+    (void)workspace;
+    if (!sound(SUBSTEP, v[SUBSTEP], v[SUBSTEP] > 0.0, "be positive", why)) {
+        return false;
+    }
+    for (int i = 0; i < JOINTS; i++) {
+        const int j = INERTIA + i, s = STIFFNESS + i, d = DAMPING + i, r = RATIO + i;
+        if (!sound(j, v[j], v[j] > 0.0, "be positive", why) ||
+            !sound(s, v[s], v[s] >= 0.0, "not be negative", why) ||
+            !sound(d, v[d], v[d] >= 0.0, "not be negative", why) ||
+            !sound(r, v[r], v[r] != 0.0, "not be zero", why)) {
+            return false;
+        }
+    }
+    return true;
+}
+
+/* Before the first step, what the start values give; after it, what the last step has given. */
+static bool component_output(Component *component, void *workspace, Message *why) {
+    (void)workspace, (void)why;
+    for (int i = 0; i < JOINTS && component->own[STEPPED] == 0.0; i++) {
+        const Step step = step_of(component, i, 0.0);
+        Trial trial;
+        component->v[Q + i] = component->v[Q_START + i];
+        component->v[DQ + i] = component->v[DQ_START + i];
+        Motion motion = motion_of(component, i);
+        attempt(&step, &motion, motion.dq, &trial);
+        memcpy(motion.dx, trial.dx, sizeof motion.dx);
+        motion.tau_f = trial.tau_f;
+        motion.tau_link = trial.tau_link;
+        put(component, i, &motion);
+    }
+    return true;
+}
+
+static bool component_step(Component *component, void *workspace, double step, Message *why) {
+    const double parts = fmax(1.0, ceil(step / component->v[SUBSTEP] * (1.0 - ROUNDING)));
+    Motion motion[JOINTS];
+    (void)workspace;
+    if (!(parts <= MOST_PARTS)) {
+        snprintf(
+            why->text, sizeof why->text,
+            "A step of %g s would be %g inner ones; at most %g are made. Take a shorter step or "
+            "a longer substep than %g s.",
+            step, parts, MOST_PARTS, component->v[SUBSTEP]);
+        return false;
+    }
+    for (int i = 0; i < JOINTS; i++) {
+        const Step part = step_of(component, i, step / parts);
+        motion[i] = motion_of(component, i);
+        for (double n = 0.0; n < parts; n++) {
+            if (!advance(&part, i, &motion[i], why)) {
+                return false;
+            }
+        }
+    }
+    for (int i = 0; i < JOINTS; i++) {
+        put(component, i, &motion[i]);
+    }
+    component->own[STEPPED] = 1.0;
+    return true;
+}

@@ -1,0 +1,49 @@
+/* The whole FMU for a page in a browser: an importer that holds one instance, whose functions take
+ * and give nothing but numbers. Compiled to WebAssembly, where it needs nothing from outside. */
+#include "all.c"
+
+#define EXPORTED(name) __attribute__((export_name(#name))) name
+
+static fmi2Component fmu;
+static char heard[512];
+
+static void listen(fmi2ComponentEnvironment environment, fmi2String instance, fmi2Status status,
+                   fmi2String category, fmi2String message, ...) {
+    (void)environment, (void)instance, (void)status, (void)category;
+    snprintf(heard, sizeof heard, "%s", message);
+}
+
+/* What the FMU said last; empty if it has nothing to say since the last reset. */
+const char *EXPORTED(live_heard)(void) {
+    return heard;
+}
+
+/* Back to before the initialisation, with all start values. */
+int EXPORTED(live_reset)(void) {
+    static const fmi2CallbackFunctions host = {.logger = listen};
+    heard[0] = '\0';
+    if (!fmu) {
+        fmu = fmi2Instantiate("live", fmi2CoSimulation, MODEL_GUID, NULL, &host, fmi2False,
+                              fmi2False);
+    }
+    return fmi2Reset(fmu);
+}
+
+int EXPORTED(live_initialise)(void) {
+    const fmi2Status status = fmi2EnterInitializationMode(fmu);
+    return status == fmi2OK ? fmi2ExitInitializationMode(fmu) : status;
+}
+
+int EXPORTED(live_set)(fmi2ValueReference reference, double value) {
+    return fmi2SetReal(fmu, &reference, 1, &value);
+}
+
+double EXPORTED(live_get)(fmi2ValueReference reference) {
+    double value = NAN;
+    fmi2GetReal(fmu, &reference, 1, &value);
+    return value;
+}
+
+int EXPORTED(live_step)(double time, double step) {
+    return fmi2DoStep(fmu, time, step, fmi2True);
+}

@@ -1,0 +1,1 @@
+"""Motors under friction as FMUs: torque in, speed and angle out."""

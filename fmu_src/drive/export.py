@@ -1,0 +1,93 @@
+"""A friction model and its motors in, an FMU out: torque in, speed and angle out."""
+
+import json
+import re
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+from fmu_src.description import Description
+from fmu_src.drive.component import SUBSTEP, interface, laws_to_c, motors
+from fmu_src.drive.documentation import to_html
+from fmu_src.friction.embedded import EMBEDDED_MODEL
+from fmu_src.friction.export import date_of
+from fmu_src.package import Content, check_request, own_source, write_fmu
+from hesr_model.artifacts import model_to_json
+from hesr_model.friction.law import FrictionModel
+
+
+def export_drive(
+    model: FrictionModel,
+    path: Path,
+    *,
+    inertia: Sequence[float],
+    stiffness: Sequence[float] | None = None,
+    damping: Sequence[float] | None = None,
+    ratio: Sequence[float] | None = None,
+    platforms: Sequence[str] = ("linux64",),
+) -> Path:
+    """Write a friction model with the motors of its joints as an FMI 2.0 FMU for co-simulation.
+
+    The same arguments give the same bytes; dates are those of `friction.export.export_fmu`.
+
+    Parameters
+    ----------
+    model : the friction law of each joint, in the joint's coordinates.
+    path : the FMU to write, ending in .fmu.
+    inertia : (n,) of the rotor and all that turns with it [kg.m2], positive.
+    stiffness : (n,) of the flexspline towards the link [N.m/rad]; none where not given.
+    damping : (n,) of the flexspline [N.m.s/rad].
+    ratio : (n,) turns of the motor for one of the joint; 1 where not given.
+    platforms : names of `toolchain.TARGETS`, or "all".
+
+    Returns
+    -------
+    `path`.
+
+    Raises
+    ------
+    ExportError
+        If a number is not what it must be, the model cannot be expressed in C or FMI, or a binary
+        cannot be built.
+    ArtifactError
+        If `path` cannot be written.
+    """
+    check_request(path, platforms)
+    own = content(model, inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio)
+    return write_fmu(own, path, platforms=platforms)
+
+
+def content(
+    model: FrictionModel,
+    *,
+    inertia: Sequence[float],
+    stiffness: Sequence[float] | None = None,
+    damping: Sequence[float] | None = None,
+    ratio: Sequence[float] | None = None,
+) -> Content:
+    """Return the FMU of a drive, before it is compiled; arguments are those of `export_drive`."""
+    own = motors(
+        len(model.laws), inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio
+    )
+    table = interface(model, own)
+    about = Description(
+        name=f"Drive of {model.robot} with {model.law}",
+        identifier=re.sub(r"\W", "_", f"drive_{model.law}", flags=re.ASCII),
+        text=f"Motors of {len(model.joints)} joints under friction: torque in, speed and angle "
+        "out.",
+        version=version("hesr"),
+        created=date_of(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        step=SUBSTEP,
+        sources=("all.c",),
+    )
+    names = ("balance.h", "drive.c", "law_math.h", "relax.h", "root.h")
+    sources = {name: own_source(name) for name in names}
+    return Content(
+        table=table,
+        about=about,
+        sources=sources | {"laws.h": laws_to_c(model, table)},
+        members={
+            "documentation/index.html": to_html(model, table, about).encode(),
+            EMBEDDED_MODEL: (json.dumps(model_to_json(model), indent=2) + "\n").encode(),
+        },
+    )

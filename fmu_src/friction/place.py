@@ -1,0 +1,33 @@
+"""Names of the variables that a joint's friction law has in an FMU."""
+
+from dataclasses import dataclass
+
+from hesr_model.friction.law import FrictionLaw
+
+MAX_PARAMETERS = 64
+"""Laws with more coefficients than this show one scale factor instead of all of them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Names of one joint's variables, in the order in which the C side expects them."""
+
+    states: tuple[str, ...]
+    derivatives: tuple[str, ...]
+    parameters: tuple[str, ...]
+
+
+def exposed(law: FrictionLaw) -> bool:
+    """Whether the coefficients of a law are parameters of the FMU."""
+    return len(law.values) <= MAX_PARAMETERS
+
+
+def place(law: FrictionLaw, joint: int) -> Place:
+    """Return the names of a joint's variables; joints are counted from 1."""
+    return Place(
+        states=tuple(f"{r.name}[{joint}]" for r in law.form.relaxations),
+        derivatives=tuple(f"der({r.name}[{joint}])" for r in law.form.relaxations),
+        parameters=tuple(f"joint[{joint}].{name}" for name in law.values)
+        if exposed(law)
+        else (f"scale[{joint}]",),
+    )

@@ -1,0 +1,1 @@
+"""Friction laws as parts of MuJoCo: passive dcmotor actuators in an MJCF."""

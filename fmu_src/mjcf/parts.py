@@ -1,0 +1,261 @@
+"""Which friction laws MuJoCo has parts for, and with what numbers.
+
+A passive dcmotor of MuJoCo (no input, no electrical branch) puts on its joint
+
+    - (stiffness z + damping z') - viscous v + amplitude sin(poles q + phase)
+    z' = v - stiffness |v| / g(v) z,    g = coulomb + (static - coulomb) exp(-(v / stribeck)^2)
+
+(XML reference of MuJoCo 4, actuator/dcmotor: lugre, damping, cogging). A law is such a sum if its
+expressions say so; its name does not matter. With its own state x = k z, a law's relaxation
+x' = k v - r x is that of a bristle whose stiffness is k times the torque per x; where the level
+g = stiffness |v| / r is constant the bristle is one of Dahl. A constant torque is a cogging without
+poles.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Self
+
+import sympy
+
+from hesr_model.errors import ExportError
+from hesr_model.friction.functions import DQ, INPUTS, TAU_LOAD, Q, absolute
+from hesr_model.friction.law import FrictionLaw, Relaxation
+
+Values = Mapping[sympy.Symbol, float]
+
+_LONGEST = 60
+
+
+class NoCounterpartError(ExportError):
+    """A law has something for which MuJoCo has no part; the text says what."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bristle:
+    """A LuGre element: stiffness [N.m/rad], damping [N.m.s/rad], levels [N.m], velocity [rad/s]."""
+
+    stiffness: float
+    damping: float
+    coulomb: float
+    static: float
+    stribeck: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wave:
+    """A torque on the joint: amplitude [N.m] sin(poles q + phase [rad]), any number of poles."""
+
+    amplitude: float
+    poles: float
+    phase: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointFriction:
+    """The friction of one joint in MuJoCo's terms; viscous in [N.m.s/rad]."""
+
+    bristles: tuple[Bristle, ...]
+    viscous: float
+    waves: tuple[Wave, ...]
+
+
+def parts_of(law: FrictionLaw) -> JointFriction:
+    """Return the parts of MuJoCo that are a law of one joint, exactly.
+
+    Raises
+    ------
+    NoCounterpartError
+        Naming what in the law none of MuJoCo's parts can be.
+    """
+    form = law.form
+    for relaxation, start in zip(form.relaxations, law.start, strict=True):
+        if start:
+            raise NoCounterpartError(
+                f"its state '{relaxation.name}' starts at {start:g}, MuJoCo's at 0"
+            )
+    values = {c.symbol: law.values[c.name] for c in form.coefficients}
+    zeros = {symbol: 0 for symbol, value in values.items() if value == 0.0}
+    motions = [_Motion.of(r, zeros, values) for r in form.relaxations]
+    if form.relaxations and law.discretisation != "exact":
+        raise NoCounterpartError(
+            "it is run with Euler's steps, and MuJoCo relaxes a bristle exactly"
+        )
+    torque = _Torque(values)
+    for term in sympy.Add.make_args(sympy.expand_mul(form.output.subs(zeros))):
+        torque.add(term, form.relaxations)
+    bristles = [
+        _bristle(r, motion, torque.forces.get(r.state), torque.forces.get(r.derivative), values)
+        for r, motion in zip(form.relaxations, motions, strict=True)
+    ]
+    return JointFriction(
+        bristles=tuple(b for b in bristles if b is not None),
+        viscous=torque.viscous,
+        waves=tuple(torque.waves),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Motion:
+    """How a state moves, as a bristle does: x' = scale v - rate |v| x.
+
+    Attributes
+    ----------
+    scale : of x against the bristle's deflection z.
+    rate : with its one exponential replaced by `_PEAK`, where it has one.
+    peak : that exponential, exp(-(v / v_s)^2).
+    stribeck : its velocity v_s [rad/s].
+    """
+
+    scale: sympy.Expr
+    rate: sympy.Expr
+    peak: sympy.Expr | None
+    stribeck: float | None
+
+    @classmethod
+    def of(cls, relaxation: Relaxation, zeros: Mapping[sympy.Symbol, int], values: Values) -> Self:
+        drive, rate = relaxation.drive.subs(zeros), relaxation.rate.subs(zeros)
+        scale = sympy.cancel(drive / DQ)
+        if _uses_inputs(scale) or _number(scale, values) <= 0.0:
+            raise NoCounterpartError(
+                f"its state '{relaxation.name}' is driven by {_shown(drive)}, a bristle by the "
+                "velocity itself"
+            )
+        peaks = [e for e in rate.atoms(sympy.exp) if _uses_inputs(e)]
+        stribeck = _stribeck_velocity(peaks[0], values) if len(peaks) == 1 else None
+        speed = sympy.Dummy(positive=True)
+        slope = sympy.cancel(
+            rate.subs(dict.fromkeys(peaks, _PEAK)).subs(absolute(DQ), speed) / speed
+        )
+        shaped = not peaks or stribeck is not None
+        if not shaped or speed in slope.free_symbols or _uses_inputs(slope):
+            raise NoCounterpartError(
+                f"its state '{relaxation.name}' relaxes at the rate {_shown(rate)}, a bristle in "
+                "proportion to the speed with one Stribeck peak at most"
+            )
+        peak = peaks[0] if peaks else None
+        return cls(scale=scale, rate=slope, peak=peak, stribeck=stribeck)
+
+
+_PEAK = sympy.Symbol("_peak", positive=True)
+"""Stands for exp(-(v / v_s)^2): 1 at rest, 0 at speed."""
+
+
+def _stribeck_velocity(peak: sympy.Expr, values: Values) -> float | None:
+    """Return v_s of exp(-(v / v_s)^2), None for another exponential."""
+    square = sympy.cancel(-(DQ**2) / peak.args[0])
+    if _uses_inputs(square) or _number(square, values) <= 0.0:
+        return None
+    return _number(sympy.sqrt(square), values)
+
+
+@dataclass
+class _Torque:
+    """What the terms of a law's torque are, gathered one by one."""
+
+    values: Values
+    viscous: float = 0.0
+    forces: dict[sympy.Symbol, sympy.Expr] = field(default_factory=dict)
+    waves: list[Wave] = field(default_factory=list)
+
+    def add(self, term: sympy.Expr, relaxations: tuple[Relaxation, ...]) -> None:
+        """Take one term in, a factor of a state, viscous, constant or a wave in the angle."""
+        states = {s for r in relaxations for s in (r.state, r.derivative)} & term.free_symbols
+        for symbol in states or {DQ}:
+            factor = term / symbol
+            if not _uses_inputs(factor) and not states & factor.free_symbols:
+                self._add_linear(symbol, factor)
+                return
+        if not states and not _uses_inputs(term):
+            self.waves.append(_constant(_number(term, self.values)))
+        elif not states and (wave := _wave(term, self.values)):
+            self.waves.append(wave)
+        elif TAU_LOAD in term.free_symbols:
+            raise NoCounterpartError(
+                f"its torque has the term {_shown(term)}, which is of the load"
+            )
+        else:
+            raise NoCounterpartError(
+                f"its torque has the term {_shown(term)}, which is neither a bristle's nor viscous "
+                "nor a ripple in the joint's angle alone"
+            )
+
+    def _add_linear(self, symbol: sympy.Symbol, factor: sympy.Expr) -> None:
+        if symbol == DQ:
+            self.viscous += _number(factor, self.values)
+        else:
+            self.forces[symbol] = self.forces.get(symbol, sympy.Integer(0)) + factor
+
+
+def _constant(torque: float) -> Wave:
+    return Wave(amplitude=-torque, poles=0.0, phase=math.pi / 2.0)
+
+
+def _wave(term: sympy.Expr, values: Values) -> Wave | None:
+    """Return a term F sin(n q + c) or F cos(n q + c) of a law as the torque on the joint."""
+    for function, lead in ((sympy.sin, 0.0), (sympy.cos, math.pi / 2.0)):
+        for wave in term.atoms(function):
+            factor, angle = term / wave, sympy.expand_mul(wave.args[0])
+            poles, phase = angle.coeff(Q, 1), angle.coeff(Q, 0)
+            straight = sympy.expand_mul(angle - poles * Q - phase) == 0
+            if straight and not any(map(_uses_inputs, (factor, poles, phase))):
+                return Wave(
+                    amplitude=-_number(factor, values),
+                    poles=_number(poles, values),
+                    phase=_number(phase, values) + lead,
+                )
+    return None
+
+
+def _bristle(
+    relaxation: Relaxation,
+    motion: _Motion,
+    force: sympy.Expr | None,
+    damping: sympy.Expr | None,
+    values: Values,
+) -> Bristle | None:
+    """Return the bristle of a relaxation; None where its state does not count in the torque."""
+    stiffness = (force or sympy.Integer(0)) * motion.scale
+    found = _number(stiffness, values)
+    micro = _number((damping or sympy.Integer(0)) * motion.scale, values)
+    if not found and not micro:
+        return None
+    if found <= 0.0:
+        raise NoCounterpartError(
+            f"the torque of its state '{relaxation.name}' has the factor {found:g} N.m/rad, and "
+            "the stiffness of a bristle is positive"
+        )
+    level = sympy.cancel(stiffness / motion.rate)
+    if not level.is_polynomial(_PEAK) or sympy.degree(level, _PEAK) > 1:
+        raise NoCounterpartError(
+            f"the sliding torque of its state '{relaxation.name}' is "
+            f"{_shown(level.subs(_PEAK, motion.peak))}, a bristle's a constant with a Stribeck peak"
+        )
+    coulomb, static = (_number(level.subs(_PEAK, peak), values) for peak in (0, 1))
+    if not (coulomb > 0.0 and static > 0.0):
+        raise NoCounterpartError(
+            f"its state '{relaxation.name}' slides at {coulomb:g} to {static:g} N.m, a bristle at "
+            "more than 0"
+        )
+    # Without a peak both levels are the same, whatever the velocity beside them.
+    stribeck = 1.0 if motion.stribeck is None else motion.stribeck
+    return Bristle(
+        stiffness=found, damping=micro, coulomb=coulomb, static=static, stribeck=stribeck
+    )
+
+
+def _uses_inputs(expression: sympy.Expr) -> bool:
+    return not expression.free_symbols.isdisjoint(INPUTS)
+
+
+def _number(expression: sympy.Expr, values: Values) -> float:
+    value = expression.subs(values)
+    if not value.is_real:
+        raise NoCounterpartError(f"its coefficients make {_shown(expression)} no number ({value})")
+    return float(value)
+
+
+def _shown(expression: sympy.Expr) -> str:
+    text = str(sympy.sstr(expression)).replace("absolute(", "abs(")
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."

@@ -1,0 +1,1 @@
+"""A friction model as a Modelica package."""

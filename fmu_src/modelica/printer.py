@@ -1,0 +1,127 @@
+"""SymPy to Modelica: the equations of a friction law.
+
+`sign` and `abs` of Modelica make no events (they are defined with noEvent), but where a law jumps
+or bends a solver has to stop, as it does at the FMU's event indicators. So the signs of inputs are
+variables of their own, written as `if` with relations, which a tool holds between events.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from textwrap import fill
+
+import sympy
+from sympy.printing.codeprinter import CodePrinter
+from sympy.printing.precedence import PRECEDENCE
+
+from fmu_src.friction.codegen import switches
+from hesr_model.errors import ExportError
+from hesr_model.friction.functions import absolute, sgn
+from hesr_model.friction.law import LawForm
+
+FUNCTIONS = (
+    "abs", "acos", "asin", "atan", "atan2", "cos", "cosh", "der", "exp", "log", "sign", "sin",
+    "sinh", "sqrt", "tan", "tanh",
+)  # fmt: skip
+"""Functions and operators of Modelica that equations are written with."""
+
+_HALF = sympy.Rational(1, 2)
+_WIDTH = 96
+
+
+class _Printer(CodePrinter):  # type: ignore[misc] # SymPy is not typed
+    """Modelica with our functions; a state's derivative is `der` of it."""
+
+    printmethod = "_modelica"
+    language = "Modelica"
+
+    def __init__(self, derivatives: Mapping[sympy.Symbol, str]) -> None:
+        super().__init__()
+        self.known_functions = {name: name for name in FUNCTIONS}
+        self._derivatives = derivatives
+
+    def _print_Symbol(self, expr: sympy.Symbol) -> str:
+        return self._derivatives.get(expr, expr.name)
+
+    _print_Dummy = _print_Symbol
+
+    def _print_Float(self, expr: sympy.Float) -> str:
+        return repr(float(expr))
+
+    _print_Rational = _print_Float
+    _print_NumberSymbol = _print_Float
+    _print_Pi = _print_Float
+    _print_Exp1 = _print_Float
+
+    def _print_Pow(self, expr: sympy.Pow) -> str:
+        base = self.parenthesize(expr.base, PRECEDENCE["Pow"])
+        if expr.exp == _HALF:
+            return f"sqrt({self._print(expr.base)})"
+        if expr.exp.could_extract_minus_sign():
+            return f"1/{self.parenthesize(expr.base**-expr.exp, PRECEDENCE['Mul'])}"
+        return f"{base}^{self.parenthesize(expr.exp, PRECEDENCE['Pow'])}"
+
+    def _print_sgn(self, expr: sympy.Expr) -> str:
+        return f"sign({self._print(expr.args[0])})"
+
+    def _print_absolute(self, expr: sympy.Expr) -> str:
+        return f"abs({self._print(expr.args[0])})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Equations:
+    """A form in Modelica.
+
+    Attributes
+    ----------
+    signs : of inputs, held between events: the name of each and its declaration's right side.
+    lines : the equations, without semicolons.
+    """
+
+    signs: Mapping[str, str]
+    lines: tuple[str, ...]
+
+
+def equations(form: LawForm) -> Equations:
+    """Return the equations of a form: `der(x) = drive - rate*x` of each state, and `tau`.
+
+    Raises
+    ------
+    ExportError
+        If an expression has a function that Modelica does not have.
+    """
+    bends = switches(form)
+    signs = [
+        sympy.Dummy(f"sign_{e.name if e.is_Symbol else i}", real=True)
+        for i, e in enumerate(bends, start=1)
+    ]
+    held = {sgn(e): s for e, s in zip(bends, signs, strict=True)}
+    held |= {absolute(e): s * e for e, s in zip(bends, signs, strict=True)}
+    printer = _Printer({r.derivative: f"der({r.name})" for r in form.relaxations})
+
+    def text(expression: sympy.Expr, level: int = 0) -> str:
+        try:
+            return str(printer.parenthesize(expression.xreplace(held), level))
+        except NotImplementedError as error:
+            raise ExportError(
+                f"friction law: '{expression}' has no counterpart in Modelica."
+            ) from error
+
+    lines = [
+        f"der({r.name}) = {text(r.drive)} - {text(r.rate, PRECEDENCE['Mul'])}*{r.name}"
+        for r in form.relaxations
+    ]
+    return Equations(
+        signs={s.name: _sign(text(e)) for e, s in zip(bends, signs, strict=True)},
+        lines=tuple(_wrapped(line) for line in (*lines, f"tau = {text(form.output)}")),
+    )
+
+
+def _sign(argument: str) -> str:
+    return f"if {argument} > 0 then 1 elseif {argument} < 0 then -1 else 0"
+
+
+def _wrapped(line: str) -> str:
+    """Break a long line at spaces, which stand around sums only."""
+    return fill(
+        line, _WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+    )

@@ -1,0 +1,264 @@
+/* Brings each section of class "live" to life: the FMU inside it, run for a motion, drawn. */
+
+const AXES = {
+  velocity: { column: "dq", text: "velocity q̇ [rad/s]" },
+  position: { column: "q", text: "position q [rad]" },
+  time: { column: "t", text: "time [s]" },
+};
+const STEPS = 200; /* of a slider */
+
+/* The FMU, one instance of it. */
+class Fmu {
+  static async from(text) {
+    const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+    const { instance } = await WebAssembly.instantiate(await new Response(stream).arrayBuffer());
+    instance.exports._initialize();
+    return new Fmu(instance.exports);
+  }
+
+  constructor(functions) {
+    this.fmu = functions;
+  }
+
+  heard() {
+    const bytes = new Uint8Array(this.fmu.memory.buffer, this.fmu.live_heard());
+    return new TextDecoder().decode(bytes.subarray(0, bytes.indexOf(0)));
+  }
+
+  /* Torque of a joint at each row of a motion, by the convention of a replayed log: set row k, step
+   * to it, read it. Ends early, with the FMU's own words, where it refuses. */
+  run(joint, values, motion) {
+    const { fmu } = this, { dq, q, tau_load, tau } = joint.references;
+    const torque = [];
+    fmu.live_reset();
+    const put = (k) =>
+      fmu.live_set(dq, motion.dq[k]) || fmu.live_set(q, motion.q[k]) ||
+      fmu.live_set(tau_load, motion.tau_load[k]);
+    let status = 0;
+    for (const c of joint.coefficients) status ||= fmu.live_set(c.reference, values[keyOf(c)]);
+    status ||= put(0) || fmu.live_initialise();
+    for (let k = 1; !status && k <= motion.t.length; k++) {
+      torque.push(fmu.live_get(tau));
+      if (k < motion.t.length) status = put(k) || fmu.live_step(motion.t[k - 1], motion.step);
+    }
+    return { torque, refused: status ? this.heard() : "" };
+  }
+}
+
+/* A sinusoidal velocity from rest, row by row. */
+function motionOf({ amplitude, frequency, cycles, centre = 0, load = 0 }, step) {
+  const cycle = Math.max(2, Math.round(1 / (frequency * step)));
+  const rate = 2 * Math.PI * frequency;
+  const t = Array.from({ length: cycles * cycle + 1 }, (_, k) => k * step);
+  return {
+    step, cycle, t,
+    dq: t.map((s) => amplitude * Math.sin(rate * s)),
+    q: t.map((s) => centre - (amplitude / rate) * Math.cos(rate * s)),
+    tau_load: t.map(() => load),
+  };
+}
+
+/* Largest torque of the last cycle, and the work that friction takes in it by the trapezoidal rule;
+ * not a number where the run ended before. */
+function figures(motion, torque) {
+  const last = torque.length - 1;
+  if (last < motion.t.length - 1) return [NaN, NaN];
+  let largest = 0, work = 0;
+  for (let k = last - motion.cycle; k <= last; k++) {
+    largest = Math.max(largest, Math.abs(torque[k]));
+    if (k < last) {
+      work += 0.5 * motion.step * (torque[k] * motion.dq[k] + torque[k + 1] * motion.dq[k + 1]);
+    }
+  }
+  return [largest, work];
+}
+
+/* Under which the value of a knob is kept; coefficients may have any name. */
+function keyOf(knob) {
+  return knob.reference ?? knob.name;
+}
+
+/* Where a value stands on its slider, from 0 to 1, and back. */
+function positionOf(knob, value) {
+  const share = knob.scale === "log"
+    ? Math.log(value / knob.low) / Math.log(knob.high / knob.low)
+    : (value - knob.low) / (knob.high - knob.low);
+  return Math.min(1, Math.max(0, Number.isNaN(share) ? 0 : share));
+}
+
+function valueAt(knob, share) {
+  const { low, high, scale } = knob;
+  const value = scale === "log" ? low * (high / low) ** share : low + (high - low) * share;
+  return scale === "whole" ? Math.round(value) : Number(value.toPrecision(DIGITS));
+}
+
+class Section {
+  constructor(element, data, fmu) {
+    Object.assign(this, { element, data, fmu });
+    this.find = (name) => element.querySelector(`.live-${name}`);
+    this.plot = new Plot(this.find("plot"));
+    this.values = data.joints.map((joint) => this.fitted(joint));
+    this.find("app").hidden = false;
+    const joint = this.find("joint");
+    joint?.addEventListener("change", () => this.show(Number(joint.value)));
+    this.find("views").addEventListener("change", () => this.schedule());
+    this.find("reset").addEventListener("click", () => this.reset());
+    this.find("save").addEventListener("click", () => this.save());
+    new ResizeObserver(() => this.schedule()).observe(this.find("plot"));
+    this.show(joint ? Number(joint.value) : 0);
+  }
+
+  knobs(joint) {
+    return [...joint.motion, ...joint.coefficients];
+  }
+
+  fitted(joint) {
+    return Object.fromEntries(this.knobs(joint).map((knob) => [keyOf(knob), knob.value]));
+  }
+
+  show(number) {
+    this.number = number;
+    this.joint = this.data.joints[number];
+    this.rows = new Map();
+    for (const group of ["motion", "coefficients"]) {
+      const rows = this.joint[group].map((knob) => this.row(knob));
+      this.find(group).replaceChildren(this.find(group).firstElementChild, ...rows);
+      this.find(group).hidden = !rows.length;
+    }
+    this.schedule();
+  }
+
+  /* One knob: a label, a slider, a field for the number, and a way back. */
+  row(knob) {
+    const row = this.element.querySelector("template").content.cloneNode(true).firstElementChild;
+    const [slider, field] = row.querySelectorAll("input");
+    const back = row.querySelector("button"), what = `${knob.name}, ${knob.text}`;
+    const label = row.querySelector("label");
+    slider.id = `${this.element.id}-${keyOf(knob)}`;
+    label.htmlFor = slider.id;
+    label.title = knob.name;
+    slider.step = knob.scale === "whole" ? 1 / (knob.high - knob.low) : 1 / STEPS;
+    row.querySelector(".live-symbol").innerHTML = knob.symbol; /* MathML of the page's own making */
+    row.querySelector(".live-text").textContent = knob.text;
+    row.querySelector(".live-unit").textContent = knob.unit && `[${knob.unit}]`;
+    slider.setAttribute("aria-label", what);
+    field.setAttribute("aria-label", `${what}: number in ${knob.unit || "its unit"}`);
+    if (knob.reference === null) Object.assign(field, { min: knob.low, max: knob.high });
+    back.setAttribute("aria-label", `${knob.name} back to ${short(knob.value, 6)}`);
+    back.title = "back";
+    slider.addEventListener("input", () => this.set(knob, valueAt(knob, Number(slider.value))));
+    field.addEventListener("input", () => {
+      const wrong = field.value === "" || !field.validity.valid;
+      field.setAttribute("aria-invalid", wrong);
+      if (!wrong) this.set(knob, field.valueAsNumber, field);
+    });
+    /* An edit may also end by another joint being shown, where this field is gone. */
+    field.addEventListener("change", () => this.rows.has(knob) && this.write(knob));
+    back.addEventListener("click", () => {
+      this.set(knob, knob.value);
+      slider.focus();
+    });
+    this.rows.set(knob, { row, slider, field, back });
+    this.write(knob);
+    return row;
+  }
+
+  set(knob, value, typing) {
+    this.values[this.number][keyOf(knob)] = knob.scale === "whole" ? Math.round(value) : value;
+    this.write(knob, typing);
+    this.schedule();
+  }
+
+  /* Show a knob's value; but not in the field in which it is being typed. */
+  write(knob, typing) {
+    const { row, slider, field, back } = this.rows.get(knob);
+    const value = this.values[this.number][keyOf(knob)];
+    slider.value = positionOf(knob, value);
+    slider.setAttribute("aria-valuetext", `${short(value, 6)} ${knob.unit}`.trim());
+    if (field !== typing) {
+      field.value = value === knob.value ? short(value, 6) : value;
+      field.removeAttribute("aria-invalid");
+    }
+    back.hidden = value === knob.value;
+    row.classList.toggle("live-moved", !back.hidden);
+  }
+
+  reset() {
+    this.values[this.number] = this.fitted(this.joint);
+    for (const knob of this.knobs(this.joint)) this.write(knob);
+    this.schedule();
+  }
+
+  /* Many moves within one frame are drawn once. */
+  schedule() {
+    this.frame ??= requestAnimationFrame(() => {
+      this.frame = undefined;
+      this.draw();
+    });
+  }
+
+  draw() {
+    const { joint } = this, values = this.values[this.number];
+    const motion = motionOf(values, this.data.step);
+    const now = this.fmu.run(joint, values, motion);
+    const fitted = this.fmu.run(joint, this.fitted(joint), motion);
+    this.result = { motion, now: now.torque, fitted: fitted.torque };
+    const view = this.element.querySelector(".live-views :checked").value;
+    const x = motion[AXES[view].column], early = motion.t.length - 1 - motion.cycle;
+    const from = view === "time" ? 0 : early;
+    const part = (torque, a, b) => ({ x: x.slice(a, b), y: torque.slice(a, b) });
+    const curves = { fitted: part(fitted.torque, from), now: part(now.torque, early) };
+    if (early > 0) curves.early = part(now.torque, 0, early + 1);
+    const whole = this.plot.draw(curves, AXES[view].text);
+    const refused = now.refused && `The FMU refuses this. ${now.refused}`;
+    this.tell(motion, view, refused || (whole ? "" : "The torque is too large to be drawn."));
+  }
+
+  tell(motion, view, trouble) {
+    const { now, fitted } = this.result;
+    const say = (name, text) => {
+      const place = this.find(name);
+      if (place.textContent !== text) place.textContent = text;
+      place.hidden = !text;
+    };
+    const columns = [figures(motion, fitted), figures(motion, now)];
+    this.find("figures").querySelectorAll("td").forEach((cell, i) => {
+      cell.textContent = shown(columns[i % 2][i >> 1]);
+    });
+    const { speeds } = this.joint, { amplitude } = this.values[this.number];
+    const inside = !speeds || (-amplitude >= speeds[0] && amplitude <= speeds[1]);
+    say("beyond", inside ? "" : "Faster than what the law was trained on: extrapolated.");
+    say("refused", trouble);
+    const value = (knob) => this.values[this.number][keyOf(knob)];
+    const changes = this.joint.coefficients.filter((c) => value(c) !== c.value).map((c) =>
+      `${c.name} ${shown(value(c), 6)} in place of ${shown(c.value, 6)} ${c.unit}`.trim());
+    say("changed", changes.length ? `Changed: ${changes.join("; ")}.` : "All as fitted.");
+    this.plot.svg.firstElementChild.textContent =
+      `Friction torque over ${view} of ${this.joint.name}, at most ${shown(columns[1][0])} N.m; ` +
+      `as fitted at most ${shown(columns[0][0])} N.m.`;
+  }
+
+  /* What is drawn, in full precision; rows that the FMU refused are empty. */
+  save() {
+    const { motion, now, fitted } = this.result;
+    const rows = motion.t.map((t, k) =>
+      [t, motion.dq[k], motion.q[k], motion.tau_load[k], now[k] ?? "", fitted[k] ?? ""].join(","));
+    const text = `t,dq,q,tau_load,tau,tau_fitted\n${rows.join("\n")}\n`;
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
+    link.download = `friction_${this.joint.name.replace(/\W+/g, "_")}.csv`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href));
+  }
+}
+
+for (const element of document.querySelectorAll(".live")) {
+  const data = JSON.parse(element.querySelector("script").textContent);
+  Fmu.from(data.module).then((fmu) => new Section(element, data, fmu)).catch((error) => {
+    const dead = element.querySelector(".live-dead");
+    dead.textContent = "Nothing moves here: this browser cannot run the FMU's code as WebAssembly " +
+      `(${error.message}).`;
+    dead.hidden = false;
+  });
+}

@@ -1,0 +1,99 @@
+/* A plot of curves with two axes, as SVG in the colours of its page. */
+
+const TORQUE = "friction torque τ [N.m]";
+const MARGIN = { left: 58, right: 14, top: 26, bottom: 42 };
+const DIGITS = 4; /* of what a slider sets, so that what is shown is what is used */
+
+function short(value, digits = DIGITS) {
+  return Number.isFinite(value) ? String(Number(value.toPrecision(digits))) : "–";
+}
+
+function shown(value, digits) {
+  return short(value, digits).replaceAll("-", "−");
+}
+
+/* Round numbers from low to high. */
+function ticks(low, high, most) {
+  const raw = (high - low) / most, base = 10 ** Math.floor(Math.log10(raw));
+  const step = base * [1, 2, 5, 10].find((f) => f * base >= raw * (1 - 1e-9));
+  const first = Math.ceil(low / step - 1e-9), found = [];
+  for (let i = first; i * step <= high + 1e-9 * step; i++) found.push(i * step);
+  return found.map((value) => ({ value, text: shown(value, 6) }));
+}
+
+function range(...columns) {
+  let low = Infinity, high = -Infinity;
+  for (const column of columns) {
+    for (const value of column) {
+      if (value < low) low = value;
+      if (value > high) high = value;
+    }
+  }
+  const some = Math.max(high - low, 1e-12 * Math.max(Math.abs(low), Math.abs(high))) || 1;
+  return [low - 0.05 * some, high + 0.05 * some];
+}
+
+class Plot {
+  constructor(svg) {
+    this.svg = svg;
+    this.grid = this.add("g");
+    this.curves = Object.fromEntries(
+      ["fitted", "early", "now"].map((name) => [name, this.add("path", { class: `live-${name}` })]),
+    );
+  }
+
+  add(tag, attributes = {}, text = "", parent = this.svg) {
+    const element = document.createElementNS(this.svg.namespaceURI, tag);
+    for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+    element.textContent = text;
+    return parent.appendChild(element);
+  }
+
+  /* Curves are { x, y } by name; `text` is what the horizontal axis shows. False if no axis can hold
+   * them. */
+  draw(curves, text) {
+    const { width, height } = this.svg.getBoundingClientRect();
+    const all = Object.values(curves);
+    const [left, right] = range(...all.map((c) => c.x));
+    const [bottom, top] = range(...all.map((c) => c.y));
+    this.grid.replaceChildren();
+    for (const path of Object.values(this.curves)) path.setAttribute("d", "");
+    if (!Number.isFinite(right - left) || !Number.isFinite(top - bottom)) return false;
+    const across = (width - MARGIN.left - MARGIN.right) / (right - left);
+    const up = (height - MARGIN.top - MARGIN.bottom) / (top - bottom);
+    const x = (value) => MARGIN.left + (value - left) * across;
+    const y = (value) => height - MARGIN.bottom - (value - bottom) * up;
+    this.svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
+    const line = (x1, y1, x2, y2, value) =>
+      this.add("line", { x1, y1, x2, y2, ...(value === 0 && { class: "live-zero" }) }, "", this.grid);
+    const label = (at, words) => this.add("text", at, words, this.grid);
+    for (const { value, text: words } of ticks(left, right, width / 90)) {
+      line(x(value), MARGIN.top, x(value), height - MARGIN.bottom, value);
+      label({ x: x(value), y: height - MARGIN.bottom + 16, "text-anchor": "middle" }, words);
+    }
+    for (const { value, text: words } of ticks(bottom, top, height / 55)) {
+      line(MARGIN.left, y(value), width - MARGIN.right, y(value), value);
+      label({ x: MARGIN.left - 7, y: y(value) + 4, "text-anchor": "end" }, words);
+    }
+    const middle = MARGIN.left + (width - MARGIN.left - MARGIN.right) / 2;
+    label({ x: middle, y: height - 6, "text-anchor": "middle", class: "live-axis" }, text);
+    label({ x: 8, y: 15, class: "live-axis" }, TORQUE);
+    for (const [name, curve] of Object.entries(curves)) {
+      this.curves[name].setAttribute("d", this.path(curve, x, y));
+    }
+    return true;
+  }
+
+  /* Points that nobody could tell from the one before them are left out. */
+  path(curve, x, y) {
+    const parts = [];
+    let px = NaN, py = NaN;
+    for (let k = 0; k < curve.y.length; k++) {
+      const ax = x(curve.x[k]), ay = y(curve.y[k]);
+      if (Math.abs(ax - px) + Math.abs(ay - py) < 0.3 && k < curve.y.length - 1) continue;
+      parts.push(`${ax.toFixed(2)} ${ay.toFixed(2)}`);
+      [px, py] = [ax, ay];
+    }
+    return parts.length ? `M${parts.join("L")}` : "";
+  }
+}

@@ -1,0 +1,65 @@
+"""Drive FMUs of many laws at once, and how they are run."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from cosim.component import Component
+from fmu_src.drive.export import content
+from fmu_src.package import write_fmu
+from hesr_model.friction.law import FrictionLaw, FrictionModel
+
+Array = np.ndarray
+
+
+def model_of(laws: Mapping[str, FrictionLaw]) -> FrictionModel:
+    """One joint for each law."""
+    return FrictionModel(
+        law="by_hand", robot="bench", joints=tuple(laws), laws=tuple(laws.values()),
+        sample_time=0.005,
+    )  # fmt: skip
+
+
+def drive(
+    laws: Mapping[str, FrictionLaw], folder: Path, inertia: Sequence[float], **more: Sequence[float]
+) -> Path:
+    """Write the drive of one joint for each law."""
+    return write_fmu(content(model_of(laws), inertia=inertia, **more), folder / "Drive.fmu")
+
+
+class Run:
+    """A drive under torques that hold over each row of a grid.
+
+    Attributes
+    ----------
+    q, dq, tau_f : (K, n) at the end of every step.
+    """
+
+    def __init__(
+        self, fmu: Path, tau: Array, *, grid: float, step: float, substep: float | None = None,
+        start: Mapping[str, float] | None = None,
+    ) -> None:  # fmt: skip
+        joints = range(1, tau.shape[1] + 1)
+        steps = round(grid / step)
+        names = [f"{name}[{i}]" for name in ("q", "dq", "tau_f") for i in joints]
+        rows = np.empty((len(tau) * steps, len(names)))
+        with Component(fmu) as component:
+            component.initialise(
+                start={"substep": step if substep is None else substep, **(start or {})}
+            )
+            inputs = component.batch([f"tau_motor[{i}]" for i in joints])
+            outputs = component.batch(names)
+            for k, torque in enumerate(tau):
+                inputs.values[:] = torque
+                inputs.write()
+                for n in range(steps):
+                    component.step(k * grid + n * step, step)
+                    rows[k * steps + n] = outputs.read()
+        self.q, self.dq, self.tau_f = np.split(rows, 3, axis=1)
+
+
+def reversals(dq: Array) -> int:
+    """How often a speed changes its sign; rests between do not count."""
+    moving = np.sign(dq[dq != 0.0])
+    return int(np.sum(moving[1:] != moving[:-1]))

@@ -1,0 +1,305 @@
+"""A drive FMU in a host's hands: steps and inner steps, rest, states, what it refuses."""
+
+import ctypes
+import json
+import re
+import shutil
+import subprocess
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from binary import Binary
+from drive_runs import drive, model_of
+
+from cosim.component import Component
+from fmu_src.drive.export import export_drive
+from fmu_src.toolchain import compile_c
+from hesr_model.errors import ExportError, SimulationError
+
+DISCARD = 2
+FUZZ = Path(__file__).parents[1] / "fuzz.c"
+
+
+@pytest.fixture(scope="module")
+def fmu(make_law, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A law that jumps at rest, one with a bristle and one with a scale in place of parameters."""
+    laws = {name: make_law(name) for name in ("viscous", "lugre", "gaussians")}
+    return drive(laws, tmp_path_factory.mktemp("drive"), [0.6, 3.0, 1.0])
+
+
+@pytest.fixture
+def binary(fmu: Path, load: Callable[[Path], Binary]) -> Binary:
+    return load(fmu)
+
+
+def everything(binary: Binary, c: ctypes.c_void_p) -> list[float]:
+    return binary.get(c, *(v.name for v in binary.about.modelVariables if v.type == "Real"))
+
+
+def ready(binary: Binary, **start: float) -> ctypes.c_void_p:
+    c = binary.instantiate()
+    values = {"substep" if name == "substep" else f"{name}[1]": v for name, v in start.items()}
+    assert binary("EnterInitializationMode", c) == 0
+    assert binary.set_all(c, values) == 0
+    assert binary("ExitInitializationMode", c) == 0
+    return c
+
+
+def test_before_the_first_step_outputs_are_the_start_values(fmu: Path) -> None:
+    with Component(fmu) as component:
+        component.initialise(
+            start={"q_start[2]": 0.3, "dq_start[2]": -0.2, "ratio[2]": 2.0, "z[2]": 1e-3,
+                   "stiffness[2]": 50.0, "damping[2]": 4.0, "q_link[2]": 0.1, "dq_link[2]": 0.5}
+        )  # fmt: skip
+        q, dq, ddq, tau_f, tau_link, dz = component.get(
+            ["q[2]", "dq[2]", "ddq[2]", "tau_f[2]", "tau_link[2]", "der(z[2])"]
+        )
+        level = 9.0 + 3.0 * np.exp(-((0.1 / 0.08) ** 2))
+        assert (q, dq, ddq) == (0.3, -0.2, 0.0)
+        assert dz == pytest.approx(-0.1 - 2e3 * 0.1 / level * 1e-3, rel=1e-12)
+        assert tau_f == pytest.approx(2e3 * 1e-3 + 1.5 * dz, rel=1e-12)
+        assert tau_link == pytest.approx(50.0 * (0.15 - 0.1) + 4.0 * (-0.1 - 0.5), rel=1e-12)
+
+
+def test_inputs_have_no_effect_before_the_next_step(binary: Binary) -> None:
+    c = ready(binary, tau_motor=8.0)
+    assert binary.step(c, 0.0, 0.01) == 0
+    outputs = ("q[1]", "dq[1]", "ddq[1]", "tau_f[1]", "tau_link[1]")
+    before = binary.get(c, *outputs)
+    binary.set(c, tau_motor=-8.0, q_link=1.0)
+    assert binary.get(c, *outputs) == before
+    assert binary.step(c, 0.01, 0.01) == 0
+    assert binary.get(c, *outputs) != before
+
+
+def test_a_long_step_is_its_inner_steps(binary: Binary) -> None:
+    one = ready(binary, tau_motor=8.0, substep=1.0 / 1024.0)
+    many = ready(binary, tau_motor=8.0)
+    binary.set_all(many, {"tau_motor[2]": 15.0})
+    binary.set_all(one, {"tau_motor[2]": 15.0})
+    for k in range(10):
+        assert binary.step(one, k / 128.0, 1.0 / 128.0) == 0
+        for n in range(8):
+            assert binary.step(many, k / 128.0 + n / 1024.0, 1.0 / 1024.0) == 0
+    assert everything(binary, one)[:-1] != [0.0]
+    names = [v.name for v in binary.about.modelVariables if v.type == "Real"]
+    differ = [n for n, a, b in zip(names, everything(binary, one), everything(binary, many),
+                                   strict=True) if a != b]  # fmt: skip
+    assert differ == ["substep"]
+
+
+@pytest.mark.parametrize(("step", "parts"), [(0.9, 3), (0.6, 2), (0.601, 3), (0.1, 1)])
+def test_inner_steps_are_equal_and_no_more_than_needed(
+    binary: Binary, step: float, parts: int
+) -> None:
+    """0.9 / 0.3 is a little more than 3, which is rounding."""
+    start = {"tau_motor": 8.0, "inertia": 50.0}
+    c, apart = ready(binary, substep=0.3, **start), ready(binary, substep=1.0, **start)
+    assert binary.step(c, 0.0, step) == 0
+    for n in range(parts):
+        assert binary.step(apart, n * step / parts, step / parts) == 0
+    assert binary.get(c, "q[1]", "dq[1]") == pytest.approx(binary.get(apart, "q[1]", "dq[1]"))
+
+
+def test_friction_that_jumps_holds_a_joint_still(binary: Binary) -> None:
+    """4.5 N.m and 0.5 of ripple hold a joint; it breaks away beyond and stops in one step."""
+    c = ready(binary, tau_motor=4.9)
+    for k in range(100):
+        assert binary.step(c, 0.01 * k, 0.01) == 0
+        assert binary.get(c, "dq[1]", "q[1]", "tau_f[1]") == [0.0, 0.0, pytest.approx(4.9)]
+    binary.set(c, tau_motor=-3.9)
+    assert binary.step(c, 1.0, 0.01) == 0
+    assert binary.get(c, "dq[1]", "tau_f[1]") == [0.0, pytest.approx(-3.9)]
+    binary.set(c, tau_motor=-4.1)
+    assert binary.step(c, 1.01, 0.01) == 0
+    assert binary.get(c, "dq[1]")[0] < 0.0
+    binary.set(c, tau_motor=0.0)
+    assert binary.step(c, 1.02, 0.01) == 0
+    assert binary.get(c, "dq[1]") == [0.0]
+
+
+def test_a_scale_multiplies_friction(fmu: Path) -> None:
+    speeds = []
+    for scale in (0.0, 1.0, 2.0):
+        with Component(fmu) as component:
+            component.initialise(start={"scale[3]": scale, "dq_start[3]": 0.5, "substep": 1.0})
+            component.step(0.0, 1e-4)
+            dq, tau_f, ddq = component.get(["dq[3]", "tau_f[3]", "ddq[3]"])
+            assert ddq == pytest.approx(-tau_f, rel=1e-9)
+            speeds.append(dq - 0.5)
+    assert speeds[0] == 0.0
+    assert speeds[2] == pytest.approx(2.0 * speeds[1], rel=1e-2)
+
+
+def test_a_restored_state_goes_on_bit_for_bit(binary: Binary) -> None:
+    def run(c: ctypes.c_void_p, first: int) -> list[list[float]]:
+        rows = []
+        for k in range(first, first + 40):
+            binary.set_all(c, {f"tau_motor[{i}]": 12.0 * np.sin(0.3 * k) for i in (1, 2, 3)})
+            assert binary.step(c, 0.01 * k, 0.01) == 0
+            rows.append(everything(binary, c))
+        return rows
+
+    c, state, size = ready(binary), ctypes.c_void_p(), ctypes.c_size_t()
+    run(c, 0)
+    assert binary("GetFMUstate", c, ctypes.byref(state)) == 0
+    assert binary("SerializedFMUstateSize", c, state, ctypes.byref(size)) == 0
+    data = ctypes.create_string_buffer(size.value)
+    assert binary("SerializeFMUstate", c, state, data, size) == 0
+    first = run(c, 40)
+    assert binary("SetFMUstate", c, state) == 0
+    assert run(c, 40) == first
+    other, restored = binary.instantiate(name=b"other"), ctypes.c_void_p()
+    assert binary("DeSerializeFMUstate", other, data, size, ctypes.byref(restored)) == 0
+    assert binary("SetFMUstate", other, restored) == 0
+    assert run(other, 40) == first
+    assert binary("Reset", other) == 0
+    assert binary("EnterInitializationMode", other) == 0
+    assert binary("ExitInitializationMode", other) == 0
+    assert run(other, 0) == run(ready(binary), 0)
+
+
+def assert_discards(binary: Binary, c: ctypes.c_void_p, step: float, text: str) -> None:
+    """The whole step is refused, nothing has moved, and the host is told why."""
+    before = everything(binary, c)
+    assert binary.step(c, 0.0, step) == DISCARD
+    assert everything(binary, c) == before
+    assert re.fullmatch(text, binary.messages[-1].text), binary.messages[-1].text
+    assert binary.messages[-1].category == "logStatusDiscard"
+
+
+def test_a_step_without_a_root_is_discarded(binary: Binary) -> None:
+    """Friction of the wrong sign drives faster than the inertia can follow."""
+    c = ready(binary, tau_motor=8.0)
+    assert binary.set_all(c, {"joint[1].sigma_2": -1e6, "tau_motor[2]": 20.0}) == 0
+    assert_discards(
+        binary, c, 0.01,
+        r"dq\[1\]: no speed was found that balances the torques in a step of 0\.001 s; it keeps "
+        r"its last value\. Take a smaller substep, or look at the torque and the coefficients\.",
+    )  # fmt: skip
+    assert binary.set_all(c, {"joint[1].sigma_2": 12.0}) == 0
+    assert binary.step(c, 0.0, 0.01) == 0
+    assert min(binary.get(c, "dq[1]", "dq[2]")) > 0.0
+
+
+def test_a_step_that_fails_on_its_way_is_discarded_as_a_whole(binary: Binary) -> None:
+    """It would run for some inner steps before no speed balances; other joints do not move."""
+    start = {"joint[1].sigma_2": -1e3, "tau_motor[1]": 10.0, "tau_motor[2]": 20.0}
+    c, ahead = ready(binary), ready(binary)
+    for instance in (c, ahead):
+        assert binary.set_all(instance, start) == 0
+    assert binary.step(ahead, 0.0, 0.02) == 0
+    assert_discards(binary, c, 0.2, r"dq\[1\]: no speed was found .*")
+
+
+def test_torques_that_overflow_are_discarded(binary: Binary) -> None:
+    c = ready(binary)
+    assert binary.set_all(c, {"tau_motor[2]": 1e308}) == 0
+    assert_discards(
+        binary, c, 0.01, r"dq\[2\]: the torques are not finite in a step of 0\.001 s; .*"
+    )
+
+
+def test_euler_that_is_not_stable_is_discarded(table1, tmp_path: Path, load) -> None:
+    path = drive({"j1": table1.laws[0]}, tmp_path, [3.0])
+    binary = load(path)
+    c = ready(binary, substep=1.0)
+    assert_discards(
+        binary, c, 0.2,
+        r"h\[1\]: Euler needs rate \* step < 1 but found 2\.274 at dq\[1\] = \S+; take a smaller "
+        r"step or the exact discretisation\.",
+    )  # fmt: skip
+
+
+def test_steps_of_endless_inner_steps_are_discarded(binary: Binary) -> None:
+    assert_discards(
+        binary, ready(binary, substep=1e-300), 0.01,
+        r"A step of 0\.01 s would be 1e\+298 inner ones; at most 1e\+07 are made\. Take a shorter "
+        r"step or a longer substep than 1e-300 s\.",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("inertia[2]", 0.0, "inertia[2] is 0; it must be positive."),
+        ("inertia[1]", -3.0, "inertia[1] is -3; it must be positive."),
+        ("stiffness[3]", -1.0, "stiffness[3] is -1; it must not be negative."),
+        ("damping[1]", -0.5, "damping[1] is -0.5; it must not be negative."),
+        ("ratio[2]", 0.0, "ratio[2] is 0; it must not be zero."),
+        ("substep", 0.0, "substep is 0; it must be positive."),
+    ],
+)
+def test_motors_that_cannot_be(fmu: Path, name: str, value: float, said: str) -> None:
+    with Component(fmu) as component, pytest.raises(SimulationError, match=re.escape(said)):
+        component.initialise(start={name: value})
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"inertia": [1.0]},
+         "drive: 'inertia' has 1 values; needed are 2, one for each joint."),
+        ({"inertia": [1.0, 0.0]},
+         "drive: 'inertia' of joint 2 is 0 kg.m2; needed is a positive number."),
+        ({"inertia": [float("inf"), 1.0]},
+         "drive: 'inertia' of joint 1 is inf kg.m2; needed is a positive number."),
+        ({"inertia": [1.0, 1.0], "stiffness": [-1.0, 0.0]},
+         "drive: 'stiffness' of joint 1 is -1 N.m/rad; needed is a number that is not negative."),
+        ({"inertia": [1.0, 1.0], "damping": [0.0, float("nan")]},
+         "drive: 'damping' of joint 2 is nan N.m.s/rad; needed is a number that is not negative."),
+        ({"inertia": [1.0, 1.0], "ratio": [0.0, 1.0]},
+         "drive: 'ratio' of joint 1 is 0 turns; needed is a number other than zero."),
+        ({"inertia": [1.0, 1.0], "ratio": [1.0]},
+         "drive: 'ratio' has 1 values; needed are 2, one for each joint."),
+    ],
+)  # fmt: skip
+def test_exports_that_cannot_be(make_law, tmp_path: Path, more, said: str) -> None:
+    model = model_of({"a": make_law("lugre"), "b": make_law("bare")})
+    with pytest.raises(ExportError) as caught:
+        export_drive(model, tmp_path / "Drive.fmu", **more)
+    assert str(caught.value) == said
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def sources(fmu: Path, tmp_path: Path) -> Path:
+    """Sources of the FMU, and a host that leads random lives with it; co-simulation only."""
+    with zipfile.ZipFile(fmu) as archive:
+        members = [name for name in archive.namelist() if name.startswith("sources/")]
+        archive.extractall(tmp_path, members)
+    either, own = "below(2) ? fmi2CoSimulation : fmi2ModelExchange", "fmi2CoSimulation"
+    text = FUZZ.read_text(encoding="utf-8").replace(either, own)
+    assert either not in text
+    text = text.replace("LIVES = 10000", "LIVES = 3000")
+    (tmp_path / "sources" / "lives.c").write_text(text, encoding="utf-8")
+    return tmp_path / "sources"
+
+
+def test_any_sequence_of_calls_is_free_of_undefined_behaviour(sources: Path) -> None:
+    flags = ("-std=c99", "-g", "-O1", "-I.", "-fno-sanitize-recover=all", "-fsanitize=undefined")
+    compile_c(sources / "all.c", flags, sources / "lives", (str(sources / "lives.c"), "-lm"))
+    assert_lives(sources)
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
+def test_any_sequence_of_calls_is_free_of_memory_errors(sources: Path) -> None:
+    flags = ("-std=c99", "-g", "-O1", "-I.", "-Wall", "-Wextra", "-Wpedantic", "-Werror",
+             "-fno-sanitize-recover=all", "-fsanitize=address,undefined")  # fmt: skip
+    command = ["gcc", *flags, "-o", "lives", "all.c", "lives.c", "-lm"]
+    subprocess.run(command, cwd=sources, check=True)
+    assert_lives(sources)
+
+
+def assert_lives(sources: Path) -> None:
+    result = subprocess.run(
+        [sources / "lives"], capture_output=True, text=True, check=False, timeout=300
+    )
+    assert (result.returncode, result.stderr) == (0, ""), result.stderr[-4000:]
+    counts = json.loads(result.stdout)
+    assert counts["steps"] > 10000
+    assert counts["restored"] > 3000
+    assert counts["refusals"] > 300

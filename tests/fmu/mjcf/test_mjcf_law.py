@@ -1,0 +1,292 @@
+"""A law as MJCF: its numbers, its inclusion in a robot, and what is refused."""
+
+import json
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+import sympy
+
+from fmu_src import model_file
+from fmu_src.arm.truth import true_friction
+from fmu_src.mjcf.export import export_mjcf_law
+from fmu_src.mjcf.parts import Wave, parts_of
+from hesr_model.artifacts import read_model
+from hesr_model.errors import ArtifactError, ExportError
+from hesr_model.files import models_folder
+from hesr_model.friction.estimator import estimator
+from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
+
+UF850 = models_folder() / "uf850" / "uf850.xml"
+JOINTS = ("joint1", "joint2", "joint3")
+
+
+@pytest.fixture
+def twin():
+    """The true friction of the twin, which MuJoCo has parts for, whatever its law is called."""
+    return true_friction(UF850, JOINTS, sample_time=0.005)
+
+
+@pytest.fixture
+def lugre(make_law, make_model):
+    return make_model(make_law("lugre"), law="lugre")
+
+
+def without_friction(path):
+    """The robot of the twin with an include where its friction actuators were."""
+    tree = ET.parse(UF850)
+    actuators = tree.find("actuator")
+    for motor in actuators.findall("dcmotor"):
+        actuators.remove(motor)
+    sensors = tree.find("sensor")
+    for sensor in sensors.findall("actuatorfrc"):
+        sensors.remove(sensor)
+    ET.SubElement(tree.getroot(), "include", file="friction.xml")
+    tree.write(path)
+    return path
+
+
+def test_the_numbers_have_all_their_digits(make_model, tmp_path):
+    names = ("sigma_0", "sigma_1", "sigma_2", "F_c", "F_s", "v_s", "tau_0")
+    value = dict(zip(names, np.exp(np.random.default_rng(0).normal(size=7)), strict=True))
+    law = FrictionLaw(name="lugre", form=estimator("lugre").form({}), values=value)
+    model = replace(make_model(law, law="lugre"), joints=("joint2",))
+    export_mjcf_law(model, tmp_path / "friction.xml")
+    robot = mujoco.MjModel.from_xml_path(str(without_friction(tmp_path / "robot.xml")))
+    motor = robot.actuator("joint2_lugre1").id
+    assert list(robot.actuator_dynprm[motor, 5:7]) == [value["sigma_0"], value["sigma_1"]]
+    found = robot.actuator_biasprm[motor, :6]
+    offset = [-value["tau_0"], 0.0, np.pi / 2.0]
+    assert list(found) == [*offset, value["F_c"], value["F_s"], value["v_s"]]
+    assert np.ravel(robot.actuator_damping[motor])[0] == value["sigma_2"]
+    assert robot.joint("joint2").id == robot.actuator_trnid[motor, 0]
+
+
+def test_the_friction_of_the_twin_comes_back(twin, tmp_path):
+    """The MJCF of its own friction makes the same arm again, step by step."""
+    assert export_mjcf_law(twin, tmp_path / "friction.xml").lines() == [
+        "joint1: exact",
+        "joint2: exact",
+        "joint3: exact",
+    ]
+    again = mujoco.MjModel.from_xml_path(str(without_friction(tmp_path / "robot.xml")))
+    original = mujoco.MjModel.from_xml_path(str(UF850))
+    assert again.nu == original.nu
+    assert again.na == original.na
+    states = []
+    for model in (original, again):
+        data = mujoco.MjData(model)
+        data.qpos[:] = [0.0, 0.3, -1.9]
+        path = []
+        for k in range(2000):
+            data.ctrl[:3] = data.ctrl[3:] = np.sin(0.004 * k) * np.array([1.0, 0.5, 0.8])
+            mujoco.mj_step(model, data)
+            path.append([*data.qpos, *data.qvel])
+        states.append(path)
+    moved = np.ptp(states[0], axis=0)
+    assert np.all(moved[:3] > 0.1)
+    np.testing.assert_allclose(states[1], states[0], rtol=0, atol=1e-12)
+
+
+def test_a_robot_whose_defaults_say_otherwise(lugre, tmp_path):
+    """Gear, damping and cogging of the robot's own motors do not reach the friction."""
+    (tmp_path / "robot.xml").write_text(
+        '<mujoco><default><dcmotor gear="3" damping="7" cogging="1 2 3" motorconst="1 1"'
+        ' resistance="2"/></default>'
+        '<worldbody><body><joint name="axis_1"/><geom size="0.1"/></body></worldbody>'
+        '<include file="friction.xml"/></mujoco>'
+    )
+    export_mjcf_law(lugre, tmp_path / "friction.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
+    assert model.actuator_gear[0, 0] == 1.0
+    assert not np.any(model.actuator_damping)
+    assert not np.any(model.actuator_biasprm[0, :3])
+    data = mujoco.MjData(model)
+    data.qvel[0] = 100.0
+    mujoco.mj_forward(model, data)
+    # Bristles at rest have micro-damping only.
+    assert data.actuator_force[0] == pytest.approx(-150.0, rel=1e-14)
+
+
+def test_it_says_where_it_comes_from(lugre, tmp_path):
+    model = replace(
+        lugre, robot='"a" & <b>', joints=("arm's <1>",), provenance={"seed": 3, "files": ["x"]}
+    )
+    path = tmp_path / "friction.xml"
+    export_mjcf_law(model, path)
+    texts = {text.get("name"): text.get("data") for text in ET.parse(path).iter("text")}
+    assert texts['"a" & <b>_friction_law'].startswith(
+        'lugre of "a" & <b>, made at 0.005 s, by HESR'
+    )
+    assert json.loads(texts['"a" & <b>_friction_provenance']) == {"seed": 3, "files": ["x"]}
+    assert texts['"a" & <b>_friction_error'] == "arm's <1>: exact"
+    assert [motor.get("joint") for motor in ET.parse(path).iter("dcmotor")] == ["arm's <1>"]
+
+
+def test_the_same_model_gives_the_same_bytes(twin, tmp_path):
+    for name in ("a.xml", "b.xml"):
+        export_mjcf_law(twin, tmp_path / name)
+    assert (tmp_path / "a.xml").read_bytes() == (tmp_path / "b.xml").read_bytes()
+
+
+V, F, C = (sympy.Symbol(name, real=True) for name in ("v_s", "F", "c"))
+
+
+SLOPE = absolute(DQ) * F
+
+
+def odd(*, drive=DQ, rate=SLOPE, output=None, values=(0.1, 9.0, 2.0), **more):
+    z = Relaxation(name="z", unit="rad", drive=drive, rate=rate)
+    own = tuple(Coefficient(name=str(s), unit="1", description="") for s in (V, F, C))
+    torque = F * z.state if output is None else output(z)
+    form = LawForm(coefficients=own, relaxations=(z,), output=torque)
+    return FrictionLaw(
+        name="odd", form=form, values=dict(zip(map(str, (V, F, C)), values, strict=True)), **more
+    )
+
+
+PEAK = sympy.exp(-((DQ / V) ** 2))
+NO_COUNTERPART = {
+    "start": (odd(start=(0.1,)), "its state 'z' starts at 0.1, MuJoCo's at 0"),
+    "euler": (
+        odd(discretisation="euler"),
+        "it is run with Euler's steps, and MuJoCo relaxes a bristle exactly",
+    ),
+    "drive": (
+        odd(drive=sympy.tanh(DQ)),
+        "its state 'z' is driven by tanh(dq), a bristle by the velocity itself",
+    ),
+    "backwards": (odd(drive=-DQ), "its state 'z' is driven by -dq, "),
+    "rate at rest": (
+        odd(rate=F),
+        "its state 'z' relaxes at the rate F, a bristle in proportion to the speed with one "
+        "Stribeck peak at most",
+    ),
+    "rate in the angle": (odd(rate=absolute(DQ) * (F + Q**2)), "its state 'z' relaxes at the rate"),
+    "other peak": (odd(rate=absolute(DQ) / (F + sympy.exp(-DQ))), "its state 'z' relaxes at"),
+    "two peaks": (odd(rate=absolute(DQ) / (F + PEAK + PEAK**2)), "its state 'z' relaxes at"),
+    "level": (
+        odd(rate=absolute(DQ) * (F + C * PEAK)),
+        "the sliding torque of its state 'z' is F/(F + c*exp(-dq**2/v_s**2)), a bristle's a "
+        "constant with a Stribeck peak",
+    ),
+    "negative level": (
+        odd(rate=absolute(DQ) / (F - C * PEAK), values=(0.1, 1.0, 2.0)),
+        "its state 'z' slides at 1 to -1 N.m, a bristle at more than 0",
+    ),
+    "negative force": (
+        odd(output=lambda z: -F * z.state),
+        "the torque of its state 'z' has the factor -9 N.m/rad, and the stiffness of a bristle is "
+        "positive",
+    ),
+    "no force": (odd(output=lambda z: C * z.derivative), "has the factor 0 N.m/rad"),
+    "square": (
+        odd(output=lambda z: F * z.state**2),
+        "its torque has the term F*z**2, which is neither a bristle's nor viscous nor a ripple in "
+        "the joint's angle alone",
+    ),
+    "product": (odd(output=lambda z: F * z.state * z.derivative), "has the term F*dz*z, "),
+    "quadratic": (odd(output=lambda z: F * z.state + DQ**2), "its torque has the term dq**2, "),
+    "spring": (odd(output=lambda z: F * z.state + C * Q), "its torque has the term c*q, "),
+    "wave of speed": (
+        odd(output=lambda z: F * z.state + sympy.sin(Q + DQ)),
+        "its torque has the term sin(dq + q), ",
+    ),
+    "complex": (
+        odd(output=lambda z: F * z.state + sympy.log(C) * DQ, values=(0.1, 9.0, -2.0)),
+        "its coefficients make log(c) no number (0.693147180559945 + I*pi)",
+    ),
+    "wave of the square": (
+        odd(output=lambda z: F * z.state + C * sympy.sin(Q**2)),
+        "its torque has the term c*sin(q**2), ",
+    ),
+    "square wave": (
+        odd(output=lambda z: F * z.state + C * sympy.sin(Q) ** 2),
+        "its torque has the term c*sin(q)**2, ",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NO_COUNTERPART)
+def test_what_mujoco_has_no_part_for_is_refused(name, make_model, tmp_path):
+    law, reason = NO_COUNTERPART[name]
+    path = tmp_path / "friction.xml"
+    with pytest.raises(ExportError) as refusal:
+        export_mjcf_law(make_model(law, law="odd"), path)
+    sentence = str(refusal.value)
+    assert sentence.startswith("law 'odd' of joint 'axis_1' is not expressible in MJCF: ")
+    assert reason in sentence
+    assert sentence.endswith(
+        "; --project writes the nearest bristles and says how far off they are."
+    )
+    assert not list(tmp_path.iterdir())
+
+
+REGISTRY = {
+    "stribeck": "has the term F_c*sgn(dq), which is neither",
+    "parfam_v": "which is neither a bristle's nor viscous",
+    "lugre_load": "has the term mu*sigma_0*z*abs(tau_load), which is of the load",
+    "lugre_load_ripple": "has the term mu*sigma_0*z*abs(tau_load), which is of the load",
+    "dahl_load": "has the term mu_1*x1*abs(tau_load), which is of the load",
+    "rbfnn_h": "its state 'h' is driven by alpha*tanh(beta*dq), a bristle by the velocity itself",
+    "mlp_h": "its state 'h' is driven by alpha*tanh(beta*dq), ",
+    "parfam_h": "its state 'h' is driven by alpha*tanh(beta*dq), ",
+    "strain_wave": "has the term mu_avg*z*abs(tau_load), which is of the load",
+    "parfam_hx": "its state 'h' is driven by ",
+}
+
+
+def test_every_law_of_the_registry_is_exact_or_refused(fitted, make_model, tmp_path):
+    """A new law is asked for a line here, or is a sum of parts of MuJoCo."""
+    for name, law in fitted.items():
+        model = make_model(law, law=name)
+        if name not in REGISTRY:
+            assert export_mjcf_law(model, tmp_path / f"{name}.xml").exact
+            continue
+        with pytest.raises(ExportError, match=f"law '{name}' of joint 'axis_1' is not") as refusal:
+            export_mjcf_law(model, tmp_path / f"{name}.xml")
+        assert REGISTRY[name] in str(refusal.value)
+    assert {path.stem for path in tmp_path.iterdir()} == {"lugre", "dahl"}
+
+
+def test_the_law_of_the_paper_is_refused(tmp_path):
+    with pytest.raises(ExportError, match="law 'parfam_h' of joint 'joint1' is not expressible"):
+        export_mjcf_law(read_model(model_file("uf850-table1")), tmp_path / "friction.xml")
+
+
+@pytest.mark.parametrize("name", ["friction.fmu", "friction", "xml"])
+def test_a_name_that_is_none_of_an_mjcf(name, lugre, tmp_path):
+    path = tmp_path / name
+    with pytest.raises(ExportError) as refusal:
+        export_mjcf_law(lugre, path)
+    assert str(refusal.value) == f"{path}: the name of an MJCF ends in .xml."
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_place_that_cannot_be_written(lugre, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ArtifactError, match="cannot be written there"):
+        export_mjcf_law(lugre, tmp_path / "file" / "friction.xml")
+
+
+def test_a_term_with_a_zero_counts_for_nothing():
+    """A load dependence of nothing is none; a state that nothing depends on is none either."""
+    plain = odd(output=lambda z: F * z.state * (1 + C * absolute(TAU_LOAD)), values=(0.1, 9.0, 0.0))
+    assert parts_of(plain) == parts_of(odd())
+    idle = odd(output=lambda z: 2 * DQ + 0 * z.state)
+    assert parts_of(idle).bristles == ()
+    assert parts_of(idle).viscous == 2.0
+
+
+def test_waves_turn_as_they_do_in_the_law():
+    """A torque F cos(c - 3 q) of a law stands on the other side of the equation in MuJoCo."""
+    law = odd(output=lambda z: F * z.state + F * sympy.cos(C - 3 * Q) + F * sympy.sin(3 * Q))
+    q = np.linspace(-1.0, 1.0, 7)
+    waves = parts_of(law).waves
+    found = sum(w.amplitude * np.sin(w.poles * q + w.phase) for w in waves)
+    expected = -9.0 * (np.cos(2.0 - 3.0 * q) + np.sin(3.0 * q))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+    assert Wave(amplitude=-9.0, poles=3.0, phase=0.0) in waves

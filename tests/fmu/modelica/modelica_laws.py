@@ -1,0 +1,46 @@
+"""The laws of which a package is exported for the compilers."""
+
+from pathlib import Path
+
+import sympy
+
+from hesr_model.friction.estimator import registry
+from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute, sgn
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
+
+LIBRARY = Path(__file__).parent / "library"
+"""Folder of the stand-in for the Modelica Standard Library."""
+
+EVERY = (*registry(), "ripple", "gaussians", "start", "shapes")
+"""Names of the joints' laws: all of the registry, one with ripple in the joint angle, one of 90
+coefficients, one that does not start at zero, one with expressions that are easily misprinted."""
+
+
+def shapes() -> FrictionLaw:
+    """Powers of powers, quotients of quotients, signs of states and of products."""
+    own = tuple(Coefficient(name=n, unit="1", description=f'"{n}"') for n in "abcn")
+    a, b, c, n = (coefficient.symbol for coefficient in own)
+    h = Relaxation(
+        name="h", unit="1", drive=b * DQ - a * sgn(DQ * (1 + DQ**2)), rate=-a * b * absolute(b * DQ)
+    )
+    x, dx = h.state, h.derivative
+    terms = (
+        (c**n) ** DQ,
+        c ** (n**2),
+        1 / (c * (1 + DQ**2)) / c,
+        -((DQ - c) ** 3) / c**-n,
+        (-DQ) ** 2 * sympy.Rational(-1, 3),
+        c ** (-a / b),
+        sympy.sqrt(c + x**2) + 1 / sympy.sqrt(c + x**2),
+        (2 + x**2) ** sympy.Rational(-3, 2),
+        (c + x**2) ** sympy.Float(-1.7),
+        sympy.log(c) * sympy.pi * sympy.E,
+        sympy.atan2(DQ, c) - sympy.atan(TAU_LOAD / c) * sympy.cosh(Q),
+        sympy.sin(-Q) * sympy.tan(Q / 2) / (-c),
+        absolute(x) * sgn(x - 100) - sgn(x + dx - 1000) ** 2,
+        sgn(b * DQ) * absolute(TAU_LOAD),
+    )
+    form = LawForm(coefficients=own, relaxations=(h,), output=sympy.Add(*terms))
+    return FrictionLaw(
+        name="real", form=form, values={"a": -0.7, "b": 1e-05 + 3.0, "c": 1.9, "n": 2.5}
+    )

@@ -1,0 +1,124 @@
+"""A law on one reference motion in continuous time, by SciPy: from SymPy, and from the FMU.
+
+Laws jump or bend where the velocity changes its sign, so both are integrated in two pieces.
+"""
+
+import ctypes
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from hesr_model.friction.functions import INPUTS, lowered
+
+SPEED, OMEGA, PHASE = 0.5, 2.0 * np.pi, 0.35
+REVERSAL = (np.pi / 2 - PHASE) / OMEGA
+"""Of the motion dq = SPEED cos(OMEGA t + PHASE)."""
+TIMES = np.linspace(0.0, 0.5, 101)
+"""None of them lies on the reversal, where the torque of some laws jumps."""
+
+MODELICA = """
+model Reference
+  {block} law;
+equation
+  law.dq = 0.5*cos(2*3.141592653589793*time + 0.35);
+  law.q = 0.5/(2*3.141592653589793)*sin(2*3.141592653589793*time + 0.35);
+  law.tau_load = 6 + 4*sin(5*time);
+end Reference;
+"""
+"""The same motion for a block of an exported package."""
+
+
+def motion(t):
+    """Inputs in the order of `INPUTS`."""
+    t = np.asarray(t)
+    angle = OMEGA * t + PHASE
+    load = 6.0 + 4.0 * np.sin(5.0 * t)
+    return np.stack([SPEED * np.cos(angle), SPEED / OMEGA * np.sin(angle), load])
+
+
+def equations(law):
+    """Derivatives of the states and torque as functions of the inputs and the states."""
+    form, values = law.form, tuple(law.values.values())
+    # As arguments: numbers inside an expression are printed with 15 digits only, and the large
+    # coefficients of a Dahl basis cancel.
+    symbols = (*(c.symbol for c in form.coefficients), *INPUTS)
+    states = [s for r in form.relaxations for s in (r.state, r.derivative)]
+    moving = lowered(symbols, tuple(e for r in form.relaxations for e in (r.drive, r.rate)))
+    output = lowered((*symbols, *states), (form.output,))
+
+    def slope(inputs, x):
+        found = np.array(moving(*values, *inputs))
+        return found[::2] - found[1::2] * x
+
+    def torque(inputs, x):
+        return output(*values, *inputs, *np.column_stack([x, slope(inputs, x)]).ravel())[0]
+
+    return slope, torque
+
+
+def integrated(slope, x, begin, end, times=()):
+    """States at `times` and at the end, row by row."""
+    inside = np.union1d(times, end)
+    if not len(x):
+        return np.zeros((len(inside), 0))
+    result = solve_ivp(slope, (begin, end), x, "DOP853", t_eval=inside, rtol=1e-13, atol=1e-16)
+    assert result.success, result.message
+    return result.y.T
+
+
+def pieces():
+    """Begin and end of each piece of the motion, and which of TIMES lie in it."""
+    for begin, end in ((TIMES[0], REVERSAL), (REVERSAL, TIMES[-1])):
+        yield begin, end, TIMES[(begin <= TIMES) & (end >= TIMES)]
+
+
+def python_torque(law):
+    """Torque at TIMES from the SymPy expressions."""
+    slope, torque = equations(law)
+    x, found = np.array(law.start), []
+    for begin, end, times in pieces():
+        rows = integrated(lambda t, x: slope(motion(t), x), x, begin, end, times)
+        found += [torque(motion(t), row) for t, row in zip(times, rows, strict=False)]
+        x = rows[-1]
+    return np.array(found)
+
+
+def fmu_torque(fmu, joint, law):
+    """Torque of a joint at TIMES, by a solver that asks the FMU for derivatives.
+
+    Signs are held between events: one event just behind the beginning of each piece sets them.
+    """
+    inputs = [f"{symbol.name}[{joint}]" for symbol in INPUTS]
+    every = [unknown.variable.derivative.name for unknown in fmu.about.derivatives]
+    own = [every.index(f"{r.name}[{joint}]") for r in law.form.relaxations]
+    c = fmu.continuous()
+
+    def at(t):
+        return dict(zip(inputs, motion(t).tolist(), strict=True))
+
+    def go_to(t, x):
+        values = np.zeros(len(every))
+        values[own] = x
+        assert fmu("SetTime", c, float(t)) == 0
+        assert fmu.set_all(c, at(t)) == 0
+        array = (ctypes.c_double * len(every))(*values)
+        assert fmu("SetContinuousStates", c, array, len(every)) == 0
+
+    def slope(t, x):
+        go_to(t, x)
+        return np.array(fmu.numbers("GetDerivatives", c, len(every)))[own]
+
+    x, found = np.array(law.start), []
+    for begin, end, times in pieces():
+        fmu.event(c, at(begin + 1e-6))
+        rows = integrated(slope, x, begin, end, times)
+        for t, row in zip(times, rows, strict=False):
+            go_to(t, row)
+            found += fmu.get(c, f"tau[{joint}]")
+        x = rows[-1]
+    return np.array(found)
+
+
+def relative(found, expected):
+    """Largest difference over the largest torque."""
+    return np.abs(found - expected).max() / np.abs(expected).max()

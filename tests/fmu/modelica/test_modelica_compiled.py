@@ -1,0 +1,215 @@
+"""Compilers of others read an exported package, and one simulates it: it is the law.
+
+The Modelica Standard Library is in no registry; for the bearings and the examples a stand-in is
+used (library/Modelica.mo), which has the names and equations of the real one's few classes.
+"""
+
+import numpy as np
+import pytest
+from modelica_laws import EVERY, LIBRARY
+from modelica_truth import (
+    MODELICA,
+    TIMES,
+    equations,
+    fmu_torque,
+    integrated,
+    python_torque,
+    relative,
+)
+
+from fmu_src import export_fmu
+from fmu_src.modelica.export import export_modelica
+from hesr_model.friction.functions import TAU_LOAD, sgn
+
+
+@pytest.fixture(params=EVERY)
+def joint(request):
+    """Number of a joint, counted from 1."""
+    return EVERY.index(request.param) + 1
+
+
+@pytest.fixture
+def law(joint, laws):
+    return laws.laws[joint - 1]
+
+
+@pytest.fixture(scope="session")
+def block(package, rumoca):
+    """Compile a class of the package, without any library."""
+    session = rumoca.Session()
+    return lambda name: session.load(str(package), model=f"Every.{name}")
+
+
+@pytest.fixture(scope="session")
+def coupled(package, rumoca):
+    """Compile a class of the package that uses the Modelica Standard Library."""
+    session = rumoca.Session(roots=[str(LIBRARY)])
+    return lambda name: session.load(str(package), model=f"Every.{name}")
+
+
+@pytest.fixture(scope="session")
+def simulated(rumoca):
+    def run(model, times):
+        """Results by name, at `times`; there are further rows at events."""
+        exact = rumoca.SimConfig(rtol=1e-13, atol=1e-16, solver="rk-like")
+        result = model.simulate((0.0, float(times[-1])), dt=float(times[1]), config=exact)
+        t = np.array(result.time)
+        rows = [int(np.argmin(np.abs(t - instant))) for instant in times]
+        assert np.abs(t[rows] - times).max() < 1e-9
+        return {name: np.array(result[name])[rows] for name in result.names}
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def fmu(laws, load, tmp_path_factory):
+    return load(export_fmu(laws, tmp_path_factory.mktemp("every") / "Every.fmu"))
+
+
+def test_blocks_compile_without_any_library(joint, law, block):
+    model = block(f"Joint{joint}")
+    found = model.structure()
+    assert (found.is_balanced, found.is_matched, found.n_algebraic_loops) == (True, True, 0)
+    assert model.inputs.names == ["dq", "q", "tau_load"]
+    assert model.outputs.names == ["tau"]
+    assert model.states.names == [r.name for r in law.form.relaxations]
+    starts = zip((f"{r.name}_start" for r in law.form.relaxations), law.start, strict=True)
+    values = {p.name: p.value for p in model.parameters}
+    assert values == law.values | dict(starts)  # to the last bit
+    units = {p.name: p.unit for p in model.parameters}
+    assert {c.name: c.unit for c in law.form.coefficients}.items() <= units.items()
+
+
+def test_modelica_fmu_and_python_agree(joint, law, package, rumoca, simulated, fmu):
+    text = package.read_text(encoding="utf-8") + MODELICA.format(block=f"Every.Joint{joint}")
+    model = rumoca.Session().loads(text, model="Reference")
+    expected = python_torque(law)
+    assert relative(simulated(model, TIMES)["law.tau"], expected) <= 1e-9
+    assert relative(fmu_torque(fmu, joint, law), expected) <= 1e-9
+
+
+def test_the_published_laws_agree(table1, table1_fmu, rumoca, simulated, load, tmp_path):
+    path = export_modelica(table1, tmp_path / "Table1.mo")
+    fmu = load(table1_fmu)
+    for joint, law in enumerate(table1.laws, start=1):
+        text = path.read_text(encoding="utf-8") + MODELICA.format(block=f"Table1.Joint{joint}")
+        found = simulated(rumoca.Session().loads(text, model="Reference"), TIMES)["law.tau"]
+        expected = python_torque(law)
+        assert relative(found, expected) <= 1e-9
+        assert relative(fmu_torque(fmu, joint, law), expected) <= 1e-9
+
+
+def test_examples_move_a_bearing_as_the_law_says(joint, law, coupled, simulated):
+    model = coupled(f"Examples.Joint{joint}Speed")
+    amplitude, load = (value(model, name) for name in ("sine.amplitude", "load.k"))
+    slope, torque = equations(law)
+    rate = 2.0 * np.pi * 0.25
+    times = np.linspace(0.0, 3.0, 301)  # a reversal at 2 s
+
+    def inputs(t):
+        return amplitude * np.sin(rate * t), amplitude / rate * (1.0 - np.cos(rate * t)), load
+
+    def moved(t, x):
+        return slope(inputs(t), x)
+
+    first = integrated(moved, np.array(law.start), 0.0, 2.0, times[times < 1.999])
+    second = integrated(moved, first[-1], 2.0, 3.0, times[times > 2.001])
+    found = simulated(model, times)
+    for t, x in ((times[:200], first), (times[201:], second)):
+        expected = np.array([torque(inputs(i), row) for i, row in zip(t, x, strict=False)])
+        rows = np.isin(times, t[1:])
+        assert relative(found["bearing.law.tau"][rows], expected[1:]) <= 1e-9
+    assert np.allclose(found["bearing.lossPower"], found["bearing.law.tau"] * found["bearing.w"])
+
+
+def test_examples_drive_an_inertia_against_the_law(joint, law, coupled, simulated):
+    if law.form.output.has(sgn):
+        with pytest.raises(Exception, match=f"Joint{joint}Torque"):
+            coupled(f"Examples.Joint{joint}Torque")
+        return
+    model = coupled(f"Examples.Joint{joint}Torque")
+    amplitude, load, inertia = (
+        value(model, name) for name in ("sine.amplitude", "load.k", "inertia.J")
+    )
+    slope, torque = equations(law)
+
+    def moved(t, y):
+        q, dq, x = y[0], y[1], y[2:]
+        inputs = (dq, q, load)
+        driving = amplitude * np.sin(2.0 * np.pi * 0.25 * t)
+        return np.array([dq, (driving - torque(inputs, x)) / inertia, *slope(inputs, x)])
+
+    times = np.linspace(0.0, 3.0, 301)
+    rows = integrated(moved, np.array([0.0, 0.0, *law.start]), 0.0, 3.0, times[:-1])
+    found = simulated(model, times)
+    assert relative(found["inertia.w"], rows[:, 1]) <= 1e-8
+    assert relative(found["inertia.phi"], rows[:, 0]) <= 1e-8
+
+
+def value(model, name):
+    """Value of a parameter; 0 where an example does not have it."""
+    return next((p.value for p in model.parameters if p.name == name), 0.0)
+
+
+TWO_INERTIAS = """
+model Turning
+  Modelica.Mechanics.Rotational.Components.Inertia shaft(J=0.5, w(start=2, fixed=true),
+    phi(start=0, fixed=true));
+  Modelica.Mechanics.Rotational.Components.Inertia housing(J=2, w(start=0, fixed=true),
+    phi(start=0, fixed=true));
+  Every.Joint{joint}Bearing bearing(useSupport=true);
+equation
+  connect(shaft.flange_b, bearing.flange_a);
+  connect(bearing.support, housing.flange_a);
+end Turning;
+"""
+
+
+def test_a_bearing_brakes_its_shaft_and_takes_its_housing_along(package, rumoca, simulated):
+    text = package.read_text(encoding="utf-8")
+    text += TWO_INERTIAS.format(joint=EVERY.index("dahl") + 1)
+    model = rumoca.Session(roots=[str(LIBRARY)]).loads(text, model="Turning")
+    found = simulated(model, np.linspace(0.0, 0.05, 51))
+    shaft, housing = found["shaft.w"], found["housing.w"]
+    assert np.abs(0.5 * shaft + 2.0 * housing - 1.0).max() <= 1e-9  # momentum
+    assert np.allclose(found["bearing.w"], shaft - housing)
+    energy = 0.5 * (0.5 * shaft**2 + 2.0 * housing**2)
+    assert np.all(np.diff(energy) < 0.0)
+    # The state of the bearing starts at rest, so that it brakes only after some way.
+    assert shaft[-1] - housing[-1] < 1.9
+
+
+def test_rumoca_has_nothing_to_say(package, rumoca):
+    assert rumoca.validate(str(package)) == []
+
+
+def test_a_second_parser_reads_it(package, compilers):
+    tree = compilers("pymoca.parser").parse(
+        (LIBRARY / "Modelica.mo").read_text(encoding="utf-8"), bypass_cache=True
+    )
+    tree.extend(
+        compilers("pymoca.parser").parse(package.read_text(encoding="utf-8"), bypass_cache=True)
+    )
+    reference = compilers("pymoca.ast").ComponentRef.from_string
+    for joint, _ in enumerate(EVERY, start=1):
+        for name in (f"Joint{joint}", f"Joint{joint}Bearing", f"Examples.Joint{joint}Speed"):
+            flat = compilers("pymoca.tree").flatten(tree, reference(f"Every.{name}"))
+            assert flat.classes[f"Every.{name}"].equations
+
+
+def test_the_compilers_do_refuse(package, rumoca, compilers):
+    """What passes them is not passed by everything."""
+    broken = package.read_text(encoding="utf-8").replace(
+        "    equation\n      tau = ", "    tau = ", 1
+    )
+    with pytest.raises(rumoca.RumocaError):
+        rumoca.Session().loads(broken, model="Every.Joint1")
+    parser = compilers("pymoca.parser")
+    with pytest.raises(parser.ModelicaSyntaxError):
+        parser.parse(broken, bypass_cache=True)
+
+
+def test_a_law_with_load_gets_it_through_its_bearing(laws, coupled):
+    for joint, law in enumerate(laws.laws, start=1):
+        loaded = "load.y" in coupled(f"Examples.Joint{joint}Speed").outputs.names
+        assert loaded == (TAU_LOAD in law.form.inputs)

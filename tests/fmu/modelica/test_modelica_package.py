@@ -1,0 +1,212 @@
+"""The text of an exported Modelica package, and what cannot become one."""
+
+import re
+from dataclasses import replace
+
+import pytest
+import sympy
+
+from fmu_src.modelica.export import export_modelica, package
+from hesr_model.errors import ArtifactError, ExportError
+from hesr_model.friction.functions import DQ, TAU_LOAD, absolute, sgn
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
+from hesr_model.friction.trained import TrainedRange
+
+
+def part(text, kind, name):
+    """Return a class of a package."""
+    found = re.search(rf"^ *{kind} {name}\b.*?end {name};$", text, re.DOTALL | re.MULTILINE)
+    assert found, f"there is no {kind} {name}"
+    return found[0]
+
+
+def law(output, *relaxations, **values):
+    own = tuple(Coefficient(name=n, unit="N.m", description=f"the {n}") for n in values)
+    form = LawForm(coefficients=own, relaxations=relaxations, output=output)
+    return FrictionLaw(name="odd", form=form, values=values)
+
+
+def test_a_law_becomes_a_block(make_model):
+    k, z = sympy.symbols("k z", real=True)
+    bristle = Relaxation(name="z", unit="rad", drive=DQ, rate=absolute(DQ) / k)
+    stiff = law(k * z + sympy.Symbol("dz", real=True) + sgn(z), bristle, k=0.1)
+    text = package(make_model(replace(stiff, start=(-1e-5,))), "Bench")
+    assert part(text, "block", "Odd") == (
+        '    block Odd "Equations of odd"\n'
+        "      extends Interfaces.Law;\n"
+        '      parameter Real k(unit="N.m") "the k";\n'
+        '      parameter Real z_start(unit="rad") "Start value of z";\n'
+        '      Real z(unit="rad", start=z_start, fixed=true) "Friction state";\n'
+        "    protected\n"
+        "      Real sign_dq = if dq > 0 then 1 elseif dq < 0 then -1 else 0\n"
+        '        "Held between events";\n'
+        "    equation\n"
+        "      der(z) = dq - (sign_dq*dq/k)*z;\n"
+        "      tau = der(z) + k*z + sign(z);\n"
+        "    end Odd;"
+    )
+    assert part(text, "block", "Joint1").splitlines()[:5] == [
+        '  block Joint1 "Friction of axis_1"',
+        "    extends Laws.Odd(",
+        "      k=0.1,",
+        "      z_start=-1e-05,",
+        "      z(nominal=0.1));",
+    ]
+
+
+def test_joints_share_the_equations_of_a_form(make_law, make_model):
+    tanh, cos = make_law("parfam_tanh"), make_law("parfam_cos")
+    text = package(make_model(tanh, cos, replace(tanh, start=(0.5,))), "Arm")
+    blocks = re.findall(r"block (\w+) \"", text)
+    assert blocks == ["Law", "ByHand_1", "ByHand_2", "Joint1", "Joint2", "Joint3"]
+    bases = [
+        re.search(r"extends Laws.(\w+)", part(text, "block", f"Joint{i}"))[1] for i in (1, 2, 3)
+    ]
+    assert bases == ["ByHand_1", "ByHand_2", "ByHand_1"]
+    assert "h_start=0.5," in part(text, "block", "Joint3")
+
+
+def test_a_law_without_anything_to_set(make_law, make_model):
+    text = package(make_model(make_law("bare")), "Bare")
+    assert "    extends Laws.ByHand;\n" in part(text, "block", "Joint1")
+
+
+def test_load_is_an_input_where_a_law_uses_it(make_model):
+    loaded, plain = law(absolute(TAU_LOAD) * DQ), law(2 * DQ)
+    text = package(make_model(loaded, plain), "Arm")
+    assert "(useLoad=true, redeclare Joint1 law)" in part(text, "model", "Joint1Bearing")
+    assert "(redeclare Joint2 law)" in part(text, "model", "Joint2Bearing")
+    assert "connect(load.y, bearing.tau_load)" in part(text, "model", "Joint1Speed")
+    assert "tau_load" not in part(text, "model", "Joint2Speed")
+
+
+def test_a_jump_at_rest_is_told_and_not_coupled_to_an_inertia(make_law, make_model):
+    text = package(make_model(make_law("viscous"), make_law("lugre")), "Arm")
+    assert "model Joint1Torque" not in text
+    assert "model Joint2Torque" in text
+    assert "the torque of Joint1 jumps with the sign of the velocity" in text
+    assert "jumps with the sign" not in package(make_model(make_law("lugre")), "Arm")
+
+
+def test_it_says_where_it_comes_from_and_what_was_found(table1):
+    text = package(table1, "Friction")
+    joint, whole = (
+        part(text, "block", "Joint1"),
+        text[text.index("<p>Friction torque of 3 joints") :],
+    )
+    assert "tau = 16.24*h - 0.163*h&#39; + 37.72*tanh(" in joint
+    assert (
+        "It is not passive: over a closed cycle of 0.4 rad/s at 0.05 Hz it gives 12.4 J." in joint
+    )
+    assert "Table I of the paper" in whole
+    assert "explicit Euler steps of\n0.005 s" in whole
+    assert (
+        "<td>Most energy given in a closed cycle [J]</td><td>12.4</td><td>20.6</td><td>0</td>"
+        in whole
+    )
+    assert text.isascii()
+
+
+def test_what_a_fit_knows_is_told(make_law, make_model):
+    fitted = replace(make_law("lugre"), standard_errors={"F_c": 0.1}, start_samples=5)
+    seen = TrainedRange(
+        sample_time=0.005, dq=(-0.8, 0.9), q=(0.0, 1.0), tau_load=(-3.0, 5.0), tau=(-12.0, 12.0)
+    )
+    where = {"files": [{"name": "C:\\logs\\a.csv", "sha256": "0f"}], "seed": 3}
+    model = make_model(fitted, trained=(seen,), training_rmse=(0.25,), provenance=where)
+    text = package(model, "Friction")
+    joint = part(text, "block", "Joint1")
+    assert "F_c = 9 +- 0.2 N.m" in joint
+    assert "from the first 5 measured torques" in joint
+    assert (
+        "Seen in training: dq &#8722;0.8 to 0.9 rad/s, q 0 to 1 rad, tau_load &#8722;3 to 5 N.m."
+        in joint
+    )
+    assert "RMSE on the training logs: 0.25 N.m." in joint
+    assert "<li>a.csv, SHA-256 0f</li>" in text
+    assert "Seed: 3." in text
+
+
+def test_a_law_without_an_audit_says_why(make_model):
+    growing = Relaxation(name="h", unit="1", drive=DQ, rate=sympy.Integer(1))
+    odd = law(sympy.exp(sympy.exp(1000 * growing.state + 1000)), growing)
+    text = package(make_model(odd), "Odd")
+    assert "<b>There is no audit:</b> " in text
+    assert "Joint1Speed" in text
+    assert "Joint1Torque" not in text
+
+
+def test_strings_are_escaped(make_law, make_model):
+    model = replace(make_model(make_law("bare")), robot='a "b" \\ c', joints=('j"1',))
+    text = package(model, "F")
+    assert text.startswith('within ;\npackage F "Friction of a \\"b\\" \\\\ c by by_hand"\n')
+    assert 'block Joint1 "Friction of j\\"1"' in text
+
+
+def test_it_is_written_whole_and_the_same_again(make_law, make_model, tmp_path):
+    model = make_model(make_law("lugre"))
+    path = tmp_path / "folder" / "Friction.mo"
+    assert export_modelica(model, path) == path
+    first = path.read_bytes()
+    assert first.endswith(b"end Friction;\n")
+    export_modelica(model, path)
+    assert path.read_bytes() == first
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("Friction.txt", "a Modelica package ends in .mo, found '.txt'."),
+        ("Friction", "a Modelica package ends in .mo, found ''."),
+        (
+            "my-law.mo",
+            "'my-law' is no name in Modelica; needed are letters, digits and underscores",
+        ),
+        ("3law.mo", "'3law' is no name in Modelica"),
+        ("naïve.mo", "'naïve' is no name in Modelica"),
+        ("model.mo", "'model' is taken by Modelica"),
+        ("Modelica.mo", "'Modelica' is taken by Modelica"),
+    ],
+)
+def test_bad_file_names(name, reason, make_law, make_model, tmp_path):
+    with pytest.raises(ExportError, match=re.escape(reason)):
+        export_modelica(make_model(make_law("bare")), tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_written(make_law, make_model, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ArtifactError, match="cannot be written there"):
+        export_modelica(make_model(make_law("bare")), tmp_path / "file" / "F.mo")
+
+
+@pytest.mark.parametrize(
+    "expression", [sympy.gamma(DQ), sympy.Piecewise((DQ, DQ > 1), (1, True)), sympy.erf(DQ) + DQ]
+)
+def test_expressions_that_modelica_lacks(expression, make_model, tmp_path):
+    with pytest.raises(ExportError, match="has no counterpart in Modelica") as found:
+        export_modelica(make_model(law(expression)), tmp_path / "F.mo")
+    assert str(found.value) == f"friction law: '{expression}' has no counterpart in Modelica."
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("end", "taken by Modelica"),
+        ("time", "taken by Modelica"),
+        ("exp", "taken by Modelica"),
+        ("a b", "no name in Modelica"),
+        ("tau", "used twice"),
+        ("sign_dq", "used twice"),
+    ],
+)
+def test_names_that_modelica_lacks(name, reason, make_model):
+    odd = law(absolute(DQ) * sympy.Symbol(name, real=True), **{name: 1.0})
+    with pytest.raises(ExportError) as found:
+        package(make_model(odd), "F")
+    assert str(found.value) == (
+        f"law 'odd': the name '{name}' is {reason}; needed are distinct names of letters, digits "
+        "and underscores."
+    )

@@ -1,0 +1,136 @@
+"""The live section without a browser: its module, its data and the ends of its sliders."""
+
+import base64
+import json
+import re
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fmu_src.friction.component import interface
+from fmu_src.friction.export import live_of
+from fmu_src.live.page import live_section
+from fmu_src.live.section import ends
+from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.trained import TrainedRange
+
+IMPORTS = 2  # number of that section of a module
+
+
+@pytest.fixture(scope="module")
+def live(table1: FrictionModel) -> dict[str, Any]:
+    return live_of(table1)
+
+
+def sections(module: bytes) -> list[int]:
+    """Numbers of the sections of a WebAssembly module."""
+    assert module[:8] == b"\0asm\1\0\0\0"
+    place, found = 8, []
+    while place < len(module):
+        found.append(module[place])
+        size = shift = 0
+        while True:
+            place += 1
+            size |= (module[place] & 0x7F) << shift
+            shift += 7
+            if module[place] < 0x80:
+                break
+        place += 1 + size
+    assert place == len(module)
+    return found
+
+
+def test_the_module_is_small_and_imports_nothing(live: dict[str, Any]) -> None:
+    module = zlib.decompress(base64.b64decode(live["module"]))
+    assert IMPORTS not in sections(module)
+    assert len(module) < 48 * 1024
+    assert b"/tmp" not in module
+
+
+def test_the_same_model_gives_the_same_module(table1: FrictionModel, live: dict[str, Any]) -> None:
+    assert live_of(table1) == live
+
+
+def test_the_fmu_stays_small(table1_fmu: Path) -> None:
+    assert table1_fmu.stat().st_size <= 120 * 1024
+    with zipfile.ZipFile(table1_fmu) as archive:
+        assert not [name for name in archive.namelist() if "live" in name or "wasm" in name]
+
+
+def test_every_tunable_parameter_has_a_knob(table1: FrictionModel, live: dict[str, Any]) -> None:
+    table = interface(table1)
+    tunable = {i for i, v in enumerate(table.variables) if v.role == "tunable"}
+    knobs = [knob for joint in live["joints"] for knob in joint["coefficients"]]
+    assert {knob["reference"] for knob in knobs} == tunable
+    for knob in knobs:
+        variable = table.variables[knob["reference"]]
+        assert variable.name.endswith(f".{knob['name']}")
+        assert knob["value"] == variable.start
+        assert knob["low"] < knob["value"] < knob["high"]
+        assert knob["scale"] != "log" or knob["low"] * knob["high"] > 0.0
+
+
+def test_kinds_of_sliders(live: dict[str, Any]) -> None:
+    scales = {knob["name"]: knob["scale"] for knob in live["joints"][0]["coefficients"]}
+    factors = {"c_0", "c_h", "c_dh", "c_g1"}
+    assert {name for name, scale in scales.items() if scale == "linear"} == factors
+    assert scales["alpha"] == scales["beta"] == scales["theta1_h"] == "log"
+
+
+@pytest.mark.parametrize(
+    ("value", "factor", "wanted"),
+    [
+        (16.237, True, (0.0, 32.5, "linear")),
+        (-2.128, True, (-4.26, 0.0, "linear")),
+        (256.84, False, (51.4, 1280.0, "log")),
+        (-0.606, False, (-3.03, -0.121, "log")),
+        (0.0, True, (-1.0, 1.0, "linear")),
+        (0.0, False, (-1.0, 1.0, "linear")),
+    ],
+)
+def test_ends_of_a_slider(value: float, factor: bool, wanted: tuple[float, float, str]) -> None:
+    assert ends(value, factor=factor) == wanted
+
+
+def test_a_law_of_many_coefficients_has_its_scale(
+    make_law: Callable[[str], FrictionLaw], make_model: Callable[..., FrictionModel]
+) -> None:
+    (joint,) = live_of(make_model(make_law("gaussians")))["joints"]
+    (knob,) = joint["coefficients"]
+    assert (knob["name"], knob["low"], knob["value"], knob["high"]) == ("scale[1]", 0.0, 1.0, 2.0)
+
+
+def test_the_motion_is_one_that_was_trained(
+    make_law: Callable[[str], FrictionLaw], make_model: Callable[..., FrictionModel]
+) -> None:
+    model = make_model(make_law("viscous"))
+    seen = TrainedRange(
+        sample_time=0.005, dq=(-0.71239, 0.9), q=(0.5, 2.5), tau_load=(-10.0, 30.0), tau=(-1.0, 1.0)
+    )
+    for trained, expected in (
+        ((), {"amplitude": 1.2, "frequency": 0.25, "cycles": 3.0, "centre": 0.0, "load": 0.0}),
+        ((seen,), {"amplitude": 0.712, "frequency": 0.25, "cycles": 3.0, "centre": 1.5,
+                   "load": 10.0}),
+    ):  # fmt: skip
+        (joint,) = live_of(replace(model, trained=trained))["joints"]
+        knobs = joint["motion"]
+        assert {knob["name"]: knob["value"] for knob in knobs} == expected
+        assert all(knob["low"] < knob["value"] < knob["high"] for knob in knobs)
+    slow = make_model(make_law("bare"), sample_time=0.5)
+    knobs = {k["name"]: k for k in live_of(slow)["joints"][0]["motion"]}
+    assert set(knobs) == {"amplitude", "frequency", "cycles"}
+    assert knobs["frequency"]["low"] < knobs["frequency"]["high"] == 0.1
+
+
+def test_data_cannot_end_its_script(table1: FrictionModel, live: dict[str, Any]) -> None:
+    name = "</script><!-- & '"
+    hostile = {**live, "joints": [{**live["joints"][0], "name": name}]}
+    text = live_section(hostile)
+    assert text.count("</script>") == 1
+    (data,) = re.findall(r'<script type="application/json">(.*)</script>', text)
+    assert json.loads(data)["joints"][0]["name"] == name

@@ -1,0 +1,38 @@
+"""Models of every law that is registered."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hesr_model.friction.estimator import registry
+from hesr_model.friction.fit import fit_joint
+from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.trained import TrainedRange
+from hesr_model.residual import FrictionRecord
+
+
+def models_of_registry() -> Iterator[FrictionModel]:
+    """A model of every law of the registry, fitted to a motion with a rest and some noise."""
+    t = 0.01 * np.arange(900)
+    dq = np.sin(2.0 * t) * np.sin(0.7 * t)
+    q = np.cumsum(dq) * 0.01
+    load = 5.0 * np.sin(q) + 3.0
+    tau = 6.0 * np.tanh(40.0 * dq) + 2.0 * dq + 0.05 * load
+    tau += np.random.default_rng(1).normal(0.0, 0.1, t.shape)
+    record = FrictionRecord(
+        log="made", joint="j1", t=t, dq=dq, q=q, tau_load=load, tau=tau, gear_ratio=101.0
+    )
+    for name in registry():
+        yield FrictionModel(
+            law=name,
+            robot="bench",
+            joints=("j1",),
+            laws=(fit_joint(name, [record], seed=0),),
+            sample_time=0.01,
+            trained=(TrainedRange.of([record]),),
+            provenance={
+                "files": [{"name": "/home/someone/secret/made.csv", "sha256": "ab" * 32}],
+                "seed": 0,
+                "versions": {"numpy": "2.9"},
+            },
+        )
