@@ -1,13 +1,14 @@
 # make run        set everything up in .venv and do the main job
 # make test       set everything up and run the tests
 # make lint       formatting, static checks, types
+# make interop    install other FMI engines in .tools and compare them with ours
 # make benchmark  speed and memory, recorded, not judged
 
 PYTHON ?= python3
 BIN := .venv/bin
-C_FILES := $(wildcard fmu_src/c/*.c fmu_src/c/*.h tests/fmu/*.c tests/fmu/*.h)
+C_FILES := $(wildcard fmu_src/c/*.c fmu_src/c/*.h tests/fmu/*.c tests/fmu/*.h tests/cosim/properties/*.c)
 
-.PHONY: run test lint format benchmark clean
+.PHONY: run test lint format interop benchmark clean
 
 run: .venv/installed
 	$(BIN)/hesr run
@@ -25,6 +26,10 @@ format: .venv/installed
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 	$(BIN)/clang-format -i $(C_FILES)
+
+interop: .venv/installed
+	.ci/interop .tools/interop
+	$(BIN)/pytest tests/interop
 
 benchmark: .venv/installed
 	$(BIN)/pytest tests/benchmarks --benchmark-columns=min,median,max,rounds

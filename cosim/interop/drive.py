@@ -1,0 +1,60 @@
+"""Inputs by which any FMU can be compared between engines."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from cosim.component import Component
+from cosim.interop.case import Alone
+from cosim.system import Value
+
+_AMPLITUDE, _RATE, _PHASE = 0.5, 2.0 * np.pi, 0.7
+_SECONDS = 2.0
+_STEP = 0.005  # [s] where the FMU names none
+
+
+def driven(
+    fmu: Path, *, name: str | None = None, start: Mapping[str, Value] | None = None
+) -> Alone:
+    """Return a run of an FMU with sinusoidal inputs, each with a phase of its own.
+
+    They swing by 0.5 around their start values and stay within their limits. The step is the one
+    that the FMU prefers.
+
+    Parameters
+    ----------
+    fmu : for co-simulation.
+    name : for tables; the file's stem where not given.
+    start : values of parameters by name.
+
+    Raises
+    ------
+    SimulationError
+        If it is no FMU of FMI 2.0 for co-simulation with a binary for this machine, or the start
+        values do not fit it.
+    """
+    with Component(fmu) as component:
+        about, variables = component.description, component.variables
+        given = variables.expanded(start or {})
+    experiment = about.defaultExperiment
+    step = float(experiment.stepSize) if experiment and experiment.stepSize else _STEP
+    steps = round(_SECONDS / step)
+    t = step * np.arange(steps + 1)
+    reals = [v for v in about.modelVariables if v.type == "Real"]
+    inputs = {}
+    for variable in reals:
+        if variable.causality == "input" and variable.name not in given:
+            wave = _AMPLITUDE * np.sin(_RATE * t + _PHASE * len(inputs))
+            low, high = (float(bound) if bound else None for bound in (variable.min, variable.max))
+            wave += float(variable.start or 0.0)
+            inputs[variable.name] = wave if low is high is None else np.clip(wave, low, high)
+    return Alone(
+        name=name or fmu.stem,
+        fmu=fmu,
+        step=step,
+        steps=steps,
+        inputs=inputs,
+        outputs=[v.name for v in reals if v.causality == "output"],
+        start={key: float(value) for key, value in given.items()},
+    )

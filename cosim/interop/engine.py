@@ -1,0 +1,192 @@
+"""What an engine is, where engines are looked for, and how their processes are run."""
+
+import csv
+import json
+import shutil
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.interop.case import Alone, Array, Run, Together
+from cosim.interop.reference import Coupling
+from fmu_src.check.process import FailedError, run
+
+DEFAULT_TOOLS = Path(".tools/interop")
+"""Where `.ci/interop` lays out engines, below the current folder."""
+
+SECONDS = 300.0
+"""Longest run of an engine."""
+
+_HOSTS = Path(__file__).with_name("hosts")
+_LONGEST = 300  # characters of what an engine said
+_VERSIONS = """
+import importlib.metadata as m, json
+print(json.dumps({d.metadata["Name"].lower(): d.version for d in m.distributions()}))
+"""
+
+
+class SkippedError(Exception):
+    """An engine does not run a case; the text says why and has no full stop."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tools:
+    """The machine's engines: in this interpreter, on the path, or in a folder.
+
+    Attributes
+    ----------
+    folder : as `.ci/interop` lays it out.
+    """
+
+    folder: Path = DEFAULT_TOOLS
+
+    def python(self, package: str) -> tuple[Path, str]:
+        """Return an interpreter that has a Python package, and the package's version."""
+        try:
+            return Path(sys.executable), version(package)
+        except PackageNotFoundError:
+            pass
+        if package in self._installed:
+            return self._python, self._installed[package]
+        raise SkippedError(f"there is no Python package {package}")
+
+    def program(self, name: str) -> Path:
+        """Return a program."""
+        own = self.folder / "bin" / name
+        found = str(own.resolve()) if own.is_file() else shutil.which(name)
+        if found is None:
+            raise SkippedError(f"there is no program {name}")
+        return Path(found)
+
+    def java(self, name: str) -> tuple[Path, Path]:
+        """Return Java and the folder of an engine's jars."""
+        folder = self.folder / name
+        if not (folder / "version").is_file():
+            raise SkippedError(f"there is no {folder}")
+        return self.program("java"), folder.resolve()
+
+    @property
+    def _python(self) -> Path:
+        return (self.folder / "python/bin/python").absolute()
+
+    @cached_property
+    def _installed(self) -> Mapping[str, str]:
+        if not self._python.is_file():
+            return {}
+        ended = run((str(self._python), "-E", "-s", "-c", _VERSIONS), self.folder, SECONDS)
+        found: dict[str, str] = json.loads(ended.text) if ended.code == 0 else {}
+        return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Engine:
+    """An engine that is not ours.
+
+    Attributes
+    ----------
+    name : for tables.
+    install : how to get it.
+    find : its version on this machine, or `SkippedError`.
+    alone, together : run a case in an empty folder; `SkippedError`, or `FailedError` if the engine
+        fails. None where the engine is not for that.
+    coupling : how it passes values on.
+    """
+
+    name: str
+    install: str
+    find: Callable[[Tools], str]
+    alone: Callable[[Tools, Alone, Path], Run] | None = None
+    together: Callable[[Tools, Together, Path], Run] | None = None
+    coupling: Coupling = field(default_factory=Coupling)
+
+
+def require_success(command: Sequence[str | Path], folder: Path) -> str:
+    """Run a program in a folder and return what it wrote.
+
+    Raises
+    ------
+    FailedError
+        If it ends with an error or takes too long, with the end of what it wrote.
+    """
+    ended = run([str(part) for part in command], folder, SECONDS)
+    if ended.code != 0:
+        said = " ".join(ended.text.split())[-_LONGEST:]
+        raise FailedError(f"it ended with code {ended.code} and said '{said}'")
+    return ended.text
+
+
+def host(python: Path, name: str, given: Mapping[str, Any], folder: Path) -> Run:
+    """Run one of the Python hosts, which need no package but the engine, on a case."""
+    (folder / "case.json").write_text(json.dumps(given), encoding="utf-8")
+    require_success((python, "-E", "-s", _HOSTS / name, "case.json"), folder)
+    seconds = folder / "seconds"
+    return Run(
+        signals=read_signals(folder / "result.csv"),
+        seconds=float(seconds.read_text(encoding="utf-8")) if seconds.is_file() else None,
+    )
+
+
+def given_alone(case: Alone) -> dict[str, Any]:
+    """Return one FMU as the Python hosts read it."""
+    return {
+        "fmu": str(case.fmu.resolve()),
+        "step": case.step,
+        "stop": case.stop,
+        "times": case.times.tolist(),
+        "inputs": {name: values.tolist() for name, values in case.inputs.items()},
+        "outputs": list(case.outputs),
+        "start": dict(case.start),
+    }
+
+
+def given_together(case: Together) -> dict[str, Any]:
+    """Return a system as the Python hosts read it."""
+    return {
+        "ssp": str(case.ssp.resolve()),
+        "step": case.spec.step,
+        "steps": case.spec.steps,
+        "signals": list(case.signals),
+    }
+
+
+def arguments(case: Alone) -> list[str]:
+    """Return stop time, step and start values as the hosts in other languages take them."""
+    start = [f"{name}={_literal(value)}" for name, value in case.start.items()]
+    return [repr(case.stop), repr(case.step), *start]
+
+
+def _literal(value: float) -> str:
+    """Return a number so that it can be read as an integer where it is one."""
+    return str(int(value)) if value == int(value) else repr(value)
+
+
+def write_inputs(case: Alone, path: Path, delimiter: str = ",") -> None:
+    """Write the inputs as a table, all digits kept."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file, delimiter=delimiter)
+        table.writerow(["time", *case.inputs])
+        for row in np.column_stack([case.times, *case.inputs.values()]).tolist():
+            table.writerow(map(repr, row))
+
+
+def read_signals(path: Path, delimiter: str = ",") -> dict[str, Array]:
+    """Read a table of times [s] and signals, (N,) each in their units.
+
+    Raises
+    ------
+    FailedError
+        If there is none, or what it has are no numbers.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            names, *rows = csv.reader(file, delimiter=delimiter)
+        columns = np.array(rows, dtype=float).reshape(-1, len(names)).T
+    except (OSError, ValueError) as error:
+        raise FailedError(f"it left no result that can be read ({error})") from error
+    return {name: column for name, column in zip(names, columns, strict=True) if name != "time"}

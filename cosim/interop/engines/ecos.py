@@ -1,0 +1,40 @@
+"""ecos, by its Python interface."""
+
+import zipfile
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from cosim.interop.case import Run, Together
+from cosim.interop.engine import Engine, SkippedError, Tools, given_together, host
+from cosim.interop.reference import Coupling
+
+_SET = "}ParameterSet"
+
+
+def _together(tools: Tools, case: Together, folder: Path) -> Run:
+    python = tools.python("ecospy")[0]
+    names = parameter_sets(case.ssp)
+    if len(names) > 1:
+        raise SkippedError("it applies parameter sets of one name, the SSP has several")
+    given = given_together(case) | {"parameter_set": next(iter(names), None)}
+    return host(python, "run_ecos.py", given, folder)
+
+
+def parameter_sets(ssp: Path) -> set[str]:
+    """Return the names of all parameter sets in an SSP."""
+    with zipfile.ZipFile(ssp) as archive:
+        roots = [
+            ET.fromstring(archive.read(name))
+            for name in archive.namelist()
+            if name.endswith((".ssd", ".ssv"))
+        ]
+    return {e.get("name", "") for root in roots for e in root.iter() if e.tag.endswith(_SET)}
+
+
+ECOS = Engine(
+    name="ecos",
+    install="pip install ecospy, and the system's libtbb12 and unzip",
+    find=lambda tools: tools.python("ecospy")[1],
+    together=_together,
+    coupling=Coupling(refreshed="shown"),
+)

@@ -1,0 +1,29 @@
+"""FMI4j, a library for the JVM, by a host of ours."""
+
+from pathlib import Path
+
+from cosim.interop.case import Alone, Run
+from cosim.interop.engine import (
+    Engine,
+    Tools,
+    arguments,
+    read_signals,
+    require_success,
+    write_inputs,
+)
+
+
+def _find(tools: Tools) -> str:
+    return (tools.java("fmi4j")[1] / "version").read_text(encoding="utf-8").strip()
+
+
+def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
+    java, jars = tools.java("fmi4j")
+    write_inputs(case, folder / "inputs.tsv", "\t")
+    files = (case.fmu.resolve(), "inputs.tsv", "result.tsv")
+    command = (java, "-cp", f"{jars}/classes:{jars}/*", "Host", *files, *arguments(case))
+    require_success(command, folder)
+    return Run(signals=read_signals(folder / "result.tsv", "\t"))
+
+
+FMI4J = Engine(name="FMI4j", install="make interop, with Maven and a JDK", find=_find, alone=_alone)

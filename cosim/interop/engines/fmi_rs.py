@@ -1,0 +1,29 @@
+"""fmi-rs, a Rust library, by a host of ours."""
+
+from pathlib import Path
+
+from cosim.interop.case import Alone, Run
+from cosim.interop.engine import (
+    Engine,
+    Tools,
+    arguments,
+    read_signals,
+    require_success,
+    write_inputs,
+)
+
+_HOST = "hesr-fmi-rs"
+
+
+def _find(tools: Tools) -> str:
+    return require_success((tools.program(_HOST), "--version"), Path.cwd()).split()[-1]
+
+
+def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
+    write_inputs(case, folder / "inputs.csv")
+    files = (case.fmu.resolve(), "inputs.csv", "result.csv")
+    require_success((tools.program(_HOST), *files, *arguments(case)), folder)
+    return Run(signals=read_signals(folder / "result.csv"))
+
+
+FMI_RS = Engine(name="fmi-rs", install="make interop, with cargo", find=_find, alone=_alone)

@@ -1,0 +1,46 @@
+"""fmi-sim, the simulator of the Rust library fmi."""
+
+import re
+from pathlib import Path
+
+from cosim.interop.case import Alone, Run
+from cosim.interop.engine import (
+    SECONDS,
+    Engine,
+    Tools,
+    arguments,
+    read_signals,
+    require_success,
+    write_inputs,
+)
+from fmu_src.check.process import FailedError, run
+
+
+def _find(tools: Tools) -> str:
+    # It answers, and ends with an error all the same.
+    answer = run((str(tools.program("fmi-sim")), "--version"), Path.cwd(), SECONDS).text
+    found = re.search(r"fmi-sim (\d[\w.]*)", answer)
+    if found is None:
+        raise FailedError(f"fmi-sim does not tell its version but says '{answer[:100]}'")
+    return found[1]
+
+
+def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
+    stop, step, *start = arguments(case)
+    command = [tools.program("fmi-sim"), "--model", case.fmu.resolve(), "-o", "result.csv"]
+    if case.inputs:
+        write_inputs(case, folder / "inputs.csv")
+        command += ["-i", "inputs.csv"]
+    command += ["co-simulation", "--output-interval", step, "-f", stop]
+    for pair in start:
+        command += ["--init-values", pair]
+    require_success(command, folder)
+    return Run(signals=read_signals(folder / "result.csv"))
+
+
+FMI_SIM = Engine(
+    name="fmi-sim",
+    install="cargo install fmi-sim --locked, with the system's libclang",
+    find=_find,
+    alone=_alone,
+)

@@ -1,0 +1,182 @@
+"""Every engine on every case: how far it is from what it should give, or why it was not run."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from cosim.interop.case import Alone, Array, Case, Run, Together, deviation
+from cosim.interop.engine import Engine, SkippedError, Tools
+from cosim.interop.engines import ENGINES
+from cosim.interop.reference import alone, together
+from fmu_src.check.process import FailedError
+
+Progress = Callable[[int, int], None]
+"""Called with how many engines are done and how many there are."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One engine on one case.
+
+    Attributes
+    ----------
+    deviation : largest difference of a signal relative to its largest value, None if not run.
+    tolerance : highest deviation that counts as the same.
+    skipped : why it was not run, empty if it was.
+    failure : what went wrong, empty if nothing did.
+    seconds : how long the steps took, None where the engine does not tell.
+    """
+
+    deviation: float | None = None
+    tolerance: float = 0.0
+    skipped: str = ""
+    failure: str = ""
+    seconds: float | None = None
+
+    @property
+    def fails(self) -> bool:
+        """Whether the engine failed or gave something else."""
+        return bool(self.failure) or (
+            self.deviation is not None and not self.deviation <= self.tolerance
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One engine.
+
+    Attributes
+    ----------
+    version : of it, empty where it was not found.
+    missing : why it was not found, and how to get it; empty where it was.
+    cells : by the name of the case.
+    """
+
+    engine: Engine
+    version: str = ""
+    missing: str = ""
+    cells: Mapping[str, Cell]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Matrix:
+    """Engines by cases."""
+
+    cases: Sequence[Case]
+    rows: Sequence[Row]
+
+    @property
+    def failing(self) -> list[tuple[str, str]]:
+        """Names of engine and case of each failing cell."""
+        return [
+            (row.engine.name, name)
+            for row in self.rows
+            for name, cell in row.cells.items()
+            if cell.fails
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as plain data; an infinite deviation is null, and fails."""
+        return {
+            row.engine.name: {
+                "version": row.version or None,
+                "missing": row.missing or None,
+                "coupling": str(row.engine.coupling) if row.engine.together else None,
+                "cases": {
+                    name: {
+                        "fails": cell.fails,
+                        "deviation": None if cell.deviation == np.inf else cell.deviation,
+                        "tolerance": cell.tolerance,
+                        "skipped": cell.skipped or None,
+                        "failure": cell.failure or None,
+                        "seconds": cell.seconds,
+                    }
+                    for name, cell in row.cells.items()
+                },
+            }
+            for row in self.rows
+        }
+
+
+def compare(
+    cases: Sequence[Case],
+    tools: Tools,
+    *,
+    engines: Sequence[Engine] = ENGINES,
+    progress: Progress | None = None,
+) -> Matrix:
+    """Run all engines that are there on all cases.
+
+    Raises
+    ------
+    HesrError
+        If a case cannot be run by our own code.
+    """
+    expected = References()
+    rows = []
+    for i, engine in enumerate(engines):
+        if progress:
+            progress(i, len(engines))
+        rows.append(_row(engine, cases, tools, expected))
+    if progress:
+        progress(len(engines), len(engines))
+    return Matrix(cases=cases, rows=rows)
+
+
+class References:
+    """Results of our own code, each computed once."""
+
+    def __init__(self) -> None:
+        self._known: dict[Any, Mapping[str, Array]] = {}
+
+    def of(self, case: Case, engine: Engine) -> Mapping[str, Array]:
+        """Return what an engine should give for a case: (N,) of each signal in its unit."""
+        key = (id(case), None if isinstance(case, Alone) else engine.coupling)
+        if key not in self._known:
+            self._known[key] = (
+                alone(case) if isinstance(case, Alone) else together(case, engine.coupling)
+            )
+        return self._known[key]
+
+
+def _row(engine: Engine, cases: Sequence[Case], tools: Tools, expected: References) -> Row:
+    try:
+        version = engine.find(tools)
+    except (SkippedError, FailedError) as error:
+        return Row(engine=engine, missing=f"{error}: {engine.install}", cells={})
+    cells = {case.name: run_cell(engine, case, tools, expected) for case in cases}
+    return Row(engine=engine, version=version, cells=cells)
+
+
+def run_cell(engine: Engine, case: Case, tools: Tools, expected: References) -> Cell:
+    """Run an engine on a case and compare it with what it should give."""
+    # Ours is first: a case that cannot be run at all is no engine's fault, and some never end.
+    reference = expected.of(case, engine)
+    try:
+        run = _run(engine, case, tools)
+    except SkippedError as error:
+        return Cell(skipped=str(error))
+    except FailedError as error:
+        return Cell(failure=str(error))
+    return Cell(
+        deviation=deviation(run, reference),
+        tolerance=case.tolerance,
+        seconds=run.seconds,
+    )
+
+
+def _run(engine: Engine, case: Case, tools: Tools) -> Run:
+    with TemporaryDirectory(prefix="hesr-") as folder:
+        if isinstance(case, Together):
+            if engine.together is None:
+                raise SkippedError("it runs one FMU only")
+            if any(case.spec.every(component) > 1 for component in case.spec.components):
+                raise SkippedError("engines take components with steps of their own in many ways")
+            return engine.together(tools, case, Path(folder))
+        if engine.alone is None:
+            raise SkippedError("it runs systems")
+        return engine.alone(tools, case, Path(folder))

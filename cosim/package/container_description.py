@@ -1,0 +1,193 @@
+"""modelDescription.xml of a container: what of its components is seen from outside."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version as installed
+from typing import Any
+from xml.etree import ElementTree as ET
+
+from cosim.package.contents import Contents, Unit
+from cosim.package.markup import add_units, to_bytes
+from cosim.package.ssv import text_of
+from cosim.wiring import Element
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exposed:
+    """A variable of a component that the container shows as `component.variable`.
+
+    Attributes
+    ----------
+    element : component and variable.
+    causality : that it has in the container.
+    start : its start value, None where it has none.
+    """
+
+    element: Element
+    causality: str
+    start: float | str | None
+
+
+def exposed_variables(contents: Contents) -> Iterator[Exposed]:
+    """Yield what a container shows.
+
+    Outputs are the signals that the system observes, or those of all components where it observes
+    none. Inputs are those that nothing feeds. Parameters and whatever else the system gives a start
+    value are kept; all other outputs can be looked at.
+    """
+    wiring = contents.wiring
+    observed = set(wiring.observed)
+    for name, described in contents.descriptions.items():
+        for variable in described.modelVariables:
+            element = (name, variable.name)
+            given = wiring.start[name].get(variable.name)
+            causality = variable.causality
+            if element in wiring.sources or (causality == "independent"):
+                continue
+            if causality == "output":
+                seen = "output" if element in observed or not observed else "local"
+            elif element in observed:
+                seen = "output"
+            elif causality in ("input", "parameter") or given is not None:
+                seen = causality
+            else:
+                continue
+            yield Exposed(
+                element=element,
+                causality=seen,
+                start=_own_start(variable) if given is None else given,
+            )
+
+
+def to_description(contents: Contents, exposed: list[Exposed], identifier: str, guid: str) -> bytes:
+    """Return modelDescription.xml."""
+    spec = contents.spec
+    root = ET.Element(
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=spec.name,
+        guid=guid,
+        description=f"System of {len(spec.components)} FMUs, stepped every {spec.step:g} s.",
+        generationTool=f"HESR {installed('hesr')}",
+        generationDateAndTime=contents.created,
+        variableNamingConvention="structured",
+        numberOfEventIndicators="0",
+    )
+    ET.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=identifier,
+        needsExecutionTool="false",
+        canHandleVariableCommunicationStepSize="false",
+        canBeInstantiatedOnlyOncePerProcess="false",
+        canNotUseMemoryManagementFunctions="true",
+        canGetAndSetFMUstate="false",
+    )
+    units = contents.units(e.element for e in exposed)
+    add_units(root, "UnitDefinitions", units, prefix="")
+    ET.SubElement(
+        root, "DefaultExperiment", startTime="0", stopTime=repr(spec.stop), stepSize=repr(spec.step)
+    )
+    variables = ET.SubElement(root, "ModelVariables")
+    for reference, shown in enumerate(exposed, start=1):  # 0 is the time
+        variables.append(_scalar(contents, shown, reference, units))
+    _unknowns(ET.SubElement(root, "ModelStructure"), contents, exposed)
+    return to_bytes(root)
+
+
+def _scalar(
+    contents: Contents, shown: Exposed, reference: int, units: Mapping[str, Unit]
+) -> ET.Element:
+    component, name = shown.element
+    variable = contents.variables[component][name]
+    said = {
+        "name": f"{component}.{name}",
+        "valueReference": str(reference),
+        "description": _text(variable),
+        "causality": shown.causality,
+        "variability": variable.variability,
+        "initial": None if shown.causality == "input" else variable.initial,
+    }
+    scalar = ET.Element("ScalarVariable", {k: v for k, v in said.items() if v is not None})
+    kind = ET.SubElement(
+        scalar, contents.type_of(shown.element), contents.unit(shown.element, units)
+    )
+    for key in ("min", "max"):
+        if (bound := getattr(variable, key)) is not None:
+            kind.set(key, bound)
+    if shown.start is not None:
+        kind.set("start", text_of(contents.type_of(shown.element), shown.start))
+    return scalar
+
+
+def _text(variable: Any) -> str | None:
+    """Return the description of a variable; of a choice, which is an integer here, with its names.
+
+    As in our own FMUs: not all engines load Enumerations.
+    """
+    if variable.type != "Enumeration":
+        return variable.description
+    choices = ", ".join(f"{item.value} = {item.name}" for item in variable.declaredType.items)
+    return f"{variable.description or variable.name}: {choices}"
+
+
+def _own_start(variable: Any) -> float | str | None:
+    """Return the start value that a component's own description gives."""
+    text = variable.start
+    if text is None or variable.type == "String":
+        return text
+    if variable.type == "Boolean":
+        return float(text in ("true", "1"))
+    return float(text)
+
+
+def _unknowns(structure: ET.Element, contents: Contents, exposed: list[Exposed]) -> None:
+    """Add what is calculated: outputs, and those of them that are unknown at the start."""
+    index = {shown.element: i for i, shown in enumerate(exposed, start=1)}
+    outputs = [shown.element for shown in exposed if shown.causality == "output"]
+    unknown = [(n, v) for n, v in outputs if contents.variables[n][v].initial != "exact"]
+    for tag, elements, needs in (
+        ("Outputs", outputs, {n: v.feedthrough for n, v in contents.variables.items()}),
+        ("InitialUnknowns", unknown, {n: _at_start(contents, n) for n in contents.variables}),
+    ):
+        if elements:
+            parent = ET.SubElement(structure, tag)
+        for element in elements:
+            known = sorted(index[e] for e in _known(contents, element, needs) if e in index)
+            ET.SubElement(
+                parent,
+                "Unknown",
+                index=str(index[element]),
+                dependencies=" ".join(map(str, known)),
+            )
+
+
+def _at_start(contents: Contents, component: str) -> dict[str, list[str]]:
+    """Return for each initial unknown of a component what it depends on."""
+    described = contents.descriptions[component]
+    everything = [v.name for v in described.modelVariables if v.causality in ("input", "parameter")]
+    return {
+        unknown.variable.name: everything
+        if unknown.dependencies is None
+        else [v.name for v in unknown.dependencies]
+        for unknown in described.initialUnknowns
+    }
+
+
+def _known(
+    contents: Contents, output: Element, needs: Mapping[str, Mapping[str, list[str]]]
+) -> set[Element]:
+    """Return the variables, none of them fed by another, on which a signal depends."""
+    sources = contents.wiring.sources
+    seen, left = set[Element](), [output]
+    while left:
+        component, name = left.pop()
+        # What nothing is said of may depend on every input.
+        for needed in needs[component].get(name, contents.variables[component].inputs):
+            element = (component, needed)
+            if element in seen:
+                continue
+            seen.add(element)
+            if element in sources:
+                left.append(sources[element])
+    return seen - sources.keys()

@@ -1,0 +1,46 @@
+"""A system of FMUs as an SSP, which other co-simulation engines read."""
+
+from pathlib import Path
+
+from cosim.package.contents import Contents
+from cosim.package.markup import Version
+from cosim.package.ssd import resource, to_ssd
+from cosim.package.ssv import to_ssv
+from fmu_src.package import zip_members
+from hesr_model.errors import ConfigError
+from hesr_model.files import written_whole
+
+SSD = "SystemStructure.ssd"
+
+
+def write_ssp(contents: Contents, path: Path, *, version: Version = "1.0") -> Path:
+    """Write a system with its FMUs as an SSP: the same bytes every time.
+
+    Parameters
+    ----------
+    contents : the system.
+    path : the file to write, ending in .ssp.
+    version : of the standard; libcosim and ecos read 1.0 only.
+
+    Returns
+    -------
+    `path`.
+
+    Raises
+    ------
+    ConfigError
+        If the name does not end so.
+    ArtifactError
+        If it cannot be written.
+    """
+    if path.suffix != ".ssp":
+        raise ConfigError(f"{path}: the name of a packaged system ends in .ssp.")
+    members = {SSD: to_ssd(contents, version)}
+    for component in contents.spec.components:
+        name = component.name
+        if contents.wiring.start[name]:
+            members[resource(name, ".ssv")] = to_ssv(contents, name, version)
+        members[resource(name, ".fmu")] = component.fmu.read_bytes()
+    with written_whole(path) as temporary:
+        zip_members(temporary, members, contents.created)
+    return path

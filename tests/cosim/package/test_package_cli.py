@@ -1,0 +1,237 @@
+"""hesr package: every way to misuse it has its sentence, through the real command line."""
+
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from small_study import Hesr, contents
+
+from cosim.package.contents import Contents
+from cosim.package.ssp import write_ssp
+from cosim.system_file import write_system
+
+SSD = "SystemStructure.ssd"
+Edit = Callable[..., Path]
+
+
+@pytest.fixture
+def edited(opened: Contents, tmp_path: Path) -> Edit:
+    """Write the open system as an SSP with texts in a member replaced, or without a member."""
+
+    def file(*changes: tuple[str, str], member: str = SSD, without: str = "") -> Path:
+        whole, path = write_ssp(opened, tmp_path / "whole.ssp"), tmp_path / "open.ssp"
+        with zipfile.ZipFile(whole) as old, zipfile.ZipFile(path, "w") as new:
+            for name in old.namelist():
+                data = old.read(name)
+                if name == member:
+                    for before, after in changes:
+                        assert before.encode() in data
+                        data = data.replace(before.encode(), after.encode())
+                if name != without:
+                    new.writestr(name, data)
+        whole.unlink()
+        return path
+
+    return file
+
+
+@pytest.mark.parametrize("kind", ["ssp", "fmu"])
+def test_an_ssp_and_a_container_are_written(
+    opened: Contents, tmp_path: Path, hesr: Hesr, kind: str
+) -> None:
+    system = write_system(opened.spec, tmp_path / "open.toml")
+    output = tmp_path / "made" / f"open.{kind}"
+    more = ["--container"] if kind == "fmu" else ["--ssp", "2.0"]
+    answer = hesr("package", system, "-o", output, *more)
+    assert (answer.code, answer.out, answer.err) == (0, f"2 FMUs, written to {output}.\n", "")
+    assert [path.name for path in output.parent.iterdir()] == [output.name]
+    with zipfile.ZipFile(output) as archive:
+        if kind == "ssp":
+            assert b' version="2.0" name="open"' in archive.read(SSD)
+        else:
+            assert "resources/container.json" in archive.namelist()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["-o", "open.zip"], "open.zip: the name of a packaged system ends in .ssp."),
+        (["-o", "open.fmu"], "open.fmu: the name of a packaged system ends in .ssp."),
+        (["-o", "open.ssp", "--container"], "open.ssp: the name of an FMU ends in .fmu."),
+        (["-o", "open.ssp", "--ssp", "3"], "--ssp is '3'; needed is 1.0 or 2.0."),
+        (
+            ["-o", "open.fmu", "--container", "--ssp", "1.0"],
+            "--ssp is the version of a file in .ssp; --container makes an FMU.",
+        ),
+    ],
+)
+def test_what_cannot_be_asked_for(
+    arguments: list[str],
+    sentence: str,
+    opened: Contents,
+    tmp_path: Path,
+    hesr: Hesr,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    system = write_system(opened.spec, tmp_path / "open.toml")
+    monkeypatch.chdir(tmp_path)
+    answer = hesr("package", system, *arguments)
+    assert (answer.code, answer.out, answer.err) == (2, "", f"hesr: {sentence}\n")
+    assert contents(tmp_path).keys() == {"open.toml"}
+
+
+TOML = [
+    ('fmu = "Friction.fmu"', 'fmu = "Gone.fmu"',
+     "component 'friction': there is no FMU {folder}/Gone.fmu."),
+    ('fmu = "Friction.fmu"', 'fmu = "open.toml"',
+     "component 'friction': {folder}/open.toml is no readable FMU (File is not a zip file)."),
+    ('"friction.q" = ', '"friktion.q" = ',
+     "connection 'friktion.q' = 'trajectory.q': there is no component 'friktion'; did you mean "
+     "friction."),
+    ('"trajectory.q"\n', '"trajectory.p"\n',
+     "connection 'friction.q' = 'trajectory.p': {folder}/Trajectory.fmu: there is no variable "
+     "'p'."),
+    ('"friction.q" = "trajectory.q"', '"friction.q" = "trajectory.dq"',
+     "connection 'friction.q' = 'trajectory.dq': the input is in rad, the output in rad/s."),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "new", "sentence"), TOML)
+@pytest.mark.parametrize("more", [(), ("--container",)], ids=["ssp", "container"])
+def test_a_system_that_does_not_fit(
+    old: str,
+    new: str,
+    sentence: str,
+    more: tuple[str, ...],
+    opened: Contents,
+    tmp_path: Path,
+    hesr: Hesr,
+) -> None:
+    spec = opened.spec
+    for component, name in zip(spec.components, ("Trajectory", "Friction"), strict=True):
+        (tmp_path / f"{name}.fmu").write_bytes(component.fmu.read_bytes())
+    fmus = [tmp_path / f"{name}.fmu" for name in ("Trajectory", "Friction")]
+    components = tuple(
+        c.model_copy(update={"fmu": fmu}) for c, fmu in zip(spec.components, fmus, strict=True)
+    )
+    path = write_system(spec.model_copy(update={"components": components}), tmp_path / "open.toml")
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    before = contents(tmp_path)
+    answer = hesr("package", path, "-o", tmp_path / ("x.fmu" if more else "x.ssp"), *more)
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err == f"hesr: {path}: {sentence.format(folder=tmp_path)}\n"
+    assert contents(tmp_path) == before
+
+
+def test_a_cyclic_connection(closed: Contents, tmp_path: Path, hesr: Hesr) -> None:
+    """The controller's command, fed back to the desired velocity on which it depends directly."""
+    spec = closed.spec
+    connections = dict(spec.connections) | {"controller.dq_d": "controller.dq_cmd"}
+    path = write_system(
+        spec.model_copy(update={"connections": connections}), tmp_path / "cyclic.toml"
+    )
+    answer = hesr("package", path, "-o", tmp_path / "cyclic.ssp")
+    assert answer.code == 2
+    assert answer.err.startswith(
+        f"hesr: {path}: algebraic loop through direct feedthrough: controller."
+    )
+    assert answer.err.count("\n") == 1
+    assert "controller.dq_cmd[1] -> controller.dq_d[1]" in answer.err
+
+
+def test_a_missing_system(tmp_path: Path, hesr: Hesr) -> None:
+    for name in ("gone.toml", "gone.ssp"):
+        answer = hesr("package", tmp_path / name, "-o", tmp_path / "x.ssp")
+        assert (answer.code, answer.err) == (2, f"hesr: {tmp_path / name}: no such file.\n")
+
+
+def test_an_ssp_without_one_of_its_fmus(edited: Edit, tmp_path: Path, hesr: Hesr) -> None:
+    path = edited(without="resources/friction.fmu")
+    answer = hesr("package", path, "-o", tmp_path / "x.ssp")
+    assert (answer.code, answer.err) == (
+        2,
+        f"hesr: {path}: component 'friction': there is no resources/friction.fmu in it.\n",
+    )
+
+
+def test_an_ssp_that_is_none(tmp_path: Path, hesr: Hesr) -> None:
+    path = tmp_path / "text.ssp"
+    path.write_text("no archive", encoding="utf-8")
+    answer = hesr("simulate", path, "-o", tmp_path / "x.csv")
+    assert answer.err == f"hesr: {path}: no readable SSP (File is not a zip file).\n"
+
+
+SSP: list[tuple[dict[str, Any], str]] = [
+    ({"without": SSD}, "there is no SystemStructure.ssd in it."),
+    ({"without": "resources/friction.ssv"},
+     "component 'friction': there is no resources/friction.ssv in it."),
+    ({"changes": [("</ssd:System>", "")]},
+     "SystemStructure.ssd is no valid XML (mismatched tag: line {line}, column 2)."),
+    ({"changes": [("ssd:System ", "ssd:Sytem "), ("</ssd:System>", "</ssd:Sytem>")]},
+     "SystemStructure.ssd describes no system."),
+    ({"changes": [(' stopTime="10.0"', "")]}, "gives no stopTime of its default experiment."),
+    ({"changes": [("stopTime=\"10.0\"", "stopTime=\"late\"")]},
+     "key 'stop' is 'late': Input should be a valid number, unable to parse string as a number."),
+    ({"changes": [("oms:FixedStepMaster", "oms:Other"), ("osp:FixedStepAlgorithm", "osp:Other")]},
+     "gives no step, as an annotation for libcosim or OMSimulator."),
+    ({"changes": [('endConnector="dq[2]"', 'endConnector="dp[2]"')]},
+     "connection 'friction.dp[2]' = 'trajectory.dq[2]': {fmu}: there is no variable 'dp[2]'; did "
+     "you mean dq[2], "),
+    ({"changes": [('startElement="trajectory" startConnector="dq[2]"', 'startConnector="dq[2]"')]},
+     "connection 'friction.dq[2]' = 'dq[2]': connectors of the system itself are not read."),
+    ({"changes": [('endConnector="dq[2]" />', 'endConnector="dq[2]">'
+                   '<ssc:LinearTransformation factor="2"/></ssd:Connection>')]},
+     "connection 'friction.dq[2]' = 'trajectory.dq[2]': transformations are not read."),
+    ({"changes": [('endConnector="dq[2]"', 'endConnector="dq[1]"')]},
+     "'friction.dq[1]' is connected to 'trajectory.dq[1]' and to 'trajectory.dq[2]'."),
+    ({"changes": [('startConnector="q[1]"', 'startConnector="dq[1]"')]},
+     "connection 'friction.q[1]' = 'trajectory.dq[1]': the input is in rad, the output in rad/s."),
+    ({"changes": [(' source="resources/friction.fmu"', "")]},
+     "component 'friction': attribute 'source' is missing."),
+    ({"changes": [("<ssd:ParameterBinding source=\"resources/friction.ssv\" />",
+                   "<ssd:ParameterBinding source=\"resources/friction.ssv\">"
+                   "<ssd:ParameterMapping/></ssd:ParameterBinding>")]},
+     "component 'friction': mappings of parameters are not read."),
+    ({"member": "resources/friction.ssv", "changes": [('value="1.5"', 'value="much"')]},
+     "component 'friction': parameter 'tau_load[1]' is 'much', no Real."),
+    ({"changes": [("<ssd:Elements>", "<ssd:Elements><ssd:System name=\"inner\"/>")]},
+     "element 'inner' is no FMU; only one level of FMUs is read."),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "sentence"), SSP)
+def test_an_ssp_that_cannot_be_read(
+    change: dict[str, Any], sentence: str, edited: Edit, tmp_path: Path, hesr: Hesr
+) -> None:
+    others = {key: value for key, value in change.items() if key != "changes"}
+    path = edited(*change.get("changes", ()), **others)
+    answer = hesr("package", path, "-o", tmp_path / "x.ssp")
+    with zipfile.ZipFile(path) as archive:
+        lines = archive.read(SSD).count(b"\n") if SSD in archive.namelist() else 0
+    head, _, tail = sentence.partition("{fmu}")
+    assert answer.code == 2
+    assert answer.err.startswith(f"hesr: {path}: {head.format(line=lines)}")
+    assert answer.err.endswith(f"{tail}\n" if not tail.endswith(" ") else "\n")
+    assert tail in answer.err
+    assert answer.err.count("\n") == 1
+    assert not (tmp_path / "x.ssp").exists()
+
+
+def test_more_of_the_standard_is_read(edited: Edit, tmp_path: Path, hesr: Hesr) -> None:
+    """Values at the system, values inside the description, and a step of OMSimulator's alone."""
+    inline = """<ssd:ParameterBindings>
+<ssd:ParameterBinding prefix="friction."><ssd:ParameterValues>
+<ssv:ParameterSet version="1.0" name="inside"><ssv:Parameters>
+<ssv:Parameter name="tau_load[1]"><ssv:Real value="7.0"/></ssv:Parameter>
+</ssv:Parameters></ssv:ParameterSet></ssd:ParameterValues></ssd:ParameterBinding>
+</ssd:ParameterBindings><ssd:Elements>"""
+    path = edited(("<ssd:Elements>", inline), ("osp:FixedStepAlgorithm", "osp:Other"))
+    assert hesr("package", path, "-o", tmp_path / "again.ssp").code == 0
+    with zipfile.ZipFile(tmp_path / "again.ssp") as archive:
+        values = archive.read("resources/friction.ssv").decode()
+    assert values.count('value="7.0"') == 1
+    assert values.count('value="1.5"') == 2

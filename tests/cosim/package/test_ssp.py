@@ -1,0 +1,195 @@
+"""Systems as SSP: valid, complete, run by FMPy with the numbers of FMPy's own coupling."""
+
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import fmpy.ssp
+import numpy as np
+from couplings import delayed, error
+from fmpy.ssp.simulation import simulate_ssp
+from fmpy.ssp.ssd import Parameter, ParameterSet, read_ssd
+from lxml import etree
+from small_study import Hesr
+
+from cosim.master import simulate
+from cosim.package.contents import Contents, read_contents
+from cosim.package.read import opened_system
+from cosim.package.ssp import write_ssp
+from cosim.system import SystemSpec
+
+Write = Callable[..., Path]
+
+SCHEMAS = Path(fmpy.ssp.__file__).parent / "schema"
+NAMES = {
+    "ssd": "http://ssp-standard.org/SSP1/SystemStructureDescription",
+    "ssc": "http://ssp-standard.org/SSP1/SystemStructureCommon",
+    "ssv": "http://ssp-standard.org/SSP1/SystemStructureParameterValues",
+    "oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
+    "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
+}
+
+
+def members(path: Path) -> dict[str, bytes]:
+    with zipfile.ZipFile(path) as archive:
+        assert archive.testzip() is None
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def parsed(path: Path, name: str = "SystemStructure.ssd") -> etree._Element:
+    return etree.fromstring(members(path)[name])
+
+
+def start_values(path: Path) -> ParameterSet:
+    """FMPy reads the parameter sets, but its runner wants them as one, by full names."""
+    parameters = [
+        Parameter(name=f"{component.name}.{parameter.name}", value=parameter.value)
+        for component in read_ssd(path).system.elements
+        for binding in component.parameterBindings
+        for values in binding.parameterValues
+        for parameter in values.parameters
+    ]
+    return ParameterSet(parameters=parameters)
+
+
+def test_its_files_are_valid(either: Contents, tmp_path: Path) -> None:
+    path = write_ssp(either, tmp_path / "system.ssp")
+    schemas = {
+        ".ssd": etree.XMLSchema(file=SCHEMAS / "SystemStructureDescription.xsd"),
+        ".ssv": etree.XMLSchema(file=SCHEMAS / "SystemStructureParameterValues.xsd"),
+    }
+    files = [name for name in members(path) if not name.endswith(".fmu")]
+    assert {Path(name).suffix for name in files} == set(schemas)
+    for name in files:
+        schemas[Path(name).suffix].assertValid(parsed(path, name))
+
+
+def test_version_2_differs_by_its_number_only(closed: Contents, tmp_path: Path) -> None:
+    old = members(write_ssp(closed, tmp_path / "old.ssp"))
+    new = members(write_ssp(closed, tmp_path / "new.ssp", version="2.0"))
+    for name, content in new.items():
+        if not name.endswith(".fmu"):
+            assert content.count(b' version="2.0"') == 1
+            content = content.replace(b' version="2.0"', b' version="1.0"')
+        assert content == old[name]
+
+
+def test_what_is_in_it(closed: Contents, tmp_path: Path) -> None:
+    path = write_ssp(closed, tmp_path / "closed.ssp")
+    names = ["arm", "trajectory", "body", "friction", "gravity", "controller"]
+    fmus = {f"resources/{name}.fmu" for name in names}
+    sets = {f"resources/{name}.ssv" for name in ("arm", "trajectory", "gravity", "controller")}
+    found = members(path)
+    assert found.keys() == {"SystemStructure.ssd"} | fmus | sets
+    for component in closed.spec.components:
+        assert found[f"resources/{component.name}.fmu"] == component.fmu.read_bytes()
+    root = parsed(path)
+    assert [c.get("name") for c in root.iterfind(".//ssd:Component", NAMES)] == names
+    connections = {
+        (c.get("endElement"), c.get("endConnector")): (
+            c.get("startElement"),
+            c.get("startConnector"),
+        )
+        for c in root.iterfind(".//ssd:Connection", NAMES)
+    }
+    assert connections == closed.wiring.sources
+    assert not root.findall("ssd:System/ssd:Connectors", NAMES)
+    experiment = root.find("ssd:DefaultExperiment", NAMES)
+    assert (experiment.get("startTime"), experiment.get("stopTime")) == ("0.0", "10.0")
+    assert root.find(".//osp:FixedStepAlgorithm", NAMES).get("baseStepSize") == "0.005"
+    assert root.find(".//oms:FixedStepMaster", NAMES).get("stepSize") == "0.005"
+    assert root.find(".//osp:StepSizeHint", NAMES) is None
+
+
+def test_every_connector_is_connected_or_observed(either: Contents, tmp_path: Path) -> None:
+    """FMPy's runner takes a connection that is another's for an input that has none."""
+    root = parsed(write_ssp(either, tmp_path / "system.ssp"))
+    connectors = {
+        (component.get("name"), connector.get("name")): connector.get("kind")
+        for component in root.iterfind(".//ssd:Component", NAMES)
+        for connector in component.iterfind(".//ssd:Connector", NAMES)
+    }
+    wiring = either.wiring
+    assert {e for e, kind in connectors.items() if kind == "input"} == set(wiring.sources)
+    assert {e for e, kind in connectors.items() if kind == "output"} == {
+        *wiring.sources.values(),
+        *wiring.observed,
+    }
+
+
+def test_units_are_those_of_the_fmus(closed: Contents, tmp_path: Path) -> None:
+    path = write_ssp(closed, tmp_path / "closed.ssp")
+    for name in ("SystemStructure.ssd", "resources/controller.ssv"):
+        root = parsed(path, name)
+        defined = {u.get("name"): dict(u[0].attrib) for u in root.iterfind(".//ssc:Unit", NAMES)}
+        used = {node.get("unit") for node in root.iter() if node.get("unit")}
+        assert used == defined.keys()
+    parameter = parsed(path, "resources/controller.ssv").find(".//*[@name='Kv[2]']/ssv:Real", NAMES)
+    assert dict(parameter.attrib) == {"value": "150.8", "unit": "N.m.s/rad"}
+    assert defined["N.m.s/rad"] == {"kg": "1", "m": "2", "s": "-1", "rad": "-1"}
+
+
+def test_a_choice_is_an_integer(closed: Contents, tmp_path: Path) -> None:
+    root = parsed(write_ssp(closed, tmp_path / "closed.ssp"), "resources/controller.ssv")
+    assert root.find(".//*[@name='compensation']/ssv:Integer", NAMES).get("value") == "3"
+
+
+def test_a_step_of_its_own_is_a_hint(lags: Write, tmp_path: Path) -> None:
+    path = lags()
+    contents = read_contents(SystemSpec.read(path), path)
+    root = parsed(write_ssp(contents, tmp_path / "lags.ssp"))
+    hints = {
+        component.get("name"): hint.get("value")
+        for component in root.iterfind(".//ssd:Component", NAMES)
+        for hint in component.iterfind(".//osp:StepSizeHint", NAMES)
+    }
+    assert hints == {"b": "0.2"}
+
+
+def test_the_same_bytes_every_time(closed: Contents, tmp_path: Path) -> None:
+    again = read_contents(closed.spec, closed.path)
+    one, other = (
+        write_ssp(contents, tmp_path / f"{i}.ssp") for i, contents in enumerate((closed, again))
+    )
+    assert one.read_bytes() == other.read_bytes()
+    dates = {entry.date_time[:3] for entry in zipfile.ZipFile(one).infolist()}
+    newest = max(d.generationDateAndTime for d in closed.descriptions.values())
+    assert dates == {tuple(map(int, newest[:10].split("-")))}
+    assert parsed(one).get("generationDateAndTime") == newest
+
+
+def test_fmpy_runs_it(either: Contents, tmp_path: Path) -> None:
+    """FMPy adds up its steps, so its times are off by rounding; a motion carries that on."""
+    path = write_ssp(either, tmp_path / "system.ssp")
+    step = either.spec.step
+    got = simulate_ssp(
+        path, step_size=step, stop_time=10.0 - 0.5 * step, parameter_set=start_values(path)
+    )
+    assert len(got) == 2000
+    observed = either.wiring.observed
+    found = np.column_stack([got[".".join(element)] for element in observed])
+    assert error(found, delayed(either, observed, len(got))) <= 1e-9
+
+
+def test_an_ssp_is_read_back(either: Contents, tmp_path: Path) -> None:
+    path = write_ssp(either, tmp_path / "system.ssp")
+    with opened_system(path) as spec:
+        back = read_contents(spec, path)
+        assert write_ssp(back, tmp_path / "again.ssp").read_bytes() == path.read_bytes()
+        got = simulate(spec.model_copy(update={"stop": 1.0}), path).require_success()
+    expected = simulate(either.spec.model_copy(update={"stop": 1.0}), path).require_success()
+    for name, values in expected.signals.items():
+        np.testing.assert_array_equal(got.signals[name], values)
+
+
+def test_an_ssp_is_simulated(lags: Write, tmp_path: Path, hesr: Hesr) -> None:
+    """Moved to a folder of its own, with nothing of the system beside it."""
+    path = lags()
+    ssp = tmp_path / "elsewhere" / "lags.ssp"
+    answer = hesr("package", path, "-o", ssp)
+    assert (answer.code, answer.out) == (0, f"2 FMUs, written to {ssp}.\n")
+    results = [tmp_path / "toml.csv", tmp_path / "ssp.csv"]
+    for system, result in zip((path, ssp), results, strict=True):
+        assert hesr("simulate", system, "-o", result).code == 0
+        path.unlink(missing_ok=True)
+    assert results[0].read_bytes() == results[1].read_bytes()

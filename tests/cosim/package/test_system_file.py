@@ -1,0 +1,64 @@
+"""Systems written as TOML: what is read again is what was written, wherever the folder goes."""
+
+from pathlib import Path
+
+import pytest
+
+from cosim.master import Master
+from cosim.package.contents import Contents
+from cosim.system import ComponentSpec, SystemSpec
+from cosim.system_file import write_system
+from hesr_model.errors import ArtifactError
+
+
+def test_a_system_is_read_back(either: Contents, tmp_path: Path) -> None:
+    path = write_system(either.spec, tmp_path / "new" / "system.toml")
+    assert SystemSpec.read(path) == either.spec
+
+
+def test_everything_that_a_system_can_say(tmp_path: Path) -> None:
+    spec = SystemSpec(
+        name='with "quotes", ä and \\',
+        step=0.001,
+        stop=0.1 + 0.2,
+        order="jacobi",
+        components=(
+            ComponentSpec(
+                name="a",
+                fmu=tmp_path / "fmus" / "A b.fmu",
+                start={"on": True, "count": 3, "mode": "fast", "h[1]": 0.1, "tau": (1e-9, 2.0)},
+                step=0.002,
+            ),
+            ComponentSpec(name="b", fmu=tmp_path / "B.fmu"),
+        ),
+        connections={"a.u[1]": "b.y"},
+        observe=("a.q",),
+        limits={"a.q": ((-1.0, 1.0), (0.0, 2.0)), "b.y": (-1.0, 1.0)},
+    )
+    path = write_system(spec, tmp_path / "system.toml")
+    assert SystemSpec.read(path) == spec
+    assert 'fmu = "fmus/A b.fmu"' in path.read_text(encoding="utf-8")
+
+
+def test_the_folder_can_be_moved(opened: Contents, tmp_path: Path) -> None:
+    here, there = tmp_path / "here", tmp_path / "there"
+    here.mkdir()
+    components = []
+    for component in opened.spec.components:
+        fmu = here / f"{component.name}.fmu"
+        fmu.write_bytes(component.fmu.read_bytes())
+        components.append(component.model_copy(update={"fmu": fmu}))
+    spec = opened.spec.model_copy(update={"components": tuple(components), "stop": 0.5})
+    write_system(spec, here / "system.toml")
+    here.rename(there)
+    moved = SystemSpec.read(there / "system.toml")
+    assert [c.fmu for c in moved.components] == [there / c.fmu.name for c in components]
+    with Master(moved, there / "system.toml") as master:
+        master.run().require_success()
+
+
+def test_a_file_that_cannot_be_written(opened: Contents, tmp_path: Path) -> None:
+    path = tmp_path / "folder"
+    path.mkdir()
+    with pytest.raises(ArtifactError, match=r"folder: cannot be written there \(Is a directory\)"):
+        write_system(opened.spec, path)

@@ -1,0 +1,53 @@
+"""What every engine runs: each FMU alone, and the two systems."""
+
+from pathlib import Path
+
+from systems import closed_system, open_system
+
+from cosim.interop.case import Alone, Case, Together
+from cosim.interop.drive import driven
+from cosim.interop.systems import opened_case
+from fmu_src import export_fmu, model_file
+from hesr_model.artifacts import read_model
+from hesr_model.friction.estimator import registry
+from hesr_model.friction.law import FrictionLaw, FrictionModel
+
+NAMES = (
+    "friction", "exact", "lugre", "trajectory", "body", "controller", "arm", "open", "closed",
+)  # fmt: skip
+
+LUGRE = {
+    "sigma_0": 2.0e3, "sigma_1": 1.5, "sigma_2": 3.0,
+    "F_c": 9.0, "F_s": 12.0, "v_s": 0.08, "tau_0": 0.2,
+}  # fmt: skip
+
+
+def every_case(folder: Path) -> list[Case]:
+    """Build all FMUs and systems in a folder."""
+    files = (open_system(folder / "open"), closed_system(folder / "closed"))
+    systems = [system(file, folder) for file in files]
+    return [*alone(folder, systems[1]), *systems]
+
+
+def system(path: Path, folder: Path) -> Together:
+    with opened_case(path, folder) as case:
+        return case  # its FMUs lie beside the file
+
+
+def alone(folder: Path, closed: Together) -> list[Alone]:
+    """Return each FMU of the closed loop on its own, as it is set up there, and two frictions."""
+    friction = export_fmu(read_model(model_file("uf850-table1")), folder / "Friction.fmu")
+    used = {c.name: c for c in closed.spec.components}
+    names = ("trajectory", "body", "controller", "arm")
+    return [
+        driven(friction, name="friction"),
+        driven(friction, name="exact", start={"discretisation": "exact"}),
+        driven(export_fmu(lugre(), folder / "LuGre.fmu"), name="lugre"),
+        *(driven(used[name].fmu, name=name, start=used[name].start) for name in names),
+    ]
+
+
+def lugre() -> FrictionModel:
+    form = registry()["lugre"].core({})
+    laws = (FrictionLaw(name="lugre", form=form, values=LUGRE),)
+    return FrictionModel(law="lugre", robot="bench", joints=("j1",), laws=laws, sample_time=0.005)

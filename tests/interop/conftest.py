@@ -1,0 +1,93 @@
+"""The matrix of engines and cases; printed at the end of the run."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from cases import every_case
+from rich.console import Console
+
+from cosim.interop.case import Case
+from cosim.interop.engine import Engine, SkippedError, Tools
+from cosim.interop.engines import ENGINES
+from cosim.interop.matrix import Cell, Matrix, References, Row, run_cell
+from cosim.interop.table import notes, table
+from fmu_src.check.process import FailedError
+
+_WIDTH = 132
+
+_cases: list[Case] = []
+_versions: dict[str, str] = {}
+_missing: dict[str, str] = {}
+_cells: dict[str, dict[str, Cell]] = {}
+
+
+@pytest.fixture(scope="session")
+def tools() -> Tools:
+    """Engines as `.ci/interop` lays them out beside the tests, and those of this machine."""
+    return Tools(folder=Path(__file__).parents[2] / ".tools/interop")
+
+
+@pytest.fixture(scope="session")
+def need(tools: Tools) -> Callable[[Engine], None]:
+    """Skip the test where an engine is not there."""
+
+    def check(engine: Engine) -> None:
+        if engine.name not in _versions | _missing:
+            try:
+                _versions[engine.name] = engine.find(tools)
+            except (SkippedError, FailedError) as error:
+                _missing[engine.name] = f"{error}: {engine.install}"
+        if engine.name in _missing:
+            pytest.skip(f"{engine.name}: {_missing[engine.name]}")
+
+    return check
+
+
+@pytest.fixture(scope="session")
+def cases(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Case]:
+    _cases[:] = every_case(tmp_path_factory.mktemp("cases"))
+    return {case.name: case for case in _cases}
+
+
+@pytest.fixture(scope="session")
+def references() -> References:
+    return References()
+
+
+@pytest.fixture
+def cell(
+    tools: Tools,
+    references: References,
+    request: pytest.FixtureRequest,
+) -> Callable[[Engine, str], Cell]:
+    """Run an engine that is there on a case, and keep it for the table."""
+
+    def run(engine: Engine, name: str) -> Cell:
+        case = request.getfixturevalue("cases")[name]
+        found = run_cell(engine, case, tools, references)
+        _cells.setdefault(engine.name, {})[name] = found
+        return found
+
+    return run
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    if not _cells:
+        return
+    rows = [
+        Row(
+            engine=engine,
+            version=_versions.get(engine.name, ""),
+            missing=_missing.get(engine.name, ""),
+            cells=_cells.get(engine.name, {}),
+        )
+        for engine in ENGINES
+    ]
+    matrix = Matrix(cases=_cases, rows=rows)
+    terminalreporter.section("engines")
+    console = Console(width=_WIDTH)
+    with console.capture() as shown:
+        console.print(table(matrix))
+    for line in (*shown.get().splitlines(), *notes(matrix)):
+        terminalreporter.write_line(line)

@@ -1,0 +1,65 @@
+"""A packaged system needs nothing of ours: another folder, hardly an environment."""
+
+import json
+import os
+import subprocess
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import cosim.interop
+from cosim.interop.case import Case, Run, Together, deviation
+from cosim.interop.engine import Engine, Tools, given_together, read_signals
+from cosim.interop.engines import ENGINES
+from cosim.interop.engines.ecos import parameter_sets
+from cosim.interop.matrix import References
+
+HOSTS = Path(cosim.interop.__file__).with_name("hosts")
+OURS = ("hesr_model", "fmu_src", "cosim", "mujoco", "pinocchio")
+PYTHON = {"FMPy": "run_fmpy_ssp.py", "libcosim": "run_libcosim.py", "ecos": "run_ecos.py"}
+
+
+def bare(python: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run an interpreter in a folder with next to no environment, without its user's packages."""
+    command = [str(python), "-E", "-s", *arguments]
+    path = {"PATH": os.defpath}  # ecos unpacks archives by a program
+    return subprocess.run(command, cwd=folder, env=path, capture_output=True, text=True)
+
+
+@pytest.fixture
+def python(tools: Tools) -> Path:
+    """The interpreter of the engines, which has none of our packages."""
+    found = (tools.folder / "python/bin/python").absolute()
+    if not found.is_file():
+        pytest.skip("there is no Python of the engines: make interop")
+    look = "import importlib.util as u, sys; sys.exit(any(map(u.find_spec, sys.argv[1:])))"
+    assert bare(found, Path("/"), "-c", look, *OURS).returncode == 0
+    return found
+
+
+@pytest.mark.parametrize("name", PYTHON)
+def test_the_closed_loop_runs_where_hesr_is_not(
+    name: str,
+    python: Path,
+    need: Callable[[Engine], None],
+    cases: Mapping[str, Case],
+    references: References,
+    tmp_path: Path,
+) -> None:
+    engine = next(e for e in ENGINES if e.name == name)
+    need(engine)
+    case = cases["closed"]
+    assert isinstance(case, Together)
+    # Nothing but the one file and the script moves.
+    (tmp_path / "moved.ssp").write_bytes(case.ssp.read_bytes())
+    for script in ("files.py", PYTHON[name]):
+        (tmp_path / script).write_bytes((HOSTS / script).read_bytes())
+    given: dict[str, Any] = given_together(case)
+    given |= {"ssp": "moved.ssp", "parameter_set": next(iter(parameter_sets(case.ssp)))}
+    (tmp_path / "case.json").write_text(json.dumps(given), encoding="utf-8")
+    ended = bare(python, tmp_path, PYTHON[name], "case.json")
+    assert ended.returncode == 0, ended.stderr
+    run = Run(signals=read_signals(tmp_path / "result.csv"), first=int(name == "FMPy"))
+    assert deviation(run, references.of(case, engine)) <= case.tolerance

@@ -1,0 +1,181 @@
+"""The parts of the comparison, each against something else than an engine."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cases import lugre, system
+from small_fmus import lag
+
+from cosim.interop.case import Alone, Case, Run, Together, deviation
+from cosim.interop.drive import driven
+from cosim.interop.engine import Engine, SkippedError, Tools
+from cosim.interop.engines import ENGINES
+from cosim.interop.matrix import compare
+from cosim.interop.reference import Coupling, alone, together
+from cosim.interop.table import notes, table
+from cosim.master import Master
+from cosim.system import ComponentSpec, SystemSpec
+from cosim.system_file import write_system
+from fmu_src import export_fmu
+from fmu_src.blocks.trajectory import trajectory
+from fmu_src.check.process import FailedError
+from fmu_src.package import write_fmu
+from hesr_model.errors import SimulationError
+from hesr_model.friction.evaluate import predict
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Alone:
+    return driven(lag(tmp_path_factory.mktemp("lag")), name="lag")
+
+
+def engine(run: Any, **more: Any) -> Engine:
+    """An engine in this process."""
+    return Engine(name="made up", install="take another", find=lambda _: "1", alone=run, **more)
+
+
+def test_one_fmu_is_driven_as_the_law_in_python(tmp_path: Path) -> None:
+    """The input of row k holds over the step after it, so a log is one row later."""
+    model = lugre()
+    case = driven(export_fmu(model, tmp_path / "LuGre.fmu"))
+    dq = case.inputs["dq[1]"]
+    later = np.concatenate([dq[:1], dq[:-1]])
+    expected = predict(model.laws[0], t=case.times, dq=later)
+    found = alone(case)["tau[1]"]
+    assert np.abs(dq).max() == pytest.approx(0.5, rel=1e-3)
+    assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+def test_inputs_stay_within_their_limits_and_leave_out_what_is_given(small: Alone) -> None:
+    assert set(small.inputs) == {"u"}
+    assert (small.step, small.steps, small.stop) == (0.01, 200, 2.0)
+    assert set(driven(small.fmu, start={"u": 1.0}).inputs) == set()
+
+
+def test_choices_are_integers_that_have_names(tmp_path: Path) -> None:
+    """Maestro loads no FMU with an Enumeration, and libcosim sets none."""
+    fmu = write_fmu(trajectory(1), tmp_path / "Trajectory.fmu")
+    assert driven(fmu, start={"kind": "sweep"}).start == {"kind": 3.0}
+    assert driven(fmu, start={"kind": 2}).start == {"kind": 2.0}
+    with pytest.raises(SimulationError, match="'kind' cannot be 'fast'; needed is one of fourier, "
+                       "sine, sweep"):  # fmt: skip
+        driven(fmu, start={"kind": "fast"})
+
+
+@pytest.mark.parametrize("refreshed", ["none", "shown"])
+def test_systems_are_coupled_as_by_our_master(cases: dict[str, Case], refreshed: Any) -> None:
+    """Outputs that are shown for new inputs change nothing else."""
+    case = cases["closed"]
+    assert isinstance(case, Together)
+    changes = {"stop": 0.5, "order": "jacobi", "observe": tuple(case.signals)}
+    spec = case.spec.model_copy(update=changes)
+    found = together(replace(case, spec=spec), Coupling(refreshed=refreshed))
+    with Master(spec) as master:
+        expected = master.run().require_success().signals
+    assert set(found) == set(expected)
+    same = {name for name in expected if np.array_equal(found[name], expected[name])}
+    held = {name for name in found if name.startswith(("arm.", "trajectory."))}
+    assert same == set(expected) if refreshed == "none" else held <= same < set(expected)
+
+
+def test_ways_of_coupling_differ_by_far_more_than_the_tolerance(cases: dict[str, Case]) -> None:
+    case = cases["closed"]
+    assert isinstance(case, Together)
+    short = replace(case, spec=case.spec.model_copy(update={"stop": 1.0}))
+    ways = [Coupling(), Coupling(first="zero"), Coupling(refreshed="shown"),
+            Coupling(refreshed="all")]  # fmt: skip
+    found = [together(short, way) for way in ways]
+    for i, one in enumerate(found):
+        for other in found[:i]:
+            assert deviation(Run(signals=one), other) > 1e3 * case.tolerance
+    assert [str(way) for way in ways] == [
+        "Jacobi",
+        "Jacobi, first inputs zero",
+        "Jacobi, outputs of new inputs shown",
+        "Jacobi, outputs of new inputs",
+    ]
+
+
+def test_deviation() -> None:
+    expected = {"a[1]": np.array([0.0, 2.0, -4.0]), "a[2]": np.zeros(3), "b": np.zeros(3)}
+    off = {"a[1]": np.array([0.0, 2.0, -4.0]), "a[2]": np.full(3, 1e-3), "b": np.full(3, 1e-5)}
+    assert deviation(Run(signals=expected), expected) == 0.0
+    assert deviation(Run(signals=off), expected) == pytest.approx(1e-3 / 4.0)
+    assert deviation(Run(signals=off, without={"a[2]"}), expected) == pytest.approx(1e-5)
+    later = {name: values[1:] for name, values in off.items()}
+    assert deviation(Run(signals=later, first=1), expected) == pytest.approx(1e-3 / 4.0)
+    assert deviation(Run(signals=later), expected) > 0.1  # shifted by a point
+    for wrong in (np.zeros(1), np.zeros(4), np.array([0.0, np.nan, 0.0])):
+        assert deviation(Run(signals=expected | {"b": wrong}), expected) == np.inf
+    assert deviation(Run(signals={}), expected) == np.inf
+
+
+def test_an_engine_that_gives_something_else_fails(small: Alone) -> None:
+    def off(_tools: Tools, case: Alone, _folder: Path) -> Run:
+        return Run(signals={name: 1.0001 * v for name, v in alone(case).items()}, seconds=0.5)
+
+    matrix = compare([small], Tools(), engines=[engine(off)])
+    assert matrix.failing == [("made up", "lag")]
+    cell = matrix.rows[0].cells["lag"]
+    assert (cell.deviation, cell.seconds) == (pytest.approx(1e-4), 0.5)
+    assert list(notes(matrix)) == ["made up: lag fails: it gives something else."]
+    assert matrix.to_json()["made up"]["cases"]["lag"]["tolerance"] == 1e-12
+
+
+def test_an_engine_that_breaks_fails_and_one_that_skips_does_not(small: Alone) -> None:
+    def breaks(*_: Any) -> Run:
+        raise FailedError("it ended with code 1")
+
+    def skips(*_: Any) -> Run:
+        raise SkippedError("it does not like lags")
+
+    matrix = compare([small], Tools(), engines=[engine(breaks), engine(skips)])
+    assert matrix.failing == [("made up", "lag")]
+    assert list(notes(matrix)) == [
+        "made up: lag fails: it ended with code 1.",
+        "made up: lag not run: it does not like lags.",
+    ]
+    assert table(matrix).row_count == 2
+
+
+def test_systems_of_several_steps_are_left_out(small: Alone, tmp_path: Path) -> None:
+    parts = (ComponentSpec(name="a", fmu=small.fmu, start={"u": 2.0}),
+             ComponentSpec(name="b", fmu=small.fmu, start={"u": 2.0}, step=0.02))  # fmt: skip
+    spec = SystemSpec(name="lags", step=0.01, stop=0.5, components=parts, observe=("b.y",))
+    chosen = [e for e in ENGINES if e.name == "FMPy"]
+    case = system(write_system(spec, tmp_path / "SYSTEM.toml"), tmp_path)
+    matrix = compare([case], Tools(), engines=chosen)
+    assert matrix.rows[0].cells["lags"].skipped == (
+        "engines take components with steps of their own in many ways"
+    )
+
+
+def test_what_is_missing_is_no_number_in_json(small: Alone) -> None:
+    matrix = compare([small], Tools(), engines=[engine(lambda *_: Run(signals={}))])
+    cell = matrix.to_json()["made up"]["cases"]["lag"]
+    assert (cell["fails"], cell["deviation"]) == (True, None)
+
+
+def test_engines_that_are_not_there_say_so(small: Alone, tmp_path: Path) -> None:
+    tools = Tools(folder=tmp_path / "none")
+    chosen = [e for e in ENGINES if e.name in ("FMI4j", "Maestro", "OMSimulator")]
+    matrix = compare([small], tools, engines=chosen)
+    assert not matrix.failing
+    assert list(notes(matrix)) == [
+        f"FMI4j: not run: there is no {tmp_path}/none/fmi4j: make interop, with Maven and a JDK.",
+        f"Maestro: not run: there is no {tmp_path}/none/maestro: make interop, with Maven and "
+        "Java.",
+        "OMSimulator: not run: not tested: its package on PyPI fetches the program from its "
+        "project's server at installation, and no registry has it: from its project's pages.",
+    ]
+
+
+def test_every_engine_says_what_it_is_for_and_where_it_comes_from() -> None:
+    names = [e.name for e in ENGINES]
+    assert len(set(names)) == len(names)
+    assert all(e.install for e in ENGINES)
+    assert sum(e.together is not None for e in ENGINES) >= 4
+    assert sum(e.alone is not None for e in ENGINES) >= 5
