@@ -68,7 +68,7 @@ class FmuArm:
         return self._read()
 
     def step(self, dq_cmd: ArrayLike, dt: float) -> ArmOutput:
-        """Hold a velocity command (n,) [rad/s] for `dt` [s] and return what the arm does then."""
+        """Hold a velocity command dq_cmd (n,) [rad/s] for `dt` [s]; return what the arm does."""
         self._command.values[:] = dq_cmd
         self._command.write()
         self._component.step(self._steps * dt, dt)

@@ -60,7 +60,7 @@ class Batch:
             self._fail("fmi2SetReal", status)
 
     def read(self) -> Array:
-        """Read the variables into `values` and return these."""
+        """Read the variables into `values`, (n,) in their units, and return these."""
         status = self._get(*self._arguments)
         if status > WARNING:
             self._fail("fmi2GetReal", status)

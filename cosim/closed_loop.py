@@ -10,6 +10,14 @@ from pydantic import Field
 from cosim.system import ComponentSpec, SystemSpec, Value
 from hesr_model.config import Config
 
+VELOCITY_ONLY = "(velocity command only)"
+BODY_ONLY = "(rigid body only)"
+ORACLE = "(oracle)"
+"""What stands in the place of a law: no torque, that of the rigid body, the truth of both."""
+
+ARM = "Arm.fmu"
+"""Name of the arm's FMU beside those of the laws."""
+
 PerJoint = Annotated[tuple[float, ...], Field(min_length=1)]
 _REST = 0.05  # [s] longer than any preview, so that a motion begins where the arm stands still
 Compensation = Literal["none", "torque_error", "servo_inversion"]

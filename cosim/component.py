@@ -239,7 +239,7 @@ class Component:
                 self._call(self._slave.fmi2SetInteger, places, len(names), numbers)
 
     def get(self, names: Iterable[str]) -> Array:
-        """Return Real variables, in the order of their names."""
+        """Return Real variables, (n,) in their units, in the order of their names."""
         return self.batch(list(names)).read()
 
     def batch(self, names: Sequence[str], values: Array | None = None) -> Batch:
@@ -248,7 +248,8 @@ class Component:
         Parameters
         ----------
         names : of the variables.
-        values : (n,) contiguous memory to be that buffer; its own where not given.
+        values : (n,) contiguous memory to be that buffer, in the variables' units; its own where
+            not given.
         """
         return Batch(
             library=self._slave.dll,
@@ -259,7 +260,7 @@ class Component:
         )
 
     def slopes(self, names: Sequence[str]) -> Callable[[Array], None]:
-        """Return a function that sets the slopes of inputs, (n,) per second, for the next step."""
+        """Return a function that sets the slopes of inputs, (n,) [unit/s], for the next step."""
         references = self._references(names, "Real")
         orders = (fmi2Integer * len(names))(*[1] * len(names))
         values = (fmi2Real * len(names))()

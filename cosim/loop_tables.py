@@ -12,6 +12,8 @@ from cosim.studies.tracking import Tracked
 from cosim.studies.whole_loop import LoopOutcome
 from cosim.tables import title
 
+_SIDE_BY_SIDE = 4  # joints whose errors and spreads fit side by side into 80 columns
+
 
 def outcome(found: LoopOutcome) -> list[Table]:
     """Return all tables of a closed loop."""
@@ -27,16 +29,17 @@ def tracking(heading: str, rows: Sequence[Tracked]) -> Table:
     """Return the errors of rows in mrad by scheme: their spread or, of one motion, its end."""
     joints = rows[0].mean.size
     table = _table(heading)
-    table.add_column("")
+    table.add_column("", no_wrap=True)
     for joint in range(1, joints + 1):
-        table.add_column(f"J{joint}", justify="right")
+        table.add_column(f"J{joint}", justify="right", no_wrap=True)
+    gap = " " if joints <= _SIDE_BY_SIDE else "\n"
     for scheme in dict.fromkeys(row.scheme for row in rows):
-        table.add_row(f"[italic]{scheme}[/]", *[""] * joints)
+        table.add_row(f"[italic]{_short(scheme)}[/]", *[""] * joints)
         for row in rows:
             if row.scheme == scheme:
                 beside = row.spread if len(row.rmse) > 1 else row.last[0]
                 cells = [
-                    f"{1e3 * m:.2f} ({1e3 * b:.2f})" if np.isfinite(m) else "stopped"
+                    f"{_mrad(m)}{gap}({_mrad(b)})" if np.isfinite(m) else "stopped"
                     for m, b in zip(row.mean, beside, strict=True)
                 ]
                 table.add_row(f" {title(row.law)}", *cells)
@@ -57,10 +60,7 @@ def sweeps(rows: Sequence[Tracked]) -> list[Table]:
             table.add_column(title(law).removeprefix("(").removesuffix(")"), justify="right")
         for change in dict.fromkeys(change for change, _ in of_scheme):
             errors = {row.law: row.mean.max() for c, row in of_scheme if c == change}
-            cells = [
-                f"{1e3 * errors[law]:.2f}" if np.isfinite(errors[law]) else "stopped"
-                for law in laws
-            ]
+            cells = [_mrad(errors[law]) if np.isfinite(errors[law]) else "stopped" for law in laws]
             table.add_row(change, *cells)
         tables.append(table)
     return tables
@@ -75,6 +75,18 @@ def overcompensation(found: Sequence[Overcompensation]) -> Table:
         factor = "none up to 3" if one.factor is None else f"{one.factor:g}"
         table.add_row(title(one.law), one.scheme, factor)
     return table
+
+
+def _mrad(angle: float) -> str:
+    """Return an angle [rad] in mrad; beyond 100 mrad, where runs go astray, no fractions."""
+    return f"{1e3 * angle:.2f}" if abs(angle) < 0.1 else f"{1e3 * angle:.0f}"
+
+
+def _short(scheme: str) -> str:
+    """Return the name of a scheme so that it stands in one line."""
+    return scheme.replace("friction of measured velocity", "measured dq").replace(
+        "friction of filtered velocity", "filtered dq"
+    )
 
 
 def _table(heading: str) -> Table:

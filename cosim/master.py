@@ -38,7 +38,7 @@ class Result:
     failure: HesrError | None = None
 
     def vector(self, signal: str) -> Array:
-        """Return all elements of an observed signal, (N, n).
+        """Return all elements of an observed signal, (N, n) in its unit.
 
         Raises
         ------

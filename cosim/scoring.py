@@ -70,6 +70,30 @@ class Comparison:
             },
         }
 
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> "Comparison":
+        """Rebuild what `to_json` returned.
+
+        Raises
+        ------
+        KeyError, TypeError
+            If a part of the data is missing, or not what it should be.
+        """
+        return cls(
+            joints=tuple(data["joints"]),
+            laws={
+                law: tuple(
+                    Score(tau_std=std, **{name: row[name][k] for name in MEASURES})
+                    for k, std in enumerate(data["tau_std"])
+                )
+                for law, row in data["laws"].items()
+            },
+            reference=data["ratios"]["reference"],
+            ratios={
+                law: tuple(Ratio(**r) for r in row) for law, row in data["ratios"]["laws"].items()
+            },
+        )
+
 
 def by_joint(logs: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
     """Turn records by log and joint into records by joint and log."""
@@ -119,7 +143,8 @@ def within(
 ) -> tuple[list[list[FrictionRecord]], list[list[Array]]]:
     """Return the rows of records and torques with start <= t < stop [s].
 
-    Time counts from the beginning of each log; logs that end before are left out.
+    Torques are (N,) [N.m], by joint and log. Time counts from the beginning of each log; logs that
+    end before are left out.
 
     Raises
     ------
@@ -161,7 +186,7 @@ def inputs_of(model: FrictionModel) -> str:
 
 
 def predict_model(model: FrictionModel, records: Records) -> list[list[Array]]:
-    """Return the model's torque [joint][log] for records.
+    """Return the model's torque for records, (N,) [N.m] by joint and log.
 
     Raises
     ------
@@ -181,7 +206,9 @@ def predict_model(model: FrictionModel, records: Records) -> list[list[Array]]:
 
 
 def predict_fmu(fmu: Path, records: Records) -> list[list[Array]]:
-    """Return the torque [joint][log] that an FMU computes for records, through FMPy.
+    """Return the torque that an FMU computes for records, through FMPy, by joint and log.
+
+    Each is (N,) [N.m].
 
     Where its laws take the start of their state from the first torque samples, that start is
     estimated from the model that the FMU carries and set before the initialisation.

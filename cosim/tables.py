@@ -8,7 +8,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from cosim.scoring import ORACLE, Comparison
-from hesr_model.friction.audit import ENCODER, REACH, Audit
+from hesr_model.friction.audit import REACH, Audit
+from hesr_model.friction.cycles import ENCODER
 from hesr_model.friction.estimator import registry
 from hesr_model.friction.functions import INPUT_UNITS
 from hesr_model.friction.trained import Excess, Range

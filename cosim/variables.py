@@ -11,8 +11,11 @@ from hesr_model.errors import SimulationError
 Value = bool | float | int | str | Sequence[float]
 """A start value: a number, a list for all elements of a vector, or the name of a choice."""
 
-_SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")
+SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")
+"""What FMI and SSP say of a unit: exponents of the base units, factor and offset."""
+
 _INDEX = re.compile(r"\[\d+(,\d+)*\]$")
+_CHOICE = re.compile(r"\b(\d+) = (\w+)")
 
 
 class Variables:
@@ -52,7 +55,13 @@ class Variables:
         return [n for n in self._by_name if vector.fullmatch(n)] or [self[name].name]
 
     def references(self, names: Sequence[str], kind: str) -> list[int]:
-        """Return the value references of variables, all of which have to be of one type."""
+        """Return the value references of variables, all of which have to be of one type.
+
+        Raises
+        ------
+        SimulationError
+            If there is no such variable, or it is of another type.
+        """
         for name in names:
             if self[name].type != kind:
                 raise SimulationError(f"{self._fmu}: variable '{name}' is not a {kind}.")
@@ -63,7 +72,7 @@ class Variables:
         variable = self[name]
         unit = variable.unit or (variable.declaredType.unit if variable.declaredType else None)
         base = self._units.get(unit)
-        return unit, None if base is None else tuple(getattr(base, key) for key in _SI)
+        return unit, None if base is None else tuple(getattr(base, key) for key in SI)
 
     @property
     def inputs(self) -> list[str]:
@@ -100,7 +109,13 @@ class Variables:
         return [v.name for v in unknown.dependencies if v.causality == "input"]
 
     def expanded(self, values: Mapping[str, Value]) -> dict[str, float | str]:
-        """Return values by variable, from numbers, lists for vectors, and names of choices."""
+        """Return values by variable, from numbers, lists for vectors, and names of choices.
+
+        Raises
+        ------
+        SimulationError
+            If there is no such variable, or the values do not fit it.
+        """
         found: dict[str, float | str] = {}
         for name, value in values.items():
             elements = self.elements(name)
@@ -131,10 +146,17 @@ class Variables:
         return value
 
     def _choice(self, name: str, value: str) -> int:
-        declared = self[name].declaredType
+        """Return the value of a named choice.
+
+        An Enumeration has them; an Integer's description may list them, as "1 = fourier, 2 = sine".
+        """
+        variable = self[name]
+        declared = variable.declaredType
         items = {
             item.name: int(item.value) for item in (declared.items if declared else None) or ()
         }
+        if variable.type == "Integer":
+            items = {m[2]: int(m[1]) for m in _CHOICE.finditer(variable.description or "")}
         if value not in items:
             known = f"needed is one of {', '.join(items)}" if items else "it has no choices"
             raise SimulationError(f"{self._fmu}: '{name}' cannot be '{value}'; {known}.")

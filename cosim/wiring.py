@@ -142,10 +142,11 @@ class Wiring:
                     )
 
     def _sorted(self) -> tuple[Element, ...]:
-        graph: dict[Element, set[Element]] = {into: {out} for into, out in self.sources.items()}
+        # Lists, not sets: the order has to be the same in every run.
+        graph: dict[Element, list[Element]] = {i: [out] for i, out in self.sources.items()}
         for name, slave in self._slaves.items():
             for output, needed in slave.feedthrough.items():
-                graph[name, output] = {(name, element) for element in needed}
+                graph[name, output] = [(name, element) for element in needed]
         try:
             return tuple(TopologicalSorter(graph).static_order())
         except CycleError as error:

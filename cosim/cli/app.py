@@ -1,36 +1,162 @@
-"""The application and what its commands share: options, reading of logs, progress, tables."""
+"""The application, and what its commands share: their options, their help, reading of logs."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import inspect
+import re
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperGroup
+
+from cosim.cli.voice import shown_progress, speaking
 
 if TYPE_CHECKING:
     from cosim.scoring import Records
 
-app = typer.Typer(
+__all__ = ["Body", "Json", "Logs", "Output", "Platforms", "Robot", "app", "read_records",
+           "shown_progress"]  # fmt: skip
+
+_EPILOG = """\b
+Exit codes:
+  0    all is well
+  1    a check found something wrong, or engines differ
+  2    the command or one of its files is wrong; one sentence says what
+  130  interrupted by Ctrl-C (143: ended by another program); no file is
+       half-written, and a run says what it can go on from
+
+\b
+Every command takes --quiet and --verbose. --json FILE writes results for
+programs; --json - writes them to standard output, and nothing else there.
+"""
+
+_ORDER = (
+    *("new", "run", "report", "view"),
+    *("excite", "identify", "fit", "evaluate", "properties", "laws"),
+    *("export", "check", "replay", "simulate", "package", "interop"),
+)
+"""Of the commands in the help, as they are needed; others follow."""
+
+_WIDTH = 75  # of an example in a help text, which is indented by 2 and may end with a backslash
+
+
+class _Commands(TyperGroup):
+    """All commands, listed as they are needed."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        places = {name: place for place, name in enumerate(_ORDER)}
+        return sorted(super().list_commands(ctx), key=lambda name: places.get(name, len(places)))
+
+
+class _App(typer.Typer):
+    """An application whose commands all take --quiet and --verbose and show their examples."""
+
+    def command(self, *args: Any, **options: Any) -> Callable[[Any], Any]:
+        """Register a command, whose docstring ends with "Example: ..." or "Examples: ...; ..."."""
+        register = super().command
+
+        def decorate(function: Callable[..., None]) -> Callable[..., None]:
+            told, heading, examples = (inspect.getdoc(function) or "").partition("\nExample")
+            shown = {"help": told.strip(), "epilog": _lines(heading.strip() + examples)}
+            register(*args, **shown | options)(_talking(function))
+            return function
+
+        return decorate
+
+
+def _lines(examples: str) -> str:
+    """Return examples one below the other, as they can be copied into a shell."""
+    heading, _, commands = " ".join(examples.split()).partition(": ")
+    lines = ["\b", f"{heading}:"]
+    for command in commands.split("; "):
+        line = " "
+        for part in re.split(" (?=-)", command):  # an option stays with its value
+            if len(line) + len(part) > _WIDTH:
+                lines.append(f"{line} \\")
+                line = "   "
+            line += f" {part}"
+        lines.append(line)
+    return "\n".join(lines)
+
+
+def _talking(function: Callable[..., None]) -> Callable[..., None]:
+    """Add the options that every command takes."""
+    more = {
+        "quiet": Annotated[bool, typer.Option("--quiet", help="Print errors only.")],
+        "verbose": Annotated[
+            bool, typer.Option("--verbose", help="Log to standard error what is being done.")
+        ],
+    }
+
+    @wraps(function)
+    def run(*, quiet: bool, verbose: bool, **arguments: Any) -> None:
+        with speaking(quiet=quiet, verbose=verbose, json_file=arguments.get("json_file")):
+            function(**arguments)
+
+    own = inspect.signature(function).parameters.values()
+    added = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=option)
+        for name, option in more.items()
+    ]
+    run.__dict__["__signature__"] = inspect.Signature([*own, *added])
+    run.__annotations__ = {**function.__annotations__, **more}
+    return run
+
+
+app = _App(
     name="hesr",
-    help="From a robot's log to a friction model as an FMU, with proof that it works.",
+    cls=_Commands,
+    epilog=_EPILOG,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 
-Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV or Parquet files.")]
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"hesr {version('hesr')}")
+        raise typer.Exit
+
+
+@app.callback(help="From a robot's log to a friction model as an FMU, with proof that it works.")
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    """Options of no command; each is acted upon where it is read."""
+
+
+def _platforms(typed: str) -> list[str]:
+    from fmu_src.toolchain import TARGETS
+
+    return [name for name in (*TARGETS, "all") if name.startswith(typed)]
+
+
+Logs = Annotated[list[Path], typer.Argument(metavar="LOG", help="CSV or Parquet files.")]
 Robot = Annotated[Path, typer.Option("--robot", metavar="ROBOT.toml", help="Robot file.")]
 Body = Annotated[
     Path, typer.Option("--rigid-body", metavar="FILE", help="Result of 'hesr identify'.")
 ]
-Output = Annotated[Path, typer.Option("-o", "--output", help="File to write.")]
+Output = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")]
 Json = Annotated[
-    Path | None, typer.Option("--json", metavar="FILE", help="Also write the scores as JSON.")
+    Path | None,
+    typer.Option(
+        "--json", metavar="FILE", help="Also write the results as JSON; - is standard output."
+    ),
 ]
 Platforms = Annotated[
     list[str] | None,
     typer.Option(
-        "--platform", help="linux64, win64, darwin64, aarch64-linux or all; may be repeated."
+        "--platform",
+        metavar="PLATFORM",
+        help="linux64, win64, darwin64, aarch64-linux or all; may be repeated.",
+        autocompletion=_platforms,
     ),
 ]
 
@@ -49,21 +175,3 @@ def read_records(logs: list[Path], robot: Path, rigid_body: Path) -> "tuple[Reco
     read = [RobotLog.read(log, description) for log in logs]
     records = by_joint([friction_records(log, model, body) for log in read])
     return records, description.name, description.model
-
-
-@contextmanager
-def shown_progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Show progress on standard error, where that is a terminal."""
-    from rich.console import Console
-    from rich.progress import Progress, TaskID
-
-    tasks: dict[str, TaskID] = {}
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as shown:
-
-        def tell(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = shown.add_task(what, total=total)
-            shown.update(tasks[what], completed=done)
-
-        yield tell

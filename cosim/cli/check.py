@@ -1,17 +1,17 @@
 """The command that checks FMUs before others see them: check."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cosim.cli.app import app
+from cosim.cli.app import Json, app
+from cosim.cli.voice import answer, shown_progress, working
 
 
 @app.command()
 def check(
-    fmus: Annotated[list[Path], typer.Argument(metavar="X.fmu...", help="FMUs of any tool.")],
+    fmus: Annotated[list[Path], typer.Argument(metavar="X.fmu", help="FMUs of any tool.")],
     vdmcheck: Annotated[
         Path | None,
         typer.Option(
@@ -25,24 +25,25 @@ def check(
             "--convention", help="Also measure what each way of handing inputs over costs."
         ),
     ] = False,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Also write it all as JSON.")
-    ] = None,
+    json_file: Json = None,
 ) -> None:
-    """Check FMUs by every validator there is; exit code 1 if anything is wrong.
+    """Check FMUs by every validator there is.
+
+    The exit code is 1 if anything is wrong.
 
     Example: hesr check Friction.fmu --vdmcheck .tools/vdmcheck2
     """
     from fmu_src.check import check as check_fmu
     from fmu_src.check import opened
-    from hesr_model.files import written_whole
 
     for fmu in fmus:
         opened(fmu).close()  # what cannot be opened is told before the work on others
     reports = []
-    for fmu in fmus:
-        report = check_fmu(fmu, vdmcheck=vdmcheck)
-        reports.append(report)
+    with shown_progress() as progress:
+        for k, fmu in enumerate(fmus):
+            progress("checking", k, len(fmus))
+            reports.append(check_fmu(fmu, vdmcheck=vdmcheck))
+    for fmu, report in zip(fmus, reports, strict=True):
         for problem in report.problems:
             typer.echo(f"{fmu}: [{problem.check}] {problem.text}")
         for reason in report.skipped:
@@ -56,15 +57,14 @@ def check(
         from cosim.tables import convention as table
 
         for fmu in fmus:
-            found[fmu] = measure(fmu)
+            with working(f"measuring {fmu.name}"):
+                found[fmu] = measure(fmu)
             Console().print(table(fmu.name, found[fmu]))
     if json_file is not None:
         data = [
             report.to_json() | ({"convention": found[fmu].to_json()} if fmu in found else {})
             for fmu, report in zip(fmus, reports, strict=True)
         ]
-        text = json.dumps(data, indent=2)
-        with written_whole(json_file) as temporary:
-            temporary.write_text(f"{text}\n", encoding="utf-8")
+        answer(json_file, data)
     if any(report.problems for report in reports):
         raise typer.Exit(1)

@@ -6,23 +6,30 @@ from typing import Annotated
 import typer
 
 from cosim.cli.app import app
+from cosim.cli.voice import working
 
 
 @app.command()
 def excite(
     robot: Annotated[Path, typer.Argument(metavar="ROBOT.toml", help="Robot file.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="CSV or Parquet file to write.")],
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", metavar="FILE", help="CSV or Parquet file to write."),
+    ],
     settings: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="Limits, harmonics, periods.")
     ] = None,
 ) -> None:
-    """Design the motion that identifies a robot best, within its limits.
+    """Design the motion that identifies a robot best.
+
+    It stays within the limits of the robot's model and of the settings.
 
     Example: hesr excite robot.toml -o motion.csv
     """
     from cosim.studies.design import design
 
-    found = design(robot, output, settings)
+    with working("designing the motion"):
+        found = design(robot, output, settings)
     motion, torque = found.excitation.motion, found.excitation.peak_torque
     start = ", ".join(f"{q:.3f}" for q in motion.sample([0.0])[0][0])
     typer.echo(

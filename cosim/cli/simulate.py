@@ -1,32 +1,45 @@
 """The command that runs a system of FMUs: simulate."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.cli.app import app, shown_progress
+from cosim.cli.app import app
+from cosim.cli.voice import shown_progress
+
+if TYPE_CHECKING:
+    from cosim.system import SystemSpec
 
 
 @app.command()
 def simulate(
     system: Annotated[
-        Path, typer.Argument(metavar="SYSTEM.toml", help="FMUs, connections, steps.")
+        Path, typer.Argument(metavar="SYSTEM.toml", help="FMUs, connections, steps; or an SSP.")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="CSV or Parquet file to write.")],
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", metavar="FILE", help="CSV or Parquet file to write."),
+    ],
 ) -> None:
     """Run a system of FMUs and write the signals that it observes.
 
     Example: hesr simulate loop.toml -o result.csv
     """
-    from cosim.master import Master
-    from cosim.system import SystemSpec
-    from hesr_model.errors import ConfigError, SimulationError
-    from hesr_model.files import written_whole
+    from cosim.package.read import opened_system
+    from hesr_model.errors import ConfigError
 
     if output.suffix.lower() not in (".csv", ".parquet", ".pq"):
         raise ConfigError(f"{output}: results are written as .csv or .parquet.")
-    spec = SystemSpec.read(system)
+    with opened_system(system) as spec:
+        _simulate(spec, system, output)
+
+
+def _simulate(spec: "SystemSpec", system: Path, output: Path) -> None:
+    from cosim.master import Master
+    from hesr_model.errors import ConfigError, SimulationError
+    from hesr_model.files import written_whole
+
     if not spec.observe:
         raise ConfigError(f"{system}: key 'observe' names no signals, so nothing would be written.")
     # Whether the file can be written is found out before the run, not after it.

@@ -15,13 +15,19 @@ from cosim.cli.app import (
     Robot,
     app,
     read_records,
-    shown_progress,
 )
+from cosim.cli.voice import answer, shown_progress, working
 from hesr_model.errors import ConfigError
 
 if TYPE_CHECKING:
     from cosim.scoring import Comparison, Records
     from hesr_model.friction.law import FrictionModel
+
+
+def _laws(typed: str) -> list[str]:
+    from hesr_model.friction.estimator import registry
+
+    return [name for name in registry() if name.startswith(typed)]
 
 
 @app.command()
@@ -35,7 +41,10 @@ def identify(
     ] = None,
     method: Annotated[
         str,
-        typer.Option(help="stacked (least squares with friction columns) or paper (averaging)."),
+        typer.Option(
+            metavar="NAME",
+            help="stacked (least squares with friction columns) or paper (averaging).",
+        ),
     ] = "stacked",
     friction: Annotated[
         Path | None,
@@ -79,33 +88,36 @@ def identify(
         )
     if physical and friction is not None:
         raise ConfigError("--physical does not go with --friction; give one of them.")
-    description = RobotDescription.read(robot)
-    model = RobotModel(description)
-    counterparts = reversed_logs or []
-    forward = [RobotLog.read(log, description) for log in logs]
-    backward = [RobotLog.read(log, description) for log in counterparts]
-    files = [robot, description.model, *logs, *counterparts]
+    with working("identifying"):
+        description = RobotDescription.read(robot)
+        model = RobotModel(description)
+        counterparts = reversed_logs or []
+        forward = [RobotLog.read(log, description) for log in logs]
+        backward = [RobotLog.read(log, description) for log in counterparts]
+        files = [robot, description.model, *logs, *counterparts]
+        if payload is not None:
+            without = read_rigid_body(payload)
+            carried = identify_payload([*forward, *backward], model, without)
+            found = loaded(without, carried, model)
+            source = provenance(files=[*files, payload], payload=carried.to_dict())
+        elif friction is not None and rigid_body is not None:
+            law, body = read_model(friction), read_rigid_body(rigid_body)
+            found = identify_again(forward, model, body, law, reversed_logs=backward)
+            source = provenance(files=[*files, friction, rigid_body])
+        else:
+            found = identify_rigid_body(
+                forward, model, method=method, reversed_logs=backward, physical=physical
+            )
+            source = provenance(files=files)
+        write_rigid_body(output, found, source)
     if payload is not None:
-        without = read_rigid_body(payload)
-        carried = identify_payload([*forward, *backward], model, without)
-        source = provenance(files=[*files, payload], payload=carried.to_dict())
-        write_rigid_body(output, loaded(without, carried, model), source)
         centre = ", ".join(f"{c:.4f}" for c in carried.centre_of_mass)
         typer.echo(
             f"Payload of {carried.mass:.4g} +- {carried.standard_errors[0]:.2g} kg, centre of mass "
             f"{centre} m in the frame of {description.joints[-1]}; written to {output}."
         )
-        return
-    if friction is not None and rigid_body is not None:
-        law, body = read_model(friction), read_rigid_body(rigid_body)
-        found = identify_again(forward, model, body, law, reversed_logs=backward)
-        files += [friction, rigid_body]
     else:
-        found = identify_rigid_body(
-            forward, model, method=method, reversed_logs=backward, physical=physical
-        )
-    write_rigid_body(output, found, provenance(files=files))
-    typer.echo(f"{tables.rigid_body(found)}\nwritten to {output}.")
+        typer.echo(f"{tables.rigid_body(found)}\nwritten to {output}.")
 
 
 @app.command()
@@ -113,15 +125,20 @@ def fit(
     logs: Logs,
     robot: Robot,
     rigid_body: Body,
-    law: Annotated[str, typer.Option(help="Name of a law; see 'hesr laws'.")],
+    law: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="Name of a law; see 'hesr laws'.", autocompletion=_laws),
+    ],
     output: Output,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the fit.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the fit.")] = 0,
     option: Annotated[
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="Option of the law, as in TOML; repeatable."),
     ] = None,
 ) -> None:
-    """Fit a friction law to the joints of a robot; print its equations and its audit.
+    """Fit a friction law to the joints of a robot.
+
+    Its equations and its audit are printed.
 
     Example: hesr fit sweep.csv --robot robot.toml --rigid-body rigid_body.json --law parfam_h
     -o law.json --option 'search="paper"'
@@ -154,7 +171,7 @@ def fit(
 def evaluate(
     files: Annotated[
         list[Path],
-        typer.Argument(metavar="LOG... LAW.json...", help="Logs, and friction models (.json)."),
+        typer.Argument(metavar="LOG|LAW.json", help="Logs, and friction models (.json)."),
     ],
     robot: Robot,
     rigid_body: Body,
@@ -177,9 +194,10 @@ def evaluate(
     namings = [[m.law for m in models], [f.stem for f in law_files], [str(f) for f in law_files]]
     names = next((n for n in namings if len(set(n)) == len(n)), namings[-1])
     named = dict(zip(names, models, strict=True))
-    records, _, _ = read_records(logs, robot, rigid_body)
-    scores = compare(records, {name: predict_model(m, records) for name, m in named.items()})
-    _write_scores(scores, json_file)
+    with working("evaluating"):
+        records, _, _ = read_records(logs, robot, rigid_body)
+        scores = compare(records, {name: predict_model(m, records) for name, m in named.items()})
+    answer(json_file, scores.to_json())
     _print_scores("evaluation", scores, {name: inputs_of(m) for name, m in named.items()})
     for name, model in named.items():
         _print_audit(name, model, records)
@@ -199,9 +217,10 @@ def replay(
     """
     from cosim.scoring import compare, predict_fmu
 
-    records, _, _ = read_records(logs, robot, rigid_body)
-    scores = compare(records, {fmu.stem: predict_fmu(fmu, records)})
-    _write_scores(scores, json_file)
+    with working(f"replaying {fmu.name}"):
+        records, _, _ = read_records(logs, robot, rigid_body)
+        scores = compare(records, {fmu.stem: predict_fmu(fmu, records)})
+    answer(json_file, scores.to_json())
     _print_scores("replay", scores)
 
 
@@ -217,13 +236,6 @@ def _options(pairs: list[str]) -> dict[str, Any]:
                 'ripple=false or search="paper".'
             ) from error
     return options
-
-
-def _write_scores(scores: "Comparison", json_file: Path | None) -> None:
-    from hesr_model.artifacts import write_json
-
-    if json_file is not None:
-        write_json(json_file, scores.to_json())
 
 
 def _print_scores(name: str, scores: "Comparison", inputs: dict[str, str] | None = None) -> None:

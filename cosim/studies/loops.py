@@ -6,8 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.closed_loop import Compensation, Fmus, Scheme, Setting, Source, Tracking
+from cosim.closed_loop import (
+    ARM,
+    BODY_ONLY,
+    ORACLE,
+    VELOCITY_ONLY,
+    Compensation,
+    Fmus,
+    Scheme,
+    Setting,
+    Source,
+    Tracking,
+    system,
+)
 from cosim.studies.tracking import Motion, Row, Tracked, track
+from cosim.system import SystemSpec
 from fmu_src import export_fmu
 from fmu_src.arm.plant import Plant
 from fmu_src.blocks.controller import controller
@@ -21,9 +34,6 @@ from hesr_model.rigid_body import RigidBody
 from hesr_model.robot import RobotModel
 from hesr_model.trajectories import Fourier, random_fourier
 
-VELOCITY_ONLY = "(velocity command only)"
-BODY_ONLY = "(rigid body only)"
-ORACLE = "(oracle)"
 Progress = Callable[[str, int, int], None]
 
 _COMPENSATIONS: tuple[Compensation, ...] = ("torque_error", "servo_inversion")
@@ -172,7 +182,7 @@ def assemble(
         friction=friction,
         oracle=folder / "true_friction.fmu",
         fmus=Fmus(
-            arm=folder / "Arm.fmu",
+            arm=folder / ARM,
             trajectory=paths["Trajectory"],
             body=paths["InverseDynamics"],
             friction=next(iter(friction.values())),
@@ -182,6 +192,23 @@ def assemble(
         true_body=paths["TrueInverseDynamics"],
         step=1.0 / plant.sample_rate,
         noise=plant.noise.torque,
+    )
+
+
+def whole(loop: Loop, robot: RobotModel) -> SystemSpec:
+    """Return one loop as a system that needs nothing else: a law, a motion, where the arm begins.
+
+    The law is the last one that the study looks at closely, in the scheme where models pay most.
+    """
+    tracking = loop.tracking
+    law = (tracking.sources or tuple(loop.friction))[-1]
+    scheme = Scheme(compensation="servo_inversion", Kx=tracking.Kx)
+    setting, motion = loop.setting(law, scheme), motions(tracking)[0]
+    return system(
+        replace(setting, arm={**setting.arm, "q0": motion.q0}),
+        duration=tracking.duration,
+        limits=limits_of(robot),
+        motion=motion.parameters,
     )
 
 
@@ -201,6 +228,7 @@ def run_tracking(
         motions(tracking),
         duration=tracking.duration,
         limits=limits,
+        traced=True,
         kept=kept,
         progress=lambda done, all_: progress("tracking", done, all_),
     )

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.closed_loop import Scheme, Setting, Source
-from cosim.studies.loops import BODY_ONLY, ORACLE, Loop, Progress, limits_of, motions
+from cosim.closed_loop import BODY_ONLY, ORACLE, Scheme, Setting, Source
+from cosim.studies.loops import Loop, Progress, limits_of, motions
 from cosim.studies.tracking import Motion, Row, Tracked, track
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.package import write_fmu

@@ -5,7 +5,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,11 @@ import numpy as np
 
 from cosim.closed_loop import Setting, system
 from cosim.component import Array
-from cosim.master import Master
+from cosim.master import Master, Result
+from cosim.studies.traces import Trace
 from cosim.system import Value
 from fmu_src.blocks.trajectory import start_values
-from hesr_model import parallel
+from hesr_model import interrupts, parallel
 from hesr_model.files import sha256, written_whole
 from hesr_model.trajectories import Trajectory
 
@@ -69,6 +70,7 @@ class Tracked:
     rmse : (M, n) error of each motion and joint [rad]; NaN for a run that failed.
     last : (M, n) mean error over the last tenth of each run [rad], which shows drift.
     failures : why runs ended early.
+    trace : the run along the first motion, where that was asked for; not part of the JSON data.
     """
 
     scheme: str
@@ -76,6 +78,7 @@ class Tracked:
     rmse: Array
     last: Array
     failures: tuple[str, ...] = ()
+    trace: Trace | None = None
 
     @property
     def mean(self) -> Array:
@@ -115,6 +118,7 @@ def track(
     *,
     duration: float,
     limits: Array,
+    traced: bool = False,
     kept: Path | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
@@ -127,6 +131,7 @@ def track(
     motions : what is tracked.
     duration : of a run [s].
     limits : (n, 2) positions at which a run is stopped [rad].
+    traced : keep the positions along the first motion.
     kept : folder in which finished rows are kept, so that an interrupted study can go on.
     workers : processes; one for each core where not given, none of its own for 1.
     progress : told how many rows are done and how many there are.
@@ -137,11 +142,11 @@ def track(
     """
     done: dict[int, Tracked] = {}
     left: list[int] = []
-    keys = _keys(rows, motions, duration, limits) if kept else [""] * len(rows)
+    keys = _keys(rows, motions, duration, limits, traced) if kept else [""] * len(rows)
     for i, key in enumerate(keys):
         file = kept / f"{key}.json" if kept else None
         if file and file.is_file():
-            done[i] = Tracked.from_json(json.loads(file.read_text(encoding="utf-8")))
+            done[i] = _restored(json.loads(file.read_text(encoding="utf-8")))
         else:
             left.append(i)
 
@@ -150,7 +155,7 @@ def track(
         if kept:
             kept.mkdir(parents=True, exist_ok=True)
             with written_whole(kept / f"{keys[i]}.json") as temporary:
-                temporary.write_text(json.dumps(result.to_json()), encoding="utf-8")
+                temporary.write_text(json.dumps(_whole(result)), encoding="utf-8")
         if progress:
             progress(len(done), len(rows))
 
@@ -159,25 +164,31 @@ def track(
     count = min(workers or os.cpu_count() or 1, len(left))
     if count <= 1:
         for i in left:
-            keep(i, _tracked(rows[i], motions, duration, limits))
+            keep(i, _tracked(rows[i], motions, duration, limits, traced))
     else:
         with parallel.workers(count) as pool:
-            with parallel.interrupts_held_back():
+            with interrupts.put_off():
                 futures = {
-                    pool.submit(_tracked, rows[i], motions, duration, limits): i for i in left
+                    pool.submit(_tracked, rows[i], motions, duration, limits, traced): i
+                    for i in left
                 }
             for future in as_completed(futures):
                 keep(futures[future], future.result())
     return [done[i] for i in range(len(rows))]
 
 
-def _tracked(row: Row, motions: Sequence[Motion], duration: float, limits: Array) -> Tracked:
+def _tracked(
+    row: Row, motions: Sequence[Motion], duration: float, limits: Array, traced: bool
+) -> Tracked:
     spec = system(row.setting, duration=duration, limits=limits)
     rmse, last, failures = [], [], []
+    trace: Trace | None = None
     with Master(spec) as master:
         for motion in motions:
             result = master.run(start={"trajectory": motion.parameters, "arm": {"q0": motion.q0}})
             error = result.vector("trajectory.q") - result.vector("arm.q_true")
+            if traced and trace is None:
+                trace = _trace(result)
             if result.failure:
                 failures.append(str(result.failure))
                 error = np.full((1, len(limits)), np.nan)
@@ -189,11 +200,31 @@ def _tracked(row: Row, motions: Sequence[Motion], duration: float, limits: Array
         rmse=np.array(rmse),
         last=np.array(last),
         failures=tuple(failures),
+        trace=trace,
     )
 
 
+def _trace(result: Result) -> Trace:
+    return Trace(t=result.t, q_d=result.vector("trajectory.q"), q=result.vector("arm.q_true"))
+
+
+def _whole(tracked: Tracked) -> dict[str, Any]:
+    """Return JSON data with the trace."""
+    return tracked.to_json() | {"trace": tracked.trace.to_json() if tracked.trace else None}
+
+
+def _restored(data: Mapping[str, Any]) -> Tracked:
+    """Rebuild what `_whole` returned."""
+    trace = Trace.from_json(data["trace"]) if data["trace"] else None
+    return replace(Tracked.from_json(data), trace=trace)
+
+
 def _keys(
-    rows: Sequence[Row], motions: Sequence[Motion], duration: float, limits: Array
+    rows: Sequence[Row],
+    motions: Sequence[Motion],
+    duration: float,
+    limits: Array,
+    traced: bool,
 ) -> list[str]:
     """Return names of the rows' results, which change with anything that these depend on."""
     hashes: dict[Path, str] = {}  # rows share their FMUs
@@ -204,7 +235,8 @@ def _keys(
         paths = {name: path for name, path in setting["fmus"].items() if path}
         hashes |= {path: sha256(path) for path in paths.values() if path not in hashes}
         files = {name: hashes[path] for name, path in paths.items()}
-        data = [row.scheme, row.law, setting | {"fmus": files}, moved, duration, limits.tolist()]
+        run = (moved, duration, limits.tolist(), traced)
+        data = [row.scheme, row.law, setting | {"fmus": files}, *run]
         text = json.dumps(data, default=list, sort_keys=True)
         keys.append(hashlib.sha256(text.encode()).hexdigest()[:24])
     return keys

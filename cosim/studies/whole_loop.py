@@ -6,9 +6,18 @@ from pathlib import Path
 from typing import Any
 
 from cosim.closed_loop import Tracking
-from cosim.studies.loops import Progress, assemble, build, require_reachable, run_tracking
+from cosim.studies.loops import (
+    Progress,
+    assemble,
+    build,
+    require_reachable,
+    run_tracking,
+    whole,
+)
 from cosim.studies.robustness import Overcompensation, run_overcompensation, run_sweeps
+from cosim.studies.traces import TRACES, write_traces
 from cosim.studies.tracking import Tracked
+from cosim.system_file import write_system
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr_model.rigid_body import RigidBody
@@ -41,6 +50,22 @@ class LoopOutcome:
             "overcompensation": [asdict(o) for o in self.overcompensation],
         }
 
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> "LoopOutcome":
+        """Rebuild what `to_json` returned.
+
+        Raises
+        ------
+        KeyError, TypeError
+            If a part of the data is missing, or not what it should be.
+        """
+        return cls(
+            tables=[Tracked.from_json(t) for t in data["tracking"]],
+            long=[Tracked.from_json(t) for t in data["long"]],
+            sweeps=[Tracked.from_json(t) for t in data["sweeps"]],
+            overcompensation=[Overcompensation(**o) for o in data["overcompensation"]],
+        )
+
 
 def run_loop(
     tracking: Tracking,
@@ -60,7 +85,9 @@ def run_loop(
     tracking : the study.
     plant : the arm.
     robot, body : rigid body that was identified.
-    folder : of the results; the FMUs stand in fmus/ there, that of the arm as Arm.fmu.
+    folder : of the results; the FMUs stand in fmus/ there, that of the arm as Arm.fmu. One loop of
+        them is written there as closed_loop.toml, to be run or packaged, and the positions along
+        the first motion as `TRACES`.
     friction : FMU of each law.
     kept : folder in which finished rows are kept.
     progress : told how far it has come.
@@ -71,8 +98,11 @@ def run_loop(
     truth = true_friction(plant.model, plant.joints, sample_time=1.0 / plant.sample_rate)
     build(fmus, robot, body, plant, oracle=truth)
     loop = assemble(fmus, tracking=tracking, friction=friction, plant=plant)
+    write_system(whole(loop, robot), folder / "closed_loop.toml")
     progress("building the loop", 1, 1)
     tables, long = run_tracking(loop, robot, kept=kept, progress=progress)
+    runs = [(t.scheme, t.law, t.trace) for t in tables if t.trace]
+    write_traces(folder / TRACES, runs)
     return LoopOutcome(
         tables=tables,
         long=long,

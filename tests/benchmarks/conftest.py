@@ -2,8 +2,47 @@
 
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
+
+from cosim.run import run_study
+from hesr_model.files import models_folder
+from hesr_model.residual import FrictionRecord, friction_records
+from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.robot_log import RobotLog
+
+STUDY = """
+name = "sweep"
+robot = "{models}/uf850/robot.toml"
+laws = ["stribeck"]
+[twin]
+plant = "{models}/uf850/plant.toml"
+motions = "{models}/studies/uf850_motions.toml"
+[logs]
+identification = ["excitation"]
+reversed = ["excitation_reversed"]
+friction = ["sweep"]
+[logs.test]
+fourier = ["fourier_test"]
+"""
+
+
+@pytest.fixture(scope="session")
+def records(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[FrictionRecord]]:
+    """Friction of every joint on the sweep and on the Fourier test, by log."""
+    folder = tmp_path_factory.mktemp("records")
+    study = folder / "study.toml"
+    study.write_text(STUDY.format(models=models_folder()), encoding="utf-8")
+    body = run_study(study, folder / "twin").rigid_body
+    description = RobotDescription.read(models_folder() / "uf850" / "robot.toml")
+    model = RobotModel(description)
+
+    def read(log: str) -> list[FrictionRecord]:
+        file: Path = folder / "twin" / "logs" / f"{log}.csv"
+        return friction_records(RobotLog.read(file, description), model, body)
+
+    return {log: read(log) for log in ("sweep", "fourier_test")}
 
 
 @pytest.fixture

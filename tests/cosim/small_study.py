@@ -8,41 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from small_twin import MOTIONS
 
 from hesr_model.files import models_folder
-
-MOTIONS = """
-[[motions]]
-name = "excitation"
-kind = "fourier"
-seed = 86
-harmonics = 5
-period = 6.0
-peak_velocity = [1.0, 0.9, 1.0]
-offset = [0.0, 0.3, -1.9]
-also_reversed = true
-
-[[motions]]
-name = "sweep"
-kind = "sweep"
-first = 0.2
-last = 0.6
-length = 8.0
-amplitude = [0.7, 0.7, 0.7]
-swing = [0.3, 0.3, 0.3]
-swing_phase = [-1.57, 0.0, 1.57]
-swing_period = 5.0
-start = [-0.2, -0.6, -2.6]
-
-[[motions]]
-name = "trial"
-kind = "fourier"
-seed = 1
-harmonics = 5
-period = 5.0
-peak_velocity = [0.9, 0.8, 0.9]
-offset = [0.0, 0.3, -1.9]
-"""
 
 STUDY = """
 name = "small"

@@ -396,20 +396,20 @@ def toml_fault(
     [
         (
             "[log]",
-            '[log.units]\nq = "deg"\n[log]',
-            "key 'log.units.q' is 'deg': Input should be 'rad'.",
+            '[log.units]\nq = "grad"\n[log]',
+            "key 'log.units.q' is 'grad': known units are 'rad', 'deg', 'rev', 'm', 'mm'.",
         ),
         (
             "[log]",
-            '[log.units]\ntau = "mN.m"\n[log]',
-            "key 'log.units.tau' is 'mN.m': Input should be 'N.m'.",
+            '[log.units]\ntau = "kgf.m"\n[log]',
+            "key 'log.units.tau' is 'kgf.m': known units are 'N.m', 'mN.m', 'N'.",
         ),
         (
             "[log]",
-            '[log.units]\nt = "ms"\n[log]',
-            "key 'log.units.t' is 'ms': Input should be 's'.",
+            '[log.units]\nt = "min"\n[log]',
+            "key 'log.units.t' is 'min': known units are 's', 'ms', 'us', 'ns'.",
         ),
-        ("[log]", "[log]\nrate = 1.0", "unknown key 'log.rate'; allowed here: columns, "),
+        ("[log]", "[log]\nrate = 1.0", "unknown key 'log.rate'; allowed here: bag, columns, "),
         ("gravity", "gravitation", "unknown key 'gravitation'; allowed here: "),
         ("sample_rate = 200.0", "sample_rate = -1.0", "key 'log.sample_rate' is -1.0: "),
         ("sample_rate = 200.0", "sample_rate = nan", "key 'log.sample_rate' is nan: "),
@@ -702,6 +702,19 @@ def test_a_model_of_an_unknown_law(
     path = changed_json(bench.law, tmp_path, joints=data["joints"])
     arguments = replace(bench, law=path).command(command, output=tmp_path / "output")
     assert refused(*arguments).startswith(f"{path}: law 'lugree' is unknown; known are ")
+
+
+@pytest.mark.parametrize(
+    ("left_out", "missing"), [("log", "log (.csv or .parquet)"), ("law", "friction model (.json)")]
+)
+def test_evaluate_needs_logs_and_models(
+    left_out: str, missing: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    arguments = bench.command("evaluate", output=tmp_path / "output")
+    without = [a for a in arguments if a != getattr(bench, left_out)]
+    assert len(without) == len(arguments) - 1
+    said = f"evaluate: no {missing} among the files; both kinds are needed."
+    assert refused(*without) == said
 
 
 def test_artifacts_that_are_missing(

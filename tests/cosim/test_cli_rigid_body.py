@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_study import MOTIONS, Hesr, hesr_here, uf850
+from small_study import Hesr, hesr_here, uf850
+from small_twin import MOTIONS
 
 from cosim.studies.excite import excite
 from cosim.studies.motions import Motions

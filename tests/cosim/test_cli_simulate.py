@@ -5,31 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_fmus import LAGS
 from small_study import Hesr, contents, hesr_here, hesr_in_a_process
 
 from hesr_model.tables import read_table
 
 Write = Callable[..., Path]
-
-SYSTEM = """
-name = "lags"
-step = 0.1
-stop = 1.0
-observe = ["a.y", "b.y"]
-
-[[components]]
-name = "a"
-fmu = "FMU"
-start = { u = 2.0, T = 0.5, x = 0.25 }
-
-[[components]]
-name = "b"
-fmu = "FMU"
-step = 0.2
-
-[connections]
-"b.u" = "a.y"
-"""
 
 
 @pytest.fixture
@@ -42,9 +23,9 @@ def write(tmp_path: Path, lag_fmu: Path) -> Write:
     """Write the system, with something in it replaced."""
 
     def file(old: str = "", new: str = "") -> Path:
-        assert old in SYSTEM
+        assert old in LAGS
         path = tmp_path / "system.toml"
-        text = SYSTEM.replace(old, new) if old else SYSTEM
+        text = LAGS.replace(old, new) if old else LAGS
         path.write_text(text.replace("FMU", str(lag_fmu)), encoding="utf-8")
         return path
 

@@ -1,6 +1,7 @@
 """One slave: values by name, errors that say what and when, always freed."""
 
 import math
+import re
 import shutil
 import tempfile
 import zipfile
@@ -10,7 +11,9 @@ import numpy as np
 import pytest
 
 from cosim.component import Component
-from hesr_model.errors import SimulationError
+from cosim.package.contents import read_contents
+from cosim.system import ComponentSpec, SystemSpec
+from hesr_model.errors import ConfigError, SimulationError
 
 
 @pytest.fixture
@@ -133,6 +136,26 @@ def test_files_that_are_no_fmu(tmp_path, folder):
         with pytest.raises(SimulationError, match="not a readable FMU"), Component(fmu):
             pass
     assert not list(folder.iterdir())
+
+
+def test_an_fmu_that_cannot_be_stepped(friction_fmu, tmp_path, folder):
+    """One for model exchange only, which a master has no solver for."""
+    fmu = tmp_path / "X.fmu"
+    with zipfile.ZipFile(friction_fmu) as old, zipfile.ZipFile(fmu, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            if name == "modelDescription.xml":
+                data = re.sub(rb"<CoSimulation.*?</CoSimulation>", b"", data, flags=re.S)
+            new.writestr(name, data)
+    said = f"{fmu}: not an FMU of FMI 2.0 for co-simulation."
+    with pytest.raises(SimulationError, match=re.escape(said)), Component(fmu):
+        pass
+    component = ComponentSpec(name="friction", fmu=fmu)
+    spec = SystemSpec(name="alone", step=0.01, stop=0.1, components=(component,), connections={})
+    with pytest.raises(ConfigError) as caught:
+        read_contents(spec, tmp_path / "alone.toml")
+    where = f"{tmp_path / 'alone.toml'}: component 'friction'"
+    assert str(caught.value) == f"{where}: {fmu} is no FMU of FMI 2.0 for co-simulation."
 
 
 def test_fmus_for_other_platforms(friction_fmu, tmp_path, folder):

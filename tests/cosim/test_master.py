@@ -172,7 +172,7 @@ def test_results_are_written(fakes, tmp_path, suffix):
 
 def test_signals_that_were_not_observed(fakes):
     result = run(fakes({"clock": "clock"}, observe=["clock.y"]))
-    with pytest.raises(SimulationError, match=r"signal 'clock.z' has not been observed"):
+    with pytest.raises(SimulationError, match=r"signal 'clock.z' has not been observed\."):
         result.vector("clock.z")
 
 

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_study import MOTIONS, uf850
+from small_study import uf850
+from small_twin import MOTIONS
 
-from cosim.run import QUICK_LAWS, Job, Outcome, run_study
+from cosim.job import Job
+from cosim.run import QUICK_LAWS, Outcome, run_study
 from cosim.scoring import ORACLE
 from cosim.study import Study
 from hesr_model.artifacts import read_model, read_rigid_body
@@ -316,8 +318,10 @@ def test_progress_is_told_for_every_step(
         "identifying the rigid body",
         "refining the rigid body",
         "fitting laws",
+        "testing the laws",
         "building FMUs",
         "replaying the FMUs",
+        "writing the report",
     ]
     for step in steps:
         of_step = [(done, total) for what, done, total in told if what == step]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cosim.closed_loop import Scheme
+from cosim.master import Master
 from cosim.studies import tracking
 from cosim.studies.excite import recordings
 from cosim.studies.loops import (
@@ -16,13 +17,17 @@ from cosim.studies.loops import (
     Loop,
     assemble,
     build,
+    limits_of,
     motions,
     require_reachable,
+    whole,
 )
 from cosim.studies.motions import Motions
 from cosim.studies.robustness import CYCLING, FACTORS, run_overcompensation, run_sweeps
 from cosim.studies.tracking import Tracked, track
 from cosim.study import Study
+from cosim.system import SystemSpec
+from cosim.system_file import write_system
 from fmu_src import export_fmu, model_file
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
@@ -196,3 +201,19 @@ def test_feed_forward_never_cycles_and_feedback_of_friction_does(
     measured = found["servo_inversion, friction of measured velocity"]
     assert measured in FACTORS
     assert CYCLING == 10 * 2e-5  # of the encoder's noise
+
+
+def test_one_loop_stands_in_a_file_of_its_own(
+    loop: Loop, robot: RobotModel, tmp_path: Path
+) -> None:
+    """The file gives what the study gives for the same law, scheme and motion."""
+    path = write_system(whole(loop, robot), tmp_path / "closed_loop.toml")
+    with Master(SystemSpec.read(path), path) as master:
+        result = master.run().require_success()
+    error = result.vector("trajectory.q") - result.vector("arm.q_true")
+    scheme = Scheme(compensation="servo_inversion", Kx=loop.tracking.Kx)
+    row = loop.row("parfam_h", scheme)
+    (tracked,) = track(
+        [row], motions(loop.tracking)[:1], duration=3.0, limits=limits_of(robot), workers=1
+    )
+    np.testing.assert_array_equal(np.sqrt(np.mean(error**2, axis=0)), tracked.rmse[0])

@@ -1,4 +1,4 @@
-"""Pictures of results; the one place in this package where matplotlib is used."""
+"""Picture of a designed motion."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,0 +1,213 @@
+"""The command that writes a friction model, or a robot, for other tools."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cosim.cli.app import Output, Platforms, app
+from cosim.cli.numbers import numbers
+from cosim.cli.voice import working
+from hesr_model.errors import ConfigError
+
+if TYPE_CHECKING:
+    from hesr_model.friction.law import FrictionModel
+
+
+class Format(StrEnum):
+    """What a friction model can be written as."""
+
+    FMU = "fmu"
+    DRIVE = "drive"
+    MJCF = "mjcf"
+    MODELICA = "modelica"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Request:
+    """What was asked for, beside the model."""
+
+    output: Path
+    platforms: Sequence[str]
+    motor: Mapping[str, str | None]
+    """Options of a drive, as they were typed."""
+    project: bool
+    properties: bool
+
+
+@app.command()
+def export(
+    model: Annotated[
+        str,
+        typer.Argument(
+            metavar="MODEL",
+            help="Friction model (JSON), uf850-table1 (the paper's), or an MJCF (XML).",
+        ),
+    ],
+    output: Output,
+    kind: Annotated[
+        Format,
+        typer.Option(
+            "--format",
+            help="Of a friction model: fmu (velocity in, torque out), drive (an FMU with the "
+            "rotor: torque in, velocity out), mjcf (actuators for MuJoCo) or modelica.",
+        ),
+    ] = Format.FMU,
+    platform: Platforms = None,
+    inertia: Annotated[
+        str | None,
+        typer.Option(
+            metavar="J[,J...]", help="Of a drive's rotors, kg.m2: one, or one for each joint."
+        ),
+    ] = None,
+    stiffness: Annotated[
+        str | None,
+        typer.Option(metavar="K[,K...]", help="Of a drive's flexspline, N.m/rad; default: none."),
+    ] = None,
+    damping: Annotated[
+        str | None,
+        typer.Option(metavar="D[,D...]", help="Of a drive's flexspline, N.m.s/rad; default: 0."),
+    ] = None,
+    ratio: Annotated[
+        str | None,
+        typer.Option(metavar="N[,N...]", help="Turns of a drive's motor for one of its joint."),
+    ] = None,
+    project: Annotated[
+        bool,
+        typer.Option("--project", help="MJCF: approximate a law that MuJoCo has no parts for."),
+    ] = False,
+    properties: Annotated[
+        bool,
+        typer.Option(
+            "--properties", help="Run 'hesr properties' and put its table into an FMU's pages."
+        ),
+    ] = False,
+    signals: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="TABLE.toml",
+            help="Of an MJCF: its inputs and outputs; default: every control and every sensor.",
+        ),
+    ] = None,
+) -> None:
+    """Write a friction model, or a robot, for other tools.
+
+    Examples: hesr export law.json -o Friction.fmu --platform linux64 --platform win64;
+    hesr export law.json --format drive --inertia 3,3,0.6 -o Drive.fmu;
+    hesr export robot.xml -o Arm.fmu --signals arm.toml
+    """
+    request = _Request(
+        output=output,
+        platforms=platform or ["linux64"],
+        motor={
+            "inertia": inertia,
+            "stiffness": stiffness,
+            "damping": damping,
+            "ratio": ratio,
+        },
+        project=project,
+        properties=properties,
+    )
+    if Path(model).suffix.lower() == ".xml":
+        from fmu_src.arm.native import export_mjcf
+
+        _refuse_others(request, platform, kind, of_robot=True)
+        with working(f"building {output.name}"):
+            export_mjcf(Path(model), output, table=signals, platforms=request.platforms)
+    else:
+        from fmu_src import model_file
+        from hesr_model.artifacts import read_model
+
+        if signals is not None:
+            raise ConfigError(f"--signals is for an MJCF, a file in .xml; '{model}' is none.")
+        _refuse_others(request, platform, kind, of_robot=False)
+        with working(f"building {output.name}"):
+            _WRITERS[kind](read_model(model_file(model)), request)
+    typer.echo(f"written to {output}.")
+
+
+def _refuse_others(
+    request: _Request, platform: Sequence[str] | None, kind: Format, *, of_robot: bool
+) -> None:
+    """Refuse options that would be ignored, since a user who gives them expects an effect."""
+    if of_robot and kind is not Format.FMU:
+        raise ConfigError(f"--format {kind} is for friction models; a robot becomes an FMU.")
+    motor = {f"--{name}": (text is not None, (Format.DRIVE,))
+             for name, text in request.motor.items()}  # fmt: skip
+    given = motor | {
+        "--project": (request.project, (Format.MJCF,)),
+        "--properties": (request.properties, (Format.FMU,)),
+        "--platform": (platform is not None, (Format.FMU, Format.DRIVE)),
+    }
+    for option, (present, formats) in given.items():
+        if present and of_robot and option != "--platform":
+            raise ConfigError(f"{option} is for friction models, not for a robot.")
+        if present and kind not in formats:
+            allowed = " or ".join(f"--format {f}" for f in formats)
+            raise ConfigError(f"{option} needs {allowed}, but the format is '{kind}'.")
+
+
+def _fmu(model: "FrictionModel", request: _Request) -> None:
+    from fmu_src import export_fmu
+
+    found = None
+    if request.properties:
+        from cosim.studies.properties.battery import Subject, run_battery
+
+        [found] = run_battery([Subject(name=model.law, model=model)])
+    export_fmu(model, request.output, platforms=request.platforms, properties=found)
+
+
+def _drive(model: "FrictionModel", request: _Request) -> None:
+    from fmu_src.drive.export import export_drive
+
+    motor = {name: _of_joints(name, text, len(model.joints))
+             for name, text in request.motor.items()}  # fmt: skip
+    if motor["inertia"] is None:
+        raise ConfigError("--format drive needs --inertia, the rotors' inertia in kg.m2.")
+    export_drive(
+        model,
+        request.output,
+        inertia=motor["inertia"],
+        stiffness=motor["stiffness"],
+        damping=motor["damping"],
+        ratio=motor["ratio"],
+        platforms=request.platforms,
+    )
+
+
+def _of_joints(name: str, text: str | None, joints: int) -> Sequence[float] | None:
+    """Return one value for each joint; a single one stands for all."""
+    values = numbers(f"--{name}", text)
+    if values is None or len(values) == joints:
+        return values
+    if len(values) > 1:
+        raise ConfigError(
+            f"--{name}: found {len(values)} values, but the model has {joints} joints; needed is "
+            "one for each, or one for all."
+        )
+    return values * joints
+
+
+def _mjcf(model: "FrictionModel", request: _Request) -> None:
+    from fmu_src.mjcf.export import export_mjcf_law
+
+    for line in export_mjcf_law(model, request.output, project=request.project).lines():
+        typer.echo(line)
+
+
+def _modelica(model: "FrictionModel", request: _Request) -> None:
+    from fmu_src.modelica.export import export_modelica
+
+    export_modelica(model, request.output)
+
+
+_WRITERS: Mapping[Format, Callable[["FrictionModel", _Request], None]] = {
+    Format.FMU: _fmu,
+    Format.DRIVE: _drive,
+    Format.MJCF: _mjcf,
+    Format.MODELICA: _modelica,
+}

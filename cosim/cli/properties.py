@@ -1,0 +1,112 @@
+"""The command that asks whether laws behave as friction does: properties."""
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cosim.cli.app import Json, app
+from cosim.cli.numbers import numbers
+from cosim.cli.voice import answer_file, shown_progress
+from hesr_model.errors import ConfigError
+
+if TYPE_CHECKING:
+    from cosim.studies.properties.battery import Subject
+
+
+@app.command()
+def properties(
+    laws: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LAW",
+            help="Friction models (.json), friction FMUs (.fmu) of any tool, or uf850-table1.",
+        ),
+    ],
+    inertia: Annotated[
+        str | None,
+        typer.Option(
+            metavar="J[,J...]",
+            help="Inertia of the joints in kg.m2, one or one for each; default for the uf850: "
+            "3,3,0.6.",
+        ),
+    ] = None,
+    load: Annotated[
+        float,
+        typer.Option(
+            metavar="TAU",
+            help="Load torque of the joints in N.m, where an experiment has none of its own.",
+        ),
+    ] = 0.0,
+    why: Annotated[bool, typer.Option("--why", help="Also say why, joint by joint.")] = False,
+    json_file: Json = None,
+) -> None:
+    """Put friction laws to the test: memory, stick-slip, work done.
+
+    Every law runs through the same ten experiments, as an FMU: moved by velocities, and as a
+    JointDrive under torques. A foreign FMU runs through those that need its connectors only.
+
+    Example: hesr properties uf850-table1 laws/lugre.json Friction.fmu --why
+    """
+    from math import isfinite
+
+    from rich.console import Console
+
+    from cosim import property_tables as tables
+    from cosim.studies.properties.battery import run_battery
+    from hesr_model.friction.properties import write_properties
+
+    if not isfinite(load):
+        raise ConfigError(f"--load is {load}; needed is a number.")
+    subjects = _subjects(laws, numbers("--inertia", inertia))
+    with answer_file(json_file) as wanted, shown_progress() as progress:
+        found = run_battery(
+            subjects, load=load, progress=lambda done, total: progress("laws", done, total)
+        )
+        named = {s.name: of_law for s, of_law in zip(subjects, found, strict=True)}
+        if wanted is not None:
+            write_properties(wanted, named)
+    console = Console()
+    console.print(tables.properties(named))
+    console.print(tables.legend())
+    if why:
+        console.print(tables.reasons(named))
+
+
+def _subjects(laws: list[str], inertia: tuple[float, ...] | None) -> "list[Subject]":
+    """Read models and FMUs; named by their law, else by their file, else by its path."""
+    from cosim.studies.properties.battery import Subject
+    from fmu_src import BUILT_IN, model_file
+    from fmu_src.friction.embedded import embedded_model
+    from hesr_model.artifacts import read_model
+
+    subjects = []
+    for law in laws:
+        fmu = Path(law) if Path(law).suffix.lower() == ".fmu" else None
+        if fmu is None and law not in BUILT_IN and Path(law).suffix.lower() != ".json":
+            raise ConfigError(
+                f"'{law}' is neither a friction model (.json), nor an FMU (.fmu), nor one of "
+                f"{', '.join(BUILT_IN)}."
+            )
+        model = embedded_model(fmu) if fmu else read_model(model_file(law))
+        subjects.append((law, Subject(name="", model=model, fmu=fmu, inertia=inertia)))
+    return _named(subjects)
+
+
+def _named(subjects: "list[tuple[str, Subject]]") -> "list[Subject]":
+    from dataclasses import replace
+
+    from fmu_src import BUILT_IN
+
+    namings = [
+        [s.model.law if s.model and text not in BUILT_IN else Path(text).stem
+         for text, s in subjects],
+        [Path(text).stem for text, _ in subjects],
+        [text for text, _ in subjects],
+    ]  # fmt: skip
+    names = next((n for n in namings if max(Counter(n).values()) == 1), None)
+    if names is None:
+        twice = Counter(namings[-1]).most_common(1)[0][0]
+        raise ConfigError(f"'{twice}' is given twice.")
+    return [replace(s, name=name) for name, (_, s) in zip(names, subjects, strict=True)]

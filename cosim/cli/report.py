@@ -1,0 +1,37 @@
+"""Command of the report."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cosim.cli.app import app
+from cosim.cli.voice import shown_progress
+
+
+@app.command()
+def report(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT", help="Folder that 'hesr run' has written.")
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Page to write; default: RESULT/report.html.",
+        ),
+    ] = None,
+) -> None:
+    """Write the report of a run anew.
+
+    It is one page that opens from a file, without a network.
+
+    Example: hesr report results/uf850 -o uf850.html
+    """
+    from cosim.report import write_report
+
+    with shown_progress() as progress:
+        page = write_report(result, output, progress=progress)
+    typer.echo(f"written to {page}.")

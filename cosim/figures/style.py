@@ -1,0 +1,170 @@
+"""Colours and lines of all pictures, and how a picture becomes SVG for a page, PDF and PNG.
+
+The colours keep apart for colour-blind readers (after Okabe and Ito, darkened until each has a
+contrast of 3 to 1 to white), and lines differ in their dashes as well. In a page each colour stands
+for a CSS variable, so that a dark page can have lighter ones.
+"""
+
+import io
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from hesr_model.files import written_whole
+
+INK, SOFT, LINE, CARD = "#1d2430", "#5b6675", "#d5dae1", "#f4f6f9"
+SERIES = ("#0069a8", "#c24e00", "#00785a", "#a03f87", "#806400", "#3d4f9f")
+
+VARIABLES = {
+    INK: "--ink",
+    SOFT: "--soft",
+    LINE: "--line",
+    CARD: "--card",
+    **{colour: f"--c{k}" for k, colour in enumerate(SERIES, start=1)},
+}
+"""CSS variable of each colour."""
+
+_DPI = 150
+_PATH = re.compile(r'(?<= d=")[^"]*')
+_LONG = re.compile(r"(\.\d)\d+")
+_RC = {
+    "axes.edgecolor": LINE,
+    "axes.labelcolor": INK,
+    "axes.labelsize": 9,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlecolor": INK,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.xmargin": 0.01,
+    "grid.color": LINE,
+    "grid.linewidth": 0.5,
+    "font.size": 9,
+    "legend.fontsize": 9,
+    "legend.frameon": False,
+    "lines.linewidth": 1.2,
+    "lines.solid_joinstyle": "round",
+    "path.simplify": True,
+    "path.simplify_threshold": 0.2,
+    "text.color": INK,
+    "xtick.color": LINE,
+    "xtick.labelcolor": SOFT,
+    "xtick.labelsize": 8,
+    "ytick.color": LINE,
+    "ytick.labelcolor": SOFT,
+    "ytick.labelsize": 8,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stroke:
+    """How a line is drawn.
+
+    Attributes
+    ----------
+    colour : one of `VARIABLES`.
+    width : in points.
+    dash : lengths of strokes and gaps in points; empty for a full line.
+    """
+
+    colour: str
+    width: float = 1.2
+    dash: tuple[float, ...] = ()
+
+
+MEASURED = Stroke(colour=SOFT, width=1.0)
+DESIRED = Stroke(colour=INK, width=1.0, dash=(6.0, 2.0))
+_DASHES: tuple[tuple[float, ...], ...] = (
+    (),
+    (5.0, 1.5),
+    (1.5, 1.5),
+    (7.0, 1.5, 1.5, 1.5),
+    (),
+    (3.0, 1.0),
+)
+
+
+def strokes(names: Sequence[str]) -> dict[str, Stroke]:
+    """Return a line for each name, different in colour and, but for the fifth, in its dashes."""
+    return {
+        name: Stroke(colour=SERIES[k % len(SERIES)], dash=_DASHES[k % len(_DASHES)])
+        for k, name in enumerate(names)
+    }
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Draw in the style of the report."""
+    with rc_context(_RC):
+        yield
+
+
+def style_axis(axis: Axes) -> None:
+    """Take away ticks, which the grid shows."""
+    axis.tick_params(length=0)
+
+
+def settled(figure: Figure) -> None:
+    """Place the parts of a figure once, not again for every format."""
+    if figure.get_layout_engine() is not None:
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+
+
+def svg(figure: Figure, key: str) -> str:
+    """Return a figure as SVG to stand in a page, in the page's own colours and type.
+
+    Parameters
+    ----------
+    figure : to be drawn.
+    key : by which its identifiers begin, different for each figure of a page.
+    """
+    settled(figure)
+    text = io.StringIO()
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": key}):
+        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
+    width, height = 72.0 * figure.get_size_inches()
+    return (
+        '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
+        f'viewBox="0 0 {width:g} {height:g}" aria-hidden="true">{_inner(text.getvalue(), key)}'
+    )
+
+
+def write(figure: Figure, stem: Path) -> None:
+    """Write a figure as PDF and PNG, the same bytes for the same figure.
+
+    Raises
+    ------
+    ArtifactError
+        If they cannot be written.
+    """
+    settled(figure)
+    for suffix, metadata in ((".pdf", {"CreationDate": None}), (".png", {"Software": None})):
+        with written_whole(stem.with_name(f"{stem.name}{suffix}")) as temporary:
+            figure.savefig(temporary, dpi=_DPI, metadata=metadata)
+
+
+def _inner(drawn: str, key: str) -> str:
+    """Return what stands in an SVG, with identifiers that begin by the key and short numbers."""
+    body = drawn[drawn.index("<svg") :]
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    used = set(re.findall(r"#([\w.-]+)", " ".join(re.findall(r'(?:href="|url\()#[\w.-]+', body))))
+    body = re.sub(r' id="([\w.-]+)"', lambda m: f' id="{key}-{m[1]}"' if m[1] in used else "", body)
+    body = re.sub(r'(href="|url\()#([\w.-]+)', rf"\1#{key}-\2", body)
+    body = _PATH.sub(lambda m: _LONG.sub(r"\1", m[0]).replace("\n", ""), body)
+    body = re.sub(r"font: ([\d.]+px) '[^\"]*?(?=[;\"])", r"font-size: \1", body)
+    body = re.sub(
+        r"font: (bold |700 )([\d.]+px) '[^\"]*?(?=[;\"])", r"font-weight: 600; font-size: \2", body
+    )
+    for colour, variable in VARIABLES.items():
+        body = body.replace(colour, f"var({variable})")
+    return body[body.index(">") + 1 :]

@@ -1,0 +1,271 @@
+"""The steps of a study, from its logs to its closed loop."""
+
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from inspect import signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.closed_loop import ARM
+from cosim.describe import Predictions
+from cosim.scoring import ORACLE, Comparison, by_joint, compare, predict_fmu, within
+from cosim.study import Study
+from hesr_model.artifacts import write_json
+from hesr_model.errors import ConfigError, HesrError
+from hesr_model.friction.estimator import estimator, registry
+from hesr_model.friction.evaluate import Array
+from hesr_model.friction.fit import fit_models
+from hesr_model.friction.law import FrictionModel
+from hesr_model.refinement import identify_again
+from hesr_model.residual import FrictionRecord, friction_records
+from hesr_model.rigid_body import RigidBody, identify
+from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.robot_log import RobotLog
+from hesr_model.tables import read_table
+
+if TYPE_CHECKING:
+    from cosim.studies.whole_loop import LoopOutcome
+    from fmu_src.arm.plant import Plant
+    from hesr_model.friction.properties import Properties
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is being done, how much of it is done, and how much there is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """The steps of a study."""
+
+    study: Study
+    path: Path
+    progress: Progress
+
+    def __post_init__(self) -> None:
+        study = self.study
+        for law in study.laws:
+            self._require_law("laws", law, {})
+        for law, options in study.options.items():
+            self._require_law(f"options.{law}", law, options)
+        for name, variant in study.variants.items():
+            self._require_law(f"variants.{name}.law", variant.law, {})
+            self._require_law(f"variants.{name}.options", variant.law, variant.options)
+        if study.refinement:
+            self._require_law("refinement.law", study.refinement.law, {})
+        for law in study.tracking.sources if study.tracking else ():
+            if law not in self.laws:
+                raise ConfigError(
+                    f"{self.path}: key 'tracking.sources': law '{law}' is none of the study's, "
+                    f"{', '.join(self.laws)}."
+                )
+
+    def _require_law(self, key: str, law: str, options: Mapping[str, Any]) -> None:
+        """Check that there is the law and that it takes the options."""
+        if law not in registry():
+            raise ConfigError(
+                f"{self.path}: key '{key}': law '{law}' is unknown; known are "
+                f"{', '.join(registry())}."
+            )
+        allowed = signature(estimator(law)).parameters
+        if unknown := [name for name in options if name not in allowed]:
+            raise ConfigError(
+                f"{self.path}: unknown key '{key}.{unknown[0]}'; allowed here: "
+                f"{', '.join(allowed) or 'none'}."
+            )
+        try:
+            estimator(law)(**options)
+        except (HesrError, TypeError) as error:
+            raise ConfigError(f"{self.path}: table '{key}': {str(error).rstrip('.')}.") from error
+
+    @cached_property
+    def robot(self) -> RobotDescription:
+        """The robot of the study, as its file describes it."""
+        return RobotDescription.read(self.study.robot)
+
+    @cached_property
+    def laws(self) -> tuple[str, ...]:
+        """Laws and variants of the study: where it names none, all that the robot file allows."""
+        possible = (
+            name
+            for name, law in registry().items()
+            if all(getattr(self.robot, need) is not None for need in law.needs)
+        )
+        return (*(self.study.laws or possible), *self.study.variants)
+
+    @property
+    def trained_on(self) -> list[str]:
+        """Names of the logs from which anything is estimated."""
+        logs = self.study.logs
+        return list(dict.fromkeys((*logs.identification, *logs.reversed, *logs.training)))
+
+    def log_files(self, folder: Path) -> dict[str, Path]:
+        """Return the file of every log of the study; the twin's are made now.
+
+        Raises
+        ------
+        ConfigError
+            If the study names a log that is no motion of the twin.
+        """
+        tested = (name for logs in self.study.logs.test.values() for name in logs)
+        names = dict.fromkeys((*self.trained_on, *tested))
+        if self.study.twin is None:
+            return {name: self.path.parent / name for name in names}
+        # MuJoCo is loaded for a twin only, not for measured logs.
+        from cosim.studies.excite import excite
+        from cosim.studies.motions import Motions
+        from fmu_src.arm.plant import Plant
+
+        self.progress("running the arm", 0, 1)
+        motions = self.study.twin.motions
+        plant = Plant.read(self.study.twin.plant)
+        arm = self._arm(plant, folder)
+        made = excite(Motions.read(motions), plant, folder / "logs", fmu=arm)
+        self.progress("running the arm", 1, 1)
+        for name in names:
+            if name not in made:
+                raise ConfigError(
+                    f"{self.path}: key 'logs' names '{name}', which is no motion of {motions}; "
+                    f"its motions give {', '.join(made)}."
+                )
+        return {name: made[name] for name in names}
+
+    def _arm(self, plant: "Plant", folder: Path) -> Path | None:
+        """Write the twin's arm as an FMU, where the study names its signals."""
+        if self.study.twin is None or self.study.twin.signals is None:
+            return None
+        from fmu_src.arm.native import export_mjcf
+
+        path = folder / "fmus" / ARM
+        path.parent.mkdir(exist_ok=True)
+        return export_mjcf(plant.model, path, table=self.study.twin.signals)
+
+    def properties(
+        self,
+        robot: RobotModel,
+        body: RigidBody,
+        models: Mapping[str, FrictionModel],
+        folder: Path,
+    ) -> "dict[str, Properties]":
+        """Put all laws to the property battery and write what it finds."""
+        from cosim.studies.properties.battery import Subject, run_battery
+        from cosim.studies.properties.inertia import standing_inertia
+        from hesr_model.friction.properties import write_properties
+
+        subjects = [
+            Subject(name=law, model=fitted, inertia=standing_inertia(robot, body, fitted))
+            for law, fitted in models.items()
+        ]
+        listed = run_battery(subjects, progress=partial(self.progress, "testing the laws"))
+        found = dict(zip(models, listed, strict=True))
+        write_properties(folder / "properties.json", found)
+        return found
+
+    def closed_loop(
+        self,
+        robot: RobotModel,
+        body: RigidBody,
+        folder: Path,
+        models: Mapping[str, FrictionModel],
+        *,
+        kept: Path,
+    ) -> "LoopOutcome | None":
+        """Run the loop of the study; what is done of it survives an interrupt in `kept`."""
+        if self.study.tracking is None or self.study.twin is None:
+            return None
+        from cosim.studies.whole_loop import run_loop
+        from fmu_src.arm.plant import Plant
+
+        plant = Plant.read(self.study.twin.plant)
+        laws = {law: folder / "fmus" / f"{law}.fmu" for law in models}
+        outcome = run_loop(
+            self.study.tracking,
+            plant,
+            robot,
+            body,
+            folder,
+            friction=laws,
+            kept=kept,
+            progress=self.progress,
+        )
+        write_json(folder / "closed_loop.json", outcome.to_json())
+        shutil.rmtree(kept, ignore_errors=True)
+        return outcome
+
+    def rigid_body(self, logs: Mapping[str, RobotLog], model: RobotModel) -> RigidBody:
+        """Identify the rigid body, again once friction is known where the study wants that."""
+        forward = [logs[name] for name in self.study.logs.identification]
+        backward = [logs[name] for name in self.study.logs.reversed]
+        self.progress("identifying the rigid body", 0, 1)
+        found = identify(forward, model, reversed_logs=backward)
+        self.progress("identifying the rigid body", 1, 1)
+        refinement = self.study.refinement
+        for _ in range(refinement.rounds if refinement else 0):
+            names = self.study.logs.training
+            records = {name: friction_records(logs[name], model, found) for name in names}
+            law = refinement.law if refinement else ""
+            friction = self.fit(records, (law,), "refining the rigid body", {})[law]
+            found = identify_again(forward, model, found, friction, reversed_logs=backward)
+        return found
+
+    def fit(
+        self,
+        records: Mapping[str, Sequence[FrictionRecord]],
+        laws: Sequence[str],
+        what: str,
+        source: Mapping[str, Any],
+    ) -> dict[str, FrictionModel]:
+        """Fit laws to the training logs."""
+        study = self.study
+        variants = study.variants
+        return fit_models(
+            laws,
+            by_joint([records[name] for name in study.logs.training]),
+            robot=self.robot.name,
+            seed=study.seed,
+            options={**study.options, **{name: v.options for name, v in variants.items()}},
+            variants={name: v.law for name, v in variants.items()},
+            provenance=source,
+            progress=partial(self.progress, what),
+        )
+
+    def compare(
+        self,
+        records: Mapping[str, Sequence[FrictionRecord]],
+        files: Mapping[str, Path],
+        fmus: Path,
+    ) -> tuple[dict[str, Comparison], Predictions]:
+        """Score the FMUs on every test set and on its bands; of a twin the truth as well.
+
+        Returns the scores, and the torques on the test sets.
+        """
+        comparisons, predictions = {}, {}
+        tests = self.study.logs.test
+        for k, (name, logs) in enumerate(tests.items()):
+            self.progress("replaying the FMUs", k, len(tests))
+            tested = by_joint([records[log] for log in logs])
+            predicted = {law: predict_fmu(fmus / f"{law}.fmu", tested) for law in self.laws}
+            if self.study.twin:
+                predicted[ORACLE] = self._true_friction([files[log] for log in logs])
+            comparisons[name], predictions[name] = compare(tested, predicted), predicted
+            for band in self.study.bands:
+                if band.test == name:
+                    parts = {
+                        law: within(tested, whole, band.start, band.stop)
+                        for law, whole in predicted.items()
+                    }
+                    rows = next(iter(parts.values()))[0]
+                    comparisons[band.name] = compare(
+                        rows, {law: p for law, (_, p) in parts.items()}
+                    )
+        self.progress("replaying the FMUs", len(tests), len(tests))
+        return comparisons, predictions
+
+    def _true_friction(self, logs: Sequence[Path]) -> list[list[Array]]:
+        """Return the true friction [joint][log] of the twin's logs [N.m]."""
+        from cosim.studies.excite import truth_of
+
+        joints = len(self.robot.joints)
+        names = [f"tau_f{k}" for k in range(1, joints + 1)]
+        truths = [read_table(truth_of(log)).numbers(names) for log in logs]
+        return [[truth[:, joint] for truth in truths] for joint in range(joints)]

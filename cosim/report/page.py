@@ -1,0 +1,97 @@
+"""The page: its sections in order, with their script and style."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from cosim.report.markup import Pictures, Section, render
+from cosim.report.results import Results
+from cosim.report.sections import (
+    ablation,
+    audit,
+    battery,
+    body,
+    data,
+    equations,
+    hysteresis,
+    live,
+    loops,
+    prediction,
+    provenance,
+    robustness,
+    tracking,
+)
+from cosim.report.sections.summary import summary
+from cosim.report.zoom import library
+from hesr_model.files import written_whole
+
+REPORT, FIGURES = "report.html", "figures"
+
+SECTIONS: tuple[Callable[[Results, Pictures], Section | None], ...] = (
+    data.section,
+    body.section,
+    hysteresis.section,
+    equations.section,
+    prediction.section,
+    prediction.bands,
+    loops.section,
+    audit.section,
+    battery.section,
+    ablation.section,
+    tracking.section,
+    robustness.section,
+    live.section,
+    provenance.section,
+)
+"""In the order of the page; one that has no data gives none."""
+
+
+def write_report(
+    folder: Path,
+    output: Path | None = None,
+    *,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Path:
+    """Write the report of a run.
+
+    Parameters
+    ----------
+    folder : results of `hesr run`; the figures are written there as PDF and PNG, too.
+    output : the page to write; report.html in the folder where not given.
+    progress : told what is being done, how much of it is done, and how much there is.
+
+    Returns
+    -------
+    The page that was written.
+
+    Raises
+    ------
+    ArtifactError, LogError
+        If the folder holds no results, naming the file that is missing or damaged, or if the page
+        cannot be written.
+    """
+    from cosim.figures.style import VARIABLES
+
+    results = Results.read(folder)
+    path = output or folder / REPORT
+    pictures = Pictures(folder=folder / FIGURES)
+    head = summary(results, pictures)
+    sections = []
+    for k, section in enumerate(SECTIONS):
+        if progress:
+            progress("writing the report", k, len(SECTIONS))
+        if (made := section(results, pictures)) is not None:
+            sections.append(made)
+    if progress:
+        progress("writing the report", len(SECTIONS), len(SECTIONS))
+    page = render(
+        "report.html.j2",
+        run=results.run,
+        summary=head,
+        sections=sections,
+        zooms=pictures.zooms,
+        library=library() if pictures.zooms else "",
+        palette=VARIABLES,
+    )
+    with written_whole(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return path

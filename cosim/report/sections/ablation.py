@@ -1,0 +1,78 @@
+"""What each part of a law is worth: variants of the study, and laws that differ by one thing."""
+
+from collections.abc import Sequence
+
+from cosim.report.markup import Pictures, Row, Section, Table, joined, number, paragraph, table
+from cosim.report.results import Results
+from hesr_model.metrics import Score
+
+_STEPS = (
+    ("parfam_v", "parfam_h", "hysteresis state"),
+    ("lugre", "lugre_load", "load"),
+    ("lugre_load", "lugre_load_ripple", "motor ripple and start"),
+    ("dahl", "dahl_load", "load"),
+    ("parfam_h", "parfam_hx", "memory in position, load, ripple and start"),
+)
+
+
+def section(results: Results, pictures: Pictures) -> Section | None:
+    """Show by how much the error falls when one thing is added."""
+    del pictures
+    test = results.tests[0]
+    laws = results.comparisons[test].laws
+    steps = [(a, b, what) for a, b, what in _STEPS if a in laws and b in laws]
+    variants = [name for name in results.run.variants if name in laws]
+    if not steps and not variants:
+        return None
+    parts = []
+    if variants:
+        whole = results.run.variants[variants[-1]]
+        ladder = [*variants, *([whole] if whole in laws else [])]
+        caption = f"{test}: RMSE [N.m] of the variants, each with one part more than that above it"
+        parts.append(
+            table(
+                Table(
+                    caption=caption,
+                    head=("variant", *results.joints),
+                    rows=[
+                        Row(head=results.title(law), cells=[number(s.rmse) for s in laws[law]])
+                        for law in ladder
+                    ],
+                )
+            )
+        )
+    if steps:
+        caption = f"{test}: change of the RMSE when one thing is added; less is better"
+        parts.append(
+            table(
+                Table(
+                    caption=caption,
+                    words=(1,),
+                    head=("from, to", "adds", *results.joints),
+                    rows=[
+                        Row(
+                            head=f"{results.title(a)} → {results.title(b)}",
+                            cells=(what, *_changes(laws[a], laws[b])),
+                        )
+                        for a, b, what in steps
+                    ],
+                )
+            )
+        )
+    return Section(
+        key="ablation",
+        title="Ablation",
+        html=joined(
+            paragraph(
+                "Which part of a law pays on this robot. A part that costs is shown as well: with "
+                "more inputs a law can also learn what is not there."
+            ),
+            *parts,
+        ),
+    )
+
+
+def _changes(before: Sequence[Score], after: Sequence[Score]) -> list[str]:
+    changes = [100.0 * (b.rmse / a.rmse - 1.0) for a, b in zip(before, after, strict=True)]
+    # Zero has no sign.
+    return [f"{c:+.0f} %".replace("-", "−") if round(c) else "0 %" for c in changes]

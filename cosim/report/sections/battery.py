@@ -1,0 +1,72 @@
+"""Property battery: whether a law behaves as friction does."""
+
+from markupsafe import Markup
+
+from cosim.report.markup import Pictures, Row, Section, Table, details, joined, paragraph, table
+from cosim.report.results import PAPERS, Results
+from fmu_src.friction.properties_sheet import MARKS
+from fmu_src.friction.properties_sheet import section as sheet
+from hesr_model.friction.expectations import EXPECTATIONS
+from hesr_model.friction.properties import Properties
+
+
+def section(results: Results, pictures: Pictures) -> Section | None:
+    """Show which law has which property, and the plots of the paper's law and of the best one."""
+    del pictures
+    if not results.properties:
+        return None
+    shown = [law for law in dict.fromkeys((PAPERS, results.best)) if law in results.properties]
+    return Section(
+        key="properties",
+        title="Property battery",
+        html=joined(
+            paragraph(
+                "Ten experiments on the FMUs, the same for every law. No law has to pass all of "
+                "them; "
+                "which ones it fails is what its user has to know. A cell has a mark for each "
+                "joint: "
+                "✓ as the field expects of friction, ✗ not, n/a where the question does not arise."
+            ),
+            table(
+                Table(
+                    caption="Which law has which property, a mark for each joint",
+                    head=("law", *(e.title for e in EXPECTATIONS.values())),
+                    rows=[
+                        Row(head=results.title(law), cells=_marks(found))
+                        for law, found in results.properties.items()
+                    ],
+                    numeric=False,
+                )
+            ),
+            *(
+                details(f"{results.title(law)}: figures, reasons and plots",
+                        _sheet(law, results.properties[law]))
+                for law in shown
+            ),
+            paragraph("Those of other laws stand in the documentation of their FMUs.", note=True),
+        ),
+    )  # fmt: skip
+
+
+def passed(found: Properties) -> int:
+    """Return how many properties a law has on all of its joints."""
+    return sum(
+        all(joint.findings[key].verdict in ("pass", "not applicable") for joint in found.joints)
+        for key in EXPECTATIONS
+    )
+
+
+def _marks(found: Properties) -> list[Markup]:
+    cells = []
+    for key in EXPECTATIONS:
+        verdicts = [joint.findings[key].verdict for joint in found.joints]
+        same = len(set(verdicts)) == 1 and verdicts[0] in ("not applicable", "not run")
+        shown = verdicts[:1] if same else verdicts
+        marks = (Markup('<span class="{}">{}</span>').format(v, MARKS[v]) for v in shown)
+        cells.append(Markup(" ").join(marks))
+    return cells
+
+
+def _sheet(law: str, found: Properties) -> Markup:
+    html = sheet(found).replace('id="property-', f'id="{law}-property-')
+    return Markup(html.replace('href="#property-', f'href="#{law}-property-'))

@@ -1,0 +1,54 @@
+"""The robot and its logs."""
+
+from cosim.report.markup import Pictures, Row, Section, Table, joined, number, paragraph, table
+from cosim.report.results import Results
+
+
+def section(results: Results, pictures: Pictures) -> Section:
+    """Say which robot it is, and which log served for what."""
+    del pictures
+    run = results.run
+    source = (
+        "The logs come from a digital twin: MuJoCo moves the arm, and its friction is made of "
+        "MuJoCo's own parts, so that it is of the form of no law below. Its true friction is known."
+        if run.twin
+        else "The logs were measured. The true friction is not known, and there is no closed loop."
+    )
+    joints = ", ".join(
+        f"{short} {name}" for short, name in zip(results.joints, run.joints, strict=True)
+    )
+    gears = (
+        f" Gear ratios: {', '.join(f'{g:g}' for g in run.gear_ratio)}." if run.gear_ratio else ""
+    )
+    return Section(
+        key="data",
+        title="Robot and data",
+        html=joined(
+            paragraph(f"Robot {run.robot}, model {run.model}, joints {joints}.{gears}"),
+            paragraph(source),
+            table(
+                Table(
+                    caption="Logs, and what they served for; no log of a test set was trained on",
+                    words=(1,),
+                    head=("log", "served for", "rows", "duration [s]", "rate [Hz]"),
+                    rows=[
+                        Row(
+                            head=log.name,
+                            cells=(
+                                _roles(log.roles),
+                                number(log.rows, max(3, len(str(log.rows)))),
+                                number(log.duration, 4),
+                                number(log.rate, 4),
+                            ),
+                        )
+                        for log in run.logs
+                    ],
+                )
+            ),
+        ),
+    )
+
+
+def _roles(roles: tuple[str, ...]) -> str:
+    names = {"identification": "rigid body", "training": "training of the laws"}
+    return ", ".join(names.get(role, f"test ‘{role}’") for role in roles) or "–"

@@ -1,0 +1,50 @@
+"""Laws that move: the C of their FMUs in the page, with sliders."""
+
+import json
+import re
+import zipfile
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from cosim.report.markup import Pictures, Section, joined, paragraph, render
+from cosim.report.results import PAPERS, Results
+from fmu_src.live.page import live_assets, live_section
+
+_PAGE = "documentation/index.html"
+_DATA = re.compile(r'<script type="application/json">(.*?)</script>', re.DOTALL)
+
+
+def section(results: Results, pictures: Pictures) -> Section | None:
+    """Show the best law, the paper's and LuGre, one at a time."""
+    del pictures
+    laws = [law for law in dict.fromkeys((results.best, PAPERS, "lugre")) if law in results.models]
+    found = {law: live_data(results.folder / "fmus" / f"{law}.fmu") for law in laws}
+    lives = [
+        (law, results.title(law), Markup(live_section(data, key=f"live-{law}")))
+        for law, data in found.items()
+        if data is not None
+    ]
+    if not lives:
+        return None
+    return Section(
+        key="live",
+        title="A law, live",
+        html=joined(
+            paragraph("The very code of the exported FMUs, in this page."),
+            render("live_choice.html.j2", lives=lives),
+            Markup(live_assets()),
+        ),
+    )
+
+
+def live_data(fmu: Path) -> dict[str, Any] | None:
+    """Return the data of the live section in an FMU's documentation; None where it has none."""
+    try:
+        with zipfile.ZipFile(fmu) as archive:
+            page = archive.read(_PAGE).decode("utf-8")
+    except (OSError, KeyError, zipfile.BadZipFile, UnicodeDecodeError):
+        return None
+    match = _DATA.search(page)
+    return json.loads(match[1]) if match else None

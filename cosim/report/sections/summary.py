@@ -1,0 +1,181 @@
+"""The summary: what was done, the figures that matter, and what they do not say."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+
+from cosim.figures.plots import Interval, ratios
+from cosim.report.markup import Pictures, decimals, joined, paragraph, render
+from cosim.report.results import PAPERS, Results
+from cosim.report.sections.audit import audited, passive
+from cosim.report.sections.battery import passed
+from cosim.report.sections.tracking import of_scheme, outer
+from cosim.scoring import ORACLE
+from hesr_model.friction.expectations import EXPECTATIONS
+
+_FEW = 3  # joints whose figures stand side by side
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tile:
+    """A figure that matters: the figure, its unit, and a sentence on it."""
+
+    figure: str
+    unit: str
+    text: str
+
+
+def summary(results: Results, pictures: Pictures) -> Markup:
+    """Return the head of the page."""
+    tiles = [
+        t for t in (_error(results), _paper(results), _tracking(results), _physics(results)) if t
+    ]
+    return joined(
+        paragraph(_done(results)),
+        render("tiles.html.j2", tiles=tiles),
+        _picture(results, pictures),
+        Markup("<ul>{}</ul>").format(
+            Markup("").join(Markup("<li>{}</li>").format(said) for said in _honest(results))
+        ),
+    )
+
+
+def _done(results: Results) -> str:
+    run = results.run
+    loop = ", and put into a closed loop of FMUs" if results.loop else ""
+    quick = " A quick run: few laws, no property battery and no closed loop." if run.quick else ""
+    return (
+        f"From the logs of {run.robot} a rigid body was identified; {len(results.models)} friction "
+        f"laws were fitted to what is left of the torque, exported as FMUs, tried on "
+        f"{_count(len(results.tests), 'test set')} that no fit has seen{loop}.{quick}"
+    )
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'s' if n != 1 else ''}"
+
+
+def _listed(values: Sequence[float], digits: int = 3) -> str:
+    """Return the figures of few joints, or the range over many, as exact as the largest needs."""
+    places = decimals([max(values)], digits)
+    shown = values if len(values) <= _FEW else (min(values), max(values))
+    return (" / " if len(values) <= _FEW else " – ").join(f"{v:.{places}f}" for v in shown)
+
+
+def _over(results: Results) -> str:
+    short = results.joints
+    return "/".join(short) if len(short) <= _FEW else f"{short[0]} to {short[-1]}"
+
+
+def _error(results: Results) -> Tile:
+    scores = results.comparisons[results.tests[0]].laws
+    best = [s.rmse for s in scores[results.best]]
+    text = f"error of {results.title(results.best)}, the best law on ‘{results.tests[0]}’"
+    if "stribeck" in scores and results.best != "stribeck":
+        text += f"; Stribeck {_listed([s.rmse for s in scores['stribeck']])}"
+    if ORACLE in scores:
+        text += f"; the true friction {_listed([s.rmse for s in scores[ORACLE]])}"
+    return Tile(figure=_listed(best), unit="N.m", text=f"{text} ({_over(results)})")
+
+
+def _paper(results: Results) -> Tile | None:
+    scores = results.comparisons[results.tests[0]]
+    if PAPERS not in scores.ratios:
+        return None
+    found = scores.ratios[PAPERS]
+    return Tile(
+        figure=_listed([r.value for r in found]),
+        unit=f"× {results.title(scores.reference)}",
+        text=f"error of the paper’s {results.title(PAPERS)} relative to a "
+        f"{results.title(scores.reference)} that is fitted with the same care: {_verdict(results)}",
+    )
+
+
+def _verdict(results: Results) -> str:
+    """Say on how many joints the paper's law is better or worse, by the intervals."""
+    found = results.comparisons[results.tests[0]].ratios[PAPERS]
+    better = [j for j, r in zip(results.joints, found, strict=True) if r.high < 1.0]
+    worse = [j for j, r in zip(results.joints, found, strict=True) if r.low > 1.0]
+    alike = [j for j in results.joints if j not in (*better, *worse)]
+    groups = {"better": better, "worse": worse, "alike": alike}
+    return ", ".join(f"{word} on {', '.join(of)}" for word, of in groups.items() if of)
+
+
+def _tracking(results: Results) -> Tile | None:
+    if results.loop is None:
+        return None
+    rows = of_scheme(results, outer(results, "servo_inversion"))
+    law = results.best if results.best in rows else next(iter(rows))
+    body = rows.get("(rigid body only)")
+    beside = f"; with the rigid body alone {_listed(1e3 * body.mean, 2)}" if body else ""
+    return Tile(
+        figure=_listed(1e3 * rows[law].mean, 2),
+        unit="mrad",
+        text=f"tracking error with {results.title(law)} through the servo’s inverse{beside}",
+    )
+
+
+def _physics(results: Results) -> Tile | None:
+    found = audited(results)
+    if not found:
+        return None
+    good = [law for law, of_law in found.items() if all(map(passive, of_law))]
+    text = "laws never give energy on the closed cycles that were tried"
+    if PAPERS in found and PAPERS not in good:
+        text += f"; the paper’s {results.title(PAPERS)} does"
+    return Tile(figure=f"{len(good)} of {len(found)}", unit="", text=text)
+
+
+def _picture(results: Results, pictures: Pictures) -> Markup:
+    test = results.tests[0]
+    scores = results.comparisons[test]
+    if not scores.ratios:
+        return Markup()
+    laws = {
+        results.title(law): [Interval(value=r.value, low=r.low, high=r.high) for r in row]
+        for law, row in scores.ratios.items()
+    }
+    reference = results.title(scores.reference)
+    return pictures.figure(
+        "ratios",
+        ratios(laws, results.joints, x=f"RMSE / RMSE of {reference}"),
+        f"Error of every law relative to {reference} on ‘{test}’, with 95 % intervals (block "
+        "bootstrap). Left of the line is better; an interval across it is no difference.",
+        alt=f"For each law and joint, a dot at its error relative to {reference} and its interval.",
+    )
+
+
+def _honest(results: Results) -> list[str]:
+    said = []
+    scores = results.comparisons[results.tests[0]]
+    if results.run.twin:
+        said.append(
+            "The robot is a simulated one. Its friction is of no law’s form, but it is "
+            "bristle-like, "
+            "so laws of that kind are at home on it; measured robots may rank the laws otherwise."
+        )
+    if ORACLE in scores.laws:
+        floor = [s.rmse for s in scores.laws[ORACLE]]
+        best = [s.rmse for s in scores.laws[results.best]]
+        above = 100.0 * float(np.mean(np.divide(best, floor)) - 1.0)
+        said.append(
+            f"Noise and the rigid body’s own error leave {_listed(floor)} N.m to any law; "
+            f"{results.title(results.best)} is {above:.0f}\u00a0% above that on average."
+        )
+    if PAPERS in results.properties:
+        counts = {law: passed(found) for law, found in results.properties.items()}
+        most = max(counts, key=lambda law: counts[law])
+        said.append(
+            f"Of the {len(EXPECTATIONS)} properties of friction the paper’s law has "
+            f"{counts[PAPERS]} on all joints; the most are had by {results.title(most)}, "
+            f"{counts[most]}. A small RMSE does not make a law friction."
+        )
+    if results.loop:
+        said.append(
+            "The paper’s own control scheme barely tells good laws apart: with a servo that "
+            "integrates, a perfect law gives no correction. Laws pay where they are fed forward "
+            "through the servo’s inverse."
+        )
+    return said

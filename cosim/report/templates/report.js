@@ -1,0 +1,175 @@
+"use strict";
+(() => {
+  const said = document.querySelector(".said");
+  let silence = 0;
+
+  function say(text) {
+    said.textContent = text;
+    clearTimeout(silence);
+    silence = setTimeout(() => { said.textContent = ""; }, 4000);
+  }
+
+  // Tables as CSV: numbers with all their digits.
+  function cellText(cell) {
+    return cell.dataset.value ?? cell.textContent.trim().replace(/\s+/g, " ");
+  }
+
+  function csv(table) {
+    const quoted = (text) => (/[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
+    return [...table.rows]
+      .map((row) => [...row.cells].map((cell) => quoted(cellText(cell))).join(","))
+      .join("\n") + "\n";
+  }
+
+  async function copy(text) {
+    try {
+      await navigator.clipboard.writeText(text);
+      return true;
+    } catch {
+      // Browsers that keep the clipboard from pages in files still copy what is selected.
+      const area = document.createElement("textarea");
+      area.value = text;
+      area.setAttribute("aria-hidden", "true");
+      area.style.position = "fixed";
+      document.body.append(area);
+      area.select();
+      const done = document.execCommand("copy");
+      area.remove();
+      return done;
+    }
+  }
+
+  for (const button of document.querySelectorAll("button.copy")) {
+    button.addEventListener("click", async () => {
+      const done = await copy(csv(button.closest(".table").querySelector("table")));
+      button.focus();
+      say(done ? "Copied as CSV." : "This browser does not let the page copy.");
+    });
+  }
+
+  // What scrolls must be reachable by keyboard.
+  function reachable() {
+    for (const box of document.querySelectorAll(".wide")) {
+      if (box.scrollWidth > box.clientWidth) box.tabIndex = 0;
+      else box.removeAttribute("tabindex");
+    }
+  }
+  addEventListener("resize", reachable);
+  document.addEventListener("toggle", reachable, true);
+  reachable();
+
+  // Views that zoom: library and data are packed in this page and unpacked when first asked for.
+  async function unpacked(id) {
+    const packed = Uint8Array.from(atob(document.getElementById(id).textContent), (c) => c.charCodeAt(0));
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+    return new Response(stream).text();
+  }
+
+  let library = null;
+  function loaded() {
+    library ??= unpacked("zoom-library").then((code) => {
+      const script = document.createElement("script");
+      script.textContent = code;
+      document.head.append(script);
+      Bokeh.logger.set_level("error");
+    });
+    return library;
+  }
+
+  const palette = JSON.parse(document.getElementById("palette").textContent);
+
+  async function show(key, box) {
+    await loaded();
+    const style = getComputedStyle(document.documentElement);
+    let text = await unpacked(`zoom-${key}`);
+    for (const [colour, variable] of Object.entries(palette)) {
+      text = text.replaceAll(colour, style.getPropertyValue(variable).trim());
+    }
+    const data = JSON.parse(text);
+    const help = document.createElement("p");
+    help.className = "zoom-help";
+    help.textContent = "Drag over a part to zoom into it; the buttons above move the view, zoom by " +
+      "the wheel, go back and save a picture. A click on a name hides its line.";
+    const place = document.createElement("div");
+    hide(box);
+    box.replaceChildren(legend(data.names, box), place, help);
+    const views = await Bokeh.embed.embed_item(data.item, place);
+    opened.set(box, [...views][0].model.document);
+  }
+
+  const opened = new Map();
+
+  function hide(box) {
+    opened.get(box)?.clear();
+    opened.delete(box);
+    box.replaceChildren();
+  }
+
+  function legend(names, box) {
+    const list = document.createElement("div");
+    list.className = "names";
+    for (const [name, { colour, dash }] of Object.entries(names)) {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.setAttribute("aria-pressed", "true");
+      button.innerHTML = '<svg viewBox="0 0 32 8" aria-hidden="true"><path d="M0 4H32"/></svg>';
+      const path = button.querySelector("path");
+      path.style.stroke = colour;
+      path.style.strokeWidth = 2.5;
+      path.style.strokeDasharray = dash.map((length) => 1.6 * length).join(" ");
+      button.append(name);
+      button.addEventListener("click", () => {
+        const shown = button.getAttribute("aria-pressed") !== "true";
+        button.setAttribute("aria-pressed", String(shown));
+        for (const model of opened.get(box).all_models) if (model.name === name) model.visible = shown;
+      });
+      list.append(button);
+    }
+    return list;
+  }
+
+  for (const button of document.querySelectorAll("button.to-zoom")) {
+    const box = button.closest("figure").querySelector(".zoom");
+    const drawing = button.closest("figure").querySelector(".drawing");
+    button.addEventListener("click", async () => {
+      const open = box.hidden;
+      if (open) {
+        box.hidden = false;
+        try {
+          await show(button.dataset.zoom, box);
+        } catch (error) {
+          box.hidden = true;
+          say(`This browser cannot zoom: ${error.message}`);
+          return;
+        }
+      } else {
+        hide(box);
+        box.hidden = true;
+      }
+      drawing.hidden = open;
+      button.textContent = open ? "Back to the picture" : "Zoom in";
+      button.setAttribute("aria-expanded", String(open));
+    });
+  }
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+    for (const button of document.querySelectorAll('button.to-zoom[aria-expanded="true"]')) {
+      show(button.dataset.zoom, button.closest("figure").querySelector(".zoom"));
+    }
+  });
+  addEventListener("beforeprint", () => {
+    for (const drawing of document.querySelectorAll(".drawing")) drawing.hidden = false;
+  });
+  addEventListener("afterprint", () => {
+    for (const button of document.querySelectorAll('button.to-zoom[aria-expanded="true"]')) {
+      button.closest("figure").querySelector(".drawing").hidden = true;
+    }
+  });
+
+  const choice = document.getElementById("live-law");
+  choice?.addEventListener("change", () => {
+    for (const law of document.querySelectorAll(".live-law")) {
+      law.hidden = law.dataset.law !== choice.value;
+    }
+    dispatchEvent(new Event("resize"));
+  });
+})();

@@ -1,0 +1,112 @@
+"""Views that zoom: charts for Bokeh, whose library comes along in the page itself."""
+
+import base64
+import json
+import re
+import zlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from cosim.figures.chart import Chart, Line, Panel
+
+_MODEL = re.compile(r'"p\d{4,}"')
+_PIXELS = 105  # of an inch of a row's height
+_MOST_VALUES = 150_000  # of a chart; a row in so many is left out beyond
+
+
+def zoom_data(chart: "Chart") -> str:
+    """Return what the page hands to Bokeh for a chart, packed as text."""
+    from bokeh.embed import json_item
+    from bokeh.layouts import gridplot
+
+    values = sum(len(line.y) for row in chart.rows for p in row for line in p.lines)
+    sources = _Sources(every=values // _MOST_VALUES + 1)
+    plots = [[_plot(panel, chart.height) for panel in row] for row in chart.rows]
+    names: dict[str, Any] = {}
+    for row, of_row in zip(plots, chart.rows, strict=True):
+        for plot, panel in zip(row, of_row, strict=True):
+            plot.x_range = plots[0][0].x_range
+            for line in panel.lines:
+                sources.line(plot, line)
+                names.setdefault(
+                    line.name, {"colour": line.stroke.colour, "dash": line.stroke.dash}
+                )
+    for plot in plots[-1]:
+        plot.xaxis.axis_label = chart.x
+    grid = gridplot(plots, toolbar_location="above", sizing_mode="stretch_width",
+                    toolbar_options={"logo": None})  # fmt: skip
+    # The page makes the legend, of buttons: they hide the lines of a name in all panels.
+    data = {"item": json_item(grid), "names": names}
+    return packed(_renumbered(json.dumps(data, separators=(",", ":"))))
+
+
+def _renumbered(text: str) -> str:
+    """Count Bokeh's models from 1, whatever was made before, so that a page stays the same."""
+    numbers: dict[str, str] = {}
+    return _MODEL.sub(lambda m: numbers.setdefault(m[0], f'"p{len(numbers) + 1}"'), text)
+
+
+def library() -> str:
+    """Return Bokeh's script, packed as text."""
+    from bokeh.resources import Resources
+
+    inline = Resources(mode="inline", components=["bokeh"])
+    # Not its last words, which are spoken on the console.
+    return packed("\n".join(js for js in inline.js_raw if not js.startswith("Bokeh.set_log_level")))
+
+
+def packed(text: str) -> str:
+    """Return text compressed (zlib) and in base64."""
+    return base64.b64encode(zlib.compress(text.encode(), 9)).decode()
+
+
+class _Sources:
+    """Data of the lines: lines over the same points share them."""
+
+    def __init__(self, every: int) -> None:
+        self._every = every
+        self._by_axis: dict[int, Any] = {}
+
+    def line(self, plot: Any, line: "Line") -> None:
+        """Draw a line into a plot."""
+        from bokeh.models import ColumnDataSource
+
+        if id(line.x) not in self._by_axis:
+            x = line.x[:: self._every].astype(np.float32)
+            self._by_axis[id(line.x)] = ColumnDataSource({"x": x})
+        source = self._by_axis[id(line.x)]
+        name = f"y{len(source.data)}"
+        source.add(line.y[:: self._every].astype(np.float32), name)
+        dash = [max(round(length), 1) for length in line.stroke.dash]
+        plot.line(
+            "x", name, source=source, name=line.name, color=line.stroke.colour,
+            width=max(line.stroke.width, 1.2), line_dash=dash or "solid",
+        )  # fmt: skip
+
+
+def _plot(panel: "Panel", inches: float) -> Any:
+    from bokeh.models import Span
+    from bokeh.plotting import figure
+
+    from cosim.figures.style import INK, LINE, SOFT
+
+    plot = figure(
+        height=round(_PIXELS * inches), title=panel.title, y_axis_label=panel.y,
+        tools="box_zoom,pan,xwheel_zoom,reset,save", active_drag="box_zoom", active_scroll=None,
+        background_fill_alpha=0, border_fill_alpha=0, outline_line_color=None, min_border_left=52,
+    )  # fmt: skip
+    for place, _ in panel.marks:
+        mark = Span(location=place, dimension="height", line_color=INK, line_dash="dashed")
+        plot.add_layout(mark)
+    for one in (*plot.xaxis, *plot.yaxis):
+        one.axis_label_text_color = INK
+        one.axis_label_text_font_style = "normal"
+        one.axis_label_text_font_size = "12px"
+        one.major_label_text_color = SOFT
+        one.axis_line_color = one.major_tick_line_color = one.minor_tick_line_color = LINE
+    plot.grid.grid_line_color = LINE
+    plot.title.text_color = INK
+    plot.title.text_font_size = "13px"
+    return plot

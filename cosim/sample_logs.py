@@ -1,0 +1,126 @@
+"""Sample logs of any robot: motions within its limits, with friction and noise of plausible size.
+
+They stand in for measured logs until a user has some, so that everything can be run at once.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.base_parameters import base_columns
+from hesr_model.errors import RobotError
+from hesr_model.excitation import ExcitationSettings, condition, random_motions
+from hesr_model.friction.evaluate import predict
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.lugre import LuGre
+from hesr_model.motion_limits import MotionLimits
+from hesr_model.noise import standard_normal
+from hesr_model.rigid_body import LEAST_PEAK
+from hesr_model.robot import RobotModel
+from hesr_model.robot_log import RobotLog
+from hesr_model.trajectories import Fourier
+
+Array = NDArray[np.float64]
+
+RATE = 200.0
+"""[Hz]"""
+
+_PERIOD = 20.0
+_HARMONICS = 5
+_CANDIDATES = 8
+
+_FINER = 10
+"""Friction is simulated at so many times the rate: it does not know when samples are taken."""
+
+_NO_LIMIT = 1e12
+"""[N.m] Simulated joints may have any torque; effort limits of model files are often invented."""
+
+# Relative to the largest rigid-body torque of the joint, but at least of the robot / 20.
+_COULOMB, _VISCOUS, _TORQUE_NOISE = 0.15, 0.15, 0.005
+_STATIC = 1.3  # to Coulomb
+_STRIBECK = 0.05  # of the peak velocity
+_DEFLECTION = 1e-3  # of the travel
+_POSITION_NOISE, _VELOCITY_NOISE = 5e-6, 5e-4  # of travel and of peak velocity
+
+
+def sample_logs(model: RobotModel) -> tuple[RobotLog, RobotLog]:
+    """Simulate two random Fourier motions of 20 s: one to train on, one to test.
+
+    Torque is that of the model file's rigid body, of LuGre friction (eq. 1-3) and of noise.
+
+    Raises
+    ------
+    RobotError
+        If the model file allows a joint no motion that is fast enough to be identified.
+    """
+    limits = MotionLimits(torque=(_NO_LIMIT,) * model.n)
+    settings = ExcitationSettings(
+        harmonics=_HARMONICS, period=(_PERIOD, _PERIOD), sample_rate=RATE, limits=limits
+    )
+    base = base_columns(model)
+    candidates = random_motions(model, settings, _CANDIDATES, 0)
+    training = min(candidates, key=lambda motion: condition(model, base, motion))
+    (test,) = random_motions(model, settings, 1, 1)
+    laws = _friction(model, training)
+    return (
+        _simulated(model, training, laws, name="sample_training", seed=1),
+        _simulated(model, test, laws, name="sample_test", seed=2),
+    )
+
+
+def _friction(model: RobotModel, motion: Fourier) -> list[FrictionLaw]:
+    """LuGre laws whose size follows from what a motion takes of each joint."""
+    q, dq, ddq = motion.sample(np.arange(round(_PERIOD * RATE)) / RATE)
+    speed, travel = np.abs(dq).max(axis=0), np.ptp(q, axis=0)
+    for joint, peak in zip(model.description.joints, speed, strict=True):
+        if peak <= LEAST_PEAK:
+            raise RobotError(
+                f"robot '{model.description.name}': the limits of joint '{joint}' admit no motion "
+                f"faster than {peak:.2g} rad/s (m/s); identification needs more than "
+                f"{LEAST_PEAK:g}, so leave the joint out."
+            )
+    return [
+        FrictionLaw(
+            name=LuGre.name,
+            form=LuGre.form({}),
+            values={
+                "sigma_0": _COULOMB * level / (_DEFLECTION * reach),
+                "sigma_1": 0.0,
+                "sigma_2": _VISCOUS * level / peak,
+                "F_c": _COULOMB * level,
+                "F_s": _STATIC * _COULOMB * level,
+                "v_s": _STRIBECK * peak,
+                "tau_0": 0.0,
+            },
+        )
+        for level, peak, reach in zip(_levels(model, q, dq, ddq), speed, travel, strict=True)
+    ]
+
+
+def _levels(model: RobotModel, q: Array, dq: Array, ddq: Array) -> Array:
+    """Size of the torques of each joint (n,) [N.m]: for a model without masses 1."""
+    peaks = np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0)
+    levels: Array = np.maximum(peaks, peaks.max() / 20.0)
+    return np.where(levels > 0.0, levels, 1.0)
+
+
+def _simulated(
+    model: RobotModel, motion: Fourier, laws: list[FrictionLaw], *, name: str, seed: int
+) -> RobotLog:
+    fine = np.arange(round(_PERIOD * RATE) * _FINER + 1) / (RATE * _FINER)
+    velocity = motion.sample(fine)[1]
+    friction = np.column_stack(
+        [predict(law, t=fine, dq=v)[::_FINER] for law, v in zip(laws, velocity.T, strict=True)]
+    )
+    t = fine[::_FINER]
+    q, dq, ddq = motion.sample(t)
+    tau = model.torque(model.nominal_parameters, q, dq, ddq) + friction
+    size = np.array([law.values["F_c"] for law in laws]) / _COULOMB
+    streams, rows = np.arange(3 * model.n), np.arange(len(t))
+    noise = standard_normal(seed, streams[None, :], rows[:, None]).reshape(len(t), 3, model.n)
+    return RobotLog(
+        name=name,
+        t=t,
+        q=q + _POSITION_NOISE * np.ptp(q, axis=0) * noise[:, 0],
+        dq=dq + _VELOCITY_NOISE * np.abs(dq).max(axis=0) * noise[:, 1],
+        tau=tau + _TORQUE_NOISE * size * noise[:, 2],
+    )

@@ -1,0 +1,1 @@
+"""The property battery: the same experiments on every friction law, run on its FMUs."""

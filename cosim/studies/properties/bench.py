@@ -1,0 +1,200 @@
+"""Two benches: one moves the joints of a friction FMU, the other drives those of a JointDrive."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from cosim.batch import Array
+from cosim.component import Component
+from hesr_model.errors import SimulationError
+from hesr_model.friction.functions import INPUTS
+
+DISCRETISATION = "discretisation"
+_EXACT = 1.0
+_SUBSTEP = 5e-3  # [s] of FMUs of which it is not known that they bear long steps
+_FOREVER, _LONG = 1e4, 60.0  # [s] of steady sliding, with long steps and without
+
+
+class FrictionBench:
+    """A friction FMU whose joints are moved as wanted, all at once, each for itself.
+
+    Parameters
+    ----------
+    component : the loaded FMU.
+    places : (n,) position of each joint where it is at rest [rad]; zero where not given.
+
+    Attributes
+    ----------
+    joints : how many there are.
+    exact : whether the FMU integrates its states exactly over a step of any length on request, as
+        ours do.
+    forever : how long steady sliding takes [s].
+
+    Raises
+    ------
+    SimulationError
+        If the FMU has not the connectors of a friction FMU.
+    """
+
+    def __init__(self, component: Component, places: Array | None = None) -> None:
+        names = {v.name for v in component.description.modelVariables}
+        self.joints = sum(name.startswith("tau[") for name in names)
+        wanted = [f"{u.name}[{i}]" for u in INPUTS for i in range(1, max(self.joints, 1) + 1)]
+        for name in ("tau[1]", *wanted):
+            if name not in names:
+                raise SimulationError(
+                    f"{component.fmu}: no friction FMU, since there is no '{name}'; needed are the "
+                    "inputs dq[i], q[i], tau_load[i] and the outputs tau[i]."
+                )
+        self.places = np.zeros(self.joints) if places is None else places
+        self.exact = DISCRETISATION in names
+        self.forever = _FOREVER if self.exact else _LONG
+        self._component = component
+        self._inputs = component.batch(wanted)
+        self._outputs = component.batch([f"tau[{i}]" for i in range(1, self.joints + 1)])
+        self._time = 0.0
+
+    def start(self, *, load: float | Array, exact: bool = True, dq: Array | None = None) -> Array:
+        """Begin anew, at rest or at a velocity; return the (n,) torque there.
+
+        Parameters
+        ----------
+        load : of each joint [N.m], held until the next start.
+        exact : integrate exactly, whatever the law's own discretisation, where the FMU can.
+        dq : (n,) velocity [rad/s].
+        """
+        component, n = self._component, self.joints
+        if component.used:
+            component.reset()
+        chosen = {DISCRETISATION: _EXACT} if exact and self.exact else {}
+        component.enter_initialisation(start=chosen)
+        self._inputs.values[:n] = 0.0 if dq is None else dq
+        self._inputs.values[n : 2 * n] = self.places
+        self._inputs.values[2 * n :] = load
+        self._inputs.write()
+        component.exit_initialisation()
+        self._time = 0.0
+        return self._outputs.read().copy()
+
+    def step(self, dt: float, dq: Array, q: Array) -> Array:
+        """Hold velocities dq (n,) [rad/s] at places q (n,) [rad] for a time [s]; return the torque.
+
+        It is (n,) [N.m], good until the next step.
+        """
+        n, inputs = self.joints, self._inputs
+        inputs.values[:n] = dq
+        inputs.values[n : 2 * n] = q
+        inputs.write()
+        self._component.step(self._time, dt)
+        self._time += dt
+        return self._outputs.read()
+
+    def move(self, dt: Array, dq: Array, q: Array | None = None) -> Array:
+        """Hold velocities one after the other.
+
+        Parameters
+        ----------
+        dt : (K,) how long each is held [s].
+        dq : (K, n) [rad/s].
+        q : (K, n) position that the FMU is told [rad]; where not given it is told that the joint
+            stays at its place, so that what depends on position does not mix in.
+
+        Returns
+        -------
+        (K, n) torque at the end of each [N.m].
+        """
+        tau = np.empty_like(dq)
+        told = np.broadcast_to(self.places, dq.shape) if q is None else q
+        for k, seconds in enumerate(dt.tolist()):
+            parts = 1 if self.exact else max(1, int(np.ceil(seconds / _SUBSTEP)))
+            for _ in range(parts):
+                tau[k] = self.step(seconds / parts, dq[k], told[k])
+        return tau
+
+
+@contextmanager
+def friction_bench(fmu: Path, places: Array | None = None) -> Iterator[FrictionBench]:
+    """Load a friction FMU onto a bench, its joints at places (n,) [rad] where not told."""
+    with Component(fmu) as component:
+        yield FrictionBench(component, places)
+
+
+class DriveBench:
+    """A JointDrive whose joints get motor torque, and a link where they have a spring.
+
+    Parameters
+    ----------
+    component : the loaded FMU.
+    places : (n,) where the joints start [rad].
+    """
+
+    def __init__(self, component: Component, places: Array) -> None:
+        self.joints = n = len(places)
+        self.places = places
+        self._component = component
+        names = ("tau_motor", "q_link", "dq_link", "tau_load")
+        self._inputs = component.batch([f"{x}[{i}]" for x in names for i in range(1, n + 1)])
+        self._outputs = component.batch(
+            [f"{x}[{i}]" for x in ("q", "dq", "tau_f") for i in range(1, n + 1)]
+        )
+        self._time = 0.0
+
+    def start(self, *, load: float | Array, torque: Array, stiffness: Array | None = None) -> None:
+        """Begin at rest under a torque (n,) [N.m], the link where the joint is.
+
+        The load is that of every joint [N.m], the stiffness (n,) that of its flexspline [N.m/rad].
+        """
+        component, n = self._component, self.joints
+        if component.used:
+            component.reset()
+        start: Mapping[str, float] = {
+            f"{name}[{i}]": float(values[i - 1])
+            for name, values in (("q_start", self.places), ("stiffness", stiffness))
+            if values is not None
+            for i in range(1, n + 1)
+        }
+        component.enter_initialisation(start=start)
+        self._inputs.values[:] = 0.0
+        self._inputs.values[:n] = torque
+        self._inputs.values[n : 2 * n] = self.places
+        self._inputs.values[3 * n :] = load
+        self._inputs.write()
+        component.exit_initialisation()
+        self._time = 0.0
+
+    def step(self, dt: float) -> Array:
+        """Go on; return q, dq and friction torque, (3, n) in SI units, good until the next step."""
+        self._inputs.write()
+        self._component.step(self._time, dt)
+        self._time += dt
+        return self._outputs.read().reshape(3, self.joints)
+
+    @property
+    def torque(self) -> Array:
+        """(n,) motor torque [N.m], to be set in place."""
+        return self._inputs.values[: self.joints]
+
+    @property
+    def link(self) -> Array:
+        """(n,) position of the link [rad], to be set in place."""
+        return self._inputs.values[self.joints : 2 * self.joints]
+
+    def run(self, dt: Array, feed: Callable[[int], None]) -> Array:
+        """Return q, dq and tau_f over steps, (3, K, n) in SI units.
+
+        `feed` sets the inputs of each step, dt (K,) [s] is how long they are.
+        """
+        found = np.empty((3, len(dt), self.joints))
+        for k, seconds in enumerate(dt.tolist()):
+            feed(k)
+            found[:, k] = self.step(seconds)
+        return found
+
+
+@contextmanager
+def drive_bench(fmu: Path, places: Array) -> Iterator[DriveBench]:
+    """Load a JointDrive onto a bench, its joints at places (n,) [rad]."""
+    with Component(fmu) as component:
+        yield DriveBench(component, places)

@@ -1,0 +1,180 @@
+"""Pre-sliding: the loop in position at small amplitude, and the memory of reversal points."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cosim.batch import Array
+from cosim.studies.properties.bench import FrictionBench
+from cosim.studies.properties.curves import curve
+from cosim.studies.properties.scale import Scale
+from hesr_model.friction.expectations import CLOSED, INNER, RATE, SMOOTH
+from hesr_model.friction.properties import Figure, Finding, Plot
+
+PERIOD, SLOW_PERIOD = 4.0, 40.0
+"""Of the loops [s]."""
+_CYCLES = 3  # of which the last is measured
+_JUMP, _STIFF = 5e-4, 0.025
+"""Shares of a branch: by the first the torque has jumped, by the second it shows its stiffness."""
+_BRANCH = np.concatenate([[_JUMP, 5e-3, _STIFF], np.linspace(0.05, 1.0, 39)])
+_TURN = 0.75  # share of the rising branch at which an inner loop begins
+_DEPTH = np.concatenate(
+    [[2.0 * _JUMP, 0.01], np.linspace(0.05, 0.5, 10)]
+)  # how far it goes back, in amplitudes of the outer loop
+_AT_ONCE = 0.99  # of the height; more is no loop in position
+_LITTLE = 1e-9  # [N.m]; a loop of less height is none
+
+
+def presliding(bench: FrictionBench, scale: Scale) -> list[Finding]:
+    """Move the joints to and fro by their deflection, fast and ten times slower."""
+    loops = [_loop(bench, scale, period) for period in (PERIOD, SLOW_PERIOD)]
+    return [
+        _judged(*(tau[:, joint] for tau in loops), float(amplitude))
+        for joint, amplitude in enumerate(scale.deflection)
+    ]
+
+
+def memory(bench: FrictionBench, scale: Scale, states: Sequence[int | None]) -> list[Finding]:
+    """Turn back on the rising branch of the slow loop, return, and go on.
+
+    Slowly, so that what a law keeps for a time only is forgotten on the way.
+
+    Parameters
+    ----------
+    bench : with the FMU.
+    scale : sizes of its joints.
+    states : how many states each joint's law has; None where it is not known.
+    """
+    turn = int(np.searchsorted(_BRANCH, _TURN))
+    loop = _loop(bench, scale, SLOW_PERIOD)
+    # The loop has ended at +A: once down, up to the turning point, and into the inner loop.
+    _branch(bench, scale, SLOW_PERIOD, -1.0, _BRANCH)
+    up = _branch(bench, scale, SLOW_PERIOD, 1.0, _BRANCH[: turn + 1])
+    down = _branch(bench, scale, SLOW_PERIOD, -1.0, 0.5 * _DEPTH)
+    again = _branch(bench, scale, SLOW_PERIOD, 1.0, 0.5 * _DEPTH)
+    on = _branch(bench, scale, SLOW_PERIOD, 1.0, _BRANCH[turn + 1 :] - _BRANCH[turn])
+    inner = np.concatenate([up[-1:], down, again])
+    return [
+        _remembered(loop[:, j], inner[:, j], on[:, j], float(scale.deflection[j]), states[j])
+        for j in range(bench.joints)
+    ]
+
+
+def _branch(bench: FrictionBench, scale: Scale, period: float, way: float, shares: Array) -> Array:
+    """Move by shares of the loop's width, and return the torque (K, n) there."""
+    speed = way * 4.0 * scale.deflection / period
+    dt = 0.5 * period * np.diff(shares, prepend=0.0)
+    return bench.move(dt, np.broadcast_to(speed, (len(dt), len(speed))))
+
+
+def _loop(bench: FrictionBench, scale: Scale, period: float) -> Array:
+    """Return the torque over a settled loop: the falling branch, then the rising one."""
+    bench.start(load=scale.load)
+    _branch(bench, scale, period, 1.0, np.array([0.5]))
+    for _ in range(_CYCLES):
+        tau = [_branch(bench, scale, period, way, _BRANCH) for way in (-1.0, 1.0)]
+    return np.concatenate(tau)
+
+
+def _positions(amplitude: float) -> Array:
+    rising = amplitude * (2.0 * _BRANCH - 1.0)
+    return np.concatenate([-rising, rising])
+
+
+def _area(tau: Array, amplitude: float) -> float:
+    """Return the work in a loop [J]; it closes where it began."""
+    x = _positions(amplitude)
+    return float(np.trapezoid(np.append(tau, tau[0]), np.append(x, x[0])))
+
+
+def _judged(fast: Array, slow: Array, amplitude: float) -> Finding:
+    half = len(_BRANCH)
+    height = float(np.ptp(fast))
+    area, slow_area = (_area(tau, amplitude) for tau in (fast, slow))
+    jump = float(fast[half - 1] - fast[half])
+    at = int(np.searchsorted(_BRANCH, _STIFF))
+    way = 2.0 * amplitude * (_BRANCH[at] - _BRANCH[0])
+    stiffness = float(fast[half + at] - fast[half]) / way
+    share = abs(jump) / height if height > _LITTLE else 0.0
+    ratio = slow_area / area if abs(area) > _LITTLE * amplitude else 0.0
+    wrong = []
+    if area <= 0.0:
+        wrong.append("The loop gives energy.")
+    if share > _AT_ONCE:
+        wrong.append("There is no pre-sliding: the torque turns around at once.")
+    elif share > SMOOTH:
+        wrong.append(f"The torque jumps by {share:.0%} of the loop's height at a reversal.")
+    if stiffness < 0.0:
+        wrong.append("After a reversal the torque goes the wrong way.")
+    if abs(ratio - 1.0) > RATE:
+        wrong.append(
+            f"At a tenth of the speed the loop takes {ratio:.2g} times the work: it is one of "
+            "velocity and time, not of position."
+        )
+    x = _positions(amplitude)
+    return Finding(
+        verdict="fail" if wrong else "pass",
+        figures=(
+            Figure(name="stiffness after a reversal", value=stiffness, unit="N.m/rad"),
+            Figure(name="area of the loop", value=area, unit="J"),
+            Figure(name="area at a tenth of the speed, relative", value=ratio, unit="1"),
+            Figure(name="jump at a reversal, of the height", value=share, unit="1"),
+            Figure(name="amplitude", value=amplitude, unit="rad"),
+        ),
+        reason=" ".join(wrong),
+        plot=Plot(
+            x="position [mrad]",
+            y="torque [N.m]",
+            curves=(
+                curve(f"{PERIOD:g} s", 1e3 * x, fast, closed=True),
+                curve(f"{SLOW_PERIOD:g} s", 1e3 * x, slow, closed=True),
+            ),
+        ),
+    )
+
+
+def _remembered(
+    loop: Array, inner: Array, on: Array, amplitude: float, states: int | None
+) -> Finding:
+    """Judge an inner loop and how it goes on after that by the outer loop, whose end rises."""
+    height = max(float(np.ptp(loop)), _LITTLE)
+    outer = loop[-len(_BRANCH) :]
+    miss = float(inner[-1] - inner[0]) / height
+    onwards = float(np.max(np.abs(on - outer[-len(on) :]))) / height
+    depth = float(np.ptp(inner)) / height
+    wrong = []
+    if depth > INNER:
+        wrong.append(f"The inner loop is as high as the outer one ({depth:.0%}): nothing is kept.")
+    if max(abs(miss), onwards) > CLOSED:
+        wrong.append(
+            f"The inner loop misses its beginning by {abs(miss):.1%} of the outer one's height, "
+            f"and what follows is off by up to {onwards:.1%}."
+        )
+    if wrong and states == 1:
+        wrong.append("One first-order state cannot have non-local memory.")
+    if wrong and states == 0:
+        wrong.append("A law without a state has no memory.")
+    turn = 2.0 * _TURN - 1.0
+    into = turn - np.concatenate([[0.0], _DEPTH, _DEPTH[-1] - _DEPTH])
+    return Finding(
+        verdict="fail" if wrong else "pass",
+        figures=(
+            Figure(
+                name="miss of the closed inner loop, of the height",
+                # A loop as high as the outer one closes because nothing is kept: no merit.
+                value=None if depth > INNER else abs(miss),
+                unit="1",
+            ),
+            Figure(name="largest difference after it, of the height", value=onwards, unit="1"),
+            Figure(name="height of the inner loop, of the outer", value=depth, unit="1"),
+        ),
+        reason=" ".join(wrong),
+        plot=Plot(
+            x="position [mrad]",
+            y="torque [N.m]",
+            curves=(
+                curve("outer", 1e3 * amplitude * (2.0 * _BRANCH - 1.0), outer),
+                curve("inner", 1e3 * amplitude * into, inner),
+            ),
+        ),
+    )

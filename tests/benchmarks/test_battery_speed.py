@@ -1,0 +1,33 @@
+"""How long the property battery takes on all laws of a robot."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from pytest_benchmark.fixture import BenchmarkFixture
+from registry_models import models_of_registry
+
+from cosim.studies.properties.battery import Subject, run_battery
+
+JOINTS = 3
+
+
+def test_the_battery_on_all_laws(benchmark: BenchmarkFixture, tell: Callable[[str], None]) -> None:
+    """Aim: 60 s for all laws of the registry on three joints, FMUs built, on two cores."""
+    benchmark.group = "property battery"
+    subjects = [
+        Subject(
+            name=model.law,
+            model=replace(
+                model,
+                joints=tuple(f"j{k}" for k in range(1, JOINTS + 1)),
+                laws=model.laws * JOINTS,
+                trained=model.trained * JOINTS,
+            ),
+            inertia=(0.5,),
+        )
+        for model in models_of_registry()
+    ]
+    found = benchmark.pedantic(lambda: run_battery(subjects), rounds=1)
+    assert len(found) == len(subjects)
+    seconds = benchmark.stats.stats.min
+    tell(f"{len(subjects)} laws of {JOINTS} joints through ten experiments in {seconds:.1f} s")

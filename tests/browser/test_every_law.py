@@ -1,0 +1,137 @@
+"""WebAssembly against Python and a binary: every law, on the FMU's reference motion."""
+
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from live_page import SAME, alive, error, expected, field, saved, slider
+from registry_models import models_of_registry
+
+from cosim.component import Component
+from fmu_src import export_fmu, model_file
+from fmu_src.friction.export import live_of
+from fmu_src.friction.reference import reference_motion
+from fmu_src.friction.settings import Motion, torques
+from fmu_src.live.page import live_assets, live_section
+from hesr_model.artifacts import read_model
+from hesr_model.friction.estimator import registry
+from hesr_model.friction.law import FrictionModel
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+# An importer of its own, which shares nothing with the page's but the module.
+RUN = """async ([motion, joints, step]) => {
+  const bytes = Uint8Array.from(atob(globalThis.packed), (c) => c.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const module = await WebAssembly.compile(await new Response(stream).arrayBuffer());
+  if (WebAssembly.Module.imports(module).length) throw new Error("it imports something");
+  const fmu = (await WebAssembly.instantiate(module)).exports;
+  fmu._initialize();
+  const check = (status) => { if (status) throw new Error(`status ${status}`); };
+  check(fmu.live_reset());
+  const put = (row) => row.forEach((u, i) => check(fmu.live_set(i, u)));
+  const read = () => Array.from({ length: joints }, (_, i) => fmu.live_get(3 * joints + i));
+  put(motion[0]);
+  check(fmu.live_initialise());
+  const found = [read()];
+  for (let k = 1; k < motion.length; k++) {
+    put(motion[k]);
+    check(fmu.live_step((k - 1) * step, step));
+    found.push(read());
+  }
+  return found;
+}"""
+
+
+@pytest.fixture(scope="module")
+def models() -> dict[str, FrictionModel]:
+    table1 = read_model(model_file("uf850-table1"))
+    return {"table1": table1} | {model.law: model for model in models_of_registry()}
+
+
+def in_browser(page: "Page", data: dict[str, Any], motion: Motion, step: float) -> np.ndarray:
+    """Torques (N, n) of the module in a page, stepped as a log is replayed."""
+    page.evaluate("(text) => { globalThis.packed = text; }", data["module"])
+    rows = np.column_stack([motion.dq, motion.q, motion.tau_load])
+    return np.array(page.evaluate(RUN, [rows.tolist(), motion.dq.shape[1], step]))
+
+
+def in_binary(path: Path, motion: Motion, step: float) -> np.ndarray:
+    """The same from the FMU's binary of this machine."""
+    joints = range(1, motion.dq.shape[1] + 1)
+    with Component(path) as component:
+        inputs = component.batch([f"{u}[{i}]" for u in ("dq", "q", "tau_load") for i in joints])
+        tau = component.batch([f"tau[{i}]" for i in joints])
+        rows = np.column_stack([motion.dq, motion.q, motion.tau_load])
+        component.initialise(start=dict(zip(
+            (f"{u}[{i}]" for u in ("dq", "q", "tau_load") for i in joints), rows[0], strict=True
+        )))  # fmt: skip
+        found = []
+        for k, row in enumerate(rows):
+            if k:
+                inputs.values[:] = row
+                inputs.write()
+                component.step((k - 1) * step, step)
+            tau.read()
+            found.append(tau.values.copy())
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def live(models: dict[str, FrictionModel]) -> Callable[[str], dict[str, Any]]:
+    """Data of a model's live section, made once."""
+    return lru_cache(maxsize=None)(lambda name: live_of(models[name]))
+
+
+@pytest.fixture
+def page_of(
+    live: Callable[[str], dict[str, Any]], open_page: Callable[..., "Page"], tmp_path: Path
+) -> Callable[[str], "Page"]:
+    def page(name: str) -> "Page":
+        path = tmp_path / "page.html"
+        path.write_text(
+            '<!DOCTYPE html><meta charset="utf-8">' + live_section(live(name)) + live_assets(),
+            encoding="utf-8",
+        )
+        return alive(open_page(path))
+
+    return page
+
+
+EVERY = ("table1", *registry())
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_the_module_gives_what_python_gives(
+    name: str, models: dict[str, FrictionModel], live: Callable[[str], dict[str, Any]],
+    page_of: Callable[[str], "Page"], tmp_path: Path,
+) -> None:  # fmt: skip
+    model = models[name]
+    motion = reference_motion(model)
+    found = in_browser(page_of(name), live(name), motion, model.sample_time)
+    assert error(found, torques(model, motion, "direct")) < SAME
+    if name == "table1":
+        fmu = export_fmu(model, tmp_path / "F.fmu")
+        assert error(found, in_binary(fmu, motion, model.sample_time)) < SAME
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_every_law_follows_its_first_slider(
+    name: str, models: dict[str, FrictionModel], live: Callable[[str], dict[str, Any]],
+    page_of: Callable[[str], "Page"],
+) -> None:  # fmt: skip
+    law, page = models[name].laws[0], page_of(name)
+    first = live(name)["joints"][0]["coefficients"][0]["name"]
+    slider(page, first).fill("0.8")
+    value = float(field(page, first).input_value())
+    columns = saved(page)
+    if first == "scale[1]":
+        wanted = value * expected(law, columns)
+    else:
+        wanted = expected(law, columns, **{first: value})
+    assert error(columns["tau"], wanted) < SAME
+    assert error(columns["tau"], columns["tau_fitted"]) > 1e-3

@@ -1,0 +1,252 @@
+"""The report in a browser: whole, alive, readable by everyone."""
+
+import json
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from small_results import write_results
+
+from cosim.figures.style import SERIES, VARIABLES
+
+if TYPE_CHECKING:
+    from conftest import OpenPage
+    from playwright.sync_api import Locator, Page
+
+RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
+TABLE = "trial & error: RMSE of the predicted torque [N.m] over all rows"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_results(tmp_path_factory.mktemp("results"))
+
+
+@pytest.fixture
+def report(results: Path) -> Path:
+    return results / "report.html"
+
+
+@pytest.fixture(scope="module")
+def axe() -> str:
+    pytest.importorskip("axe_playwright_python", reason="axe-core is not installed")
+    return (files("axe_playwright_python") / "axe.min.js").read_text(encoding="utf-8")
+
+
+def unfold(page: "Page") -> None:
+    page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
+
+
+def zoomed(page: "Page", key: str) -> "Locator":
+    figure = page.locator(f"#figure-{key}")
+    figure.get_by_role("button", name="Zoom in").click()
+    figure.locator(".zoom .bk-Canvas").first.wait_for()
+    figure.get_by_role("button", name="Back to the picture").wait_for()
+    return figure
+
+
+def ranges(page: "Page") -> list[list[float]]:
+    """Start and end of the horizontal axis of every plot that zooms."""
+    found: list[list[float]] = page.evaluate(
+        """() => Bokeh.documents.flatMap(d => [...d.all_models])
+             .filter(m => m.type === "Figure")
+             .map(m => [m.x_range.start, m.x_range.end])"""
+    )
+    return found
+
+
+def test_every_figure_is_drawn(open_page: "OpenPage", report: Path) -> None:
+    page = open_page(report)
+    unfold(page)
+    drawings = page.locator(".drawing svg")
+    assert drawings.count() == page.locator("figure.figure").count() > 10
+    for drawing in drawings.all():
+        box = drawing.bounding_box()
+        assert box is not None
+        assert box["width"] > 400
+        assert box["height"] > 100
+        assert drawing.locator("path").count() > 5
+        inside = drawing.evaluate("e => { const b = e.getBBox(); return [b.width, b.height]; }")
+        assert min(inside) > 100
+
+
+def test_a_view_zooms_and_all_panels_follow(open_page: "OpenPage", report: Path) -> None:
+    page = open_page(report)
+    figure = zoomed(page, "torque_1")
+    assert not figure.locator(".drawing").is_visible()
+    before = ranges(page)
+    assert len(before) == 6
+    assert before[0][1] - before[0][0] > 4.5
+    frame = figure.locator(".bk-Canvas").first
+    frame.scroll_into_view_if_needed()
+    box = frame.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 0.4 * box["height"])
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.7 * box["height"], steps=8)
+    page.mouse.up()
+    page.wait_for_function(
+        "() => { const f = [...Bokeh.documents[0].all_models].find(m => m.type === 'Figure');"
+        " return f.x_range.end - f.x_range.start < 2.5; }"
+    )
+    assert all(found == ranges(page)[0] for found in ranges(page))
+    assert ranges(page)[0][0] > before[0][0] + 0.5
+    figure.get_by_role("button", name="Back to the picture").click()
+    assert figure.locator(".drawing").is_visible()
+    assert page.evaluate("Bokeh.documents.flatMap(d => d.roots()).length") == 0
+
+
+def test_a_name_hides_its_lines(open_page: "OpenPage", report: Path) -> None:
+    page = open_page(report)
+    figure = zoomed(page, "torque_1")
+    shown = """() => [...Bokeh.documents[0].all_models]
+        .filter(m => m.type === "GlyphRenderer" && m.name === "Stribeck").map(m => m.visible)"""
+    assert page.evaluate(shown) == [True] * 6
+    figure.get_by_role("button", name="Stribeck").click()
+    assert page.evaluate(shown) == [False] * 6
+    assert figure.get_by_role("button", name="Stribeck").get_attribute("aria-pressed") == "false"
+
+
+def test_every_view_zooms(open_page: "OpenPage", report: Path) -> None:
+    page = open_page(report)
+    buttons = page.get_by_role("button", name="Zoom in")
+    count = buttons.count()
+    assert count == page.locator("script[id^=zoom-]").count() - 1 == 5  # one is the library
+    for _ in range(count):
+        buttons.first.click()
+        page.locator(".bk-Canvas").first.wait_for()
+    page.get_by_role("button", name="Back to the picture").nth(count - 1).wait_for()
+    assert page.evaluate("Bokeh.documents.flatMap(d => d.roots()).length") == count
+
+
+def test_a_dark_page_has_dark_views(open_page: "OpenPage", report: Path) -> None:
+    page = open_page(report, color_scheme="dark")
+    zoomed(page, "torque_1")
+    colour = """() => { const m = [...Bokeh.documents[0].all_models]
+        .find(m => m.type === "Title"); return JSON.stringify(m.text_color); }"""
+    assert "#e3e8ef" in page.evaluate(colour)
+
+
+def copied_rows(text: str) -> list[list[str]]:
+    return [line.split(",") for line in text.strip().splitlines()]
+
+
+def copy(page: "Page") -> None:
+    page.get_by_role("button", name=f"Copy as CSV: {TABLE}").click()
+    page.get_by_role("status").get_by_text("Copied as CSV.").wait_for()
+
+
+def require_scores(text: str, results: Path) -> None:
+    """The CSV has every digit that was saved."""
+    scores = json.loads((results / "evaluation.json").read_text())["trial & error"]
+    rows = {row[0]: row[1:] for row in copied_rows(text)}
+    assert rows["law"][::2] == ["J1", "J2", "J3"]
+    stribeck = [float(cell) for cell in rows["Stribeck"][::2]]
+    assert stribeck == scores["laws"]["stribeck"]["rmse"]
+
+
+def test_a_table_is_copied(open_page: "OpenPage", report: Path, results: Path) -> None:
+    page = open_page(report)
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    copy(page)
+    require_scores(page.evaluate("navigator.clipboard.readText()"), results)
+
+
+def test_a_table_is_copied_where_there_is_no_clipboard(
+    open_page: "OpenPage", report: Path, results: Path
+) -> None:
+    page = open_page(report, prepare="delete Navigator.prototype.clipboard")
+    copy(page)
+    page.evaluate("document.body.append(document.createElement('textarea'))")
+    page.locator("body > textarea").focus()
+    page.keyboard.press("Control+V")
+    require_scores(page.locator("body > textarea").input_value(), results)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_accessibility_checker_finds_nothing(
+    open_page: "OpenPage", report: Path, axe: str, scheme: str
+) -> None:
+    page = open_page(report, color_scheme=scheme)
+    zoomed(page, "torque_1")
+    unfold(page)
+    page.evaluate(axe)
+    found: dict[str, Any] = page.evaluate("rules => axe.run({runOnly: rules})", RULES)
+    assert [(v["id"], v["nodes"][0]["html"]) for v in found["violations"]] == []
+    passed = {rule["id"] for rule in found["passes"]}
+    assert {"color-contrast", "document-title", "html-has-lang", "svg-img-alt"} & passed
+    assert "color-contrast" in passed
+
+
+def luminance(colour: str) -> float:
+    parts = [int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
+    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def contrast(one: str, other: str) -> float:
+    high, low = sorted((luminance(one), luminance(other)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_lines_and_letters_of_figures_stand_out(
+    open_page: "OpenPage", report: Path, scheme: str
+) -> None:
+    """The checker does not look into figures."""
+    page = open_page(report, color_scheme=scheme)
+    colour = "name => getComputedStyle(document.documentElement).getPropertyValue(name).trim()"
+    found = {name: page.evaluate(colour, name) for name in (*VARIABLES.values(), "--paper")}
+    paper = found["--paper"].replace("#fff", "#ffffff") if len(found["--paper"]) == 4 else found[
+        "--paper"]  # fmt: skip
+    for k in range(len(SERIES)):
+        assert contrast(found[f"--c{k + 1}"], paper) >= 3.0, k
+    assert contrast(found["--ink"], paper) >= 4.5
+    assert contrast(found["--soft"], paper) >= 4.5
+
+
+def test_a_phone(open_page: "OpenPage", report: Path) -> None:
+    page = open_page(report, viewport={"width": 390, "height": 844}, is_mobile=True, has_touch=True)
+    unfold(page)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    zoomed(page, "rigid_body")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+def test_paper_has_the_figures_and_nothing_to_click(open_page: "OpenPage", report: Path) -> None:
+    page = open_page(report)
+    page.emulate_media(media="print")
+    assert page.locator("#figure-torque_1 .drawing svg").is_visible()
+    for part in ("nav", "button.copy", "button.to-zoom"):
+        assert not page.locator(part).first.is_visible()
+    assert len(page.pdf(format="A4")) > 50_000
+
+
+def test_without_scripts_it_can_be_read(open_page: "OpenPage", report: Path) -> None:
+    page = open_page(report, java_script_enabled=False)
+    assert page.get_by_role("heading", name="Prediction on unseen motions").is_visible()
+    assert page.locator("#figure-torque_1 .drawing svg").is_visible()
+
+
+@pytest.fixture
+def live(open_page: "OpenPage", report: Path) -> "Page":
+    page = open_page(report)
+    page.locator(".live-app").first.wait_for()
+    return page
+
+
+def test_a_law_is_chosen_and_moves(live: "Page") -> None:
+    names = live.locator("#live-law").locator("option").all_inner_texts()
+    assert "ParFam-H" in names
+    live.locator("#live-law").select_option(label="ParFam-H")
+    law = live.locator('.live-law[data-law="parfam_h"]')
+    law.locator(".live-app").wait_for()
+    assert live.locator(".live-law:visible").count() == 1
+    before = law.locator("path.live-now").get_attribute("d")
+    law.locator(".live-coefficients input[type=range]").first.fill("0.9")
+    live.wait_for_function(
+        "before => document.querySelector('.live-law[data-law=parfam_h] path.live-now')"
+        ".getAttribute('d') !== before",
+        arg=before,
+    )

@@ -1,0 +1,196 @@
+"""A law of somebody else's package takes part in everything, without a line changed in HESR.
+
+The package is the example of docs/add-a-law.md, laid as `pip install` lays it: its module, and its
+entry points in the metadata.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from documents import ROOT, block
+from small_twin import GAINS, MOTIONS
+
+from fmu_src.check.run import check
+from hesr_model.files import models_folder
+
+LAW, TITLE = "smooth_coulomb", "Smooth Coulomb"
+
+MODULE = block("add-a-law.md", "python")
+PROJECT = tomllib.loads(block("add-a-law.md", "toml"))["project"]
+
+UF850 = models_folder() / "uf850"
+
+STUDY = f"""
+name = "toy"
+robot = "{UF850 / "robot.toml"}"
+laws = ["{LAW}"]
+
+[twin]
+plant = "{UF850 / "plant.toml"}"
+signals = "{UF850 / "arm.toml"}"
+motions = "motions.toml"
+
+[logs]
+identification = ["excitation"]
+reversed = ["excitation_reversed"]
+test.unseen = ["trial"]
+
+[tracking]
+seeds = [11]
+duration = 1.0
+harmonics = 2
+peak_velocity = [0.3, 0.25, 0.3]
+offset = [0.0, 0.3, -1.9]
+Kx = 5.0
+sources = ["{LAW}"]
+drift = 1.0
+"""
+
+
+def installed(folder: Path, *, module: str = MODULE, law: str = LAW) -> Path:
+    """Lay the package as an installer does."""
+    points = PROJECT["entry-points"]["hesr.laws"]
+    name = PROJECT["name"].replace("-", "_")
+    metadata = folder / f"{name}-{PROJECT['version']}.dist-info"
+    metadata.mkdir(parents=True)
+    (folder / f"{points[LAW]}.py").write_text(module, encoding="utf-8")
+    (metadata / "entry_points.txt").write_text(f"[hesr.laws]\n{law} = {points[LAW]}\n")
+    (metadata / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {PROJECT['name']}\nVersion: {PROJECT['version']}\n"
+    )
+    return folder
+
+
+def run(site: Path, *command: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run Python with the package installed."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
+    return subprocess.run(
+        [sys.executable, *map(str, command)],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        check=False,
+        env=environment | {"PYTHONPATH": str(site), "COLUMNS": "120"},
+    )
+
+
+def hesr(site: Path, *arguments: object, cwd: Path) -> str:
+    """Run the command line with the package installed; return what it says."""
+    answer = run(site, "-c", "from cosim.cli import main; main()", *arguments, cwd=cwd)
+    assert answer.returncode == 0, answer.stderr
+    return answer.stdout
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return installed(tmp_path_factory.mktemp("site"))
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory, site: Path) -> Path:
+    """What `hesr run` makes of the law."""
+    folder = tmp_path_factory.mktemp("toy")
+    (folder / "motions.toml").write_text(MOTIONS, encoding="utf-8")
+    (folder / "study.toml").write_text(STUDY + GAINS, encoding="utf-8")
+    said = hesr(site, "run", "study.toml", "-o", "results", cwd=folder)
+    assert TITLE in said
+    return folder / "results"
+
+
+def read(file: Path) -> dict[str, object]:
+    return dict(json.loads(file.read_text(encoding="utf-8")))
+
+
+def test_the_example_is_short() -> None:
+    assert len(MODULE.splitlines()) < 60
+    assert PROJECT["entry-points"]["hesr.laws"].keys() == {LAW}
+
+
+def test_it_is_listed(site: Path, tmp_path: Path) -> None:
+    assert TITLE in hesr(site, "laws", cwd=tmp_path)
+
+
+def test_it_is_fitted_and_exported_by_the_command_line(site: Path, results: Path) -> None:
+    folder = results.parent
+    said = hesr(
+        site, "fit", "results/logs/excitation.csv", "--robot", UF850 / "robot.toml", "--rigid-body",
+        "results/rigid_body.json", "--law", LAW, "-o", "law.json", cwd=folder,
+    )  # fmt: skip
+    assert f"{LAW} for joint1, joint2, joint3" in said
+    hesr(site, "export", "law.json", "-o", "law.fmu", cwd=folder)
+    assert "no problem found." in hesr(site, "check", "law.fmu", cwd=folder)
+
+
+def test_a_run_scores_its_fmu_beside_the_truth(results: Path) -> None:
+    scores = read(results / "evaluation.json")["unseen"]
+    assert LAW in scores["laws"]
+    assert not check(results / "fmus" / f"{LAW}.fmu").problems
+
+
+def test_it_is_put_to_the_property_battery(results: Path) -> None:
+    assert LAW in (results / "properties.json").read_text(encoding="utf-8")
+
+
+def test_it_tracks_in_the_closed_loop(results: Path) -> None:
+    found = read(results / "closed_loop.json")
+    rows = {row["scheme"]: row for row in found["tracking"] if row["law"] == LAW}
+    assert len(rows) == 8  # two compensations: without and with Kx, measured and filtered velocity
+    assert not any(row["failures"] for row in rows.values())
+    assert any(row["law"] == LAW for row in found["long"])
+    assert any(row["law"] == LAW for row in found["sweeps"])
+
+
+def test_it_stands_in_the_report(results: Path) -> None:
+    assert TITLE in (results / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_contract_of_all_laws_is_put_to_it(site: Path) -> None:
+    tests = ROOT / "tests" / "contract" / "test_laws.py"
+    options = ("-q", "-k", LAW, "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:benchmark")
+    answer = run(site, "-m", "pytest", tests, *options, cwd=ROOT)
+    assert answer.returncode == 0, answer.stdout
+    passed = re.search(r"(\d+) passed", answer.stdout)
+    assert passed
+    # As many as any other law has that needs nothing.
+    listed = run(site, "-m", "pytest", tests, *options[:1], "-k", "stribeck", "--co", cwd=ROOT)
+    assert int(passed[1]) == listed.stdout.count("[stribeck")
+    assert int(passed[1]) > 10
+
+
+@pytest.mark.parametrize(
+    ("module", "law", "sentence"),
+    [
+        (
+            "import no_such_library",
+            LAW,
+            "law 'smooth_coulomb' of the package 'my-laws' cannot be loaded (ModuleNotFoundError: "
+            "No module named 'no_such_library'); mend the package or uninstall it.",
+        ),
+        (
+            MODULE,
+            "smooth",
+            "law 'smooth' of the package 'my-laws' is not registered by 'my_laws'; the entry point "
+            "must have the name of the law.",
+        ),
+        (
+            MODULE.replace('name = "smooth_coulomb"', 'name = "lugre"'),
+            "lugre",
+            "law 'lugre' of the package 'my-laws' cannot be loaded (ConfigError: law 'lugre' of "
+            "the module 'my_laws' has the name of one of 'hesr_model.friction.lugre'; names must "
+            "differ.); mend the package or uninstall it.",
+        ),
+    ],
+)
+def test_a_package_that_does_not_work_is_named(
+    module: str, law: str, sentence: str, tmp_path: Path
+) -> None:
+    broken = installed(tmp_path / "site", module=module, law=law)
+    answer = run(broken, "-c", "from cosim.cli import main; main()", "laws", cwd=tmp_path)
+    assert answer.returncode == 2
+    assert answer.stderr == f"hesr: {sentence}\n"

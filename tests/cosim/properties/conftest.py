@@ -1,0 +1,42 @@
+"""What the battery finds on laws of known behaviour; measured once."""
+
+from pathlib import Path
+
+import pytest
+from subjects import INERTIA, bristle, law, model, slip
+
+from cosim.studies.properties.battery import Subject, measure
+from fmu_src import model_file
+from hesr_model.artifacts import read_model
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.properties import Properties
+
+
+def put_to_test(name: str, *laws: FrictionLaw) -> Properties:
+    """Run the battery in this process."""
+    return measure(Subject(name=name, model=model(*laws), inertia=(INERTIA,)))
+
+
+@pytest.fixture(scope="session")
+def bristles() -> Properties:
+    """LuGre of one level, without viscous friction; LuGre whose level falls with speed."""
+    return put_to_test("lugre", bristle(), bristle(static=12.0, sigma_1=50.0, sigma_2=1.0))
+
+
+@pytest.fixture(scope="session")
+def maps() -> Properties:
+    """A torque that jumps with the sign of the velocity; one that is viscous and nothing else."""
+    jumps = law("stribeck", F_c=8.0, F_s=12.0, v_s=0.05, sigma_2=1.0)
+    return put_to_test("stribeck", jumps, law("stribeck", v_s=0.1, sigma_2=100.0))
+
+
+@pytest.fixture(scope="session")
+def table_1() -> Properties:
+    """The paper's law with the paper's numbers."""
+    return measure(Subject(name="table 1", model=read_model(model_file("uf850-table1"))))
+
+
+@pytest.fixture(scope="session")
+def slip_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A friction FMU that carries no law."""
+    return slip(tmp_path_factory.mktemp("slip"))

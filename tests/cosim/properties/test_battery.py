@@ -1,0 +1,265 @@
+"""The property battery on laws whose answers are known, some of them in closed form."""
+
+from dataclasses import replace
+from math import exp, tanh
+from pathlib import Path
+
+import numpy as np
+import pytest
+from subjects import INERTIA, SPEED, bristle, law, model
+
+from cosim.studies.properties.battery import Subject, measure, run_battery
+from fmu_src import export_fmu, model_file
+from hesr_model.artifacts import read_model
+from hesr_model.errors import ConfigError
+from hesr_model.friction.audit import audit
+from hesr_model.friction.expectations import EXPECTATIONS
+from hesr_model.friction.properties import Finding, Properties
+from hesr_model.friction.trained import TrainedRange
+
+LEVEL, STIFFNESS = 8.0, 8000.0  # of `bristle()`
+SLIDES = LEVEL / STIFFNESS
+"""Deflection of that bristle when it slides [rad]."""
+
+
+def finding(found: Properties, key: str, joint: int = 1) -> Finding:
+    return found.joints[joint - 1].findings[key]
+
+
+def value(found: Properties, key: str, joint: int = 1, figure: int = 0) -> float:
+    number = finding(found, key, joint).figures[figure].value
+    assert number is not None
+    return number
+
+
+# --- moved --------------------------------------------------------------------------------------
+
+
+def test_a_bristles_loop_is_that_of_its_closed_form(bristles: Properties) -> None:
+    """z = z_s - (z_s + z_r) exp(-x / z_s) from a reversal at -z_r = -z_s tanh(A / z_s) on."""
+    amplitude = bristles.joints[0].deflection
+    assert amplitude == pytest.approx(np.log(2.0) * SLIDES, rel=0.15)  # on a grid of deflections
+    turned = SLIDES * tanh(amplitude / SLIDES)
+    width = 2.0 * amplitude
+    half = SLIDES * width - (SLIDES + turned) * SLIDES * (1.0 - exp(-width / SLIDES))
+    assert finding(bristles, "presliding").verdict == "pass"
+    assert value(bristles, "presliding", figure=1) == pytest.approx(2 * STIFFNESS * half, rel=0.01)
+    steepest = STIFFNESS * (1.0 + turned / SLIDES)
+    assert value(bristles, "presliding") == pytest.approx(steepest, rel=0.03)
+    assert value(bristles, "presliding", figure=2) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_one_bristle_misses_the_point_where_it_turned_by_its_closed_form(
+    bristles: Properties,
+) -> None:
+    amplitude = bristles.joints[0].deflection
+    turned = tanh(amplitude / SLIDES)
+    at_turn = 1.0 - (1.0 + turned) * exp(-1.5 * amplitude / SLIDES)
+    e = exp(-0.5 * amplitude / SLIDES)
+    back = 1.0 - e * (2.0 - (1.0 + at_turn) * e)
+    found = finding(bristles, "memory")
+    assert found.verdict == "fail"
+    assert found.reason.endswith("One first-order state cannot have non-local memory.")
+    assert value(bristles, "memory") == pytest.approx(abs(back - at_turn) / (2 * turned), rel=0.01)
+
+
+def test_spring_sliders_remember_where_they_turned(slip_fmu: Path) -> None:
+    found = measure(Subject(name="slip", model=None, fmu=slip_fmu, inertia=(1.0,)))
+    assert finding(found, "presliding").verdict == "pass"
+    assert finding(found, "memory").verdict == "pass"
+    assert value(found, "memory") < 1e-12
+    assert value(found, "memory", figure=2) < 0.5
+
+
+def test_a_map_of_velocity_has_no_loop_no_memory_and_no_lag(maps: Properties) -> None:
+    for joint in (1, 2):
+        assert finding(maps, "presliding", joint).verdict == "fail"
+        assert finding(maps, "presliding", joint).reason.startswith(
+            "There is no pre-sliding: the torque turns around at once."
+        )
+        assert finding(maps, "memory", joint).verdict == "fail"
+        assert finding(maps, "memory", joint).figures[0].value is None
+        assert finding(maps, "memory", joint).reason.endswith(
+            "A law without a state has no memory."
+        )
+        assert finding(maps, "lag", joint).verdict == "fail"
+        assert value(maps, "lag", joint) == 0.0
+
+
+def test_a_bristle_lags_where_its_level_falls_and_not_where_it_is_constant(
+    bristles: Properties,
+) -> None:
+    assert value(bristles, "lag", 1) == 0.0
+    assert finding(bristles, "lag", 2).verdict == "pass"
+    assert value(bristles, "lag", 2) > 10.0 * value(bristles, "lag", 2, figure=1) > 0.0
+
+
+def test_what_the_audit_says_of_the_law_the_battery_says_of_its_fmu(table_1: Properties) -> None:
+    laws = read_model(model_file("uf850-table1"))
+    seen = TrainedRange(
+        sample_time=laws.sample_time, dq=(-1.2, 1.2), q=(0.0, 0.0), tau_load=(0.0, 0.0),
+        tau=(0.0, 0.0),
+    )  # fmt: skip
+    for joint, of_joint in enumerate(laws.laws, start=1):
+        expected = audit(of_joint, seen)
+        assert value(table_1, "chatter", joint) == pytest.approx(expected.chatter, rel=1e-9)
+        assert value(table_1, "work", joint) == pytest.approx(expected.generated, rel=1e-9)
+        assert expected.slope
+        assert value(table_1, "coupling", joint, figure=2) == pytest.approx(
+            expected.slope, rel=1e-6
+        )
+
+
+def test_a_law_is_run_at_the_loads_it_was_trained_at() -> None:
+    """Friction that falls with the load gives energy at the largest one only."""
+    falls = law("lugre_load", F_c=8.0, F_s=8.0, sigma_0=8000.0, v_s=0.1, mu=-0.1)
+    found = measure(Subject(name="load", model=model(falls), inertia=None))
+    assert finding(found, "work").verdict == "fail"
+    constant = replace(falls, values={**falls.values, "mu": 0.0})
+    found = measure(Subject(name="load", model=model(constant), inertia=None))
+    assert finding(found, "work").verdict == "pass"
+
+
+def test_the_load_that_is_given_counts_for_laws_that_use_it() -> None:
+    rises = law("lugre_load", F_c=8.0, F_s=8.0, sigma_0=8000.0, v_s=0.1, mu=0.1)
+    levels = [
+        measure(Subject(name="load", model=model(rises)), load=load).joints[0].level
+        for load in (0.0, 5.0)
+    ]
+    assert levels == pytest.approx([8.0, 12.0])
+
+
+# --- coupled ------------------------------------------------------------------------------------
+
+
+def test_the_step_of_viscous_friction_lies_where_it_must(maps: Properties) -> None:
+    """dq+ = (1 - s dt / J) dq alternates from dt = J / s on, and for ever from 2 J / s on."""
+    slope = 100.0
+    assert finding(maps, "coupling", 2).verdict == "pass"
+    assert INERTIA / slope < value(maps, "coupling", 2) < 2.0 * INERTIA / slope
+    assert value(maps, "coupling", 2, figure=1) == pytest.approx(2.0 * INERTIA / slope, rel=1e-6)
+
+
+def test_a_torque_that_jumps_chatters_at_every_step(maps: Properties) -> None:
+    found = finding(maps, "coupling", 1)
+    assert found.verdict == "fail"
+    assert found.figures[0].value is None
+    assert found.reason == "It chatters at 0.05 ms already, the least step tried."
+    assert finding(maps, "chatter", 1).verdict == "fail"
+
+
+# --- driven -------------------------------------------------------------------------------------
+
+
+def test_a_joint_that_jumps_or_has_bristles_holds_and_one_that_is_viscous_creeps(
+    bristles: Properties, maps: Properties
+) -> None:
+    assert finding(bristles, "hold", 1).verdict == "pass"
+    assert finding(bristles, "hold", 2).verdict == "pass"
+    assert finding(maps, "hold", 1).verdict == "pass"
+    creep = finding(maps, "hold", 2)
+    assert creep.verdict == "fail"
+    # Half the level, which is the slope at a tenth of the speed.
+    assert value(maps, "hold", 2, figure=1) == pytest.approx(0.05 * SPEED, rel=1e-6)
+    assert creep.reason == "It creeps at 50 mrad/s in the end."
+
+
+def test_bristles_walk_under_dither_and_a_jump_does_not(
+    bristles: Properties, maps: Properties
+) -> None:
+    for joint in (1, 2):
+        assert finding(bristles, "dither", joint).verdict == "fail"
+        assert value(bristles, "dither", joint) > 0.01
+    assert finding(maps, "dither", 1).verdict == "pass"
+
+
+def test_the_break_away_torque_of_bristles_falls_with_the_rate_and_that_of_a_map_does_not(
+    bristles: Properties, maps: Properties
+) -> None:
+    assert finding(bristles, "breakaway", 2).verdict == "pass"
+    slow, fast = (value(bristles, "breakaway", 2, figure=k) for k in (1, 2))
+    assert 8.0 < fast < slow < 12.0
+    assert value(maps, "breakaway", 1, figure=1) == pytest.approx(12.0, rel=1e-3)
+    assert finding(maps, "breakaway", 1).reason == "It does not fall with the rate."
+    assert finding(maps, "breakaway", 2).reason.startswith("There is no break-away: ")
+
+
+def test_only_a_curve_that_falls_sticks_and_slips(bristles: Properties, maps: Properties) -> None:
+    for found, joint in ((bristles, 2), (maps, 1)):
+        assert finding(found, "stick_slip", joint).verdict == "pass"
+        assert value(found, "stick_slip", joint) > 0.01
+        assert value(found, "stick_slip", joint, figure=1) > 0.5
+    for found, joint in ((bristles, 1), (maps, 2)):
+        assert finding(found, "stick_slip", joint).verdict == "pass"
+        assert value(found, "stick_slip", joint) == 0.0
+
+
+def test_table_1_is_no_friction(table_1: Properties) -> None:
+    """Joints 1 and 2 drive at low speed: they give energy, run away and come to no stop."""
+    for joint in (1, 2):
+        verdicts = {key: finding(table_1, key, joint).verdict for key in EXPECTATIONS}
+        assert verdicts.pop("coupling") == "not applicable"
+        assert set(verdicts.values()) == {"fail"}, verdicts
+    assert value(table_1, "work", 1) == pytest.approx(12.4, abs=0.05)
+    assert value(table_1, "work", 2) == pytest.approx(20.6, abs=0.05)
+    assert finding(table_1, "work", 3).verdict == "pass"
+    assert value(table_1, "coupling", 3) < 2.0 * 0.6 / 2282.0
+    for key in ("presliding", "memory", "hold", "chatter", "coupling"):
+        assert finding(table_1, key, 3).verdict == "fail"
+
+
+# --- as a whole ---------------------------------------------------------------------------------
+
+
+def test_an_fmu_gives_what_its_model_gives_whatever_the_number_of_processes(
+    bristles: Properties, tmp_path: Path
+) -> None:
+    made = model(bristle(), bristle(static=12.0, sigma_1=50.0, sigma_2=1.0))
+    fmu = export_fmu(made, tmp_path / "bristles.fmu")
+    subjects = [
+        Subject(name="fmu", model=made, fmu=fmu, inertia=(INERTIA, INERTIA)),
+        Subject(name="model", model=made, inertia=(INERTIA,)),
+    ]
+    told: list[tuple[int, int]] = []
+    found = run_battery(subjects, workers=2, progress=lambda *now: told.append(now))
+    assert found == [bristles, bristles]
+    assert told == [(0, 2), (1, 2), (2, 2)]
+
+
+def test_without_an_inertia_nothing_is_driven_and_it_says_so() -> None:
+    found = measure(Subject(name="bench", model=model(bristle())))
+    for key in ("breakaway", "stick_slip", "dither", "hold", "coupling"):
+        assert finding(found, key).verdict == "not run"
+        assert finding(found, key).reason == (
+            "Not run: the inertia of the joints is not known; give it by --inertia."
+        )
+    assert found.joints[0].inertia is None
+    uf850 = measure(Subject(name="uf850", model=model(*[bristle()] * 3, robot="uf850")))
+    assert [joint.inertia for joint in uf850.joints] == [3.0, 3.0, 0.6]
+
+
+def test_what_an_fmu_without_a_law_cannot_be_asked_is_said(slip_fmu: Path) -> None:
+    found = measure(Subject(name="slip", model=None, fmu=slip_fmu, inertia=(1.0,)))
+    assert (found.law, found.robot) == ("slip", "")
+    for key in ("breakaway", "stick_slip", "dither", "hold"):
+        assert finding(found, key).verdict == "not run"
+        assert finding(found, key).reason == (
+            "Not run: the FMU carries no law of which a JointDrive could be made."
+        )
+    assert finding(found, "work").verdict == "pass"
+    assert finding(found, "coupling").verdict in ("pass", "fail")
+
+
+def test_an_fmu_that_gives_up_has_not_the_property_and_says_why() -> None:
+    """Its torque is too large to be a number at the trained speed."""
+    wild = law("stribeck", F_c=1e308, F_s=1e308, sigma_2=1e308, v_s=0.1)
+    found = measure(Subject(name="wild", model=model(wild), inertia=(1.0,)))
+    for key in EXPECTATIONS:
+        assert finding(found, key).verdict == "fail"
+        assert finding(found, key).reason.startswith("The FMU gives up: ")
+
+
+def test_something_has_to_be_put_to_the_test() -> None:
+    with pytest.raises(ConfigError) as caught:
+        measure(Subject(name="nothing", model=None))
+    assert str(caught.value) == "nothing: there is neither a model nor an FMU."

@@ -1,0 +1,111 @@
+"""The command `hesr properties`: its tables, its file and its errors."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from small_study import Answer, Hesr, hesr_here
+from subjects import bristle, model, slip
+
+from hesr_model.artifacts import write_model
+from hesr_model.friction.expectations import EXPECTATIONS
+from hesr_model.friction.properties import read_properties
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    call = hesr_here(capsys, monkeypatch)
+
+    def narrow(*arguments: object) -> Answer:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("COLUMNS", "80")
+            return call(*arguments)
+
+    return narrow
+
+
+@pytest.fixture(scope="module")
+def lugre(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("laws") / "lugre.json"
+    write_model(file, model(bristle(), robot="bench"))
+    return file
+
+
+def test_laws_and_fmus_side_by_side(
+    hesr: Hesr, lugre: Path, slip_fmu: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "found.json"
+    answer = hesr("properties", lugre, slip_fmu, "--inertia", "0.7", "--why", "--json", file)
+    assert answer.code == 0, answer.err
+    head = next(line for line in answer.out.splitlines() if "memory" in line)
+    assert head.split() == ["law", *(e.short for e in EXPECTATIONS.values())]
+    row = next(line for line in answer.out.splitlines() if line.strip().startswith("LuGre"))
+    assert re.fullmatch(r" LuGre +([-\d.e]+[✓✗] *){10}", row), row
+    row = next(line for line in answer.out.splitlines() if line.strip().startswith("Slip"))
+    assert row.split().count("-") == 4
+    assert "…" not in answer.out
+    said = " ".join(answer.out.split())
+    for word in ("Mayergoyz", "Dupont", "first-order state cannot", "carries no law"):
+        assert word in said
+    found = read_properties(file)
+    assert list(found) == ["lugre", "Slip"]
+    assert found["lugre"].joints[0].inertia == 0.7
+    assert json.loads(file.read_text(encoding="utf-8"))["expectations"]["hold"]["unit"] == "mrad"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            ["lugre"],
+            "'lugre' is neither a friction model (.json), nor an FMU (.fmu), nor one of "
+            "uf850-table1.",
+        ),
+        (["none.json"], "none.json: no such file."),
+        (["none.fmu"], "none.fmu: no such file."),
+        (["uf850-table1", "uf850-table1"], "'uf850-table1' is given twice."),
+        (
+            ["uf850-table1", "--inertia", "3;3"],
+            "--inertia is '3;3'; needed are numbers with commas between them, as 3,3,0.6.",
+        ),
+        (
+            ["uf850-table1", "--inertia", "3,3"],
+            "uf850-table1: 2 inertias are given; needed is one, or one for each of the 3 joints.",
+        ),
+        (
+            ["uf850-table1", "--inertia", "3,-1,0.6"],
+            "uf850-table1: the inertia of joint 2 is -1 kg.m2; needed is a positive number.",
+        ),
+        (
+            ["uf850-table1", "--inertia", "inf"],
+            "uf850-table1: the inertia of joint 1 is inf kg.m2; needed is a positive number.",
+        ),
+        (["uf850-table1", "--load", "nan"], "--load is nan; needed is a number."),
+    ],
+)
+def test_what_cannot_be_tested_is_said_in_a_sentence(
+    hesr: Hesr, arguments: list[str], said: str
+) -> None:
+    answer = hesr("properties", *arguments)
+    assert (answer.code, answer.err.strip()) == (2, f"hesr: {said}")
+    assert not answer.out
+
+
+def test_an_fmu_without_the_connectors_is_refused(hesr: Hesr, tmp_path: Path) -> None:
+    other = slip(tmp_path, output="force[1]")
+    file = tmp_path / "found.json"
+    answer = hesr("properties", other, "--json", file)
+    assert answer.code == 2
+    assert answer.err.strip() == (
+        f"hesr: {other}: no friction FMU, since there is no 'tau[1]'; needed are the inputs dq[i], "
+        "q[i], tau_load[i] and the outputs tau[i]."
+    )
+    assert not file.exists()
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_file_that_cannot_be_written_is_said_before_the_run(hesr: Hesr, tmp_path: Path) -> None:
+    answer = hesr("properties", "uf850-table1", "--json", tmp_path)
+    assert answer.code == 2
+    assert f"{tmp_path}: cannot be written there" in answer.err

@@ -1,0 +1,83 @@
+"""The battery as a part of `hesr run`, and on every law of the registry."""
+
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio
+import pytest
+from registry_models import models_of_registry
+from small_study import write_study
+
+from cosim.run import run_study
+from cosim.studies.properties.battery import Subject, run_battery
+from cosim.studies.properties.inertia import INERTIA, standing_inertia
+from hesr_model.files import models_folder
+from hesr_model.friction.expectations import EXPECTATIONS
+from hesr_model.friction.properties import read_properties, write_properties
+from hesr_model.rigid_body import RigidBody
+from hesr_model.robot import RobotDescription, RobotModel
+
+
+def test_every_law_of_the_registry_is_put_to_the_test(tmp_path: Path) -> None:
+    models = {model.law: model for model in models_of_registry()}
+    subjects = [Subject(name=law, model=model, inertia=(0.5,)) for law, model in models.items()]
+    found = dict(zip(models, run_battery(subjects), strict=True))
+    for law, of_law in found.items():
+        findings = of_law.joints[0].findings
+        assert list(findings) == list(EXPECTATIONS)
+        for key, finding in findings.items():
+            assert finding.verdict in ("pass", "fail", "not applicable"), (law, key)
+            assert finding.verdict == "pass" or finding.reason, (law, key)
+    write_properties(tmp_path / "found.json", found)
+    assert read_properties(tmp_path / "found.json") == found
+
+
+def test_a_run_writes_what_it_finds_into_its_folder_and_into_the_fmus(tmp_path: Path) -> None:
+    study = write_study(tmp_path)
+    text = study.read_text(encoding="utf-8")
+    study.write_text(text.replace('["stribeck", "parfam_h"]', '["stribeck"]'), encoding="utf-8")
+    told: list[str] = []
+    outcome = run_study(study, tmp_path / "out", progress=lambda what, *_: told.append(what))
+    assert "testing the laws" in told
+    assert read_properties(tmp_path / "out" / "properties.json") == outcome.properties
+    assert [j.inertia for j in outcome.properties["stribeck"].joints] == list(INERTIA["uf850"])
+    with zipfile.ZipFile(outcome.fmus["stribeck"]) as archive:
+        assert 'id="property-hold"' in archive.read("documentation/index.html").decode()
+
+
+def body_of(model: RobotModel, robot: str) -> RigidBody:
+    """What identification would return of the model's own parameters."""
+    n = model.n
+    return RigidBody(
+        robot=robot,
+        joints=model.description.joints,
+        names=model.parameter_names,
+        parameters=model.nominal_parameters,
+        base=(0,),
+        standard_errors=np.zeros(1),
+        condition=1.0,
+        ridge=0.0,
+        friction=np.zeros((n, 3)),
+        rmse=np.zeros(n),
+        rows=1,
+        logs=(),
+        method="stacked",
+        weighting="ols",
+    )
+
+
+def test_the_inertia_of_another_robot_is_that_of_its_identified_mass_matrix() -> None:
+    model = RobotModel(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
+    law = next(models_of_registry())
+    places = (0.2, -0.6, -1.4)
+    trained = tuple(replace(law.trained[0], q=(q - 0.1, q + 0.1)) for q in places)
+    three = replace(law, joints=("a", "b", "c"), laws=law.laws * 3, trained=trained)
+    found = standing_inertia(model, body_of(model, "other"), three)
+    own = model._model  # without the rotors, which are parameters of their own
+    matrix = pinocchio.crba(own, own.createData(), np.array(places))
+    assert found == pytest.approx(np.diag(matrix) + model.rotor_nominal, rel=1e-9)
+    assert standing_inertia(model, body_of(model, "uf850"), three) == INERTIA["uf850"]
+    unphysical = replace(body_of(model, "other"), parameters=-model.nominal_parameters)
+    assert standing_inertia(model, unphysical, three) is None

@@ -1,0 +1,257 @@
+"""The report: its sections, numbers and files; what it does without some of its data; errors."""
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from html.parser import HTMLParser
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from small_results import write_results
+from small_study import Hesr, hesr_here
+
+from cosim.report import write_report
+from cosim.report.results import Results
+from hesr_model.errors import HesrError
+
+Json = dict[str, Any]
+
+__all__ = ["hesr_here"]
+
+SECTIONS = [
+    "summary", "data", "body", "hysteresis", "equations", "prediction", "chirp", "loops", "audit",
+    "properties", "ablation", "tracking", "robustness", "live", "provenance",
+]  # fmt: skip
+LOOP = {"tracking", "robustness"}
+
+
+class Page(HTMLParser):
+    """What tests look at in a page."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.text = path.read_text(encoding="utf-8")
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(self.text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def of(self, tag: str) -> list[dict[str, str | None]]:
+        return [attrs for name, attrs in self.tags if name == tag]
+
+    @property
+    def sections(self) -> list[str | None]:
+        return [a["id"] for a in self.of("section") if "aria-labelledby" in a]
+
+    @property
+    def figures(self) -> list[str]:
+        ids = [str(a["id"]) for a in self.of("figure") if "id" in a]
+        return [name.removeprefix("figure-") for name in ids if name.startswith("figure-")]
+
+    def table(self, caption: str) -> list[list[float]]:
+        """The numbers of the table with a caption, row by row."""
+        start = self.text.index(f"<caption>{caption}")
+        body = self.text[start : self.text.index("</table>", start)]
+        rows = [re.findall(r'data-value="([^"]+)"', row) for row in body.split("<tr")[1:]]
+        return [[float(cell) for cell in row] for row in rows if row]
+
+
+@pytest.fixture(scope="session")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_results(tmp_path_factory.mktemp("results"))
+
+
+@pytest.fixture
+def copied(results: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(results, tmp_path / "copied")
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+def edit(path: Path, change: Callable[[Json], object]) -> None:
+    data = json.loads(path.read_text(encoding="utf-8"))
+    change(data)
+    path.write_text(json.dumps(data), encoding="utf-8")
+
+
+def test_a_run_ends_with_its_report(results: Path) -> None:
+    page = Page(results / "report.html")
+    assert page.sections == SECTIONS
+    assert len(page.text) < 8e6
+    drawn = {path.stem for path in (results / "figures").iterdir()}
+    assert {path.suffix for path in (results / "figures").iterdir()} == {".pdf", ".png"}
+    assert set(page.figures) == drawn | {"controller"}
+    assert len(page.figures) == len(set(page.figures))
+
+
+def test_it_needs_nothing_but_itself(results: Path) -> None:
+    page = Page(results / "report.html")
+    for tag, attrs in page.tags:
+        assert tag not in ("link", "img", "iframe", "base", "object"), tag
+        assert "src" not in attrs
+        assert str(attrs.get("href") or attrs.get("xlink:href") or "#").startswith("#"), attrs
+    targets = [str(a["href"]) for a in page.of("a")]
+    ids = [a["id"] for _, a in page.tags if "id" in a]
+    assert len(ids) == len(set(ids))
+    assert {t.removeprefix("#") for t in targets} <= set(ids)
+    assert str(results.parent) not in page.text
+
+
+def test_headings_stand_in_order_and_parts_have_names(results: Path) -> None:
+    page = Page(results / "report.html")
+    levels = [int(tag[1]) for tag, _ in page.tags if re.fullmatch(r"h\d", tag)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(b - a <= 1 for a, b in pairwise(levels))
+    drawings = [a for a in page.of("div") if a.get("class") == "drawing"]
+    assert len(drawings) == len(page.figures)
+    assert all(len(str(a["aria-label"])) > 40 for a in drawings)
+    captions = re.findall(r"<caption>([^<]+)</caption>", page.text)
+    assert page.text.count('class="copy"') == len(captions)
+
+
+def test_its_numbers_are_those_that_were_saved(results: Path) -> None:
+    page = Page(results / "report.html")
+    scores = json.loads((results / "evaluation.json").read_text())["trial & error"]
+    rows = page.table("trial &amp; error: RMSE of the predicted torque [N.m] over all rows")
+    assert rows[0] == scores["tau_std"]
+    assert sorted(rows[1:]) == sorted(law["rmse"] for law in scores["laws"].values())
+    tracked = json.loads((results / "closed_loop.json").read_text())["tracking"]
+    shown = page.table("Tracking: RMSE [mrad], mean over the motions, servo inversion")
+    of_body = next(
+        t for t in tracked if (t["scheme"], t["law"]) == ("servo_inversion", "(rigid body only)")
+    )
+    assert shown[0][:3] == pytest.approx([1e3 * e for e in of_body["rmse"][0]])
+
+
+def test_names_are_text_and_no_markup(results: Path) -> None:
+    text = Page(results / "report.html").text
+    assert "first &lt;half&gt;" in text
+    assert "<half>" not in text
+
+
+def test_the_same_results_give_the_same_page(results: Path, tmp_path: Path) -> None:
+    pages = [write_report(results, tmp_path / name).read_bytes() for name in ("a", "b")]
+    assert pages[0] == pages[1] == (results / "report.html").read_bytes()
+
+
+def test_measured_logs_have_no_loop_and_no_truth(copied: Path) -> None:
+    edit(copied / "run.json", lambda run: run.update(twin=False, controller={}, robot="other"))
+
+    def without_truth(scores: Json) -> None:
+        for comparison in scores.values():
+            del comparison["laws"]["true friction"]
+            del comparison["ratios"]["laws"]["true friction"]
+
+    edit(copied / "evaluation.json", without_truth)
+    for name in ("closed_loop.json", "closed_loop.parquet", "properties.json"):
+        (copied / name).unlink()
+    page = Page(write_report(copied))
+    assert page.sections == [s for s in SECTIONS if s not in LOOP | {"properties"}]
+    assert "The logs were measured. The true friction is not known" in page.text
+    assert "Table II of the paper" not in page.text
+
+
+def test_without_fmus_nothing_is_live_and_the_rest_is_there(copied: Path) -> None:
+    shutil.rmtree(copied / "fmus")
+    assert Page(write_report(copied)).sections == [s for s in SECTIONS if s != "live"]
+
+
+def test_variants_make_an_ablation(results: Path) -> None:
+    text = Page(results / "report.html").text
+    assert "RMSE [N.m] of the variants, each with one part more" in text
+
+
+def test_the_command(hesr: Hesr, results: Path, tmp_path: Path) -> None:
+    answer = hesr("report", results, "-o", tmp_path / "page.html")
+    assert (answer.code, answer.err) == (0, "")
+    assert answer.out == f"written to {tmp_path / 'page.html'}.\n"
+    assert (tmp_path / "page.html").read_bytes() == (results / "report.html").read_bytes()
+
+
+def test_a_folder_without_results(hesr: Hesr, tmp_path: Path) -> None:
+    for folder, why in (
+        (tmp_path, "'run.json' is missing in it"),
+        (tmp_path / "none", "there is no such folder"),
+    ):
+        answer = hesr("report", folder)
+        assert (answer.code, answer.out) == (2, "")
+        assert answer.err == f"hesr: {folder}: no results of 'hesr run'; {why}.\n"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("evaluation.json", "{path}: no such file."),
+        ("rigid_body.json", "{path}: no such file."),
+        ("laws/parfam_h.json", "{path}: no such file."),
+        ("closed_loop.json", "{path}: no such file."),
+        ("closed_loop.parquet", "{path}: no such file; "),
+        ("traces/torques_2.parquet", "{path}: no such log file."),
+    ],
+)
+def test_a_missing_file_is_named(copied: Path, name: str, said: str) -> None:
+    before = (copied / "report.html").read_bytes()
+    (copied / name).unlink()
+    with pytest.raises(HesrError) as error:
+        write_report(copied)
+    assert str(error.value).startswith(said.format(path=copied / name))
+    assert (copied / "report.html").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("run.json", "not a readable JSON file"),
+        ("evaluation.json", "not a readable JSON file"),
+        ("closed_loop.json", "not a readable JSON file"),
+        ("closed_loop.parquet", "is not what a closed loop has written."),
+        ("properties.json", "not a readable JSON file"),
+        ("traces/torques_1.parquet", "cannot be read as Parquet."),
+    ],
+)
+def test_a_damaged_file_is_named(copied: Path, name: str, said: str) -> None:
+    whole = (copied / name).read_bytes()
+    (copied / name).write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(HesrError) as error:
+        write_report(copied)
+    assert str(error.value).startswith(f"{copied / name}: {said}")
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "said"),
+    [
+        ("run.json", lambda d: d.update(format="x"), "'format' is 'x', needed is 'hesr-run-1'."),
+        ("run.json", lambda d: d.pop("logs"), "key 'logs' is missing."),
+        ("run.json", lambda d: d.update(more=1), "not the description of a run"),
+        ("evaluation.json", lambda d: d.clear(), "key 'test' is missing."),
+        ("evaluation.json", lambda d: d["trial & error"].pop("laws"), "key 'laws' is missing."),
+        ("evaluation.json", lambda d: d.update({"trial & error": 1}), "not the scores of a run"),
+        ("closed_loop.json", lambda d: d.pop("long"), "key 'long' is missing."),
+        ("closed_loop.json", lambda d: d.update(long=[1]), "not the closed loop of a run"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_said(
+    copied: Path,
+    name: str,
+    change: Callable[[Json], object],
+    said: str,
+) -> None:
+    edit(copied / name, change)
+    with pytest.raises(HesrError) as error:
+        Results.read(copied)
+    assert str(error.value).startswith(f"{copied / name}: {said}")
+
+
+def test_a_page_that_cannot_be_written(hesr: Hesr, results: Path, tmp_path: Path) -> None:
+    answer = hesr("report", results, "-o", tmp_path)
+    assert answer.code == 2
+    assert answer.err == f"hesr: {tmp_path}: cannot be written there (Is a directory).\n"

@@ -1,0 +1,112 @@
+"""The command that writes a friction model for other tools, and what it says when it cannot."""
+
+from zipfile import ZipFile
+
+import pytest
+from small_study import Hesr, hesr_here
+
+from cosim.component import Component
+from cosim.studies.properties.battery import Subject, measure
+from fmu_src import model_file
+from fmu_src.friction.properties_sheet import section
+from hesr_model.artifacts import read_model
+
+TABLE_1 = "uf850-table1"
+
+
+@pytest.fixture
+def hesr(capsys, monkeypatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+def test_a_drive(hesr, tmp_path):
+    fmu = tmp_path / "Drive.fmu"
+    answer = hesr("export", TABLE_1, "--format", "drive", "--inertia", "3,3,0.6",
+                  "--stiffness", "1e4", "-o", fmu)  # fmt: skip
+    assert answer.code == 0, answer.err
+    assert answer.out == f"written to {fmu}.\n"
+    with Component(fmu) as drive:
+        drive.initialise()
+        drive.set({"tau_motor[3]": 30.0})
+        drive.step(0.0, 0.01)
+        assert list(drive.get(["inertia[1]", "inertia[3]", "stiffness[2]"])) == [3.0, 0.6, 1e4]
+        assert drive.get(["dq[3]"])[0] > 0.0
+
+
+def test_modelica(hesr, tmp_path):
+    path = tmp_path / "Friction.mo"
+    answer = hesr("export", TABLE_1, "--format", "modelica", "-o", path)
+    assert answer.code == 0, answer.err
+    assert '\npackage Friction "' in path.read_text()
+
+
+def test_mjcf_says_how_far_off_a_projection_is(hesr, tmp_path):
+    path = tmp_path / "friction.xml"
+    answer = hesr("export", TABLE_1, "--format", "mjcf", "-o", path)
+    assert answer.code == 2
+    assert "is not expressible in MJCF" in answer.err
+    assert not path.exists()
+    answer = hesr("export", TABLE_1, "--format", "mjcf", "--project", "-o", path)
+    assert answer.code == 0, answer.err
+    assert "joint1: projected, since its state 'h'" in answer.out
+    assert path.exists()
+
+
+def test_properties_stand_in_the_pages_of_the_fmu(hesr, tmp_path):
+    fmu = tmp_path / "Friction.fmu"
+    answer = hesr("export", TABLE_1, "--properties", "-o", fmu)
+    assert answer.code == 0, answer.err
+    with ZipFile(fmu) as archive:
+        page = archive.read("documentation/index.html").decode()
+    found = measure(Subject(name=TABLE_1, model=read_model(model_file(TABLE_1))))
+    assert section(found) in page
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (
+            ["--format", "drive", "-o", "D.fmu"],
+            "--format drive needs --inertia, the rotors' inertia in kg.m2.",
+        ),
+        (
+            ["--format", "drive", "--inertia", "3,3", "-o", "D.fmu"],
+            "--inertia: found 2 values, but the model has 3 joints; needed is one for each, or one "
+            "for all.",
+        ),
+        (
+            ["--format", "drive", "--inertia", "heavy", "-o", "D.fmu"],
+            "--inertia is 'heavy'; needed are numbers with commas between them, as 3,3,0.6.",
+        ),
+        (["--inertia", "3", "-o", "F.fmu"], "--inertia needs --format drive, but the format is "),
+        (["--project", "-o", "F.fmu"], "--project needs --format mjcf, but the format is 'fmu'."),
+        (
+            ["--format", "mjcf", "--platform", "win64", "-o", "f.xml"],
+            "--platform needs --format fmu or --format drive, but the format is 'mjcf'.",
+        ),
+        (
+            ["--format", "modelica", "--properties", "-o", "F.mo"],
+            "--properties needs --format fmu, but the format is 'modelica'.",
+        ),
+    ],
+)
+def test_what_cannot_be_written(hesr, tmp_path, monkeypatch, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    answer = hesr("export", TABLE_1, *arguments)
+    assert answer.code == 2
+    assert sentence in answer.err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--format", "drive"], "--format drive is for friction models; a robot becomes an FMU."),
+        (["--properties"], "--properties is for friction models, not for a robot."),
+    ],
+)
+def test_options_that_a_robot_does_not_have(hesr, tmp_path, monkeypatch, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    answer = hesr("export", "robot.xml", *arguments, "-o", "A.fmu")
+    assert answer.code == 2
+    assert sentence in answer.err

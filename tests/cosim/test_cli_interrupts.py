@@ -1,0 +1,252 @@
+"""Ctrl-C and SIGTERM, sent to the real process: nothing half-written, one sentence, what is kept.
+
+An interrupt while laws are fitted in many processes is in test_bad_input.py.
+"""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from small_study import contents, uf850, write_study
+from small_twin import GAINS
+
+from hesr_model import interrupts
+from hesr_model.files import folder_written_whole
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+
+STOPPED = "hesr: interrupted; no file is half-written"
+ENDED = "hesr: ended by another program; no file is half-written"
+LOOP = """
+[tracking]
+seeds = [11]
+duration = 1.0
+harmonics = 3
+peak_velocity = [0.3, 0.3, 0.3]
+offset = [0.0, 0.3, -1.9]
+Kx = 5.0
+drift = 1.0
+"""
+
+
+@contextmanager
+def started(*arguments: object, folder: Path) -> Iterator["subprocess.Popen[str]"]:
+    """Run a command in a group of its own, with temporary files of its own."""
+    temporary = folder / "tmp"
+    temporary.mkdir(exist_ok=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from cosim.cli import main; main()", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        cwd=folder,
+        env=os.environ | {"TMPDIR": str(temporary)},
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+
+
+def wait_for(happened: Callable[[], object], process: "subprocess.Popen[str]") -> None:
+    for _ in range(6000):
+        if happened():
+            return
+        if process.poll() is not None:
+            raise AssertionError(process.communicate())
+        time.sleep(0.02)
+    raise AssertionError("nothing happened for two minutes")
+
+
+def ended(process: "subprocess.Popen[str]", number: int, folder: Path) -> str:
+    """Send a signal to the group, as a terminal does; return what the command says then."""
+    os.killpg(process.pid, number)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 128 + number, (out, err)
+    assert out == ""
+    assert "Traceback" not in err
+    assert not list((folder / "tmp").iterdir())
+    return str(err)
+
+
+def one_sentence(text: str, beginning: str) -> None:
+    assert len(text.splitlines()) == 1, text
+    assert text.startswith(beginning)
+    assert text.endswith(".\n")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("seconds", [0.2, 0.7, 1.5])
+def test_at_any_time_from_the_first_imports_on(
+    number: signal.Signals, seconds: float, tmp_path: Path
+) -> None:
+    """The command runs for longer than that: it builds for all platforms."""
+    output = tmp_path / "Friction.fmu"
+    output.write_text("old", encoding="utf-8")
+    arguments = ("export", "uf850-table1", "--platform", "all", "-o", output, "--verbose")
+    with started(*arguments, folder=tmp_path) as process:
+        assert process.stderr
+        assert "building Friction.fmu" in process.stderr.readline()  # then it is in the command
+        time.sleep(seconds)
+        if process.poll() is not None:
+            pytest.skip("this machine has built four platforms in that time")
+        err = ended(process, number, tmp_path)
+    one_sentence(err.splitlines(keepends=True)[-1], ENDED if number == signal.SIGTERM else STOPPED)
+    assert output.read_text(encoding="utf-8") == "old"
+    assert {p.name for p in tmp_path.iterdir()} == {"Friction.fmu", "tmp"}
+
+
+def test_while_the_arm_runs(tmp_path: Path) -> None:
+    study = write_study(tmp_path)
+    before = contents(tmp_path)
+    with started("run", study, "-o", "results", folder=tmp_path) as process:
+        wait_for(lambda: list(tmp_path.glob(".hesr-*/logs/*")), process)
+        one_sentence(ended(process, signal.SIGINT, tmp_path), STOPPED)
+    assert contents(tmp_path) == before
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_in_the_closed_loop_it_says_what_the_next_run_goes_on_from(tmp_path: Path) -> None:
+    study = write_study(tmp_path)
+    text = study.read_text(encoding="utf-8").replace(
+        'laws = ["stribeck", "parfam_h"]', 'laws = ["stribeck"]'
+    )
+    signals = f'[twin]\nsignals = "{uf850("arm.toml")}"'
+    study.write_text(text.replace("[twin]", signals) + LOOP + GAINS, encoding="utf-8")
+    before = contents(tmp_path)
+    kept = tmp_path / ".results-unfinished"
+    command = ("run", study, "-o", tmp_path / "results")
+    with started(*command, folder=tmp_path) as process:
+        wait_for(lambda: len(list(kept.glob("*.json"))) >= 2, process)
+        said = ended(process, signal.SIGINT, tmp_path)
+    one_sentence(said, STOPPED)
+    found = re.search(r"and (\d+) finished rows of the closed loop are kept in (\S+): the", said)
+    assert found
+    assert said.endswith("the same command goes on from there.\n")
+    assert found[2] == str(kept)
+    rows = int(found[1])
+    assert rows == len(list(kept.iterdir())) >= 2  # nothing half-written among them either
+    assert contents(tmp_path, without=[p.name for p in kept.iterdir()]) == before
+    # It does go on from there.
+    with started(*command, "--verbose", folder=tmp_path) as process:
+        assert process.stderr
+        for line in process.stderr:
+            if progress := re.search(r"tracking: (\d+) of \d+$", line.strip()):
+                assert int(progress[1]) == rows
+                break
+        else:
+            raise AssertionError("the second run has not reached its closed loop")
+        said = ended(process, signal.SIGTERM, tmp_path)
+    assert said.splitlines()[-1].startswith(f"{ENDED}, and ")
+
+
+def test_a_command_that_may_not_be_interrupted_goes_on(tmp_path: Path) -> None:
+    """As one that a script starts in the background."""
+    program = (
+        "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+        "from cosim.cli import main; main()"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, "laws", "--verbose"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    time.sleep(0.5)
+    os.killpg(process.pid, signal.SIGINT)
+    out, _ = process.communicate()
+    assert process.returncode == 0
+    assert "ParFam-H" in out
+
+
+# --- what must not be torn apart --------------------------------------------------------------
+
+
+def test_an_interrupt_waits_until_the_block_is_done() -> None:
+    done = []
+
+    def work() -> None:
+        with interrupts.put_off():
+            signal.raise_signal(signal.SIGINT)
+            done.append(True)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert done
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_an_interrupt_that_another_thread_takes_waits_too() -> None:
+    """As the threads of BLAS or of a pool of processes do while the main one holds it back."""
+    done = []
+    over = threading.Event()
+    other = threading.Thread(target=over.wait)
+    other.start()
+
+    def work() -> None:
+        with interrupts.put_off():
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.05)
+            done.append(True)
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            work()
+    finally:
+        over.set()
+        other.join()
+    assert done
+
+
+def test_a_process_begins_with_interrupts_held_back() -> None:
+    """Or Ctrl-C would end it before it can say that it leaves that to its parent."""
+    program = (
+        "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ()),"
+        " signal.SIGTERM in signal.pthread_sigmask(signal.SIG_BLOCK, ()))"
+    )
+
+    def begun() -> str:
+        return subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, check=True
+        ).stdout
+
+    with interrupts.put_off():
+        assert begun() == "True False\n"
+    assert begun() == "False False\n"
+
+
+def test_results_are_moved_all_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C at the first of many files that are moved to their place."""
+    moved = []
+    replace = Path.replace
+
+    def interrupted(file: Path, target: Path) -> Path:
+        if not moved:
+            signal.raise_signal(signal.SIGINT)
+        moved.append(target.name)
+        return replace(file, target)
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+
+    def work() -> None:
+        with folder_written_whole(tmp_path / "results") as folder:
+            for name in "abc":
+                (folder / name).write_text(name, encoding="utf-8")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert moved == ["a", "b", "c"]
+    assert set(contents(tmp_path)) == {"results/a", "results/b", "results/c"}

@@ -1,0 +1,301 @@
+"""A newcomer's path: a folder is laid, run, filled with own logs and run again."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_study import Hesr, contents, hesr_here, uf850
+
+from cosim.starter import start
+from cosim.study import Study
+from hesr_model.artifacts import read_model
+from hesr_model.errors import ConfigError, RobotError
+from hesr_model.files import sha256
+from hesr_model.rigid_body import identify
+from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.robot_log import RobotLog
+
+ROBOTS = Path(__file__).parents[2] / ".." / "shared"
+UR10E = ROBOTS / "data" / "ur10e"
+
+INERTIA = '<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/>'
+LINK = f'<inertial><origin xyz="0.2 0 0"/><mass value="2"/>{INERTIA}</inertial>'
+
+ONE_JOINT = f"""
+<robot name="one">
+  <link name="base"/>
+  <joint name="pitch" type="revolute">
+    <parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+    <limit lower="-1.5" upper="1.5" effort="40" velocity="2"/>
+  </joint>
+  <link name="arm">{LINK}
+    <visual><geometry><mesh filename="package://nowhere/arm.stl"/></geometry></visual>
+  </link>
+</robot>
+"""
+
+# Turns without end, slides, and has a gripper whose second finger follows the first.
+MANY_JOINTS = f"""
+<robot name="many">
+  <link name="base"/><link name="turret">{LINK}</link><link name="boom">{LINK}</link>
+  <link name="left">{LINK}</link><link name="right">{LINK}</link><link name="tool"/>
+  <joint name="turn" type="continuous">
+    <parent link="base"/><child link="turret"/><axis xyz="0 1 0"/>
+  </joint>
+  <joint name="slide" type="prismatic">
+    <parent link="turret"/><child link="boom"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="0.5" effort="0" velocity="0.3"/>
+  </joint>
+  <joint name="left" type="revolute">
+    <parent link="boom"/><child link="left"/><axis xyz="0 1 0"/>
+    <limit lower="0" upper="0.9" effort="1" velocity="1"/>
+  </joint>
+  <joint name="right" type="revolute">
+    <parent link="boom"/><child link="right"/><axis xyz="0 1 0"/>
+    <mimic joint="left" multiplier="-1"/>
+    <limit lower="-0.9" upper="0" effort="1" velocity="1"/>
+  </joint>
+  <joint name="flange" type="fixed"><parent link="boom"/><child link="tool"/></joint>
+</robot>
+"""
+
+BALL = """
+<mujoco><worldbody><body name="ball"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+<joint name="ball" type="ball"/></body></worldbody></mujoco>
+"""
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+def model_file(folder: Path, text: str, name: str = "arm.urdf") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_what_is_laid_runs_at_once_and_again_with_own_logs(
+    tmp_path: Path, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    model_file(tmp_path, ONE_JOINT)
+    answer = hesr("new", "my_arm", "--robot", "arm.urdf")
+    assert (answer.code, answer.err) == (0, "")
+    assert "my_arm: a study of the joints pitch.\n" in answer.out
+    assert "sample data, to be replaced by yours: see my_arm/README.txt" in answer.out
+    command = answer.out.splitlines()[-1].removeprefix("Next: hesr ").split()
+    assert command == ["run", "my_arm/study.toml"]
+
+    answer = hesr(*command)
+    assert answer.code == 0, answer.err
+    assert "LuGre" in answer.out
+    assert "results/my_arm/fmus/parfam_h.fmu" in answer.out
+    before = read_model(Path("results/my_arm/laws/lugre.json"))
+
+    # The newcomer's own logs, of another friction and at another rate, and another choice of laws.
+    study = Path("my_arm/study.toml")
+    laws = '["stribeck", "lugre", "parfam_h"]'
+    study.write_text(study.read_text().replace(f"\nlaws = {laws}", '\nlaws = ["lugre"]'))
+    description = RobotDescription.read(Path("my_arm/robot.toml"))
+    for name, phase in (("sample_training", 0.0), ("sample_test", 2.0)):
+        own_log(description, name, phase).write(Path(f"my_arm/logs/{name}.csv"))
+    answer = hesr(*command)
+    assert answer.code == 0, answer.err
+    assert "Stribeck" not in answer.out
+    after = read_model(Path("results/my_arm/laws/lugre.json"))
+    recorded = {f["name"]: f["sha256"] for f in after.provenance["files"]}
+    assert recorded["sample_training.csv"] == sha256(Path("my_arm/logs/sample_training.csv"))
+    assert after.laws[0].values["F_c"] == pytest.approx(3.0, rel=0.1)  # of the own log, see below
+    assert before.laws[0].values["F_c"] < 2.0
+
+
+def own_log(description: RobotDescription, name: str, phase: float) -> RobotLog:
+    """A log with Coulomb friction of 3 N.m and viscous friction, at 250 Hz."""
+    model = RobotModel(description)
+    t = np.arange(5000) / 250.0
+    rates = 2 * np.pi * np.array([0.1, 0.23, 0.41])
+    angle = np.outer(t, rates) + phase * np.arange(1, 4)
+    size = np.array([0.6, 0.3, 0.15])
+    q, dq, ddq = (
+        (size * x).sum(axis=1)[:, None]
+        for x in (np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle))
+    )
+    tau = model.torque(model.nominal_parameters, q, dq, ddq) + 3.0 * np.tanh(dq / 0.01) + 0.5 * dq
+    noise = np.random.default_rng(1).normal(scale=0.02, size=tau.shape)
+    return RobotLog(name=name, t=t, q=q, dq=dq, tau=tau + noise)
+
+
+def test_everything_is_there_and_says_that_its_logs_are_samples(tmp_path: Path) -> None:
+    model = model_file(tmp_path, ONE_JOINT)
+    start(tmp_path / "new", model)
+    assert set(contents(tmp_path / "new")) == {
+        "README.txt",
+        "arm.urdf",
+        "robot.toml",
+        "study.toml",
+        "logs/sample_training.csv",
+        "logs/sample_test.csv",
+    }
+    assert "SAMPLE DATA" in (tmp_path / "new" / "README.txt").read_text()
+    assert "Columns: t, q1, dq1, tau1." in (tmp_path / "new" / "README.txt").read_text()
+    assert "SAMPLE DATA" in (tmp_path / "new" / "study.toml").read_text()
+    assert (tmp_path / "new" / "arm.urdf").read_bytes() == model.read_bytes()
+
+
+def test_the_same_robot_gives_the_same_folder(tmp_path: Path) -> None:
+    model = model_file(tmp_path, ONE_JOINT)
+    for folder in ("a/new", "b/new"):
+        start(tmp_path / folder, model)
+    name = (tmp_path / "a").as_posix().encode(), (tmp_path / "b").as_posix().encode()
+    a, b = contents(tmp_path / "a"), contents(tmp_path / "b")
+    assert a == {file: text.replace(name[1], name[0]) for file, text in b.items()}
+
+
+BLOCK = re.compile(r"(?:^# (?:[a-z_]+ = |\[).*\n)+", re.MULTILINE)
+"""Lines of a template that are commented out, as opposed to prose."""
+
+
+@pytest.mark.parametrize(
+    ("file", "schema", "blocks"), [("robot.toml", RobotDescription, 7), ("study.toml", Study, 4)]
+)
+def test_everything_that_is_commented_out_can_be_used(
+    tmp_path: Path, file: str, schema: type[RobotDescription] | type[Study], blocks: int
+) -> None:
+    model = model_file(tmp_path, MANY_JOINTS)
+    start(tmp_path / "new", model, ["turn", "left"])
+    path = tmp_path / "new" / file
+    text = path.read_text(encoding="utf-8")
+    found = list(BLOCK.finditer(text))
+    assert len(found) == blocks
+    for block in found:
+        used = re.sub(r"^# ", "", block.group(), flags=re.MULTILINE)
+        rest = text[: block.start()]
+        if tomllib.loads(used).keys() == {"laws"}:  # another choice in place of the given one
+            rest = re.sub(r"^laws = .*\n", "", rest, flags=re.MULTILINE)
+        path.write_text(rest + used + text[block.end() :], encoding="utf-8")
+        read = schema.read(path)
+        if isinstance(read, RobotDescription):
+            RobotModel(read)
+
+
+def test_joints_of_all_kinds_and_those_that_stand_still(tmp_path: Path, hesr: Hesr) -> None:
+    model = model_file(tmp_path, MANY_JOINTS)
+    answer = hesr("new", tmp_path / "all", "--robot", model)
+    assert (answer.code, answer.err) == (0, "")
+    assert "a study of the joints turn, slide, left.\n" in answer.out
+    assert "Not used, they stand still: right.\n" in answer.out
+    description = RobotDescription.read(tmp_path / "all" / "robot.toml")
+    log = RobotLog.read(tmp_path / "all" / "logs" / "sample_training.csv", description)
+    robot = RobotModel(description)
+    lower, upper, speed = robot.limits
+    assert log.dq is not None
+    assert np.all(log.q > lower)
+    assert np.all(log.q < upper)
+    assert np.all(np.abs(log.dq).max(axis=0) < 1.01 * speed)
+    # The rigid body is found again: what is left is friction.
+    body = identify([log], robot)
+    still = np.zeros((1, 3))
+    q = np.array([[0.3, 0.2, 0.5]])
+    truth = robot.torque(robot.nominal_parameters, q, still, still)
+    np.testing.assert_allclose(robot.torque(body.parameters, q, still, still), truth, atol=0.5)
+    assert np.abs(truth).max() > 20.0
+
+    answer = hesr("new", tmp_path / "two", "--robot", model, "--joints", "turn, left")
+    assert "Not used, they stand still: slide, right.\n" in answer.out
+    assert RobotDescription.read(tmp_path / "two" / "robot.toml").joints == ("turn", "left")
+    text = (tmp_path / "two" / "robot.toml").read_text()
+    assert '# locked = { "slide" = 0.0 }' in text
+    assert "--joints A,B,.." in (tmp_path / "two" / "README.txt").read_text()
+
+
+def test_an_mjcf_and_a_folder_with_an_odd_name_are_taken(tmp_path: Path) -> None:
+    start(tmp_path / "-my arm é", uf850("uf850.xml"))
+    study = Study.read(tmp_path / "-my arm é" / "study.toml")
+    assert study.name == "my_arm_"
+    assert RobotDescription.read(study.robot).joints == ("joint1", "joint2", "joint3")
+
+
+@pytest.mark.parametrize(
+    ("path", "joints"),
+    [
+        (UR10E / "ur10e.urdf", ("shoulder_pan_joint", "wrist_3_joint")),
+        (ROBOTS / "robots" / "uf850.urdf", ("joint1", "joint6")),
+    ],
+    ids=["UR10e", "UFACTORY 850"],
+)
+def test_arms_of_the_world(tmp_path: Path, path: Path, joints: tuple[str, str]) -> None:
+    if not path.is_file():
+        pytest.skip(f"{path} is not there")
+    made = start(tmp_path / "new", path)
+    assert (made.joints[0], made.joints[-1], len(made.joints)) == (*joints, 6)
+    description = RobotDescription.read(tmp_path / "new" / "robot.toml")
+    for log in Study.read(tmp_path / "new" / "study.toml").logs.identification:
+        assert RobotLog.read(tmp_path / "new" / log, description).q.shape == (4001, 6)
+
+
+ERRORS = [
+    ("arm.urdf", ONE_JOINT, ["lift"], r"arm\.urdf: has no joint 'lift'; it has pitch\.$"),
+    (
+        "arm.urdf",
+        MANY_JOINTS,
+        ["right"],
+        r"arm\.urdf: joint 'right' follows another \(mimic\); only driven joints can be used\.$",
+    ),
+    (
+        "ball.xml",
+        BALL,
+        ["ball"],
+        r"ball\.xml: joint 'ball' has 3 degrees of freedom; only revolute and prismatic joints",
+    ),
+    (
+        "ball.xml",
+        BALL,
+        [],
+        r"ball\.xml: has no revolute or prismatic joint; at least one is needed\.$",
+    ),
+    (
+        "arm.urdf",
+        ONE_JOINT.replace('velocity="2"', 'velocity="0.01"'),
+        [],
+        r"^robot 'new': the limits of joint 'pitch' admit no motion faster than 0\.0093 rad/s "
+        r"\(m/s\); identification needs more than 0\.02, so leave the joint out\.$",
+    ),
+    ("arm.urdf", "<robot", [], r"arm\.urdf: cannot be parsed as a URDF \(.+\)\.$"),
+    (
+        "arm.urdf.xacro",
+        ONE_JOINT,
+        [],
+        r"arm\.urdf\.xacro: is a xacro file, which must be expanded first: "
+        r"xacro arm\.urdf\.xacro > arm\.urdf\.$",
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "joints", "message"), ERRORS)
+def test_a_robot_that_cannot_be_used_leaves_nothing(
+    tmp_path: Path, name: str, text: str, joints: list[str], message: str
+) -> None:
+    model = model_file(tmp_path, text, name)
+    with pytest.raises(RobotError, match=message):
+        start(tmp_path / "new", model, joints)
+    assert set(contents(tmp_path)) == {name}
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_folder_that_holds_something_is_left_alone(tmp_path: Path, hesr: Hesr) -> None:
+    model = model_file(tmp_path, ONE_JOINT)
+    with pytest.raises(RobotError, match=r"none\.urdf: no such model file\.$"):
+        start(tmp_path / "new", tmp_path / "none.urdf")
+    before = contents(tmp_path)
+    with pytest.raises(ConfigError, match=r"is not empty; give a new or an empty folder\.$"):
+        start(tmp_path, model)
+    with pytest.raises(ConfigError, match=r"arm\.urdf: is a file; give a new or an empty folder"):
+        start(model, model)
+    answer = hesr("new", tmp_path, "--robot", model)
+    assert answer.code == 2
+    assert answer.err == f"hesr: {tmp_path}: is not empty; give a new or an empty folder.\n"
+    assert contents(tmp_path) == before

@@ -1,0 +1,498 @@
+"""The arm of a closed loop, shown: which runs, where the arms stand, videos, what is refused."""
+
+import ctypes.util
+import importlib.util
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import types
+import zipfile
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from small_study import Hesr, hesr_here
+
+from cosim.closed_loop import Scheme
+from cosim.studies.loops import BODY_ONLY, ORACLE, VELOCITY_ONLY, assemble, build, motions
+from cosim.studies.traces import TRACES, read_traces, write_traces
+from cosim.studies.tracking import Tracked, track
+from cosim.study import Study
+from cosim.view.runs import Choice, choose
+from cosim.view.skeleton import Paint, arm
+from cosim.view.stage import HEIGHT, WIDTH, Stage
+from cosim.view.video import RATE, drawing, write_video
+from fmu_src import export_fmu, model_file
+from fmu_src.arm.native import export_mjcf
+from fmu_src.arm.plant import Plant
+from fmu_src.arm.truth import true_friction
+from hesr_model.artifacts import read_model, write_rigid_body
+from hesr_model.errors import ArtifactError, RobotError
+from hesr_model.files import models_folder
+from hesr_model.rigid_body import identify
+from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.robot_log import RobotLog
+
+UF850 = models_folder() / "uf850"
+INVERSION = "servo_inversion"
+PAINT = Paint(links=(1.0, 1.0, 1.0, 1.0), joints=(0.5, 0.5, 0.5, 1.0), end=(0.0, 0.0, 0.0, 1.0))
+LIBRARY = next((name for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)), None)
+
+draws = pytest.mark.skipif(
+    LIBRARY is None and not os.environ.get("MUJOCO_GL"),
+    reason="neither libEGL nor libOSMesa draws without a screen on this machine",
+)
+encodes = pytest.mark.skipif(
+    importlib.util.find_spec("imageio_ffmpeg") is None, reason="imageio-ffmpeg is not installed"
+)
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a run of a closed loop leaves: the arm, the paper's law, one second of its motion."""
+    folder = tmp_path_factory.mktemp("result")
+    plant = Plant.read(UF850 / "plant.toml")
+    robot = RobotModel(RobotDescription.read(UF850 / "robot.toml"))
+    settings = Study.read(models_folder() / "studies" / "default.toml").tracking
+    assert settings
+    settings = settings.model_copy(
+        update={"seeds": (11, 12), "duration": 1.0, "peak_velocity": (0.6, 0.5, 0.6)}
+    )
+    fmus = folder / "fmus"
+    fmus.mkdir()
+    export_mjcf(plant.model, fmus / "Arm.fmu", table=UF850 / "arm.toml")
+    law = export_fmu(read_model(model_file("uf850-table1")), fmus / "parfam_h.fmu")
+    body = identify([_excitation(robot)], robot)
+    write_rigid_body(folder / "rigid_body.json", body, {})
+    truth = true_friction(plant.model, plant.joints, sample_time=0.005)
+    build(fmus, robot, body, plant, oracle=truth)
+    loop = assemble(fmus, tracking=settings, friction={"parfam_h": law}, plant=plant)
+    inversion = Scheme(compensation="servo_inversion")
+    rows = [
+        loop.row(VELOCITY_ONLY, Scheme(compensation="none")),
+        *(loop.row(name, inversion) for name in (BODY_ONLY, "parfam_h", ORACLE)),
+    ]
+    wide = np.tile([-10.0, 10.0], (3, 1))
+    arguments = {"duration": 1.0, "limits": wide, "traced": True, "workers": 1}
+    found = track(rows, motions(settings), kept=folder / "kept", **arguments)
+    again = track(rows, motions(settings), kept=folder / "kept", **arguments)
+    for one, other in zip(found, again, strict=True):  # what an interrupted run goes on from
+        assert_same(one, other)
+    write_traces(folder / TRACES, [(t.scheme, t.law, t.trace) for t in found if t.trace])
+    (folder / "rmse.json").write_text(json.dumps([t.to_json() for t in found]), encoding="utf-8")
+    return folder
+
+
+def assert_same(one: Tracked, other: Tracked) -> None:
+    assert one.trace
+    assert other.trace
+    for name in ("t", "q_d", "q"):
+        np.testing.assert_array_equal(getattr(one.trace, name), getattr(other.trace, name))
+    assert one.to_json() == other.to_json()
+
+
+def _excitation(robot: RobotModel) -> RobotLog:
+    from cosim.studies.excite import recordings
+    from cosim.studies.motions import Motions
+
+    found = Motions.read(models_folder() / "studies" / "uf850_motions.toml")
+    wanted = tuple(m for m in found.motions if m.name == "excitation")
+    plant = Plant.read(UF850 / "plant.toml")
+    return next(iter(recordings(found.model_copy(update={"motions": wanted}), plant))).log
+
+
+# --- what is saved ----------------------------------------------------------------------------
+
+
+def test_traces_are_the_runs_that_were_scored(result: Path) -> None:
+    traces = read_traces(result / TRACES)
+    rows = json.loads((result / "rmse.json").read_text(encoding="utf-8"))
+    assert list(traces) == [(row["scheme"], row["law"]) for row in rows]
+    for row in rows:
+        trace = traces[row["scheme"], row["law"]]
+        assert trace.t[0] == 0.0
+        assert trace.t[-1] == pytest.approx(1.0)
+        error = np.sqrt(np.mean((trace.q - trace.q_d) ** 2, axis=0))
+        np.testing.assert_allclose(error, row["rmse"][0], rtol=1e-12)
+
+
+def test_files_that_hold_no_traces(tmp_path: Path) -> None:
+    path = tmp_path / TRACES
+    with pytest.raises(ArtifactError) as missing:
+        read_traces(path)
+    assert str(missing.value) == (
+        f"{path}: no such file; 'hesr run' writes it for a study with [tracking], but not with "
+        "--quick."
+    )
+    path.write_text("text", encoding="utf-8")
+    with pytest.raises(ArtifactError) as wrong:
+        read_traces(path)
+    assert str(wrong.value) == f"{path}: is not what a closed loop has written."
+
+
+# --- what is chosen ---------------------------------------------------------------------------
+
+
+def test_the_best_law_is_shown_beside_none(result: Path) -> None:
+    shown = choose(result, Choice())
+    assert shown.scheme == INVERSION
+    assert list(shown.runs) == [BODY_ONLY, "ParFam-H"]
+    assert list(shown.joints) == ["joint1", "joint2", "joint3"]
+
+
+def test_laws_and_scheme_can_be_chosen(result: Path) -> None:
+    shown = choose(result, Choice(laws=[ORACLE, "parfam_h"]))
+    assert list(shown.runs) == [ORACLE, "ParFam-H"]
+    assert list(choose(result, Choice(scheme="none")).runs) == [VELOCITY_ONLY]
+
+
+def test_what_cannot_be_shown_is_refused(result: Path, hesr: Hesr, tmp_path: Path) -> None:
+    cases = {
+        ("--law", "lugre"): "--law is 'lugre'; with scheme 'servo_inversion' there are '(rigid "
+        f"body only)', 'parfam_h', '(oracle)' in {result}.",
+        ("--scheme", "x"): f"--scheme is 'x'; there are 'none', 'servo_inversion' in {result}.",
+        ("--magnify", "0"): "--magnify is 0; needed is a number above 0.",
+        ("--speed", "nan"): "--speed is nan; needed is a number above 0.",
+        ("--video", "arm.avi"): "--video is 'arm.avi'; needed is a file in .mp4.",
+        ("--law", "parfam_h") * 5: "--law is given 5 times; at most 4 fit side by side.",
+    }
+    for options, sentence in cases.items():
+        answer = hesr("view", result, *options)
+        assert (answer.code, answer.out, answer.err) == (2, "", f"hesr: {sentence}\n")
+    answer = hesr("view", tmp_path / "none")
+    assert (answer.code, answer.err) == (
+        2,
+        f"hesr: {tmp_path / 'none'}: no such folder; needed is what 'hesr run' has written.\n",
+    )
+
+
+def test_results_without_their_arm(result: Path, tmp_path: Path) -> None:
+    for name in (TRACES, "rigid_body.json"):
+        shutil.copy(result / name, tmp_path)
+    fmu = tmp_path / "fmus" / "Arm.fmu"
+    with pytest.raises(ArtifactError) as missing:
+        choose(tmp_path, Choice())
+    assert str(missing.value) == f"{fmu}: no such file; the arm cannot be shown without it."
+    fmu.parent.mkdir()
+    with zipfile.ZipFile(fmu, "w") as archive:
+        archive.writestr("modelDescription.xml", "")
+    with pytest.raises(ArtifactError) as empty:
+        choose(tmp_path, Choice())
+    assert str(empty.value) == (
+        f"{fmu}: holds no resources/model.xml, the arm that is to be shown."
+    )
+
+
+# --- where the arms stand ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("magnify", [1.0, 20.0])
+def test_ghost_and_arm_stand_where_the_run_had_them(result: Path, magnify: float) -> None:
+    """Beside MuJoCo's own kinematics of the shipped model."""
+    choice = Choice(laws=["parfam_h", BODY_ONLY], magnify=magnify)
+    shown = choose(result, choice)
+    stage = Stage(shown, choice)
+    model = mujoco.MjModel.from_xml_path(str(UF850 / "uf850.xml"))
+    data = mujoco.MjData(model)
+    ways = []
+    for t in (0.0, 0.4, 1.0):
+        stage.set(t)
+        for k, run in enumerate(shown.runs.values()):
+            row = round(t / 0.005)
+            q_d, q = run.q_d[row], run.q[row]
+            spot = stage.data.body(f"actual{k}/link_base").xpos
+            for prefix, pose in ((f"commanded{k}", q_d), (f"actual{k}", q_d + magnify * (q - q_d))):
+                data.qpos[:] = pose
+                mujoco.mj_kinematics(model, data)
+                for body in ("link3", "link6", "payload"):
+                    np.testing.assert_allclose(
+                        stage.data.body(f"{prefix}/{body}").xpos - spot,
+                        data.body(body).xpos,
+                        atol=1e-12,
+                    )
+            ways.append(stage.data.body(f"actual{k}/payload").xpos.copy())
+    assert np.ptp(ways, axis=0).max() > 0.1  # it does move, and the arms stand apart
+
+
+def test_an_arm_without_shapes_gets_some_and_others_keep_theirs() -> None:
+    mjcf = (UF850 / "uf850.xml").read_text(encoding="utf-8")
+    joints = ["joint1", "joint2", "joint3"]
+    drawn = arm(mjcf, joints, paint=PAINT).compile()
+    kinds = [mujoco.mjtGeom(kind) for kind in drawn.geom_type]
+    assert kinds.count(mujoco.mjtGeom.mjGEOM_CYLINDER) == 3
+    assert kinds.count(mujoco.mjtGeom.mjGEOM_CAPSULE) >= 4
+    assert (drawn.nu, drawn.nsensor, drawn.ntendon) == (0, 0, 0)
+    own = mjcf.replace('<body name="payload"', '<geom size="0.07"/><body name="payload"')
+    kept = arm(own, joints, paint=PAINT).compile()
+    assert kept.ngeom == 1
+    assert kept.geom_size[0, 0] == 0.07
+
+
+def test_meshes_that_are_not_at_hand_do_not_matter() -> None:
+    mjcf = (UF850 / "uf850.xml").read_text(encoding="utf-8")
+    mjcf = mjcf.replace("<worldbody>", '<asset><mesh name="m" file="no.stl"/></asset><worldbody>')
+    mjcf = mjcf.replace('<body name="payload"', '<geom type="mesh" mesh="m"/><body name="payload"')
+    with pytest.raises(ValueError, match=r"no\.stl"):
+        mujoco.MjModel.from_xml_string(mjcf)
+    assert arm(mjcf, ["joint1"], paint=PAINT).compile().ngeom > 5
+
+
+def test_a_sliding_joint_is_drawn_too() -> None:
+    mjcf = """<mujoco><worldbody><body name="a"><joint name="j" type="slide" axis="1 0 0"/>
+    <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><body name="b" pos="0 0 1"/></body>
+    </worldbody></mujoco>"""
+    drawn = arm(mjcf, ["j"], paint=PAINT).compile()
+    assert mujoco.mjtGeom.mjGEOM_BOX in drawn.geom_type
+
+
+def test_models_that_cannot_be_shown() -> None:
+    with pytest.raises(RobotError, match=r"^the arm's model has no joint 'j', so it cannot be"):
+        arm("<mujoco><worldbody/></mujoco>", ["j"], paint=PAINT)
+    with pytest.raises(RobotError, match=r"^the arm's model cannot be shown \(.+\)\.$"):
+        arm("<mujoco><worldbody>", ["j"], paint=PAINT)
+
+
+# --- pictures ---------------------------------------------------------------------------------
+
+
+@draws
+def test_the_picture_shows_both_poses_and_changes(result: Path) -> None:
+    choice = Choice(laws=[BODY_ONLY], magnify=10.0)
+    stage = Stage(choose(result, choice), choice)
+    model = stage.model
+    names = [model.body(body).name for body in model.geom_bodyid]
+    with drawing(stage) as draw:
+        first, last = (draw(t).astype(float) for t in (0.0, 0.6))
+        assert first.shape == (HEIGHT, WIDTH, 3)
+        assert first[:40].mean() > 150.0  # a bright sky above
+        assert seen(last, first) > 0.01
+        for which in ("commanded0", "actual0"):
+            colours = model.geom_rgba.copy()
+            model.geom_rgba[[name.startswith(which) for name in names], 3] = 0.0
+            assert seen(last, draw(0.6).astype(float)) > 0.02  # it is missed
+            model.geom_rgba[:] = colours
+        np.testing.assert_array_equal(draw(0.6), last)
+
+
+def seen(one: np.ndarray, other: np.ndarray) -> float:
+    """Share of the pixels that an eye sees to differ."""
+    return float(np.mean(np.abs(one - other).max(axis=2) > 12.0))
+
+
+@draws
+@encodes
+def test_a_video_is_as_long_as_the_motion(result: Path, tmp_path: Path, hesr: Hesr) -> None:
+    import imageio_ffmpeg
+
+    path = tmp_path / "new" / "arm.mp4"
+    answer = hesr("view", result, "--law", "parfam_h", "--speed", "2", "--video", path)
+    assert answer.code == 0, answer.err
+    assert answer.out == f"0.5 s of video, written to {path}.\n"
+    decoded = subprocess.run(
+        [imageio_ffmpeg.get_ffmpeg_exe(), "-i", path, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"],
+        capture_output=True,
+        check=True,
+    )
+    about = decoded.stderr.decode()
+    assert f"{WIDTH}x{HEIGHT}" in about
+    assert f" {RATE} fps" in about
+    images = np.frombuffer(decoded.stdout, dtype=np.uint8).reshape(-1, HEIGHT, WIDTH, 3)
+    assert len(images) == RATE // 2
+    choice = Choice(laws=["parfam_h"], speed=2.0)
+    with drawing(Stage(choose(result, choice), choice)) as draw:
+        for k in (0, 7, 14):
+            assert np.abs(images[k].astype(float) - draw(2.0 * k / RATE)).mean() < 3.0
+    assert np.abs(images[0].astype(float) - images[14]).mean() > 0.1
+    assert [p.name for p in path.parent.iterdir()] == ["arm.mp4"]
+
+
+@draws
+@encodes
+def test_an_interrupt_leaves_no_half_a_video(result: Path, tmp_path: Path) -> None:
+    path = tmp_path / "arm.mp4"
+    path.write_text("old", encoding="utf-8")
+
+    def interrupt(done: int, _all: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    choice = Choice(laws=[ORACLE])
+    with pytest.raises(KeyboardInterrupt):
+        write_video(path, choose(result, choice), choice, progress=interrupt)
+    assert path.read_text(encoding="utf-8") == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["arm.mp4"]
+
+
+# --- machines that cannot ---------------------------------------------------------------------
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a screen")
+def test_without_a_screen_it_says_so(
+    result: Path, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    answer = hesr("view", result)
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err == (
+        "hesr: there is no screen to open a window on; --video FILE.mp4 writes a video instead.\n"
+    )
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere OpenGL is part of the system")
+@encodes
+def test_without_opengl_it_says_so(
+    result: Path, hesr: Hesr, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setattr(ctypes.util, "find_library", lambda _name: None)
+    answer = hesr("view", result, "--video", tmp_path / "arm.mp4")
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err == (
+        "hesr: --video needs OpenGL without a screen, and neither libEGL nor libOSMesa is "
+        "installed (Debian: apt install libegl1 or libosmesa6).\n"
+    )
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a display is set for X")
+@encodes
+def test_opengl_that_fails_is_told(result: Path, tmp_path: Path) -> None:
+    """As where a driver is there but no device: here GLFW on a display that does not exist."""
+    program = "from cosim.cli import main; main()"
+    path = tmp_path / "arm.mp4"
+    answer = subprocess.run(
+        [sys.executable, "-c", program, "view", str(result), "--video", str(path)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"MUJOCO_GL": "glfw", "DISPLAY": ":4711"},
+    )
+    assert (answer.returncode, answer.stdout) == (2, "")
+    said = answer.stderr.splitlines()[-1]
+    assert said.startswith("hesr: --video: OpenGL does not draw on this machine (")
+    assert said.endswith("); try MUJOCO_GL=osmesa or MUJOCO_GL=egl, or another machine.")
+    assert "Traceback" not in answer.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_an_encoder_it_says_so(
+    result: Path, hesr: Hesr, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    answer = hesr("view", result, "--video", tmp_path / "arm.mp4")
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err == (
+        "hesr: --video needs the package imageio-ffmpeg: pip install 'hesr[video]'.\n"
+    )
+
+
+def test_a_package_without_its_encoder(
+    result: Path, hesr: Hesr, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on platforms for which the package carries none."""
+    package = pytest.importorskip("imageio_ffmpeg")
+
+    def nothing() -> str:
+        raise RuntimeError("No ffmpeg exe could be found. Install ffmpeg on your system.")
+
+    monkeypatch.setattr(package, "get_ffmpeg_exe", nothing)
+    answer = hesr("view", result, "--video", tmp_path / "arm.mp4")
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err.startswith("hesr: --video: there is no ffmpeg (No ffmpeg exe could be found.")
+
+
+def test_an_encoder_that_dies_is_told(
+    result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    if LIBRARY is None:
+        pytest.skip("nothing draws on this machine")
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", shutil.which("false") or "false")
+    choice = Choice(laws=[ORACLE])
+    path = tmp_path / "arm.mp4"
+    with pytest.raises(ArtifactError) as told:
+        write_video(path, choose(result, choice), choice)
+    assert str(told.value) == f"{path}: the video cannot be encoded (exit code 1)."
+    assert not list(tmp_path.iterdir())
+
+
+# --- the window -------------------------------------------------------------------------------
+
+
+def test_a_viewer_that_wants_another_interpreter(
+    result: Path, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on macOS; the viewer itself cannot be loaded where there is no screen."""
+
+    def refused(*_: object, **__: object) -> None:
+        raise RuntimeError("`launch_passive` requires that the script be run under `mjpython`.")
+
+    viewer = types.SimpleNamespace(launch_passive=refused)
+    monkeypatch.setitem(sys.modules, "mujoco.viewer", viewer)
+    monkeypatch.setattr(mujoco, "viewer", viewer, raising=False)
+    monkeypatch.setenv("DISPLAY", ":0")
+    answer = hesr("view", result)
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err == (
+        "hesr: the viewer does not open (`launch_passive` requires that the script be run under "
+        "`mjpython`); --video FILE.mp4 writes a video instead.\n"
+    )
+
+
+@pytest.mark.skipif(shutil.which("Xvfb") is None, reason="there is no Xvfb to open a window on")
+def test_the_viewer_opens_moves_and_ends(result: Path, tmp_path: Path) -> None:
+    """On a screen of its own; Ctrl-C ends it."""
+    number = tmp_path / "display"
+    with number.open("w") as written:
+        screen = subprocess.Popen(
+            ["Xvfb", "-displayfd", "1", "-screen", "0", "800x600x24"],
+            stdout=written,
+            stderr=subprocess.DEVNULL,
+        )
+    try:
+        for _ in range(500):
+            if number.read_text():
+                break
+            time.sleep(0.02)
+        variables = os.environ | {"DISPLAY": f":{number.read_text().strip()}"}
+        variables.pop("MUJOCO_GL", None)
+        program = (
+            "import sys\nfrom pathlib import Path\n"
+            "from cosim.view.runs import Choice, choose\nfrom cosim.view.window import show\n"
+            "choice = Choice(speed=0.2)\nshow(choose(Path(sys.argv[1]), choice), choice, turns=1)"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", program, str(result)],
+            capture_output=True,
+            text=True,
+            env=variables,
+            check=False,
+            timeout=120,
+        )
+        assert done.returncode == 0, done.stderr
+        viewing = subprocess.Popen(
+            [sys.executable, "-c", "from cosim.cli import main; main()", "view", str(result)],
+            stderr=subprocess.PIPE,
+            text=True,
+            env=variables,
+        )
+        time.sleep(8.0)
+        assert viewing.poll() is None  # it goes on until it is closed
+        viewing.send_signal(signal.SIGINT)
+        _, err = viewing.communicate(timeout=30)
+        assert viewing.returncode == 130
+        assert "Traceback" not in err
+    finally:
+        screen.terminate()
+        screen.wait()
