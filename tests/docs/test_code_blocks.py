@@ -1,0 +1,128 @@
+"""What the pages show can be done: Python runs, TOML is read, commands have these options."""
+
+import inspect
+import re
+import shlex
+import shutil
+import textwrap
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from documents import PAGES, ROOT, Block, blocks
+
+import hesr_model
+from fmu_src import export_fmu, model_file
+from hesr_model.artifacts import read_model
+from hesr_model.robot import RobotDescription
+from hesr_model.robot_log import RobotLog
+
+
+@pytest.fixture
+def folder(tmp_path: Path, arm_log: RobotLog, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the blocks run: a robot file, logs of it and a friction FMU, under the pages' names."""
+    (tmp_path / "robot.toml").write_text(
+        'name = "arm"\nmodel = "arm.xml"\njoints = ["j1", "j2", "j3"]\n', encoding="utf-8"
+    )
+    for name in ("excitation", "sweep", "test"):
+        arm_log.write(tmp_path / f"{name}.csv")
+    shutil.copy(friction_fmu(tmp_path), tmp_path / "Friction.fmu")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def friction_fmu(folder: Path) -> Path:
+    return export_fmu(read_model(model_file("uf850-table1")), folder / "table1.fmu")
+
+
+def run(text: str, name: str) -> dict[str, object]:
+    """Run a block; return the names it leaves."""
+    names: dict[str, object] = {"__name__": "__main__"}
+    exec(compile(text, name, "exec"), names)
+    return names
+
+
+@pytest.mark.parametrize("block", blocks("python"), ids=str)
+def test_python_is_python(block: Block) -> None:
+    compile(block.text, str(block), "exec")
+
+
+RUN = [b for b in blocks("python") if b.runs and b.page.name != "add-a-law.md"]
+"""The law of add-a-law.md is put to the test as a package, in tests/contract/test_toy_law.py."""
+
+
+def test_there_are_blocks_that_run() -> None:
+    assert RUN
+
+
+@pytest.mark.parametrize("block", RUN, ids=str)
+def test_python_runs(block: Block, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(block.text, str(block))
+    assert capsys.readouterr().out.strip()
+
+
+def test_the_example_of_the_package_runs(folder: Path) -> None:
+    documented = inspect.getdoc(hesr_model) or ""
+    example = documented.split("::\n", 1)[1]
+    lines = [line for line in example.splitlines() if line.startswith("    ") or not line]
+    (folder / "Friction.fmu").unlink()
+    names = run(textwrap.dedent("\n".join(lines)), "hesr_model")
+    tau = names["tau_f"]
+    assert isinstance(tau, np.ndarray)
+    assert tau.shape == (2000, 3)
+    assert (folder / "Friction.fmu").is_file()
+
+
+@pytest.mark.parametrize("block", blocks("toml"), ids=str)
+def test_toml_is_toml(block: Block) -> None:
+    assert tomllib.loads(block.text)
+
+
+@pytest.mark.parametrize(
+    "block", [b for b in blocks("toml") if b.text.startswith("# robot.toml")], ids=str
+)
+def test_robot_files_are_read(block: Block, tmp_path: Path) -> None:
+    (tmp_path / "robot.toml").write_text(block.text, encoding="utf-8")
+    assert RobotDescription.read(tmp_path / "robot.toml").joints
+
+
+def commands() -> list[tuple[str, str]]:
+    """Lines of the pages that call hesr, with what continues them."""
+    return [
+        (page.name, line)
+        for page in PAGES
+        for line in re.findall(r"(?m)^ {4}(hesr .*)", page.read_text(encoding="utf-8"))
+    ]
+
+
+@pytest.mark.parametrize(("page", "line"), commands())
+def test_commands_have_these_options(page: str, line: str) -> None:
+    from cosim.cli import app
+
+    group = typer.main.get_command(app)
+    assert isinstance(group, typer.core.TyperGroup)
+    _, name, *rest = shlex.split(line, comments=True)
+    command = group.commands[name]
+    options = {option for parameter in command.params for option in parameter.opts}
+    used = {argument for argument in rest if re.match(r"--?[a-z]", argument)}
+    assert used <= options | {"--help"}, f"{page}: {line}"
+
+
+def linked() -> list[tuple[Path, str]]:
+    return [
+        (page, target)
+        for page in PAGES
+        for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8"))
+        if "://" not in target
+    ]
+
+
+@pytest.mark.parametrize(
+    ("page", "target"), linked(), ids=lambda value: str(value).rpartition("/")[2]
+)
+def test_links_between_files_lead_somewhere(page: Path, target: str) -> None:
+    found = (page.parent / target).resolve()
+    assert found.is_relative_to(ROOT)
+    assert found.exists()

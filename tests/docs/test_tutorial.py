@@ -1,0 +1,84 @@
+"""The tutorial notebook runs as it is, and is kept without what a run leaves in it."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import nbformat
+from documents import ROOT
+
+NOTEBOOK = ROOT / "docs" / "tutorial.ipynb"
+LONGEST_CELL = 300  # [s] only stops a kernel that hangs
+
+
+def notebook() -> nbformat.NotebookNode:
+    return nbformat.read(NOTEBOOK, as_version=4)
+
+
+def code_cells(book: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
+    return [cell for cell in book.cells if cell.cell_type == "code"]
+
+
+def test_it_is_kept_without_outputs() -> None:
+    book = notebook()
+    nbformat.validate(book)
+    assert len(code_cells(book)) > 10
+    for cell in code_cells(book):
+        assert not cell.outputs
+        assert cell.execution_count is None
+        assert not cell.metadata
+    assert set(book.metadata) == {"kernelspec", "language_info"}
+    assert set(book.metadata.kernelspec) == {"display_name", "language", "name"}
+
+
+def test_it_names_no_folder_of_a_machine() -> None:
+    for cell in notebook().cells:
+        assert not re.search(r"(?<![\w.)\]}])/\w+/|~/|\b[A-Z]:[\\/]", cell.source), cell.source
+
+
+EXECUTE = """
+import sys
+import nbformat
+from nbclient import NotebookClient
+source, target, timeout = sys.argv[1:]
+book = nbformat.read(source, as_version=4)
+NotebookClient(book, kernel_name="python3", timeout=int(timeout)).execute()
+nbformat.write(book, target)
+"""
+
+
+def executed(folder: Path) -> nbformat.NotebookNode:
+    """Run the notebook in a process of its own, with which ends what the client leaves open.
+
+    Every file that it makes goes into the folder.
+    """
+    target = folder / "executed.ipynb"
+    ran = subprocess.run(
+        [sys.executable, "-c", EXECUTE, NOTEBOOK, target, str(LONGEST_CELL)],
+        cwd=folder,
+        env=os.environ | {"TMPDIR": str(folder)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    return nbformat.read(target, as_version=4)
+
+
+def test_it_runs_and_draws(tmp_path: Path) -> None:
+    book = executed(tmp_path)
+    outputs = [output for cell in code_cells(book) for output in cell.outputs]
+    pictures = [o for o in outputs if "image/png" in o.get("data", {})]
+    assert len(pictures) == NOTEBOOK.read_text(encoding="utf-8").count("plt.show()")
+    said = "".join(o.text for o in outputs if o.output_type == "stream" and o.name == "stdout")
+    assert not [o for o in outputs if o.output_type == "stream" and o.name == "stderr"]
+    errors = {
+        line.split()[0]: [float(figure) for figure in line.split()[1:]]
+        for line in said.splitlines()
+        if re.match(r"(stribeck|lugre|parfam_\w+)( +\d+\.\d+){3}$", line)
+    }
+    assert set(errors) == {"stribeck", "lugre", "parfam_h", "parfam_hx"}
+    for law in ("lugre", "parfam_h", "parfam_hx"):
+        assert all(a < b for a, b in zip(errors[law], errors["stribeck"], strict=True))
