@@ -12,7 +12,7 @@ from cosim.scoring import inputs_of
 from cosim.study import Study
 from hesr_model.files import sha256
 from hesr_model.friction.evaluate import Array
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 from hesr_model.residual import FrictionRecord
 from hesr_model.robot import RobotDescription
 from hesr_model.robot_log import RobotLog

@@ -14,10 +14,10 @@ from cosim.scoring import ORACLE, Comparison, by_joint, compare, predict_fmu, wi
 from cosim.study import Study
 from hesr_model.artifacts import write_json
 from hesr_model.errors import ConfigError, HesrError
-from hesr_model.friction.estimator import estimator, registry
 from hesr_model.friction.evaluate import Array
 from hesr_model.friction.fit import fit_models
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.laws import estimator, registry
+from hesr_model.friction.model import FrictionModel
 from hesr_model.refinement import identify_again
 from hesr_model.residual import FrictionRecord, friction_records
 from hesr_model.rigid_body import RigidBody, identify

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cosim.closed_loop import Gains, Scheme, preview
 from fmu_src.arm.plant import Arm, Plant
 from hesr_model.friction.evaluate import Stepper, predict
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 from hesr_model.robot import RobotModel
 from hesr_model.trajectories import Trajectory
 

@@ -13,7 +13,7 @@ from fmu_src import export_fmu
 from fmu_src.toolchain import targets
 from hesr_model.artifacts import provenance, write_json, write_model, write_rigid_body
 from hesr_model.files import folder_written_whole, models_folder
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 from hesr_model.residual import friction_records
 from hesr_model.rigid_body import RigidBody
 from hesr_model.robot import RobotModel

@@ -10,7 +10,7 @@ import numpy as np
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.friction.evaluate import Array
 from hesr_model.friction.functions import INPUTS
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, record_start
 from hesr_model.metrics import Score, rmse, rmse_ratio_interval, score, time_band
 from hesr_model.residual import FrictionRecord

@@ -10,8 +10,8 @@ from rich.table import Table
 from cosim.scoring import ORACLE, Comparison
 from hesr_model.friction.audit import REACH, Audit
 from hesr_model.friction.cycles import ENCODER
-from hesr_model.friction.estimator import registry
 from hesr_model.friction.functions import INPUT_UNITS
+from hesr_model.friction.laws import registry
 from hesr_model.friction.trained import Excess, Range
 from hesr_model.rigid_body import RigidBody
 

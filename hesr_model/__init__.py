@@ -27,9 +27,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hesr_model.artifacts import read_model, read_rigid_body, write_model, write_rigid_body
     from hesr_model.errors import HesrError
-    from hesr_model.friction.estimator import registry
     from hesr_model.friction.fit import fit
-    from hesr_model.friction.law import FrictionModel
+    from hesr_model.friction.laws import registry
+    from hesr_model.friction.model import FrictionModel
     from hesr_model.residual import FrictionRecord, friction_records
     from hesr_model.rigid_body import RigidBody, identify
     from hesr_model.robot import RobotDescription, RobotModel
@@ -54,7 +54,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "FrictionModel": "friction.law",
+    "FrictionModel": "friction.model",
     "FrictionRecord": "residual",
     "HesrError": "errors",
     "RigidBody": "rigid_body",
@@ -66,7 +66,7 @@ _HOMES = {
     "identify": "rigid_body",
     "read_model": "artifacts",
     "read_rigid_body": "artifacts",
-    "registry": "friction.estimator",
+    "registry": "friction.laws",
     "write_model": "artifacts",
     "write_rigid_body": "artifacts",
 }

@@ -15,8 +15,9 @@ from typing import Any
 from hesr_model.errors import ArtifactError
 from hesr_model.files import sha256, written_whole
 from hesr_model.friction.audit import audit
-from hesr_model.friction.estimator import estimator
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws import estimator
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.rigid_body import RigidBody
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record
 from hesr_model.residual import friction_records
 from hesr_model.rigid_body import RigidBody, identify

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
-from hesr_model.metrics import MOVING, reversals
+from hesr_model.phases import MOVING, reversals
 from hesr_model.rigid_body import RigidBody
 from hesr_model.robot import RobotModel
 from hesr_model.robot_log import RobotLog

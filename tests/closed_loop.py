@@ -19,7 +19,7 @@ from fmu_src.blocks.trajectory import start_values, trajectory
 from fmu_src.blocks.velocity import velocity
 from fmu_src.package import write_fmu
 from hesr_model.files import models_folder
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 from hesr_model.robot import RobotDescription, RobotModel
 from hesr_model.trajectories import random_fourier
 

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hesr_model.friction.estimator import registry
 from hesr_model.friction.fit import fit_joint
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.laws import registry
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.residual import FrictionRecord
 

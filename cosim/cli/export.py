@@ -14,7 +14,7 @@ from cosim.cli.voice import working
 from hesr_model.errors import ConfigError
 
 if TYPE_CHECKING:
-    from hesr_model.friction.law import FrictionModel
+    from hesr_model.friction.model import FrictionModel
 
 
 class Format(StrEnum):

@@ -101,7 +101,7 @@ def laws(json_file: Json = None) -> None:
     from rich.console import Console
 
     from cosim import tables
-    from hesr_model.friction.estimator import registry
+    from hesr_model.friction.laws import registry
 
     Console().print(tables.laws())
     answer(

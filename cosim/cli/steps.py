@@ -21,11 +21,11 @@ from hesr_model.errors import ConfigError
 
 if TYPE_CHECKING:
     from cosim.scoring import Comparison, Records
-    from hesr_model.friction.law import FrictionModel
+    from hesr_model.friction.model import FrictionModel
 
 
 def _laws(typed: str) -> list[str]:
-    from hesr_model.friction.estimator import registry
+    from hesr_model.friction.laws import registry
 
     return [name for name in registry() if name.startswith(typed)]
 
@@ -144,8 +144,8 @@ def fit(
     -o law.json --option 'search="paper"'
     """
     from hesr_model.artifacts import provenance, write_model
-    from hesr_model.friction.estimator import estimator
     from hesr_model.friction.fit import fit_models
+    from hesr_model.friction.laws import estimator
 
     estimator(law)
     options = _options(option or [])

@@ -11,9 +11,9 @@ from cosim.saved import RUN, TRACES, SavedLog, SavedRun, read_columns
 from cosim.scoring import ORACLE, Comparison
 from hesr_model.artifacts import read_model, read_rigid_body
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.estimator import registry
 from hesr_model.friction.evaluate import Array
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.laws import registry
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.properties import Properties, read_properties
 from hesr_model.rigid_body import RigidBody
 

@@ -29,7 +29,7 @@ from fmu_src.blocks.trajectory import trajectory
 from fmu_src.blocks.velocity import velocity
 from fmu_src.package import write_fmu
 from hesr_model.errors import ConfigError
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body import RigidBody
 from hesr_model.robot import RobotModel
 from hesr_model.trajectories import Fourier, random_fourier

@@ -10,7 +10,8 @@ import sympy
 
 from fmu_src.arm.signals import compiled
 from hesr_model.friction.functions import DQ, Q, absolute
-from hesr_model.friction.law import Coefficient, FrictionLaw, FrictionModel, LawForm, Relaxation
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
+from hesr_model.friction.model import FrictionModel
 
 _COEFFICIENTS = (
     ("stiffness", "N.m/rad", "bristle stiffness"),

@@ -10,7 +10,7 @@ from fmu_src.friction.component import discretisation, law_variables, torque_dep
 from fmu_src.friction.laws_header import Needs, laws_header
 from fmu_src.interface import Interface, Variable
 from hesr_model.errors import ExportError
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 
 SUBSTEP = 1e-3
 """Longest inner step [s] unless set otherwise."""

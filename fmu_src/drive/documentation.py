@@ -15,7 +15,8 @@ from fmu_src.interface import Interface
 from hesr_model.errors import HesrError
 from hesr_model.friction.evaluate import Array, predict
 from hesr_model.friction.functions import TAU_LOAD
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
 
 _CRAWL, _LONG = 1e-9, 1e12
 """Speed [rad/s] at which and time [s] after which only what a law keeps at rest is left."""

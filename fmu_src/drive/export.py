@@ -13,7 +13,7 @@ from fmu_src.friction.embedded import EMBEDDED_MODEL
 from fmu_src.friction.export import date_of
 from fmu_src.package import Content, check_request, own_source, write_fmu
 from hesr_model.artifacts import model_to_json
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 
 
 def export_drive(

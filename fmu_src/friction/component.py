@@ -9,7 +9,8 @@ from fmu_src.friction.place import MAX_PARAMETERS, exposed, place
 from fmu_src.interface import Enumeration, Interface, Variable
 from hesr_model.errors import ExportError
 from hesr_model.friction.functions import DQ, INPUT_UNITS, INPUTS
-from hesr_model.friction.law import FrictionLaw, FrictionModel, LawForm, Relaxation
+from hesr_model.friction.law import FrictionLaw, LawForm, Relaxation
+from hesr_model.friction.model import FrictionModel
 
 DISCRETISATION = Enumeration(
     name="Discretisation",

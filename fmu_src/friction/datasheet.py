@@ -12,7 +12,8 @@ from hesr_model.friction.audit import REACH, Audit, audit
 from hesr_model.friction.cycles import ENCODER
 from hesr_model.friction.evaluate import Array
 from hesr_model.friction.functions import INPUTS, lowered
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import Range, TrainedRange
 
 RK4, EULER = 2.785, 2.0

@@ -17,9 +17,10 @@ from fmu_src.html import rendered
 from fmu_src.interface import Interface
 from hesr_model.errors import HesrError
 from hesr_model.friction.equation import equations as equations_with_numbers
-from hesr_model.friction.estimator import registry
 from hesr_model.friction.functions import INPUT_UNITS, INPUTS
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws import registry
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
 
 _INTERVAL = 1.96  # standard errors to either side hold 95 %

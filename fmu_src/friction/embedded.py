@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hesr_model.artifacts import model_from_json
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 
 EMBEDDED_MODEL = "resources/friction_model.json"
 """Where the model stands in the archive; the FMU itself does not read it."""

@@ -24,7 +24,7 @@ from fmu_src.live.wasm import wasm
 from fmu_src.package import Content, check_request, own_source, translation_unit, write_fmu
 from hesr_model.artifacts import model_to_json
 from hesr_model.errors import ExportError
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.properties import Properties
 
 # The dates that a ZIP archive can hold; the first also stands for no date.

@@ -7,7 +7,8 @@ from fmu_src.friction.codegen import switches
 from fmu_src.friction.place import exposed, place
 from fmu_src.interface import Interface, literal
 from hesr_model.friction.functions import INPUTS
-from hesr_model.friction.law import FrictionLaw, FrictionModel, LawForm
+from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.friction.model import FrictionModel
 
 
 @dataclass(frozen=True, kw_only=True)

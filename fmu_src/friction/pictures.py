@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fmu_src.friction.reference import reference_motion
 from hesr_model.friction.evaluate import predict
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,7 +13,7 @@ from scipy.integrate import cumulative_simpson
 from fmu_src.friction.settings import CONTINUOUS, Motion, torques
 from hesr_model.errors import SimulationError
 from hesr_model.friction.functions import INPUTS
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
 
 Array = NDArray[np.float64]

@@ -14,8 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hesr_model.friction.evaluate import Array, predict
-from hesr_model.friction.law import FrictionLaw, FrictionModel
-from hesr_model.metrics import near_reversals, rmse
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
+from hesr_model.metrics import rmse
+from hesr_model.phases import near_reversals
 
 SETTINGS: Mapping[str, str] = {
     "hold": "inputs of the step's beginning, held",
@@ -55,7 +57,7 @@ class Error:
     Attributes
     ----------
     rmse : over all rows.
-    rmse_reversal : within `metrics.REVERSAL_WINDOW` of reversals; None where there is none.
+    rmse_reversal : within `phases.REVERSAL_WINDOW` of reversals; None where there is none.
     """
 
     rmse: float

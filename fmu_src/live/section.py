@@ -14,7 +14,8 @@ from fmu_src.friction.place import exposed, place
 from fmu_src.friction.reference import trained_speed
 from fmu_src.interface import Interface
 from hesr_model.friction.functions import INPUTS, TAU_LOAD, Q
-from hesr_model.friction.law import FrictionLaw, FrictionModel, LawForm
+from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
 
 _FACTOR = 5.0

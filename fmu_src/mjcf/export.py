@@ -11,7 +11,7 @@ from fmu_src.mjcf.parts import JointFriction, NoCounterpartError, Wave, parts_of
 from fmu_src.mjcf.projection import Misfit, projected
 from hesr_model.errors import ExportError
 from hesr_model.files import written_whole
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 
 _HEAD = """\
 <!-- Friction of joints as passive actuators of MuJoCo (4.0 or later). Put

@@ -19,9 +19,10 @@ from fmu_src.friction.reference import UNKNOWN_SPEED
 from hesr_model.friction.audit import Audit
 from hesr_model.friction.equation import coefficient_lines
 from hesr_model.friction.equation import equations as equations_with_numbers
-from hesr_model.friction.estimator import registry
 from hesr_model.friction.functions import INPUT_UNITS
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws import registry
+from hesr_model.friction.model import FrictionModel
 
 TEMPLATES = Path(__file__).parents[1] / "templates"
 

@@ -18,7 +18,8 @@ from hesr_model.errors import ExportError, HesrError
 from hesr_model.files import written_whole
 from hesr_model.friction.audit import Audit
 from hesr_model.friction.functions import INPUTS, TAU_LOAD, sgn
-from hesr_model.friction.law import FrictionLaw, FrictionModel, LawForm
+from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.friction.model import FrictionModel
 
 _KEYWORDS = """
     algorithm and annotation block break class connect connector constant constrainedby der

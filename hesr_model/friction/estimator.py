@@ -12,7 +12,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.errors import ConfigError
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.residual import FrictionRecord
 
@@ -81,31 +81,3 @@ def register(estimator: Registered) -> Registered:
 def registered() -> Mapping[str, type[Estimator]]:
     """Estimators that were registered until now, by name."""
     return _REGISTRY
-
-
-def registry() -> Mapping[str, type[Estimator]]:
-    """All estimators by name, in the order in which they were registered.
-
-    Raises
-    ------
-    ConfigError
-        If the law of another package cannot be loaded.
-    """
-    from hesr_model.friction.laws import load_laws  # here, because laws import this module
-
-    load_laws()
-    return _REGISTRY
-
-
-def estimator(name: str) -> type[Estimator]:
-    """Return the estimator of that name.
-
-    Raises
-    ------
-    ArtifactError
-        If there is none, naming those that there are.
-    """
-    known = registry()
-    if name not in known:
-        raise ArtifactError(f"law '{name}' is unknown; known are {', '.join(known)}.")
-    return known[name]

@@ -11,8 +11,9 @@ from threadpoolctl import threadpool_limits
 from hesr_model import interrupts, parallel
 from hesr_model.artifacts import provenance as source_of
 from hesr_model.errors import FitError
-from hesr_model.friction.estimator import estimator
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws import estimator
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import training_error
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.friction.uncertainty import with_standard_errors

@@ -9,22 +9,16 @@ description; no law is written a second time.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import inf, isfinite
-from typing import TYPE_CHECKING, Any, Literal, overload
+from math import isfinite
+from typing import Any, Literal
 
-import numpy as np
 import sympy
-from numpy.typing import ArrayLike, NDArray
 
-from hesr_model.errors import ArtifactError, SimulationError
+from hesr_model.errors import ArtifactError
 from hesr_model.friction.functions import INPUTS
-
-if TYPE_CHECKING:
-    from hesr_model.friction.trained import TrainedRange
-    from hesr_model.residual import FrictionRecord
 
 Discretisation = Literal["exact", "euler"]
 
@@ -160,137 +154,3 @@ class FrictionLaw:
                 raise ArtifactError(
                     f"law '{self.name}': start value of '{relaxation.name}' is {value}."
                 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class FrictionModel:
-    """One law for each joint of a robot.
-
-    Attributes
-    ----------
-    law : name of the law, as in the registry or of a published model.
-    robot : name of the robot.
-    joints : names of the joints.
-    laws : the law of each joint.
-    sample_time : sample period at which the laws were made [s].
-    trained : ranges of the records that each law was fitted to; empty where they are not known.
-    training_rmse : error of each law on those records [N.m]; empty where it is not known.
-    provenance : JSON data on where the model comes from (files with hashes, seed, versions).
-    """
-
-    law: str
-    robot: str
-    joints: tuple[str, ...]
-    laws: tuple[FrictionLaw, ...]
-    sample_time: float
-    trained: "tuple[TrainedRange, ...]" = ()
-    training_rmse: tuple[float, ...] = ()
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if not self.joints or len(self.joints) != len(self.laws):
-            raise ArtifactError(
-                f"friction model '{self.law}': {len(self.laws)} laws for {len(self.joints)} joints."
-            )
-        if self.trained and len(self.trained) != len(self.joints):
-            raise ArtifactError(
-                f"friction model '{self.law}': {len(self.trained)} trained ranges for "
-                f"{len(self.joints)} joints."
-            )
-        if self.training_rmse and len(self.training_rmse) != len(self.joints):
-            raise ArtifactError(
-                f"friction model '{self.law}': {len(self.training_rmse)} training errors for "
-                f"{len(self.joints)} joints."
-            )
-        if not 0.0 < self.sample_time < inf:
-            raise ArtifactError(
-                f"friction model '{self.law}': sample time is {self.sample_time} s; needed is a "
-                "positive number."
-            )
-
-    @overload
-    def predict(self, records: "Sequence[FrictionRecord]") -> NDArray[np.float64]: ...
-
-    @overload
-    def predict(
-        self,
-        *,
-        t: ArrayLike,
-        dq: ArrayLike,
-        q: ArrayLike | None = None,
-        tau_load: ArrayLike | None = None,
-    ) -> NDArray[np.float64]: ...
-
-    def predict(
-        self,
-        records: "Sequence[FrictionRecord] | None" = None,
-        *,
-        t: ArrayLike | None = None,
-        dq: ArrayLike | None = None,
-        q: ArrayLike | None = None,
-        tau_load: ArrayLike | None = None,
-    ) -> NDArray[np.float64]:
-        """Return the friction torque of all joints, (N, n) [N.m].
-
-        Of a log, or of a motion given by its arrays. With the log, a law whose state is not known
-        at the start takes it from the first measured torques.
-
-        Parameters
-        ----------
-        records : of one log, as `residual.friction_records` returns them.
-        t : (N,) time [s], increasing.
-        dq : (N, n) joint velocity [rad/s].
-        q : (N, n) joint position [rad]; zero where not given.
-        tau_load : (N, n) rigid-body torque of the motion [N.m]; zero where not given.
-
-        Raises
-        ------
-        SimulationError
-            If the records or arrays are not those of the model's joints, time does not increase, or
-            the discretisation of a law is not stable at these steps.
-        """
-        # Here, because these modules run and fit what this one defines.
-        from hesr_model.friction.evaluate import predict
-        from hesr_model.friction.records import predict_record
-
-        if records is not None:
-            self._require_joints(records)
-            columns = [predict_record(law, r) for law, r in zip(self.laws, records, strict=True)]
-            return np.column_stack(columns)
-        if t is None or dq is None:
-            raise TypeError("predict() takes the records of a log, or the arrays 't' and 'dq'")
-        time = np.asarray(t, dtype=float)
-        speed, position, load = (
-            self._rows(name, values, len(time))
-            for name, values in (("dq", dq), ("q", q), ("tau_load", tau_load))
-        )
-        if np.any(np.diff(time) <= 0.0):
-            row = int(np.argmax(np.diff(time) <= 0.0)) + 1
-            raise SimulationError(
-                f"friction model '{self.law}': time must increase, but t[{row}] is {time[row]:g} s "
-                f"after {time[row - 1]:g} s."
-            )
-        columns = [
-            predict(law, t=time, dq=speed[:, k], q=position[:, k], tau_load=load[:, k])
-            for k, law in enumerate(self.laws)
-        ]
-        return np.column_stack(columns)
-
-    def _rows(self, name: str, values: ArrayLike | None, count: int) -> NDArray[np.float64]:
-        shape = (count, len(self.joints))
-        rows = np.zeros(shape) if values is None else np.asarray(values, dtype=float)
-        if rows.shape != shape:
-            raise SimulationError(
-                f"friction model '{self.law}': '{name}' has the shape {rows.shape}; needed is "
-                f"{shape}, {count} samples of {len(self.joints)} joints."
-            )
-        return rows
-
-    def _require_joints(self, records: "Sequence[FrictionRecord]") -> None:
-        found = tuple(record.joint for record in records)
-        if found != self.joints:
-            raise SimulationError(
-                f"friction model '{self.law}': the records are of the joints "
-                f"{', '.join(found) or 'none'}; needed is one of each of "
-                f"{', '.join(self.joints)}, in this order."
-            )

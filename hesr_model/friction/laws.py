@@ -4,12 +4,13 @@ A package of anybody brings a law by an entry point of the group `hesr.laws`: it
 the law, its value the module that registers it (see `docs/add-a-law.md`).
 """
 
+from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 
-from hesr_model.errors import ConfigError
-from hesr_model.friction.estimator import registered
+from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.friction.estimator import Estimator, registered
 
 MODULES = (
     "stribeck",
@@ -40,6 +41,32 @@ def load_laws() -> None:
         import_module(f"hesr_model.friction.{module}")
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
         _load(entry)
+
+
+def registry() -> Mapping[str, type[Estimator]]:
+    """All estimators by name, in the order in which they were registered.
+
+    Raises
+    ------
+    ConfigError
+        If the law of another package cannot be loaded.
+    """
+    load_laws()
+    return registered()
+
+
+def estimator(name: str) -> type[Estimator]:
+    """Return the estimator of that name.
+
+    Raises
+    ------
+    ArtifactError
+        If there is none, naming those that there are.
+    """
+    known = registry()
+    if name not in known:
+        raise ArtifactError(f"law '{name}' is unknown; known are {', '.join(known)}.")
+    return known[name]
 
 
 def _load(entry: EntryPoint) -> None:

@@ -18,9 +18,9 @@ from threadpoolctl import threadpool_limits
 from fmu_src import model_file
 from fmu_src.friction.codegen import law_functions
 from hesr_model.artifacts import read_model
-from hesr_model.friction.estimator import estimator
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fit import fit_joint
+from hesr_model.friction.laws import estimator
 from hesr_model.friction.parfam import paper, refine
 from hesr_model.friction.parfam.candidate import Candidate
 from hesr_model.friction.parfam.features import HysteresisFeatures

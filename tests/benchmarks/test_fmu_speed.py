@@ -20,7 +20,7 @@ from cosim.component import Component
 from cosim.replay import replay
 from fmu_src import export_fmu, model_file
 from hesr_model.artifacts import read_model
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 
 STEP = 0.005
 Tell = Callable[[str], None]

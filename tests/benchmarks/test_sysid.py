@@ -28,10 +28,10 @@ import pytest
 from mujoco import sysid
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from hesr_model.friction.estimator import estimator
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws import estimator
 from hesr_model.friction.lugre import DEFLECTION_BOUNDS, STATIC_RATIO_BOUNDS
 from hesr_model.friction.stribeck import VELOCITY_BOUNDS
 from hesr_model.metrics import rmse

@@ -17,8 +17,8 @@ from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import Motion, torques
 from fmu_src.live.page import live_assets, live_section
 from hesr_model.artifacts import read_model
-from hesr_model.friction.estimator import registry
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.laws import registry
+from hesr_model.friction.model import FrictionModel
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -17,7 +17,8 @@ from fmu_src.friction.export import live_of
 from fmu_src.live.page import live_assets, live_section
 from hesr_model.artifacts import read_model
 from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute, sgn
-from hesr_model.friction.law import Coefficient, FrictionLaw, FrictionModel, LawForm
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.model import FrictionModel
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

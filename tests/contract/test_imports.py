@@ -8,6 +8,7 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from fnmatch import fnmatch
+from graphlib import TopologicalSorter
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -82,6 +83,26 @@ def test_imports_go_one_way(module: Path) -> None:
     for name in imports(module):
         assert top(name) not in above, f"{module} imports {name}"
         assert top(name) not in ("tests", "models"), f"{module} imports {name}"
+
+
+def test_no_module_imports_one_that_imports_it() -> None:
+    """However long the way round, and whether at the top or inside a function."""
+    names = {
+        ".".join(module.with_suffix("").parts).removesuffix(".__init__"): module
+        for module in MODULES
+    }
+    needs = {
+        name: {
+            submodule if (submodule := f"{node.module}.{alias.name}") in names else node.module
+            for node in ast.walk(parsed(module))
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        & names.keys() - {name}
+        for name, module in names.items()
+    }
+    assert sum(map(len, needs.values())) > 300
+    TopologicalSorter(needs).prepare()  # raises CycleError, which names them
 
 
 @pytest.mark.parametrize("module", HOSTS, ids=str)

@@ -20,11 +20,12 @@ from cosim.replay import replay
 from fmu_src import export_fmu
 from hesr_model.artifacts import read_model, write_model
 from hesr_model.errors import ArtifactError, HesrError
-from hesr_model.friction.estimator import registry
 from hesr_model.friction.evaluate import Stepper, predict
 from hesr_model.friction.fit import fit_joint
 from hesr_model.friction.functions import INPUTS
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws import registry
+from hesr_model.friction.model import FrictionModel
 from hesr_model.metrics import rmse
 from hesr_model.residual import FrictionRecord
 

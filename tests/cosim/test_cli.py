@@ -14,7 +14,7 @@ from small_study import Answer, Hesr, contents, hesr_here, hesr_in_a_process, uf
 
 from hesr_model.artifacts import read_model, read_rigid_body
 from hesr_model.files import sha256
-from hesr_model.friction.estimator import registry
+from hesr_model.friction.laws import registry
 from hesr_model.robot import RobotDescription
 from hesr_model.robot_log import RobotLog
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from small_study import Hesr, hesr_here, hesr_in_a_process, uf850, write_study
 
-from hesr_model.friction.estimator import registry
+from hesr_model.friction.laws import registry
 
 ROBOT = uf850("robot.toml")
 

@@ -15,7 +15,8 @@ from cosim.monolithic import run_loop
 from cosim.system import SystemSpec
 from fmu_src import export_fmu
 from hesr_model.friction.functions import DQ, absolute
-from hesr_model.friction.law import Coefficient, FrictionLaw, FrictionModel, LawForm, Relaxation
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
+from hesr_model.friction.model import FrictionModel
 from hesr_model.trajectories import Sine, chirp
 
 

@@ -20,9 +20,10 @@ from cosim.scoring import (
 from cosim.tables import comparison, ratios
 from fmu_src import export_fmu
 from hesr_model.errors import ArtifactError, ConfigError, SimulationError
-from hesr_model.friction.estimator import estimator
 from hesr_model.friction.evaluate import predict
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws import estimator
+from hesr_model.friction.model import FrictionModel
 from hesr_model.metrics import rmse
 from hesr_model.residual import FrictionRecord
 

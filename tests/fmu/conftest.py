@@ -12,9 +12,10 @@ from binary import Binary
 
 from fmu_src import export_fmu, model_file
 from hesr_model.artifacts import read_model
-from hesr_model.friction.estimator import registry
 from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute, sgn
-from hesr_model.friction.law import Coefficient, FrictionLaw, FrictionModel, LawForm, Relaxation
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
+from hesr_model.friction.laws import registry
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.parfam import family
 from hesr_model.residual import FrictionRecord
 

@@ -15,8 +15,9 @@ from fmu_src.friction import component as friction
 from fmu_src.friction.datasheet import EULER, RK4, fastest, figure
 from fmu_src.friction.documentation import to_html
 from fmu_src.friction.mathml import equations
-from hesr_model.friction.estimator import registry
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws import registry
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}

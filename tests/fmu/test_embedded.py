@@ -11,8 +11,9 @@ import pytest
 from fmu_src import export_fmu
 from fmu_src.friction.embedded import EMBEDDED_MODEL, embedded_model
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.estimator import estimator
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws import estimator
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
 
 STRUCTURE = {

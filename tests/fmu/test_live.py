@@ -16,7 +16,8 @@ from fmu_src.friction.component import interface
 from fmu_src.friction.export import live_of
 from fmu_src.live.page import live_section
 from fmu_src.live.section import ends
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
 
 IMPORTS = 2  # number of that section of a module

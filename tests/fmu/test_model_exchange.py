@@ -10,9 +10,9 @@ from fmpy import simulate_fmu
 from scipy.integrate import DOP853, solve_ivp
 
 from fmu_src import export_fmu
-from hesr_model.friction.estimator import estimator
 from hesr_model.friction.functions import INPUTS, lowered
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws import estimator
 
 SPEED, OMEGA = 0.5, 2.0 * np.pi  # of a sine that reverses at 0.25 s, 0.75 s, ..
 END = 1.0

@@ -9,7 +9,8 @@ from dataclasses import replace
 import pytest
 
 from fmu_src.friction.pictures import model_png
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
 
 MOST = 25_000
 """Bytes; an FMU is small."""

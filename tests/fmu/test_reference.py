@@ -15,7 +15,8 @@ from fmu_src import export_fmu
 from fmu_src.friction.reference import UNKNOWN_SPEED, reference_files, reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, torques
 from hesr_model.friction.functions import INPUTS, lowered
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
 
 TRAINED = TrainedRange(

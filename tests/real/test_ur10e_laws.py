@@ -13,10 +13,10 @@ from cosim.run import Outcome, run_study
 from cosim.study import Study
 from fmu_src import export_fmu
 from hesr_model.artifacts import read_model
-from hesr_model.friction.estimator import registry
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fit import fit_models
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.laws import registry
+from hesr_model.friction.model import FrictionModel
 from hesr_model.residual import FrictionRecord, friction_records
 from hesr_model.robot import RobotModel
 from hesr_model.robot_log import RobotLog

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from hesr_model.friction.estimator import estimator
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws import estimator
 from hesr_model.residual import FrictionRecord
 
 GEAR_RATIO = 101.0

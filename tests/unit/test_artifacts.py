@@ -26,7 +26,8 @@ from hesr_model.artifacts import (
 )
 from hesr_model.errors import ArtifactError
 from hesr_model.files import models_folder, sha256
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.parfam import family
 from hesr_model.rigid_body import RigidBody
 

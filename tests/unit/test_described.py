@@ -9,8 +9,8 @@ from joint_data import GEAR_RATIO, along, error_on, law, path, training
 
 from hesr_model.errors import ArtifactError, FitError
 from hesr_model.friction.described import Described, OneForm, no_structure
-from hesr_model.friction.estimator import registry
 from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.friction.laws import registry
 from hesr_model.friction.separable import SearchSpace
 from hesr_model.friction.stribeck import Stribeck
 

@@ -7,7 +7,8 @@ import sympy
 
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.functions import DQ, TAU_LOAD, Q, sgn
-from hesr_model.friction.law import Coefficient, FrictionLaw, FrictionModel, LawForm, Relaxation
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
+from hesr_model.friction.model import FrictionModel
 
 A = Coefficient(name="a", unit="N.m", description="level")
 R = Coefficient(name="r", unit="1/s", description="rate")

@@ -3,14 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hesr_model.metrics import (
-    near_reversals,
-    reversals,
-    rmse,
-    rmse_ratio_interval,
-    score,
-    time_band,
-)
+from hesr_model.metrics import rmse, rmse_ratio_interval, score, time_band
+from hesr_model.phases import near_reversals, reversals
 from hesr_model.residual import FrictionRecord
 
 

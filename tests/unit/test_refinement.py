@@ -10,7 +10,7 @@ from joint_data import law as made
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fit import fit_models
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 from hesr_model.refinement import identify_again
 from hesr_model.residual import friction_records
 from hesr_model.rigid_body import RigidBody, identify

@@ -11,7 +11,7 @@ from joint_data import HX_PAPER, along, law, path
 from hesr_model.artifacts import read_model, write_model
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.fit import fit_models
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.trained import TrainedRange, outside
 

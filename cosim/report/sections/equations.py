@@ -19,7 +19,7 @@ from cosim.report.markup import (
 from cosim.report.results import PAPERS, Results
 from fmu_src.friction.mathml import equations, symbol
 from fmu_src.friction.place import exposed
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 
 _INTERVAL = 1.96
 

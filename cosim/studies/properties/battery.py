@@ -31,7 +31,7 @@ from hesr_model import interrupts, parallel
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.friction.audit import loads_of
 from hesr_model.friction.expectations import EXPECTATIONS
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.properties import Figure, Finding, JointProperties, Properties
 from hesr_model.friction.trained import TrainedRange
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from cosim.batch import Array
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body import RigidBody
 from hesr_model.robot import RobotModel
 

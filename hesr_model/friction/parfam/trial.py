@@ -17,7 +17,7 @@ from hesr_model.friction.samples import Samples
 from hesr_model.friction.separable import SearchSpace, Separable
 from hesr_model.friction.stribeck import V_S, VELOCITY_BOUNDS
 from hesr_model.friction.trained import TrainedRange
-from hesr_model.metrics import MOVING
+from hesr_model.phases import MOVING
 
 MEMORY_BOUNDS = (0.05, 2000.0)
 """Bounds of kappa [1/rad]: from no memory in position to one of a milliradian."""

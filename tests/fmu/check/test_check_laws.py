@@ -8,8 +8,8 @@ import pytest
 
 from fmu_src import export_fmu
 from fmu_src.check import check
-from hesr_model.friction.estimator import registry
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.laws import registry
+from hesr_model.friction.model import FrictionModel
 from hesr_model.residual import FrictionRecord
 
 VDMCHECK2 = Path(__file__).parents[3] / ".tools" / "vdmcheck2"

@@ -8,7 +8,8 @@ import numpy as np
 from cosim.component import Component
 from fmu_src.drive.export import content
 from fmu_src.package import write_fmu
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
 
 Array = np.ndarray
 

@@ -16,7 +16,7 @@ from fmpy import read_model_description
 from fmu_src.check import check
 from fmu_src.drive.export import export_drive
 from fmu_src.friction.embedded import embedded_model
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 
 VDMCHECK2 = Path(__file__).parents[3] / ".tools" / "vdmcheck2"
 WINE = shutil.which("wine") or shutil.which("wine64")

@@ -18,10 +18,10 @@ from fmu_src.drive.documentation import holding_torque, stopping_torque
 from fmu_src.friction.datasheet import EULER
 from hesr_model.friction.audit import audit
 from hesr_model.friction.dahl import DEFLECTIONS
-from hesr_model.friction.estimator import estimator, registry
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws import estimator, registry
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.residual import FrictionRecord
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from fmu_src.friction.reference import reference_files
 from fmu_src.friction.settings import Motion
-from hesr_model.friction.law import FrictionModel
+from hesr_model.friction.model import FrictionModel
 
 ROBOT = """\
 <mujoco model="joints">

@@ -16,9 +16,9 @@ from fmu_src.mjcf.parts import Wave, parts_of
 from hesr_model.artifacts import read_model
 from hesr_model.errors import ArtifactError, ExportError
 from hesr_model.files import models_folder
-from hesr_model.friction.estimator import estimator
 from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
+from hesr_model.friction.laws import estimator
 
 UF850 = models_folder() / "uf850" / "uf850.xml"
 JOINTS = ("joint1", "joint2", "joint3")

@@ -15,10 +15,10 @@ from fmu_src.friction.reference import reference_motion
 from fmu_src.mjcf.export import export_mjcf_law
 from hesr_model.files import models_folder
 from hesr_model.friction.dahl import DEFLECTIONS
-from hesr_model.friction.estimator import estimator
 from hesr_model.friction.evaluate import Stepper, predict
 from hesr_model.friction.functions import DQ, absolute
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
+from hesr_model.friction.laws import estimator
 
 UF850 = models_folder() / "uf850" / "uf850.xml"
 UF850_JOINTS = ("joint1", "joint2", "joint3")

@@ -15,10 +15,10 @@ from fmu_src.mjcf.projection import projected
 from hesr_model.artifacts import read_model
 from hesr_model.errors import ExportError
 from hesr_model.friction import dahl
-from hesr_model.friction.estimator import estimator
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.functions import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.laws import estimator
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.trajectories import random_fourier
 

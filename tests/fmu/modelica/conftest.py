@@ -11,7 +11,8 @@ from modelica_laws import EVERY, shapes
 from test_model_exchange import parfam_hx
 
 from fmu_src.modelica.export import export_modelica
-from hesr_model.friction.law import FrictionLaw, FrictionModel
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
 
 COMPILERS = Path(__file__).parents[3] / ".tools/modelica"
 

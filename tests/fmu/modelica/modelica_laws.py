@@ -4,9 +4,9 @@ from pathlib import Path
 
 import sympy
 
-from hesr_model.friction.estimator import registry
 from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute, sgn
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
+from hesr_model.friction.laws import registry
 
 LIBRARY = Path(__file__).parent / "library"
 """Folder of the stand-in for the Modelica Standard Library."""
