@@ -7,7 +7,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cosim.component import Array, Component
+from cosim.batch import Array
+from cosim.component import Component
 from fmu_src.arm.plant import ArmOutput, Plant
 
 _TRUE = ("q_true", "dq_true", "tau_true", "tau_f_true")

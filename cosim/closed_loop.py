@@ -1,6 +1,6 @@
 """The closed loop of an arm as a system of FMUs: trajectory, models, controller, arm."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -143,7 +143,7 @@ def system(
     setting: Setting,
     *,
     duration: float,
-    limits: Sequence[tuple[float, float]] = (),
+    limits: Collection[tuple[float, float]] = (),
     motion: Mapping[str, Value] | None = None,
 ) -> SystemSpec:
     """Return the loop as a system; the arm is stepped first, with the commands of the last sample.

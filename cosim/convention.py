@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.component import Array, Component
+from cosim.batch import Array
+from cosim.component import Component
 from fmu_src.friction.embedded import embedded_model
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, errors, torques

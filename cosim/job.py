@@ -1,7 +1,7 @@
 """The steps of a study, from its logs to its closed loop."""
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from inspect import signature
@@ -18,6 +18,7 @@ from hesr_model.friction.evaluate import Array
 from hesr_model.friction.fit import fit_models
 from hesr_model.friction.laws import estimator, registry
 from hesr_model.friction.model import FrictionModel
+from hesr_model.progress import Stages, counted
 from hesr_model.refinement import identify_again
 from hesr_model.residual import FrictionRecord, friction_records
 from hesr_model.rigid_body import RigidBody, identify
@@ -30,9 +31,6 @@ if TYPE_CHECKING:
     from fmu_src.arm.plant import Plant
     from hesr_model.friction.properties import Properties
 
-Progress = Callable[[str, int, int], None]
-"""Called with what is being done, how much of it is done, and how much there is."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
@@ -40,7 +38,7 @@ class Job:
 
     study: Study
     path: Path
-    progress: Progress
+    progress: Stages
 
     def __post_init__(self) -> None:
         study = self.study
@@ -241,8 +239,7 @@ class Job:
         """
         comparisons, predictions = {}, {}
         tests = self.study.logs.test
-        for k, (name, logs) in enumerate(tests.items()):
-            self.progress("replaying the FMUs", k, len(tests))
+        for name, logs in counted(tests.items(), partial(self.progress, "replaying the FMUs")):
             tested = by_joint([records[log] for log in logs])
             predicted = {law: predict_fmu(fmus / f"{law}.fmu", tested) for law in self.laws}
             if self.study.twin:
@@ -258,7 +255,6 @@ class Job:
                     comparisons[band.name] = compare(
                         rows, {law: p for law, (_, p) in parts.items()}
                     )
-        self.progress("replaying the FMUs", len(tests), len(tests))
         return comparisons, predictions
 
     def _true_friction(self, logs: Sequence[Path]) -> list[list[Array]]:

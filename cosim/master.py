@@ -1,6 +1,6 @@
 """A fixed-step master: runs a system of FMUs and keeps the signals that are observed."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +14,8 @@ from cosim.system import SystemSpec, Value
 from cosim.wiring import Element, Wiring
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.files import written_whole
+from hesr_model.progress import Progress, unheard
 from hesr_model.tables import write_table
-
-Progress = Callable[[int, int], None]
-"""Called with how many steps are done and how many there are."""
 
 _TELL_EVERY = 200  # steps
 
@@ -172,7 +170,7 @@ class Master:
 
     def run(
         self,
-        progress: Progress | None = None,
+        progress: Progress = unheard,
         *,
         start: Mapping[str, Mapping[str, Value]] | None = None,
     ) -> Result:
@@ -200,16 +198,15 @@ class Master:
                 done = k + 1
                 if self._limited.size:
                     self._require_limits(k * step)
-                if progress and k % _TELL_EVERY == 0:
+                if k % _TELL_EVERY == 0:
                     progress(k, steps)
         except SimulationError as error:
             failure = error
         # Where one component gives what is no number, another may be the one that complains.
         failure = self._not_finite(done * step) or failure
-        if progress:
-            progress(steps, steps)
+        progress(steps, steps)
         signals = {".".join(e): kept[:done, i] for i, e in enumerate(self._wiring.observed)}
-        return Result(t=step * np.arange(done), signals=signals, failure=failure)
+        return Result(t=step * np.arange(done, dtype=float), signals=signals, failure=failure)
 
     def _initialise(self, more: Mapping[str, Mapping[str, Value]]) -> None:
         self._values[:] = 0.0
@@ -292,7 +289,7 @@ def _not_a_number(element: Element, time: float) -> str:
     return f"at t = {time:.9g} s {'.'.join(element)} is not a finite number."
 
 
-def simulate(spec: SystemSpec, path: Path, progress: Progress | None = None) -> Result:
+def simulate(spec: SystemSpec, path: Path, progress: Progress = unheard) -> Result:
     """Load a system, run it once and free it."""
     with Master(spec, path) as master:
         return master.run(progress)

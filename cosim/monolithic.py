@@ -81,7 +81,7 @@ def run_loop(loop: Loop) -> LoopResult:
         a finite number.
     """
     count = round(loop.stop / loop.step) + 1
-    t = loop.step * np.arange(count)
+    t = loop.step * np.arange(count, dtype=float)
     q_d = _motion(loop, t)[0]
     noise = loop.plant.noise
     encoder, torque = (e(np.arange(count)) for e in (noise.encoder_error, noise.torque_error))

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cosim.component import Array, Component
+from cosim.batch import Array
+from cosim.component import Component
 from hesr_model.errors import SimulationError
 from hesr_model.friction.functions import INPUTS
 

@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.describe import save_run
-from cosim.job import Job, Progress
+from cosim.job import Job
 from cosim.scoring import Comparison
 from cosim.study import Study
 from fmu_src import export_fmu
@@ -14,6 +15,7 @@ from fmu_src.toolchain import targets
 from hesr_model.artifacts import provenance, write_json, write_model, write_rigid_body
 from hesr_model.files import folder_written_whole, models_folder
 from hesr_model.friction.model import FrictionModel
+from hesr_model.progress import Stages, counted, unheard
 from hesr_model.residual import friction_records
 from hesr_model.rigid_body import RigidBody
 from hesr_model.robot import RobotModel
@@ -63,7 +65,7 @@ def run_study(
     *,
     platforms: Sequence[str] = ("linux64",),
     quick: bool = False,
-    progress: Progress | None = None,
+    progress: Stages = unheard,
 ) -> Outcome:
     """Run a study and write everything that it makes into a folder, or nothing on an error.
 
@@ -89,7 +91,7 @@ def run_study(
             update={"laws": QUICK_LAWS, "variants": {}, "refinement": None, "tracking": None}
         )
     targets(platforms)
-    job = Job(study=study, path=path, progress=progress or _silent)
+    job = Job(study=study, path=path, progress=progress)
     model = RobotModel(job.robot)
     with folder_written_whole(output) as folder:
         files = job.log_files(folder)
@@ -101,12 +103,10 @@ def run_study(
         records = {name: friction_records(log, model, rigid_body) for name, log in logs.items()}
         models = job.fit(records, job.laws, "fitting laws", source)
         found = {} if quick else job.properties(model, rigid_body, models, folder)
-        for k, (law, fitted) in enumerate(models.items()):
-            job.progress("building FMUs", k, len(models))
+        for law, fitted in counted(models.items(), partial(job.progress, "building FMUs")):
             write_model(folder / "laws" / f"{law}.json", fitted)
             path_of_fmu = folder / "fmus" / f"{law}.fmu"
             export_fmu(fitted, path_of_fmu, platforms=platforms, properties=found.get(law))
-        job.progress("building FMUs", len(models), len(models))
         comparisons, predictions = job.compare(records, files, folder / "fmus")
         loop = job.closed_loop(model, rigid_body, folder, models, kept=unfinished(output))
         write_json(
@@ -147,7 +147,3 @@ def _given(study: Path) -> list[str]:
     """Return how a study is given to the command line; the default one is not."""
     default = models_folder() / "studies" / "default.toml"
     return [] if study.resolve() == default.resolve() else [study.name]
-
-
-def _silent(what: str, done: int, total: int) -> None:
-    """Tell nobody."""

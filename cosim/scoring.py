@@ -219,12 +219,14 @@ def predict_fmu(fmu: Path, records: Records) -> list[list[Array]]:
     model = embedded_model(fmu)
     torques = []
     for log in zip(*records, strict=True):
-        start = {}
+        start: dict[str, float] = {}
         if model is not None and len(model.laws) == len(log):
             for i, (law, record) in enumerate(zip(model.laws, log, strict=True), start=1):
                 values = record_start(law, record) if law.start_samples else ()
                 states = law.form.relaxations
                 start |= {f"{s.name}[{i}]": x for s, x in zip(states, values, strict=False)}
-        columns = (np.column_stack([getattr(r, u) for r in log]) for u in ("dq", "q", "tau_load"))
-        torques.append(replay(fmu, log[0].t, *columns, start=start))
+        dq, q, tau_load = (
+            np.column_stack([getattr(r, u) for r in log]) for u in ("dq", "q", "tau_load")
+        )
+        torques.append(replay(fmu, log[0].t, dq, q, tau_load, start=start))
     return [[torque[:, joint] for torque in torques] for joint in range(len(records))]

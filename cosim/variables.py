@@ -8,7 +8,7 @@ from typing import Any
 
 from hesr_model.errors import SimulationError
 
-Value = bool | float | int | str | Sequence[float]
+Value = bool | float | int | str | tuple[float, ...] | list[float]
 """A start value: a number, a list for all elements of a vector, or the name of a choice."""
 
 SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")
@@ -119,7 +119,9 @@ class Variables:
         found: dict[str, float | str] = {}
         for name, value in values.items():
             elements = self.elements(name)
-            parts = list(value) if isinstance(value, tuple | list) else [value] * len(elements)
+            parts: list[float | str] = (
+                list(value) if isinstance(value, tuple | list) else [value] * len(elements)
+            )
             if len(parts) != len(elements):
                 raise SimulationError(
                     f"{self._fmu}: '{name}' has {len(elements)} element{'s'[: len(elements) > 1]}; "
@@ -128,7 +130,7 @@ class Variables:
             found |= {e: self._checked(e, p) for e, p in zip(elements, parts, strict=True)}
         return found
 
-    def _checked(self, name: str, value: Any) -> float | str:
+    def _checked(self, name: str, value: float | str) -> float | str:
         """Return a start value as its variable's type takes it."""
         variable = self[name]
         if variable.type == "String":

@@ -138,7 +138,8 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
     known = ("input", "state", "fixed", "tunable")
     _unknowns(structure, "InitialUnknowns", initial, table, known)
     ET.indent(root)
-    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+    written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return written + b"\n"
 
 
 def _source_files(kind: ET.Element, about: Description) -> None:

@@ -13,6 +13,7 @@ from fmu_src.interface import Interface, to_c
 from fmu_src.toolchain import Target, build, targets
 from hesr_model.errors import ExportError
 from hesr_model.files import written_whole
+from hesr_model.progress import Progress, counted, unheard
 
 _HERE = Path(__file__).parent
 _C = _HERE / "c"
@@ -78,7 +79,13 @@ def own_source(name: str) -> str:
     return (_C / name).read_text(encoding="utf-8")
 
 
-def write_fmu(content: Content, path: Path, *, platforms: Sequence[str] = ("linux64",)) -> Path:
+def write_fmu(
+    content: Content,
+    path: Path,
+    *,
+    platforms: Sequence[str] = ("linux64",),
+    progress: Progress = unheard,
+) -> Path:
     """Compile a component with the FMI glue and write both as an FMU.
 
     Parameters
@@ -86,6 +93,7 @@ def write_fmu(content: Content, path: Path, *, platforms: Sequence[str] = ("linu
     content : the component.
     path : the FMU to write, ending in .fmu.
     platforms : names of `toolchain.TARGETS`, or "all".
+    progress : told for how many of them it is built.
 
     Returns
     -------
@@ -110,7 +118,7 @@ def write_fmu(content: Content, path: Path, *, platforms: Sequence[str] = ("linu
     with TemporaryDirectory(prefix="hesr-") as folder:
         for name, text in sources.items():
             Path(folder, name).write_text(text, encoding="utf-8")
-        for target in wanted:
+        for target in counted(wanted, progress):
             flags = _link_flags(content.binary, target)
             library = build(Path(folder, "all.c"), about.identifier, target, flags)
             members[f"binaries/{target.folder}/{about.identifier}{target.suffix}"] = library

@@ -12,6 +12,7 @@ from hesr_model.config import Config
 from hesr_model.errors import FitError
 from hesr_model.excitation_search import Search
 from hesr_model.motion_limits import Limits, MotionLimits, Positive, one_period, peak_torque
+from hesr_model.progress import Progress, counted, unheard
 from hesr_model.rigid_body import LEAST_PEAK
 from hesr_model.robot import RobotModel
 from hesr_model.trajectories import Fourier
@@ -116,12 +117,22 @@ def condition(model: RobotModel, base: tuple[int, ...], motion: Fourier) -> floa
     return float(np.linalg.cond(columns.reshape(-1, columns.shape[2])))
 
 
-def design(model: RobotModel, settings: ExcitationSettings | None = None) -> Excitation:
+def design(
+    model: RobotModel,
+    settings: ExcitationSettings | None = None,
+    *,
+    progress: Progress = unheard,
+) -> Excitation:
     """Design the motion of least `condition` within limits.
 
     From random admissible motions L-BFGS-B descends a smooth bound of the condition number in
     which passing a limit is punished; the best of these motions is refined, and shrunk until
     every limit holds at every instant.
+
+    Parameters
+    ----------
+    settings : limits, harmonics, periods; the defaults where not given.
+    progress : told how many descents are done.
 
     Raises
     ------
@@ -137,7 +148,10 @@ def design(model: RobotModel, settings: ExcitationSettings | None = None) -> Exc
     search = Search.of(model, limits, harmonics=settings.harmonics, period=settings.period)
     with threadpool_limits(1):
         starts = random_motions(model, settings, settings.starts, settings.seed)
-        rough = [_descend(search, start, rest, _COARSE, _COARSE_STEPS) for start in starts]
+        rough = [
+            _descend(search, start, rest, _COARSE, _COARSE_STEPS)
+            for start in counted(starts, progress)
+        ]
         best = min(rough, key=lambda motion: condition(model, search.base, motion))
         period = round(best.period * rate) / rate
         search = replace(search, period=(period, period))

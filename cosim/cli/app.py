@@ -3,20 +3,21 @@
 import inspect
 import re
 from collections.abc import Callable
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from cosim.cli.voice import shown_progress, speaking
+from cosim.cli.voice import speaking
+from hesr_model.progress import Stages, counted
 
 if TYPE_CHECKING:
     from cosim.scoring import Records
 
-__all__ = ["Body", "Json", "Logs", "Output", "Platforms", "Robot", "app", "read_records",
-           "shown_progress"]  # fmt: skip
+__all__ = ["Body", "Json", "Logs", "Output", "Platforms", "Robot", "app",
+           "read_records"]  # fmt: skip
 
 _EPILOG = """\b
 Exit codes:
@@ -161,7 +162,9 @@ Platforms = Annotated[
 ]
 
 
-def read_records(logs: list[Path], robot: Path, rigid_body: Path) -> "tuple[Records, str, Path]":
+def read_records(
+    logs: list[Path], robot: Path, rigid_body: Path, progress: "Stages"
+) -> "tuple[Records, str, Path]":
     """Return the friction records [joint][log], the robot's name and its model file."""
     from cosim.scoring import by_joint
     from hesr_model.artifacts import read_rigid_body
@@ -172,6 +175,8 @@ def read_records(logs: list[Path], robot: Path, rigid_body: Path) -> "tuple[Reco
     description = RobotDescription.read(robot)
     model = RobotModel(description)
     body = read_rigid_body(rigid_body)
-    read = [RobotLog.read(log, description) for log in logs]
+    read = [
+        RobotLog.read(log, description) for log in counted(logs, partial(progress, "reading logs"))
+    ]
     records = by_joint([friction_records(log, model, body) for log in read])
     return records, description.name, description.model

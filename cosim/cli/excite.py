@@ -1,12 +1,13 @@
 """The command that designs a motion: excite."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from cosim.cli.app import app
-from cosim.cli.voice import working
+from cosim.cli.voice import shown_progress
 
 
 @app.command()
@@ -28,10 +29,10 @@ def excite(
     """
     from cosim.studies.design import design
 
-    with working("designing the motion"):
-        found = design(robot, output, settings)
+    with shown_progress() as progress:
+        found = design(robot, output, settings, progress=partial(progress, "designing the motion"))
     motion, torque = found.excitation.motion, found.excitation.peak_torque
-    start = ", ".join(f"{q:.3f}" for q in motion.sample([0.0])[0][0])
+    start = ", ".join(f"{q:.3f}" for q in found.excitation.setpoints()[1][0])
     typer.echo(
         f"Period {motion.period:.3f} s, condition number {found.excitation.condition:.3g} (random "
         f"motions within the same limits: {found.random_condition:.3g} in the median).\n"

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,8 +11,9 @@ import typer
 
 from cosim.cli.app import Output, Platforms, app
 from cosim.cli.numbers import numbers
-from cosim.cli.voice import working
+from cosim.cli.voice import shown_progress
 from hesr_model.errors import ConfigError
+from hesr_model.progress import Progress, Stages
 
 if TYPE_CHECKING:
     from hesr_model.friction.model import FrictionModel
@@ -36,6 +38,12 @@ class _Request:
     """Options of a drive, as they were typed."""
     project: bool
     properties: bool
+    progress: Stages
+
+    @property
+    def building(self) -> Progress:
+        """Told how much of the output is built."""
+        return partial(self.progress, f"building {self.output.name}")
 
 
 @app.command()
@@ -99,32 +107,26 @@ def export(
     hesr export law.json --format drive --inertia 3,3,0.6 -o Drive.fmu;
     hesr export robot.xml -o Arm.fmu --signals arm.toml
     """
-    request = _Request(
-        output=output,
-        platforms=platform or ["linux64"],
-        motor={
-            "inertia": inertia,
-            "stiffness": stiffness,
-            "damping": damping,
-            "ratio": ratio,
-        },
-        project=project,
-        properties=properties,
-    )
-    if Path(model).suffix.lower() == ".xml":
-        from fmu_src.arm.native import export_mjcf
+    of_robot = Path(model).suffix.lower() == ".xml"
+    if signals is not None and not of_robot:
+        raise ConfigError(f"--signals is for an MJCF, a file in .xml; '{model}' is none.")
+    motor = {"inertia": inertia, "stiffness": stiffness, "damping": damping, "ratio": ratio}
+    with shown_progress() as progress:
+        request = _Request(
+            output=output,
+            platforms=platform or ["linux64"],
+            motor=motor,
+            project=project,
+            properties=properties,
+            progress=progress,
+        )
+        _refuse_others(request, platform, kind, of_robot=of_robot)
+        if of_robot:
+            _robot(Path(model), request, signals)
+        else:
+            from fmu_src import model_file
+            from hesr_model.artifacts import read_model
 
-        _refuse_others(request, platform, kind, of_robot=True)
-        with working(f"building {output.name}"):
-            export_mjcf(Path(model), output, table=signals, platforms=request.platforms)
-    else:
-        from fmu_src import model_file
-        from hesr_model.artifacts import read_model
-
-        if signals is not None:
-            raise ConfigError(f"--signals is for an MJCF, a file in .xml; '{model}' is none.")
-        _refuse_others(request, platform, kind, of_robot=False)
-        with working(f"building {output.name}"):
             _WRITERS[kind](read_model(model_file(model)), request)
     typer.echo(f"written to {output}.")
 
@@ -150,6 +152,18 @@ def _refuse_others(
             raise ConfigError(f"{option} needs {allowed}, but the format is '{kind}'.")
 
 
+def _robot(model: Path, request: _Request, signals: Path | None) -> None:
+    from fmu_src.arm.native import export_mjcf
+
+    export_mjcf(
+        model,
+        request.output,
+        table=signals,
+        platforms=request.platforms,
+        progress=request.building,
+    )
+
+
 def _fmu(model: "FrictionModel", request: _Request) -> None:
     from fmu_src import export_fmu
 
@@ -157,8 +171,17 @@ def _fmu(model: "FrictionModel", request: _Request) -> None:
     if request.properties:
         from cosim.studies.properties.battery import Subject, run_battery
 
-        [found] = run_battery([Subject(name=model.law, model=model)])
-    export_fmu(model, request.output, platforms=request.platforms, properties=found)
+        [found] = run_battery(
+            [Subject(name=model.law, model=model)],
+            progress=partial(request.progress, "testing the law"),
+        )
+    export_fmu(
+        model,
+        request.output,
+        platforms=request.platforms,
+        properties=found,
+        progress=request.building,
+    )
 
 
 def _drive(model: "FrictionModel", request: _Request) -> None:
@@ -176,6 +199,7 @@ def _drive(model: "FrictionModel", request: _Request) -> None:
         damping=motor["damping"],
         ratio=motor["ratio"],
         platforms=request.platforms,
+        progress=request.building,
     )
 
 
@@ -195,7 +219,10 @@ def _of_joints(name: str, text: str | None, joints: int) -> Sequence[float] | No
 def _mjcf(model: "FrictionModel", request: _Request) -> None:
     from fmu_src.mjcf.export import export_mjcf_law
 
-    for line in export_mjcf_law(model, request.output, project=request.project).lines():
+    report = export_mjcf_law(
+        model, request.output, project=request.project, progress=request.building
+    )
+    for line in report.lines():
         typer.echo(line)
 
 

@@ -1,6 +1,7 @@
 """The command that asks whether laws behave as friction does: properties."""
 
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -61,9 +62,7 @@ def properties(
         raise ConfigError(f"--load is {load}; needed is a number.")
     subjects = _subjects(laws, numbers("--inertia", inertia))
     with answer_file(json_file) as wanted, shown_progress() as progress:
-        found = run_battery(
-            subjects, load=load, progress=lambda done, total: progress("laws", done, total)
-        )
+        found = run_battery(subjects, load=load, progress=partial(progress, "testing the laws"))
         named = {s.name: of_law for s, of_law in zip(subjects, found, strict=True)}
         if wanted is not None:
             write_properties(wanted, named)

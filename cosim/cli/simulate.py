@@ -1,5 +1,6 @@
 """The command that runs a system of FMUs: simulate."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -45,7 +46,7 @@ def _simulate(spec: "SystemSpec", system: Path, output: Path) -> None:
     # Whether the file can be written is found out before the run, not after it.
     with written_whole(output) as temporary:
         with Master(spec, system) as master, shown_progress() as progress:
-            result = master.run(lambda done, steps: progress(spec.name, done, steps))
+            result = master.run(partial(progress, spec.name))
         if not len(result.t):
             result.require_success()
         result.write(temporary)

@@ -16,8 +16,9 @@ from cosim.cli.app import (
     app,
     read_records,
 )
-from cosim.cli.voice import answer, shown_progress, working
+from cosim.cli.voice import answer, shown_progress
 from hesr_model.errors import ConfigError
+from hesr_model.progress import counted
 
 if TYPE_CHECKING:
     from cosim.scoring import Comparison, Records
@@ -88,12 +89,16 @@ def identify(
         )
     if physical and friction is not None:
         raise ConfigError("--physical does not go with --friction; give one of them.")
-    with working("identifying"):
+    with shown_progress() as progress:
         description = RobotDescription.read(robot)
         model = RobotModel(description)
         counterparts = reversed_logs or []
-        forward = [RobotLog.read(log, description) for log in logs]
-        backward = [RobotLog.read(log, description) for log in counterparts]
+        read = [
+            RobotLog.read(log, description)
+            for log in counted([*logs, *counterparts], partial(progress, "reading logs"))
+        ]
+        forward, backward = read[: len(logs)], read[len(logs) :]
+        progress("identifying", 0, 1)
         files = [robot, description.model, *logs, *counterparts]
         if payload is not None:
             without = read_rigid_body(payload)
@@ -106,7 +111,11 @@ def identify(
             source = provenance(files=[*files, friction, rigid_body])
         else:
             found = identify_rigid_body(
-                forward, model, method=method, reversed_logs=backward, physical=physical
+                forward,
+                model,
+                method="paper" if method == "paper" else "stacked",
+                reversed_logs=backward,
+                physical=physical,
             )
             source = provenance(files=files)
         write_rigid_body(output, found, source)
@@ -149,10 +158,10 @@ def fit(
 
     estimator(law)
     options = _options(option or [])
-    records, name, model_file = read_records(logs, robot, rigid_body)
-    files = [robot, model_file, rigid_body, *logs]
-    source = provenance(files=files, seed=seed, options=options)
     with shown_progress() as progress:
+        records, name, model_file = read_records(logs, robot, rigid_body, progress)
+        files = [robot, model_file, rigid_body, *logs]
+        source = provenance(files=files, seed=seed, options=options)
         model = fit_models(
             [law],
             records,
@@ -194,9 +203,13 @@ def evaluate(
     namings = [[m.law for m in models], [f.stem for f in law_files], [str(f) for f in law_files]]
     names = next((n for n in namings if len(set(n)) == len(n)), namings[-1])
     named = dict(zip(names, models, strict=True))
-    with working("evaluating"):
-        records, _, _ = read_records(logs, robot, rigid_body)
-        scores = compare(records, {name: predict_model(m, records) for name, m in named.items()})
+    with shown_progress() as progress:
+        records, _, _ = read_records(logs, robot, rigid_body, progress)
+        predicted = {
+            name: predict_model(model, records)
+            for name, model in counted(named.items(), partial(progress, "evaluating"))
+        }
+        scores = compare(records, predicted)
     answer(json_file, scores.to_json())
     _print_scores("evaluation", scores, {name: inputs_of(m) for name, m in named.items()})
     for name, model in named.items():
@@ -217,8 +230,9 @@ def replay(
     """
     from cosim.scoring import compare, predict_fmu
 
-    with working(f"replaying {fmu.name}"):
-        records, _, _ = read_records(logs, robot, rigid_body)
+    with shown_progress() as progress:
+        records, _, _ = read_records(logs, robot, rigid_body, progress)
+        progress(f"replaying {fmu.name}", 0, 1)
         scores = compare(records, {fmu.stem: predict_fmu(fmu, records)})
     answer(json_file, scores.to_json())
     _print_scores("replay", scores)

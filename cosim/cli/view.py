@@ -1,5 +1,6 @@
 """The command that shows the arm of a closed loop: view."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -62,7 +63,5 @@ def view(
     from cosim.view.video import RATE, write_video
 
     with shown_progress() as progress:
-        frames = write_video(
-            video, shown, choice, progress=lambda done, total: progress("drawing", done, total)
-        )
+        frames = write_video(video, shown, choice, progress=partial(progress, "drawing"))
     typer.echo(f"{frames / RATE:.1f} s of video, written to {video}.")

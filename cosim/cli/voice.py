@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -18,9 +18,7 @@ import typer
 
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.files import written_whole
-
-Progress = Callable[[str, int, int], None]
-"""Told what is being done, how much of it is done, and how much there is."""
+from hesr_model.progress import Stages
 
 INTERRUPTED = 130
 """Exit code, as shells give it: 128 and the number of the signal."""
@@ -150,7 +148,7 @@ def ended_by_signals() -> Iterator[None]:
 
 
 @contextmanager
-def shown_progress() -> Iterator[Progress]:
+def shown_progress() -> Iterator[Stages]:
     """Show on standard error how far the work is and how long it still takes.
 
     It is drawn where that is a terminal, logged with --verbose, and left out with --quiet.

@@ -6,8 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as Figure  # for type hints of pages, too
 from matplotlib.lines import Line2D
+from matplotlib.typing import LineStyleType
 from numpy.typing import NDArray
 
 from cosim.figures.style import INK, SOFT, Stroke, style_axis, styled
@@ -148,5 +149,5 @@ def _draw(axis: Axes, panel: Panel, window: tuple[float, float] | None, columns:
     style_axis(axis)
 
 
-def _dash(stroke: Stroke) -> object:
+def _dash(stroke: Stroke) -> LineStyleType:
     return (0, stroke.dash) if stroke.dash else "solid"

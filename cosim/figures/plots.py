@@ -93,7 +93,7 @@ def loops(
         ).ravel()  # fmt: skip
         reach = _REACH * float(np.max(np.abs(measured[0])))
         near = np.abs(measured[0]) <= reach
-        seen = max(1, np.count_nonzero(near) // _SEEN)
+        seen = max(1, int(np.count_nonzero(near)) // _SEEN)
         span = _span(measured[1][near])
         for axis, (title, (dq, tau)) in zip(axes, laws.items(), strict=False):
             axis.plot(*_parts(near, *measured, every=seen), color=SOFT, linewidth=0.6, alpha=0.7)

@@ -11,12 +11,16 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hesr_model.files import written_whole
+
+if TYPE_CHECKING:
+    from matplotlib.typing import RcKeyType  # which older versions do not have
 
 INK, SOFT, LINE, CARD = "#1d2430", "#5b6675", "#d5dae1", "#f4f6f9"
 SERIES = ("#0069a8", "#c24e00", "#00785a", "#a03f87", "#806400", "#3d4f9f")
@@ -33,7 +37,7 @@ VARIABLES = {
 _DPI = 150
 _PATH = re.compile(r'(?<= d=")[^"]*')
 _LONG = re.compile(r"(\.\d)\d+")
-_RC = {
+_RC: "dict[RcKeyType, Any]" = {
     "axes.edgecolor": LINE,
     "axes.labelcolor": INK,
     "axes.labelsize": 9,

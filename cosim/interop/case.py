@@ -54,7 +54,7 @@ class Alone:
     @property
     def times(self) -> Array:
         """(steps + 1,) communication points [s]."""
-        return self.step * np.arange(self.steps + 1)
+        return self.step * np.arange(self.steps + 1, dtype=float)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.component import Component
-from cosim.interop.case import Alone
+from cosim.interop.case import Alone, Array
 from cosim.system import Value
 
 _AMPLITUDE, _RATE, _PHASE = 0.5, 2.0 * np.pi, 0.7
@@ -40,9 +40,9 @@ def driven(
     experiment = about.defaultExperiment
     step = float(experiment.stepSize) if experiment and experiment.stepSize else _STEP
     steps = round(_SECONDS / step)
-    t = step * np.arange(steps + 1)
+    t = step * np.arange(steps + 1, dtype=float)
     reals = [v for v in about.modelVariables if v.type == "Real"]
-    inputs = {}
+    inputs: dict[str, Array] = {}
     for variable in reals:
         if variable.causality == "input" and variable.name not in given:
             wave = _AMPLITUDE * np.sin(_RATE * t + _PHASE * len(inputs))

@@ -1,6 +1,6 @@
 """Every engine on every case: how far it is from what it should give, or why it was not run."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,9 +13,7 @@ from cosim.interop.engine import Engine, SkippedError, Tools
 from cosim.interop.engines import ENGINES
 from cosim.interop.reference import alone, together
 from fmu_src.check.process import FailedError
-
-Progress = Callable[[int, int], None]
-"""Called with how many engines are done and how many there are."""
+from hesr_model.progress import Progress, counted, unheard
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +105,7 @@ def compare(
     tools: Tools,
     *,
     engines: Sequence[Engine] = ENGINES,
-    progress: Progress | None = None,
+    progress: Progress = unheard,
 ) -> Matrix:
     """Run all engines that are there on all cases.
 
@@ -117,13 +115,7 @@ def compare(
         If a case cannot be run by our own code.
     """
     expected = References()
-    rows = []
-    for i, engine in enumerate(engines):
-        if progress:
-            progress(i, len(engines))
-        rows.append(_row(engine, cases, tools, expected))
-    if progress:
-        progress(len(engines), len(engines))
+    rows = [_row(engine, cases, tools, expected) for engine in counted(engines, progress)]
     return Matrix(cases=cases, rows=rows)
 
 

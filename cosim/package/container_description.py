@@ -125,15 +125,16 @@ def _text(variable: Any) -> str | None:
 
     As in our own FMUs: not all engines load Enumerations.
     """
+    described: str | None = variable.description
     if variable.type != "Enumeration":
-        return variable.description
+        return described
     choices = ", ".join(f"{item.value} = {item.name}" for item in variable.declaredType.items)
-    return f"{variable.description or variable.name}: {choices}"
+    return f"{described or variable.name}: {choices}"
 
 
 def _own_start(variable: Any) -> float | str | None:
     """Return the start value that a component's own description gives."""
-    text = variable.start
+    text: str | None = variable.start
     if text is None or variable.type == "String":
         return text
     if variable.type == "Boolean":

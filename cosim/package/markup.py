@@ -42,4 +42,5 @@ def add_units(
 def to_bytes(root: ET.Element) -> bytes:
     """Return the text of an XML file."""
     ET.indent(root)
-    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+    text: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return text + b"\n"

@@ -1,6 +1,7 @@
 """The page: its sections in order, with their script and style."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from cosim.report.markup import Pictures, Section, render
@@ -23,6 +24,7 @@ from cosim.report.sections import (
 from cosim.report.sections.summary import summary
 from cosim.report.zoom import library
 from hesr_model.files import written_whole
+from hesr_model.progress import Stages, counted, unheard
 
 REPORT, FIGURES = "report.html", "figures"
 
@@ -49,7 +51,7 @@ def write_report(
     folder: Path,
     output: Path | None = None,
     *,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Stages = unheard,
 ) -> Path:
     """Write the report of a run.
 
@@ -75,14 +77,11 @@ def write_report(
     path = output or folder / REPORT
     pictures = Pictures(folder=folder / FIGURES)
     head = summary(results, pictures)
-    sections = []
-    for k, section in enumerate(SECTIONS):
-        if progress:
-            progress("writing the report", k, len(SECTIONS))
-        if (made := section(results, pictures)) is not None:
-            sections.append(made)
-    if progress:
-        progress("writing the report", len(SECTIONS), len(SECTIONS))
+    sections = [
+        made
+        for section in counted(SECTIONS, partial(progress, "writing the report"))
+        if (made := section(results, pictures)) is not None
+    ]
     page = render(
         "report.html.j2",
         run=results.run,

@@ -87,13 +87,15 @@ class _Sources:
 
 
 def _plot(panel: "Panel", inches: float) -> Any:
-    from bokeh.models import Span
+    from bokeh.models.annotations.geometry import Span
+    from bokeh.models.annotations.labels import Title
     from bokeh.plotting import figure
 
     from cosim.figures.style import INK, LINE, SOFT
 
     plot = figure(
-        height=round(_PIXELS * inches), title=panel.title, y_axis_label=panel.y,
+        height=round(_PIXELS * inches), y_axis_label=panel.y,
+        title=Title(text=panel.title, text_color=INK, text_font_size="13px"),
         tools="box_zoom,pan,xwheel_zoom,reset,save", active_drag="box_zoom", active_scroll=None,
         background_fill_alpha=0, border_fill_alpha=0, outline_line_color=None, min_border_left=52,
     )  # fmt: skip
@@ -107,6 +109,4 @@ def _plot(panel: "Panel", inches: float) -> Any:
         one.major_label_text_color = SOFT
         one.axis_line_color = one.major_tick_line_color = one.minor_tick_line_color = LINE
     plot.grid.grid_line_color = LINE
-    plot.title.text_color = INK
-    plot.title.text_font_size = "13px"
     return plot

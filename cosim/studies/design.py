@@ -18,6 +18,7 @@ from hesr_model.excitation import (
 )
 from hesr_model.excitation import design as design_excitation
 from hesr_model.files import written_whole
+from hesr_model.progress import Progress, unheard
 from hesr_model.robot import RobotDescription, RobotModel
 from hesr_model.tables import write_table
 
@@ -50,7 +51,13 @@ class Design:
     picture: Path
 
 
-def design(robot: Path, output: Path, settings: Path | None = None) -> Design:
+def design(
+    robot: Path,
+    output: Path,
+    settings: Path | None = None,
+    *,
+    progress: Progress = unheard,
+) -> Design:
     """Design an excitation and write it.
 
     The files are `output` and, beside it, ``<name>_reversed`` with the same suffix and
@@ -66,6 +73,8 @@ def design(robot: Path, output: Path, settings: Path | None = None) -> Design:
         CSV or Parquet file.
     settings
         TOML of `hesr_model.excitation.ExcitationSettings`; the defaults if left out.
+    progress
+        Told how many descents are done.
 
     Raises
     ------
@@ -88,7 +97,7 @@ def design(robot: Path, output: Path, settings: Path | None = None) -> Design:
     model = RobotModel(RobotDescription.read(robot))
     chosen = read_toml(settings, ExcitationSettings) if settings else ExcitationSettings()
     try:
-        found = design_excitation(model, chosen)
+        found = design_excitation(model, chosen, progress=progress)
     except HesrError as error:
         raise type(error)(f"{settings or robot}: {error}") from error
     base = base_columns(model)

@@ -193,7 +193,7 @@ def _seed_of_log(seed: int, name: str) -> int:
     return int(words(seed, stream, 0))
 
 
-def _require_reachable(arm: Arm, desired: Array, name: str) -> None:
+def _require_reachable(arm: Arm | FmuArm, desired: Array, name: str) -> None:
     joints = arm.plant.joints
     if desired.shape[1] != len(joints):
         raise ConfigError(

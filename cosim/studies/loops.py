@@ -1,7 +1,8 @@
 """The closed-loop part of a study: which rows, on which motions, with which FMUs."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,11 +31,10 @@ from fmu_src.blocks.velocity import velocity
 from fmu_src.package import write_fmu
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import FrictionModel
+from hesr_model.progress import Stages
 from hesr_model.rigid_body import RigidBody
 from hesr_model.robot import RobotModel
 from hesr_model.trajectories import Fourier, random_fourier
-
-Progress = Callable[[str, int, int], None]
 
 _COMPENSATIONS: tuple[Compensation, ...] = ("torque_error", "servo_inversion")
 _MEASURED: tuple[Source, ...] = ("measured", "filtered")
@@ -219,7 +219,7 @@ def limits_of(robot: RobotModel) -> np.ndarray:
 
 
 def run_tracking(
-    loop: Loop, robot: RobotModel, *, kept: Path | None, progress: Progress
+    loop: Loop, robot: RobotModel, *, kept: Path | None, progress: Stages
 ) -> tuple[list[Tracked], list[Tracked]]:
     """Run the tables' rows on all motions, and some on a long one; return both."""
     tracking, limits = loop.tracking, limits_of(robot)
@@ -230,7 +230,7 @@ def run_tracking(
         limits=limits,
         traced=True,
         kept=kept,
-        progress=lambda done, all_: progress("tracking", done, all_),
+        progress=partial(progress, "tracking"),
     )
     long = track(
         list(_drifting(loop)),
@@ -238,7 +238,7 @@ def run_tracking(
         duration=tracking.drift,
         limits=limits,
         kept=kept,
-        progress=lambda done, all_: progress("tracking for long", done, all_),
+        progress=partial(progress, "tracking for long"),
     )
     return tables, long
 

@@ -2,15 +2,17 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from cosim.closed_loop import BODY_ONLY, ORACLE, Scheme, Setting, Source
-from cosim.studies.loops import Loop, Progress, limits_of, motions
+from cosim.studies.loops import Loop, limits_of, motions
 from cosim.studies.tracking import Motion, Row, Tracked, track
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.package import write_fmu
+from hesr_model.progress import Stages
 from hesr_model.rigid_body import RigidBody
 from hesr_model.robot import RobotModel
 from hesr_model.trajectories import Sine
@@ -57,7 +59,7 @@ def run_sweeps(
     folder: Path,
     *,
     kept: Path | None,
-    progress: Progress,
+    progress: Stages,
 ) -> list[Tracked]:
     """Run the laws of interest under every change, on a few motions.
 
@@ -75,12 +77,12 @@ def run_sweeps(
         duration=loop.tracking.duration,
         limits=limits_of(robot),
         kept=kept,
-        progress=lambda done, all_: progress("robustness", done, all_),
+        progress=partial(progress, "robustness"),
     )
 
 
 def run_overcompensation(
-    loop: Loop, robot: RobotModel, *, kept: Path | None, progress: Progress
+    loop: Loop, robot: RobotModel, *, kept: Path | None, progress: Stages
 ) -> list[Overcompensation]:
     """Find out how much too much friction compensation each loop bears."""
     sources: tuple[Source, ...] = ("desired", "measured", "filtered")
@@ -107,7 +109,7 @@ def run_overcompensation(
         duration=_REST,
         limits=limits_of(robot),
         kept=kept,
-        progress=lambda done, all_: progress("over-compensation", done, all_),
+        progress=partial(progress, "over-compensation"),
     )
     results = []
     for k, (law, scheme) in enumerate(cases):

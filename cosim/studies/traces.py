@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.component import Array
+from cosim.batch import Array
 from hesr_model.errors import ArtifactError
 from hesr_model.files import written_whole
 

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -11,17 +11,16 @@ from typing import Any
 
 import numpy as np
 
+from cosim.batch import Array
 from cosim.closed_loop import Setting, system
-from cosim.component import Array
 from cosim.master import Master, Result
 from cosim.studies.traces import Trace
 from cosim.system import Value
 from fmu_src.blocks.trajectory import start_values
 from hesr_model import interrupts, parallel
 from hesr_model.files import sha256, written_whole
+from hesr_model.progress import Progress, unheard
 from hesr_model.trajectories import Trajectory
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +120,7 @@ def track(
     traced: bool = False,
     kept: Path | None = None,
     workers: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress = unheard,
 ) -> list[Tracked]:
     """Run every row along every motion.
 
@@ -156,11 +155,9 @@ def track(
             kept.mkdir(parents=True, exist_ok=True)
             with written_whole(kept / f"{keys[i]}.json") as temporary:
                 temporary.write_text(json.dumps(_whole(result)), encoding="utf-8")
-        if progress:
-            progress(len(done), len(rows))
-
-    if progress:
         progress(len(done), len(rows))
+
+    progress(len(done), len(rows))
     count = min(workers or os.cpu_count() or 1, len(left))
     if count <= 1:
         for i in left:

@@ -7,7 +7,6 @@ from typing import Any
 
 from cosim.closed_loop import Tracking
 from cosim.studies.loops import (
-    Progress,
     assemble,
     build,
     require_reachable,
@@ -20,6 +19,7 @@ from cosim.studies.tracking import Tracked
 from cosim.system_file import write_system
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
+from hesr_model.progress import Stages
 from hesr_model.rigid_body import RigidBody
 from hesr_model.robot import RobotModel
 
@@ -76,7 +76,7 @@ def run_loop(
     *,
     friction: Mapping[str, Path],
     kept: Path | None,
-    progress: Progress,
+    progress: Stages,
 ) -> LoopOutcome:
     """Build the FMUs of a loop and run all that a study wants to know of it.
 

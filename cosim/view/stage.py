@@ -247,7 +247,7 @@ def _line(scene: mujoco.MjvScene, start: Array, end: Array, pixels: float, colou
     if scene.ngeom < scene.maxgeom:
         geom = scene.geoms[scene.ngeom]
         kind = mujoco.mjtGeom.mjGEOM_LINE  # four times as fast as tubes, where software draws
-        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), np.float32(colour))
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), _floats(colour))
         mujoco.mjv_connector(geom, kind, pixels, start, end)
         scene.ngeom += 1
 
@@ -256,8 +256,10 @@ def _text(scene: mujoco.MjvScene, place: Array, text: str) -> None:
     if scene.ngeom < scene.maxgeom:
         geom = scene.geoms[scene.ngeom]
         kind = mujoco.mjtGeom.mjGEOM_LABEL
-        mujoco.mjv_initGeom(
-            geom, kind, np.full(3, 0.01), place, np.eye(3).ravel(), np.float32(_TEXT)
-        )
+        mujoco.mjv_initGeom(geom, kind, np.full(3, 0.01), place, np.eye(3).ravel(), _floats(_TEXT))
         geom.label = text[:99]  # MuJoCo has room for 100 characters
         scene.ngeom += 1
+
+
+def _floats(colour: Colour) -> NDArray[np.float32]:
+    return np.array(colour, dtype=np.float32)

@@ -18,18 +18,16 @@ from cosim.view.runs import Choice, Shown
 from cosim.view.stage import HEIGHT, WIDTH, Stage
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.files import written_whole
+from hesr_model.progress import Progress, counted, unheard
 
 Image = NDArray[np.uint8]
-Progress = Callable[[int, int], None]
 
 RATE = 30  # frames per second
 _BACKENDS = {"egl": "EGL", "osmesa": "OSMesa"}
 _GEOMS = 4000
 
 
-def write_video(
-    path: Path, shown: Shown, choice: Choice, *, progress: Progress | None = None
-) -> int:
+def write_video(path: Path, shown: Shown, choice: Choice, *, progress: Progress = unheard) -> int:
     """Write a video; return the number of its frames.
 
     Parameters
@@ -58,10 +56,8 @@ def write_video(
         drawing(stage) as draw,
         _encoding(encoder, temporary, path) as write,
     ):
-        for k in range(count):
+        for k in counted(range(count), progress):
             write(draw(k * choice.speed / RATE))
-            if progress:
-                progress(k + 1, count)
     return count
 
 

@@ -18,6 +18,7 @@ from fmu_src.description import Description
 from fmu_src.interface import Interface
 from fmu_src.package import Binary, Content, check_request, own_source, write_fmu
 from hesr_model.errors import ExportError
+from hesr_model.progress import Progress, unheard
 
 CREATED = "1980-01-01T00:00:00Z"
 _SOURCES = ("mjcf.c", "mjcf_parameters.h", "guard.h", "noise.h", "resource.h")
@@ -29,6 +30,7 @@ def export_mjcf(
     *,
     table: Path | None = None,
     platforms: Sequence[str] = ("linux64",),
+    progress: Progress = unheard,
 ) -> Path:
     """Write an MJCF as an FMI 2.0 FMU for co-simulation, simulated by MuJoCo.
 
@@ -39,6 +41,7 @@ def export_mjcf(
     table : TOML file that names its signals, see `fmu_src.arm.table`; every control and every
         sensor where left out.
     platforms : linux64 is the only one for which MuJoCo is there.
+    progress : told for how many of them it is built.
 
     Returns
     -------
@@ -62,7 +65,7 @@ def export_mjcf(
         )
     signals = signals_of(model, table)
     content = arm(signals, name=model_name(signals.model, model), source=model.read_bytes())
-    return write_fmu(content, path, platforms=platforms)
+    return write_fmu(content, path, platforms=platforms, progress=progress)
 
 
 def model_name(model: Any, path: Path) -> str:

@@ -84,7 +84,8 @@ def _about(path: Path, table: Path | None) -> dict[str, str]:
 
 
 def _text(root: ET.Element) -> str:
-    return ET.tostring(root, encoding="UTF-8", xml_declaration=True).decode()
+    text: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return text.decode()
 
 
 def _check_alone(copy: Path, path: Path) -> None:

@@ -21,8 +21,10 @@ LEAST_SCALE = 1e-9
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _MAX = 1e10
-_BLOCK = 256  # samples of noise that are drawn at once
 """MuJoCo takes controls beyond it for zero, and starts again where a state is beyond it."""
+
+_BLOCK = 256
+"""Samples of noise that are drawn at once."""
 
 
 class Simulation:
@@ -33,6 +35,10 @@ class Simulation:
     signals
         The compiled model, which stays as it is, and what of it is seen.
     """
+
+    _data: mujoco.MjData
+    _drawn: Array
+    _drawn_from: int
 
     def __init__(self, signals: Signals) -> None:
         self.signals = signals

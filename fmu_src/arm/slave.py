@@ -18,7 +18,7 @@ from fmu_src.arm.simulation import Simulation
 from hesr_model.errors import HesrError
 
 
-class PythonArm(Fmi2Slave):
+class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
     """Adapter of `Simulation`: value references are places in its table of variables."""
 
     def __init__(self, **kwargs: Any) -> None:

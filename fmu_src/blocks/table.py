@@ -1,6 +1,6 @@
 """What the blocks share: vectors of variables, places for their C, and the FMU around both."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 
 from fmu_src.description import Description
@@ -15,7 +15,7 @@ def vector(
     role: Role,
     unit: str,
     text: str,
-    start: Sequence[float],
+    start: Iterable[float],
     dependencies: Sequence[str] = (),
 ) -> Iterator[Variable]:
     """Yield one variable for each joint; `{}` in a dependency stands for the joint."""

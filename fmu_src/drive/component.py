@@ -1,6 +1,6 @@
 """The drive component: its interface and its generated C, from a friction model and its motors."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
@@ -53,7 +53,7 @@ class Motors:
                     )
 
 
-_NEEDED = {
+_NEEDED: dict[str, tuple[str, str, Callable[[float], bool]]] = {
     "inertia": ("kg.m2", "a positive number", lambda value: value > 0.0),
     "stiffness": ("N.m/rad", "a number that is not negative", lambda value: value >= 0.0),
     "damping": ("N.m.s/rad", "a number that is not negative", lambda value: value >= 0.0),

@@ -14,6 +14,7 @@ from fmu_src.friction.export import date_of
 from fmu_src.package import Content, check_request, own_source, write_fmu
 from hesr_model.artifacts import model_to_json
 from hesr_model.friction.model import FrictionModel
+from hesr_model.progress import Progress, unheard
 
 
 def export_drive(
@@ -25,6 +26,7 @@ def export_drive(
     damping: Sequence[float] | None = None,
     ratio: Sequence[float] | None = None,
     platforms: Sequence[str] = ("linux64",),
+    progress: Progress = unheard,
 ) -> Path:
     """Write a friction model with the motors of its joints as an FMI 2.0 FMU for co-simulation.
 
@@ -39,6 +41,7 @@ def export_drive(
     damping : (n,) of the flexspline [N.m.s/rad].
     ratio : (n,) turns of the motor for one of the joint; 1 where not given.
     platforms : names of `toolchain.TARGETS`, or "all".
+    progress : told for how many of them it is built.
 
     Returns
     -------
@@ -54,7 +57,7 @@ def export_drive(
     """
     check_request(path, platforms)
     own = content(model, inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio)
-    return write_fmu(own, path, platforms=platforms)
+    return write_fmu(own, path, platforms=platforms, progress=progress)
 
 
 def content(

@@ -31,7 +31,7 @@ from hesr_model.friction.law import LawForm
 _POWERS = {2: "square", 3: "cube"}
 
 
-class _Printer(C99CodePrinter):
+class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
     """C99 with our functions, literals that read back, and small powers without pow()."""
 
     def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
@@ -57,7 +57,7 @@ class _Printer(C99CodePrinter):
             return f"{_POWERS[int(expr.exp)]}({self._print(expr.base)})"
         if -expr.exp in _POWERS:
             return f"(1.0/{_POWERS[int(-expr.exp)]}({self._print(expr.base)}))"
-        return super()._print_Pow(expr)
+        return str(super()._print_Pow(expr))
 
     def _print_sgn(self, expr: sympy.Expr) -> str:
         return f"sgn({self._print(expr.args[0])})"
@@ -182,7 +182,8 @@ def law_functions_with_slopes(form: LawForm, name: str) -> str:
     Parameters and errors are those of `law_functions`; coefficients do not change here.
     """
     own = _lowered(form, tunable=False)
-    both = own.moving | {f"d_{place}": own.smooth.tangent(e) for place, e in own.moving.items()}
+    slopes = {f"d_{place}": own.smooth.tangent(e) for place, e in own.moving.items()}
+    both = {**own.moving, **slopes}
     torque = {"slope[0]": own.outer.tangent(own.torque), "return": own.torque}
     return _written(
         name,

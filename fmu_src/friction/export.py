@@ -26,6 +26,7 @@ from hesr_model.artifacts import model_to_json
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.properties import Properties
+from hesr_model.progress import Progress, unheard
 
 # The dates that a ZIP archive can hold; the first also stands for no date.
 _FIRST_DATE, _LAST_DATE = datetime(1980, 1, 1, tzinfo=UTC), datetime(2107, 12, 31, tzinfo=UTC)
@@ -37,6 +38,7 @@ def export_fmu(
     *,
     platforms: Sequence[str] = ("linux64",),
     properties: Properties | None = None,
+    progress: Progress = unheard,
 ) -> Path:
     """Write a friction model as an FMI 2.0 FMU for co-simulation and model exchange.
 
@@ -49,6 +51,7 @@ def export_fmu(
     path : the FMU to write, ending in .fmu.
     platforms : names of `toolchain.TARGETS`, or "all".
     properties : what the property battery found on the model, for the documentation.
+    progress : told for how many platforms it is built.
 
     Returns
     -------
@@ -62,7 +65,7 @@ def export_fmu(
         If `path` cannot be written.
     """
     check_request(path, platforms)
-    return write_fmu(content(model, properties), path, platforms=platforms)
+    return write_fmu(content(model, properties), path, platforms=platforms, progress=progress)
 
 
 def export_bare(model: FrictionModel, path: Path) -> Path:

@@ -56,13 +56,18 @@ def model_png(model: FrictionModel) -> bytes:
         panel.set_visible(False)
     figure.supxlabel("dq [rad/s]", fontsize=9, color=_GREY)
     figure.supylabel("tau [N.m]", fontsize=9, color=_GREY)
-    canvas.draw()
+    figure.canvas.draw()
     # Fewer shades at the edges of lines take half the space and look the same.
-    pixels = np.asarray(canvas.buffer_rgba())[:, :, :3] // _SHADE * _SHADE + (_SHADE - 1)
+    drawn = canvas.buffer_rgba()  # type: ignore[no-untyped-call] # Matplotlib has not typed it
+    pixels = np.asarray(drawn)[:, :, :3] // _SHADE * _SHADE + (_SHADE - 1)
     picture = io.BytesIO()
     # Without the version of the drawing library the same model gives the same bytes.
     imsave(
-        picture, pixels, format="png", metadata={"Software": None}, pil_kwargs={"optimize": True}
+        picture,
+        pixels,
+        format="png",
+        metadata={"Software": None},  # type: ignore[dict-item] # Matplotlib takes None as well
+        pil_kwargs={"optimize": True},
     )
     return picture.getvalue()
 

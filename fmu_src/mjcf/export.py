@@ -12,6 +12,7 @@ from fmu_src.mjcf.projection import Misfit, projected
 from hesr_model.errors import ExportError
 from hesr_model.files import written_whole
 from hesr_model.friction.model import FrictionModel
+from hesr_model.progress import Progress, counted, unheard
 
 _HEAD = """\
 <!-- Friction of joints as passive actuators of MuJoCo (4.0 or later). Put
@@ -68,7 +69,9 @@ class Projection:
         return [str(joint) for joint in self.joints]
 
 
-def export_mjcf_law(model: FrictionModel, path: Path, *, project: bool = False) -> Projection:
+def export_mjcf_law(
+    model: FrictionModel, path: Path, *, project: bool = False, progress: Progress = unheard
+) -> Projection:
     """Write a friction model as passive dcmotor actuators in an MJCF.
 
     The same model gives the same bytes. Numbers have all their digits.
@@ -78,6 +81,7 @@ def export_mjcf_law(model: FrictionModel, path: Path, *, project: bool = False) 
     model : one law for each joint; the actuators act on joints of these names.
     path : the MJCF to write, ending in .xml.
     project : approximate a law for which MuJoCo has no parts; refused otherwise.
+    progress : told how many joints are done.
 
     Returns
     -------
@@ -93,7 +97,10 @@ def export_mjcf_law(model: FrictionModel, path: Path, *, project: bool = False) 
     if path.suffix.lower() != ".xml":
         raise ExportError(f"{path}: the name of an MJCF ends in .xml.")
     with written_whole(path) as temporary:
-        joints = [_of_joint(model, index, project) for index in range(len(model.joints))]
+        joints = [
+            _of_joint(model, index, project)
+            for index in counted(range(len(model.joints)), progress)
+        ]
         report = Projection(joints=tuple(found for _, found in joints))
         text = "".join(_document(model, [parts for parts, _ in joints], report))
         temporary.write_text(text, encoding="utf-8")

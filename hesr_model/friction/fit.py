@@ -1,7 +1,7 @@
 """Fit laws to all joints of a robot, each joint and law in a process of its own."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from typing import Any
 
@@ -17,10 +17,8 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import training_error
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.friction.uncertainty import with_standard_errors
+from hesr_model.progress import Progress, unheard
 from hesr_model.residual import FrictionRecord
-
-Progress = Callable[[int, int], None]
-"""Called with how many fits are done and how many there are."""
 
 
 def fit_joint(
@@ -120,7 +118,7 @@ def fit_models(
     variants: Mapping[str, str] | None = None,
     provenance: Mapping[str, Any] | None = None,
     workers: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress = unheard,
 ) -> dict[str, FrictionModel]:
     """Fit several laws to every joint.
 
@@ -147,11 +145,9 @@ def fit_models(
 
     def keep(law: str, joint: int, fitted: FrictionLaw) -> None:
         done[law, joint] = fitted
-        if progress:
-            progress(len(done), len(jobs))
+        progress(len(done), len(jobs))
 
-    if progress:
-        progress(0, len(jobs))
+    progress(0, len(jobs))
     if count <= 1:
         for law, joint in jobs:
             keep(

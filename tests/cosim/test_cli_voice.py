@@ -195,9 +195,20 @@ def test_long_work_shows_how_far_it_is_and_what_is_left(ran: Path, tmp_path: Pat
 
 
 def test_work_that_cannot_be_counted_shows_that_it_goes_on(tmp_path: Path) -> None:
-    arguments = ("export", "uf850-table1", "-o", tmp_path / "Friction.fmu")
-    assert re.search(r"building Friction\.fmu \d:\d\d:\d\d", on_a_terminal(*arguments))
-    assert on_a_terminal(*arguments, "--quiet") == ""
+    arguments = ("--robot", uf850("uf850.xml"))
+    drawn = on_a_terminal("new", tmp_path / "loud", *arguments)
+    assert re.search(r"making sample logs \d:\d\d:\d\d", drawn)
+    assert on_a_terminal("new", tmp_path / "quiet", *arguments, "--quiet") == ""
+
+
+def test_an_export_counts_its_platforms(hesr: Hesr, tmp_path: Path) -> None:
+    answer = hesr(
+        *("export", "uf850-table1", "-o", tmp_path / "Friction.fmu", "--verbose"),
+        *("--platform", "linux64", "--platform", "win64"),
+    )
+    assert answer.code == 0
+    told = re.findall(r"building Friction\.fmu: (\d) of 2", answer.err)
+    assert told == ["0", "1", "2"]
 
 
 def test_no_progress_is_drawn_into_a_file(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ def _find(tools: Tools) -> str:
 def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
     java, jars = tools.java("fmi4j")
     write_inputs(case, folder / "inputs.tsv", "\t")
-    files = (case.fmu.resolve(), "inputs.tsv", "result.tsv")
+    files: tuple[str | Path, ...] = (case.fmu.resolve(), "inputs.tsv", "result.tsv")
     command = (java, "-cp", f"{jars}/classes:{jars}/*", "Host", *files, *arguments(case))
     require_success(command, folder)
     return Run(signals=read_signals(folder / "result.tsv", "\t"))

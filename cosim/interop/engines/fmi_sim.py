@@ -27,7 +27,8 @@ def _find(tools: Tools) -> str:
 
 def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
     stop, step, *start = arguments(case)
-    command = [tools.program("fmi-sim"), "--model", case.fmu.resolve(), "-o", "result.csv"]
+    command: list[str | Path] = [tools.program("fmi-sim"), "--model", case.fmu.resolve()]
+    command += ["-o", "result.csv"]
     if case.inputs:
         write_inputs(case, folder / "inputs.csv")
         command += ["-i", "inputs.csv"]

@@ -56,10 +56,10 @@ def section(results: Results, pictures: Pictures) -> Section | None:
 def _sweeps(results: Results) -> list[Table]:
     if results.loop is None:
         return []
-    parted = [(*row.scheme.split(": ", 1), row) for row in results.loop.sweeps]
+    parted = [(row.scheme.split(": ", 1), row) for row in results.loop.sweeps]
     tables = []
-    for scheme in dict.fromkeys(of for of, _, _ in parted):
-        cells = {(change, row.law): row.mean.max() for of, change, row in parted if of == scheme}
+    for scheme in dict.fromkeys(of for (of, _), _ in parted):
+        cells = {(change, row.law): row.mean.max() for (of, change), row in parted if of == scheme}
         laws = list(dict.fromkeys(law for _, law in cells))
         tables.append(
             Table(

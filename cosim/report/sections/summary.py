@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from cosim.figures.plots import Interval, ratios
 from cosim.report.markup import Pictures, decimals, joined, paragraph, render
@@ -57,7 +58,7 @@ def _count(n: int, what: str) -> str:
     return f"{n} {what}{'s' if n != 1 else ''}"
 
 
-def _listed(values: Sequence[float], digits: int = 3) -> str:
+def _listed(values: Sequence[float] | NDArray[np.float64], digits: int = 3) -> str:
     """Return the figures of few joints, or the range over many, as exact as the largest needs."""
     places = decimals([max(values)], digits)
     shown = values if len(values) <= _FEW else (min(values), max(values))

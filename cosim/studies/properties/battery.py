@@ -34,9 +34,7 @@ from hesr_model.friction.expectations import EXPECTATIONS
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.properties import Figure, Finding, JointProperties, Properties
 from hesr_model.friction.trained import TrainedRange
-
-Progress = Callable[[int, int], None]
-"""Called with how many are done and how many there are."""
+from hesr_model.progress import Progress, counted, unheard
 
 _SAMPLE_TIME = 5e-3  # [s] of FMUs that do not say theirs
 _DRIVEN: Mapping[str, Callable[[DriveBench, Scale], list[Finding]]] = {
@@ -72,7 +70,7 @@ def run_battery(
     *,
     load: float = 0.0,
     workers: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress = unheard,
 ) -> list[Properties]:
     """Put models or FMUs to the test, each in a process of its own.
 
@@ -94,21 +92,12 @@ def run_battery(
     for subject in subjects:
         _require_inertia(subject)
     count = min(workers or os.cpu_count() or 1, len(subjects))
-    tell = progress or (lambda _done, _total: None)
-    tell(0, len(subjects))
-    found = []
     if count <= 1:
-        for subject in subjects:
-            found.append(measure(subject, load=load))
-            tell(len(found), len(subjects))
-        return found
+        return [measure(subject, load=load) for subject in counted(subjects, progress)]
     with parallel.workers(count) as pool:
         with interrupts.put_off():
             futures = [pool.submit(measure, subject, load=load) for subject in subjects]
-        for future in futures:
-            found.append(future.result())
-            tell(len(found), len(subjects))
-    return found
+        return [future.result() for future in counted(futures, progress)]
 
 
 def measure(subject: Subject, *, load: float = 0.0) -> Properties:

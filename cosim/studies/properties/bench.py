@@ -39,7 +39,7 @@ class FrictionBench:
     """
 
     def __init__(self, component: Component, places: Array | None = None) -> None:
-        names = {v.name for v in component.description.modelVariables}
+        names: set[str] = {v.name for v in component.description.modelVariables}
         self.joints = sum(name.startswith("tau[") for name in names)
         wanted = [f"{u.name}[{i}]" for u in INPUTS for i in range(1, max(self.joints, 1) + 1)]
         for name in ("tau[1]", *wanted):

@@ -125,10 +125,11 @@ def _judged(
         Figure(name="slope at rest", value=slope, unit="N.m.s/rad"),
     )
     end = min(len(shown), int(0.2 / STEP))
+    t = STEP * np.arange(end, dtype=float)
     plot = Plot(
         x="time [s]",
         y="velocity [rad/s]",
-        curves=(curve("at 1 ms", STEP * np.arange(end), np.nan_to_num(shown[:end]), most=200),),
+        curves=(curve("at 1 ms", t, np.nan_to_num(shown[:end]), most=200),),
     )
     if driven:
         return Finding(

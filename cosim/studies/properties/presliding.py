@@ -27,9 +27,9 @@ _LITTLE = 1e-9  # [N.m]; a loop of less height is none
 
 def presliding(bench: FrictionBench, scale: Scale) -> list[Finding]:
     """Move the joints to and fro by their deflection, fast and ten times slower."""
-    loops = [_loop(bench, scale, period) for period in (PERIOD, SLOW_PERIOD)]
+    fast, slow = (_loop(bench, scale, period) for period in (PERIOD, SLOW_PERIOD))
     return [
-        _judged(*(tau[:, joint] for tau in loops), float(amplitude))
+        _judged(fast[:, joint], slow[:, joint], float(amplitude))
         for joint, amplitude in enumerate(scale.deflection)
     ]
 

@@ -97,7 +97,7 @@ def chatter(bench: FrictionBench, scale: Scale, trained: list[TrainedRange]) -> 
     for joint, level in enumerate(scale.level.tolist()):
         of_joint = tau[settling:, joint]
         deviation = float(np.std(of_joint))
-        t = sample * np.arange(_SHOWN)
+        t = sample * np.arange(_SHOWN, dtype=float)
         loud = deviation > QUIET * level
         found.append(
             Finding(

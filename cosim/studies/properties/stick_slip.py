@@ -33,7 +33,7 @@ def stick_slip(bench: DriveBench, scale: Scale) -> list[Finding]:
         bench.link[:] = bench.places + ahead + pull * _STEP * (k + 1)
 
     q, dq, _ = bench.run(np.full(rows, _STEP), draw)
-    t = _STEP * np.arange(1, rows + 1)
+    t = _STEP * np.arange(1, rows + 1, dtype=float)
     stretch = bench.places + ahead + pull * t[:, None] - q
     return [
         _pulled(t, stretch[:, j], dq[:, j], pulls[j], falls[j], bool(scale.drives[j]))
