@@ -33,6 +33,7 @@ def save_run(
     records: Mapping[str, Sequence[FrictionRecord]],
     predictions: Predictions,
     models: Mapping[str, FrictionModel],
+    left_out: Mapping[str, str],
     source: Mapping[str, Any],
 ) -> None:
     """Write `run.json` and the torques of one log of each role.
@@ -45,6 +46,7 @@ def save_run(
     files, logs, records : of every log, by name.
     predictions : on the test sets.
     models : the laws.
+    left_out : why others could not be fitted.
     source : provenance of the laws.
     """
     traces = _save_torques(folder / TRACES, study, records, predictions)
@@ -78,6 +80,7 @@ def save_run(
             ),
             inputs={law: inputs_of(model) for law, model in models.items()},
             variants={name: variant.law for name, variant in study.variants.items()},
+            left_out=left_out,
             controller=study.tracking.model_dump(mode="json") if study.tracking else {},
             versions={
                 **source["versions"],

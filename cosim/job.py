@@ -1,7 +1,8 @@
 """The steps of a study, from its logs to its closed loop."""
 
+import logging
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from inspect import signature
@@ -13,7 +14,7 @@ from cosim.describe import Predictions
 from cosim.scoring import ORACLE, Comparison, by_joint, compare, predict_fmu, within
 from cosim.study import Study
 from hesr_model.artifacts import write_json
-from hesr_model.errors import ConfigError, HesrError
+from hesr_model.errors import ConfigError, FitError, HesrError
 from hesr_model.friction.evaluate import Array
 from hesr_model.friction.fit import fit_models
 from hesr_model.friction.laws import estimator, registry
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
     from cosim.studies.whole_loop import LoopOutcome
     from fmu_src.arm.plant import Plant
     from hesr_model.friction.properties import Properties
+
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,8 +216,10 @@ class Job:
         laws: Sequence[str],
         what: str,
         source: Mapping[str, Any],
+        *,
+        left_out: Callable[[str, FitError], None] | None = None,
     ) -> dict[str, FrictionModel]:
-        """Fit laws to the training logs."""
+        """Fit laws to the training logs; see `fit_models`."""
         study = self.study
         variants = study.variants
         return fit_models(
@@ -225,10 +231,31 @@ class Job:
             variants={name: v.law for name, v in variants.items()},
             provenance=source,
             progress=partial(self.progress, what),
+            left_out=left_out,
         )
+
+    def fit_all(
+        self, records: Mapping[str, Sequence[FrictionRecord]], source: Mapping[str, Any]
+    ) -> tuple[dict[str, FrictionModel], dict[str, str]]:
+        """Fit all laws, but for those that the training logs do not determine.
+
+        Returns the models, and why each of the others was left out. Laws that the closed loop
+        needs are not left out.
+        """
+        reasons: dict[str, str] = {}
+
+        def leave_out(law: str, error: FitError) -> None:
+            if self.study.tracking and law in self.study.tracking.sources:
+                raise error
+            reasons[law] = str(error)
+            _log.warning("law '%s' is left out: %s", law, error)
+
+        models = self.fit(records, self.laws, "fitting laws", source, left_out=leave_out)
+        return models, reasons
 
     def compare(
         self,
+        laws: Iterable[str],
         records: Mapping[str, Sequence[FrictionRecord]],
         files: Mapping[str, Path],
         fmus: Path,
@@ -241,7 +268,7 @@ class Job:
         tests = self.study.logs.test
         for name, logs in counted(tests.items(), partial(self.progress, "replaying the FMUs")):
             tested = by_joint([records[log] for log in logs])
-            predicted = {law: predict_fmu(fmus / f"{law}.fmu", tested) for law in self.laws}
+            predicted = {law: predict_fmu(fmus / f"{law}.fmu", tested) for law in laws}
             if self.study.twin:
                 predicted[ORACLE] = self._true_friction([files[log] for log in logs])
             comparisons[name], predictions[name] = compare(tested, predicted), predicted

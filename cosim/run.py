@@ -39,6 +39,7 @@ class Outcome:
     comparisons : scores of the FMUs on each test set.
     models : fitted model of each law.
     fmus : path of each law's FMU.
+    left_out : why a law of the study was not fitted, by law.
     properties : what the property battery found, by law; empty for a quick run.
     loop : what the closed loop gave, None where the study has none.
     """
@@ -47,6 +48,7 @@ class Outcome:
     comparisons: Mapping[str, Comparison]
     models: Mapping[str, FrictionModel]
     fmus: Mapping[str, Path]
+    left_out: Mapping[str, str]
     properties: "Mapping[str, Properties]"
     loop: "LoopOutcome | None" = None
 
@@ -54,6 +56,7 @@ class Outcome:
         """Return JSON data: scores and where the FMUs are."""
         return {
             "fmus": {law: str(path) for law, path in self.fmus.items()},
+            "left_out": dict(self.left_out),
             "evaluation": {name: c.to_json() for name, c in self.comparisons.items()},
             "closed_loop": self.loop.to_json() if self.loop else None,
         }
@@ -101,13 +104,13 @@ def run_study(
         source = provenance(files=about, seed=study.seed)
         write_rigid_body(folder / "rigid_body.json", rigid_body, source)
         records = {name: friction_records(log, model, rigid_body) for name, log in logs.items()}
-        models = job.fit(records, job.laws, "fitting laws", source)
+        models, left_out = job.fit_all(records, source)
         found = {} if quick else job.properties(model, rigid_body, models, folder)
         for law, fitted in counted(models.items(), partial(job.progress, "building FMUs")):
             write_model(folder / "laws" / f"{law}.json", fitted)
             path_of_fmu = folder / "fmus" / f"{law}.fmu"
             export_fmu(fitted, path_of_fmu, platforms=platforms, properties=found.get(law))
-        comparisons, predictions = job.compare(records, files, folder / "fmus")
+        comparisons, predictions = job.compare(models, records, files, folder / "fmus")
         loop = job.closed_loop(model, rigid_body, folder, models, kept=unfinished(output))
         write_json(
             folder / "evaluation.json", {name: c.to_json() for name, c in comparisons.items()}
@@ -123,6 +126,7 @@ def run_study(
             records=records,
             predictions=predictions,
             models=models,
+            left_out=left_out,
             source=source,
         )
     from cosim.report import write_report  # draws, which takes long to load
@@ -133,6 +137,7 @@ def run_study(
         comparisons=comparisons,
         models=models,
         fmus={law: output / "fmus" / f"{law}.fmu" for law in models},
+        left_out=left_out,
         properties=found,
         loop=loop,
     )

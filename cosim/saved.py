@@ -77,6 +77,7 @@ class SavedRun:
     bands : parts of test sets that are scored by themselves.
     inputs : inputs that each law uses.
     variants : law of which each variant is one.
+    left_out : why a law of the study was not fitted, by law.
     controller : parameters of the closed loop's study; empty where there is none.
     versions : of the programs.
     """
@@ -94,6 +95,7 @@ class SavedRun:
     bands: tuple[SavedBand, ...]
     inputs: Mapping[str, str]
     variants: Mapping[str, str]
+    left_out: Mapping[str, str]
     controller: Mapping[str, Any]
     versions: Mapping[str, str]
 

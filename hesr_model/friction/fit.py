@@ -1,8 +1,8 @@
 """Fit laws to all joints of a robot, each joint and law in a process of its own."""
 
 import os
-from collections.abc import Mapping, Sequence
-from concurrent.futures import Future
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import training_error
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.friction.uncertainty import with_standard_errors
-from hesr_model.progress import Progress, unheard
+from hesr_model.progress import Progress, counted, unheard
 from hesr_model.residual import FrictionRecord
 
 
@@ -119,6 +119,7 @@ def fit_models(
     provenance: Mapping[str, Any] | None = None,
     workers: int | None = None,
     progress: Progress = unheard,
+    left_out: Callable[[str, FitError], None] | None = None,
 ) -> dict[str, FrictionModel]:
     """Fit several laws to every joint.
 
@@ -132,44 +133,53 @@ def fit_models(
     variants : name in the registry of each variant, a law with other options.
     provenance : JSON data that the models carry.
     workers : processes; one for each core where not given, none of its own for 1.
+    progress : told how many fits are done.
+    left_out : told of each law that the records do not determine, and why; the others are fitted
+        nevertheless. Where not given, the first such law ends it all.
 
     Returns
     -------
     Model by name of the law or variant. The result does not depend on `workers`.
+
+    Raises
+    ------
+    ArtifactError
+        If a law is unknown.
+    FitError
+        If the records do not determine a law, or none of them where `left_out` is given.
     """
-    jobs = [(law, joint) for law in laws for joint in range(len(records))]
-    settings = options or {}
     registered = {law: (variants or {}).get(law, law) for law in laws}
-    count = min(workers or os.cpu_count() or 1, len(jobs))
+    jobs = {
+        (law, joint): partial(
+            fit_joint, registered[law], of_joint, seed=seed, options=(options or {}).get(law)
+        )
+        for law in laws
+        for joint, of_joint in enumerate(records)
+    }
     done: dict[tuple[str, int], FrictionLaw] = {}
+    failed: dict[str, FitError] = {}
 
-    def keep(law: str, joint: int, fitted: FrictionLaw) -> None:
-        done[law, joint] = fitted
-        progress(len(done), len(jobs))
+    def gather(results: Mapping[tuple[str, int], Callable[[], FrictionLaw]]) -> None:
+        for (law, joint), result in counted(results.items(), progress):
+            try:
+                done[law, joint] = result()
+            except FitError as error:
+                failed.setdefault(law, error)
+                if left_out is None:
+                    raise
 
-    progress(0, len(jobs))
+    count = min(workers or os.cpu_count() or 1, len(jobs))
     if count <= 1:
-        for law, joint in jobs:
-            keep(
-                law,
-                joint,
-                fit_joint(registered[law], records[joint], seed=seed, options=settings.get(law)),
-            )
+        gather(jobs)
     else:
         with parallel.workers(count) as pool:
             with interrupts.put_off():
-                futures: dict[tuple[str, int], Future[FrictionLaw]] = {
-                    (law, joint): pool.submit(
-                        fit_joint,
-                        registered[law],
-                        records[joint],
-                        seed=seed,
-                        options=settings.get(law),
-                    )
-                    for law, joint in jobs
-                }
-            for (law, joint), future in futures.items():
-                keep(law, joint, future.result())
+                futures = {key: pool.submit(job) for key, job in jobs.items()}
+            gather({key: future.result for key, future in futures.items()})
+    for law, error in failed.items():
+        if left_out is None or len(failed) == len(laws):
+            raise error
+        left_out(law, error)
     joints = tuple(of_joint[0].joint for of_joint in records)
     periods = [float(np.median(np.diff(r.t))) for of_joint in records for r in of_joint]
     return {
@@ -186,4 +196,5 @@ def fit_models(
             provenance=dict(provenance or {}),
         )
         for law in laws
+        if law not in failed
     }

@@ -4,6 +4,7 @@ The package is the example of docs/add-a-law.md, laid as `pip install` lays it: 
 entry points in the metadata.
 """
 
+import html
 import json
 import os
 import re
@@ -194,3 +195,55 @@ def test_a_package_that_does_not_work_is_named(
     answer = run(broken, "-c", "from cosim.cli import main; main()", "laws", cwd=tmp_path)
     assert answer.returncode == 2
     assert answer.stderr == f"hesr: {sentence}\n"
+
+
+# --- a law that the logs do not determine -----------------------------------------------------
+
+UNFIT = (
+    MODULE
+    + '''
+    def fit(self, records, rng):
+        """Find that nothing can be said."""
+        from hesr_model.errors import FitError
+
+        raise FitError(f"joint '{records[0].joint}': nothing can be said.")
+'''
+)
+WHY = "joint 'joint1': nothing can be said."
+MEASURED = STUDY[: STUDY.index("[tracking]")]
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    installed(tmp_path / "site", module=UNFIT)
+    (tmp_path / "motions.toml").write_text(MOTIONS, encoding="utf-8")
+    return tmp_path / "study.toml"
+
+
+def ran(study: Path, text: str) -> subprocess.CompletedProcess[str]:
+    study.write_text(text, encoding="utf-8")
+    main = ("-c", "from cosim.cli import main; main()")
+    return run(study.parent / "site", *main, "run", study.name, "-o", "results", cwd=study.parent)
+
+
+def test_a_run_goes_on_without_it(study: Path) -> None:
+    answer = ran(study, MEASURED.replace(f'["{LAW}"]', f'["stribeck", "{LAW}"]'))
+    assert answer.returncode == 0
+    assert answer.stderr == f"hesr: law '{LAW}' is left out: {WHY}\n"
+    results = study.parent / "results"
+    assert [fmu.stem for fmu in (results / "fmus").glob("[!A]*.fmu")] == ["stribeck"]
+    assert read(results / "run.json")["left_out"] == {LAW: WHY}
+    page = html.unescape((results / "report.html").read_text(encoding="utf-8"))
+    assert f"The law {LAW} was left out: {WHY}" in page
+
+
+def test_a_run_of_no_other_law_ends(study: Path) -> None:
+    answer = ran(study, MEASURED)
+    assert (answer.returncode, answer.stderr) == (2, f"hesr: {WHY}\n")
+    assert not (study.parent / "results").exists()
+
+
+def test_a_run_whose_closed_loop_needs_it_ends(study: Path) -> None:
+    answer = ran(study, STUDY.replace("laws = [", 'laws = ["stribeck", ') + GAINS)
+    assert (answer.returncode, answer.stderr) == (2, f"hesr: {WHY}\n")
+    assert not (study.parent / "results").exists()

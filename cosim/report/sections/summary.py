@@ -35,6 +35,10 @@ def summary(results: Results, pictures: Pictures) -> Markup:
     ]
     return joined(
         paragraph(_done(results)),
+        *(
+            paragraph(f"The law {law} was left out: {why}")
+            for law, why in results.run.left_out.items()
+        ),
         render("tiles.html.j2", tiles=tiles),
         _picture(results, pictures),
         Markup("<ul>{}</ul>").format(
