@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 from hesr_model.errors import RobotError
 
 Array = NDArray[np.float64]
+
+_DEGREES = 180.0 / np.pi
 
 
 def load(path: Path, *, mimic: bool = False) -> Any:
@@ -24,7 +27,7 @@ def load(path: Path, *, mimic: bool = False) -> Any:
     Raises
     ------
     RobotError
-        If the file is missing or cannot be parsed.
+        If the file is missing, cannot be parsed, or includes others, which would be left out.
     """
     import pinocchio  # here, so that reading a description stays quick
 
@@ -33,12 +36,36 @@ def load(path: Path, *, mimic: bool = False) -> Any:
     is_mjcf = path.suffix.lower() == ".xml"
     try:
         if is_mjcf:
-            return pinocchio.buildModelFromMJCF(str(path))
+            return _with_lengths(pinocchio.buildModelFromMJCF(str(path)), _mjcf(path))
         return pinocchio.buildModelFromUrdf(str(path), mimic=mimic)
-    except (RuntimeError, ValueError) as error:
+    except (RuntimeError, ValueError, ElementTree.ParseError) as error:
         kind = "an MJCF" if is_mjcf else "a URDF"
         reason = " ".join(str(error).split()).rstrip(".")
         raise RobotError(f"{path}: cannot be parsed as {kind} ({reason}).") from error
+
+
+def _mjcf(path: Path) -> ElementTree.Element:
+    root = ElementTree.parse(path).getroot()
+    if (include := root.find(".//include")) is not None:
+        raise RobotError(
+            f"{path}: includes '{include.get('file')}', and included files are not read; write the "
+            "model as one file, as MuJoCo's mj_saveLastXML does."
+        )
+    return root
+
+
+def _with_lengths(model: Any, mjcf: ElementTree.Element) -> Any:
+    """Give sliding joints the range that their MJCF says, in metres.
+
+    Pinocchio takes it for degrees, as the ranges of joints that turn are by default.
+    """
+    angles = [compiler.get("angle") for compiler in mjcf.iter("compiler")]
+    if "radian" not in angles:
+        for joint in list(model.joints)[1:]:
+            if _slides(joint):
+                model.lowerPositionLimit[joint.idx_q] *= _DEGREES
+                model.upperPositionLimit[joint.idx_q] *= _DEGREES
+    return model
 
 
 @dataclass(frozen=True, kw_only=True)

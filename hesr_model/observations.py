@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hesr_model.base_parameters import offsets_apart
 from hesr_model.errors import FitError
 from hesr_model.forward_reverse import matched
 from hesr_model.least_squares import Block
@@ -31,8 +32,46 @@ def slow_speeds(motions: Sequence[Motion]) -> Array:
     return np.minimum(SLOW, SLOW_SHARE * peaks(motions))
 
 
-def stacked(motions: Sequence[Motion], model: RobotModel, base: tuple[int, ...]) -> list[Block]:
-    """One block per joint: base columns, then Coulomb, viscous and offset of every joint."""
+def friction_columns(model: RobotModel, base: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Which of Coulomb, viscous and offset of each joint stand beside the base columns, (n, 3).
+
+    All but offsets [N.m] that are one number with a weight (`base_parameters.offsets_apart`).
+    """
+    columns = np.ones((model.n, 3), dtype=bool)
+    columns[:, 2] = offsets_apart(model, base)
+    return columns
+
+
+def per_joint(found: Array, friction: NDArray[np.bool_]) -> Array:
+    """Return coefficients of friction by joint, (n, 3), zero where there are no columns.
+
+    Parameters
+    ----------
+    found
+        (columns,) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m], of the columns there are.
+    friction
+        (n, 3) which those are.
+    """
+    coefficients = np.zeros(friction.shape)
+    coefficients[friction] = found
+    return coefficients
+
+
+def stacked(
+    motions: Sequence[Motion],
+    model: RobotModel,
+    base: tuple[int, ...],
+    friction: NDArray[np.bool_],
+) -> list[Block]:
+    """One block per joint: base columns, then those of friction.
+
+    Parameters
+    ----------
+    base
+        Columns of the regressor.
+    friction
+        (n, 3) which of Coulomb, viscous and offset each joint has; see `friction_columns`.
+    """
     n = model.n
     q, dq, ddq, tau = (
         np.concatenate([getattr(motion, name) for motion in motions])
@@ -44,9 +83,9 @@ def stacked(motions: Sequence[Motion], model: RobotModel, base: tuple[int, ...])
     for joint in range(n):
         rows = np.abs(dq[:, joint]) > slow[joint]
         speed = dq[rows, joint]
-        friction = np.zeros((len(speed), n, 3))
-        friction[:, joint] = np.column_stack([np.sign(speed), speed, np.ones_like(speed)])
-        matrix = np.hstack([rigid[rows, joint], friction.reshape(len(speed), 3 * n)])
+        rubbing = np.zeros((len(speed), n, 3))
+        rubbing[:, joint] = np.column_stack([np.sign(speed), speed, np.ones_like(speed)])
+        matrix = np.hstack([rigid[rows, joint], rubbing[:, friction]])
         blocks.append(Block(matrix=matrix, target=tau[rows, joint]))
     return blocks
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hesr_model.base_parameters import at_random_states, dependence
 from hesr_model.errors import FitError
 from hesr_model.least_squares import Block, Solution, solve
-from hesr_model.observations import slow_speeds, stacked
+from hesr_model.observations import friction_columns, per_joint, slow_speeds, stacked
 from hesr_model.rigid_body import RigidBody
 from hesr_model.robot import LINK_PARAMETERS, RobotModel
 from hesr_model.robot_log import RobotLog, require_moving
@@ -132,7 +132,8 @@ def identify_payload_motions(
     _require_length(name, motions, segments)
     added = [replace(motion, tau=motion.tau - unloaded.torque(model, motion)) for motion in motions]
     columns = _last_link(model)
-    blocks = stacked(added, model, columns)
+    friction = friction_columns(model, columns)
+    blocks = stacked(added, model, columns, friction)
     scale = np.ones(blocks[0].matrix.shape[1])  # of friction: 1 N.m, 1 N.m.s/rad
     scale[:10] = np.sqrt(np.mean(at_random_states(model)[:, list(columns)] ** 2, axis=0))
     solution = solve(blocks, scale=scale, weighted=True)
@@ -142,7 +143,8 @@ def identify_payload_motions(
             f"{solution.condition:.2g}); all joints must move fast and far at once."
         )
     carried = [
-        block.matrix[:, : len(unloaded.base)] for block in stacked(motions, model, unloaded.base)
+        block.matrix[:, : len(unloaded.base)]
+        for block in stacked(motions, model, unloaded.base, friction)
     ]
     covariance = _covariance(blocks, solution, _kept(motions, segments)) + _inherited(
         blocks, solution, carried, unloaded.standard_errors
@@ -151,7 +153,7 @@ def identify_payload_motions(
         parameters=solution.x[:10],
         covariance=covariance[:10, :10],
         condition=solution.condition,
-        friction=solution.x[10:].reshape(-1, 3),
+        friction=per_joint(solution.x[10:], friction),
         rmse=solution.rmse,
         rows=len(segments),
         logs=tuple(motion.name for motion in motions),

@@ -13,7 +13,7 @@ from hesr_model import physical as consistent
 from hesr_model.base_parameters import at_random_states, base_columns
 from hesr_model.errors import FitError, RobotError
 from hesr_model.least_squares import Block, solve
-from hesr_model.observations import averaged, peaks, stacked
+from hesr_model.observations import averaged, friction_columns, peaks, per_joint, stacked
 from hesr_model.robot import RobotModel
 from hesr_model.robot_log import RobotLog, require_moving
 from hesr_model.signals import Motion, smooth
@@ -189,7 +189,8 @@ def identify_motions(
     ----------
     method
         ``"stacked"``: one least-squares problem over all motions, forward and reversed, in which
-        every joint also has a Coulomb, a viscous and an offset coefficient.
+        every joint also has a Coulomb, a viscous and an offset coefficient; no offset where it
+        cannot be told from a weight (`observations.friction_columns`).
         ``"paper"``: torque and regressor of each motion are averaged with those of its
         time-reversed counterpart at the same position, where odd friction cancels (eq. 7).
         Either drops a joint's slow rows (`observations.SLOW`).
@@ -211,13 +212,14 @@ def identify_motions(
     """
     everything = [*motions, *reversed_motions]
     base = base_columns(model)
-    _require_samples(everything, len(base) + (3 * model.n if method == "stacked" else 0))
+    friction = friction_columns(model, base) & (method == "stacked")
+    _require_samples(everything, len(base) + int(np.sum(friction)))
     _require_speed(everything, model)
 
     def blocks_of(columns: tuple[int, ...]) -> list[Block]:
         if method == "paper":
             return averaged(motions, reversed_motions, model, columns)
-        return stacked(everything, model, columns)
+        return stacked(everything, model, columns, friction)
 
     blocks = blocks_of(base)
     weighting = weighting or ("ols" if method == "paper" else "wls")
@@ -243,22 +245,21 @@ def identify_motions(
         standard_errors=solution.standard_errors[: len(base)],
         condition=solution.condition,
         ridge=solution.ridge,
-        friction=_per_joint(solution.x[len(base) :], model.n),
+        friction=per_joint(solution.x[len(base) :], friction),
         rmse=solution.rmse,
         rows=sum(len(motion.t) for motion in everything),
         logs=tuple(motion.name for motion in everything),
         method=method,
         weighting=weighting,
     )
-    return _consistent(body, blocks_of(tuple(range(len(body.names)))), model) if physical else body
+    if not physical:
+        return body
+    return _consistent(body, blocks_of(tuple(range(len(body.names)))), model, friction)
 
 
-def _per_joint(friction: Array, n: int) -> Array:
-    """Friction coefficients (n, 3), zero where the method has no columns for them."""
-    return friction.reshape(n, 3) if len(friction) else np.zeros((n, 3))
-
-
-def _consistent(body: RigidBody, blocks: Sequence[Block], model: RobotModel) -> RigidBody:
+def _consistent(
+    body: RigidBody, blocks: Sequence[Block], model: RobotModel, friction: NDArray[np.bool_]
+) -> RigidBody:
     """Replace an estimate by the physically consistent one from the same rows."""
     with threadpool_limits(1):
         found = consistent.fit(
@@ -269,7 +270,7 @@ def _consistent(body: RigidBody, blocks: Sequence[Block], model: RobotModel) -> 
         parameters=found.parameters,
         standard_errors=found.standard_errors,
         ridge=0.0,
-        friction=_per_joint(found.friction, model.n),
+        friction=per_joint(found.friction, friction),
         rmse=found.rmse,
         physical=True,
     )

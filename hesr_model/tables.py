@@ -1,6 +1,7 @@
 """Tables of numbers in CSV or Parquet, with messages that name the cell at fault."""
 
 import csv
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +14,10 @@ from numpy.typing import NDArray
 from hesr_model.errors import LogError
 
 Array = NDArray[np.float64]
+
+_DELIMITERS = ",;\t "
+_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+"""A number with a decimal comma."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,8 +94,8 @@ class Table:
 def read_table(path: Path) -> Table:
     """Open a CSV (with a header; blank lines are ignored) or a Parquet file.
 
-    A CSV's cells are separated as its header's are: by commas, else by semicolons, tabs or single
-    blanks; the latter three may have decimal commas. A header may begin with ``#``.
+    A CSV's cells are separated as its header's are: by commas, semicolons, tabs or single blanks;
+    the latter three may have decimal commas. A header may begin with ``#``.
 
     Raises
     ------
@@ -146,13 +151,27 @@ class _Dialect:
 def _dialect(path: Path) -> _Dialect:
     try:
         with path.open(encoding="utf-8-sig") as file:
-            lines = (line for line in file if line.strip())
-            header, first = next(lines, ""), next(lines, "")
-    except UnicodeDecodeError as error:
+            lines = (line.strip() for line in file if line.strip())
+            header, first = next(lines, "").lstrip("# "), next(lines, "")
+            there = [d for d in _DELIMITERS if d in header] or [","]
+            # Names may hold what separates cells in other files, but then rows are not as long.
+            fitting = [d for d in there if _count(header, d) == _count(first, d)] or there[:1]
+            delimiter = max(fitting, key=lambda d: _count(header, d))
+            # A log may begin with zeros, which show no decimal sign.
+            commas = delimiter != "," and any(
+                _COMMA.fullmatch(cell.strip())
+                for line in (first, *lines)
+                if "," in line
+                for cell in line.split(delimiter)
+            )
+    except (UnicodeDecodeError, csv.Error) as error:
         raise LogError(f"{path}: cannot be read as CSV text.") from error
-    delimiter = next((d for d in ",;\t " if d in header.strip().lstrip("# ")), ",")
-    decimal = "," if delimiter != "," and "," in first else "."
-    return _Dialect(delimiter=delimiter, decimal=decimal)
+    return _Dialect(delimiter=delimiter, decimal="," if commas else ".")
+
+
+def _count(line: str, delimiter: str) -> int:
+    """Return the number of cells of a line."""
+    return len(next(csv.reader([line], delimiter=delimiter), []))
 
 
 def _csv_rows(path: Path, dialect: _Dialect) -> Iterator[tuple[int, list[str]]]:

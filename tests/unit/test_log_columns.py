@@ -64,6 +64,23 @@ def test_decimals_may_have_commas_where_cells_are_not_separated_by_them(
     require_equal(read(written(rows(), delimiter=delimiter).replace(".", ",")), rows())
 
 
+def test_a_log_that_begins_with_whole_numbers_may_have_decimal_commas(read: Read) -> None:
+    """As a spreadsheet writes one that begins at rest."""
+    values = rows()
+    values[:3, 1:] = 0.0
+    text = written(values, delimiter=";").replace(".", ",")
+    assert "," not in text.splitlines()[1]
+    require_equal(read(text), values)
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_names_may_hold_what_separates_cells_elsewhere(read: Read, delimiter: str) -> None:
+    values = np.column_stack([rows(), np.ones(len(rows()))])
+    text = written(values, [*HEADER, "force, x (N m)"], delimiter=delimiter)
+    require_equal(read(text), rows())
+    require_equal(read(text.replace(".", ",")), rows())
+
+
 def test_a_header_may_be_a_comment_as_numpy_writes_it(read: Read, tmp_path: Path) -> None:
     np.savetxt(tmp_path / "saved.csv", rows(), header=" ".join(HEADER), fmt="%.9g")
     text = (tmp_path / "saved.csv").read_text()

@@ -2,6 +2,7 @@ import json
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -191,3 +192,34 @@ def test_the_torque_of_another_robot_is_refused(
     message = r"^the rigid body of 'arm' with 33 parameters does not fit robot 'bare', which has 30"
     with pytest.raises(RobotError, match=message):
         rigid_body.torque(other, make_motion())
+
+
+LIFT = """<mujoco model="lift"><worldbody><body name="carriage">
+  <joint name="z" type="slide" axis="0 0 1" range="-2 2"/>
+  <inertial mass="2" pos="0 0 0" diaginertia="1e-3 1e-3 1e-3"/>
+  <body name="arm"><joint name="a" axis="0 1 0" range="-90 90"/>
+  <inertial mass="1" pos="0.1 0 0" diaginertia="1e-3 1e-3 1e-3"/></body>
+</body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("physical", [False, True])
+def test_a_weight_is_not_shared_with_the_offset_of_friction(
+    physical: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """On a vertical sliding joint both are constant, so that no motion could tell them apart."""
+    path = tmp_path / "lift.xml"
+    path.write_text(LIFT, encoding="utf-8")
+    model = RobotModel(RobotDescription(name="lift", model=path, joints=("z", "a")))
+    t = np.arange(0.0, 20.0, 0.01)
+    phase = np.outer(t, [1.3, 2.1])
+    rate = np.array([1.3, 2.1])
+    q, dq, ddq = np.sin(phase), rate * np.cos(phase), -(rate**2) * np.sin(phase)
+    rubbing = [3.0, 2.0] * np.sign(dq) + [5.0, 1.0] * dq + [0.0, 0.7]
+    tau = model.torque(model.nominal_parameters, q, dq, ddq) + rubbing
+    motion = Motion(name="lift", t=t, q=q, dq=dq, ddq=ddq, tau=tau, q_raw=q)
+    body = identify_motions([motion], model, physical=physical)
+    np.testing.assert_allclose(body.friction, [[3.0, 5.0, 0.0], [2.0, 1.0, 0.7]], atol=1e-6)
+    weight = model.torque(body.parameters, *np.zeros((3, 1, 2)))[0, 0]
+    assert weight == pytest.approx(3.0 * 9.81, rel=1e-6)
+    assert body.ridge == 0.0
+    assert not caplog.records

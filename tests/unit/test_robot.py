@@ -261,6 +261,42 @@ def test_a_model_file_that_is_missing_or_broken_is_named(
             RobotModel(arm.model_copy(update={"model": path}))
 
 
+LIFT = """<mujoco model="lift">{compiler}<worldbody><body name="carriage">
+  <joint name="z" type="slide" axis="0 0 1" range="-0.5 1.5"/>
+  <inertial mass="2" pos="0 0 0" diaginertia="1e-3 1e-3 1e-3"/>
+  <body name="arm"><joint name="a" axis="0 0 1" range="{range}"/>
+  <inertial mass="1" pos="0.1 0 0" diaginertia="1e-3 1e-3 1e-3"/></body>
+</body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("compiler", "range_"),
+    [("", "-90 90"), ('<compiler angle="radian"/>', "-1.5707963267948966 1.5707963267948966")],
+)
+def test_the_range_of_a_sliding_joint_is_a_length(
+    compiler: str, range_: str, tmp_path: Path
+) -> None:
+    """Pinocchio takes it for an angle in degrees."""
+    path = tmp_path / "lift.xml"
+    path.write_text(LIFT.format(compiler=compiler, range=range_), encoding="utf-8")
+    robot = RobotModel(RobotDescription(name="lift", model=path, joints=("z", "a")))
+    lower, upper, _ = robot.limits
+    np.testing.assert_allclose(lower, [-0.5, -np.pi / 2])
+    np.testing.assert_allclose(upper, [1.5, np.pi / 2])
+
+
+def test_an_mjcf_that_includes_others_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    text = LIFT.format(compiler="", range="-90 90").replace("</worldbody>", "{}</worldbody>")
+    path.write_text(text.format('<include file="tip.xml"/>'), encoding="utf-8")
+    with pytest.raises(RobotError) as caught:
+        RobotModel(RobotDescription(name="lift", model=path, joints=("z", "a")))
+    assert str(caught.value) == (
+        f"{path}: includes 'tip.xml', and included files are not read; write the model as one "
+        "file, as MuJoCo's mj_saveLastXML does."
+    )
+
+
 def test_a_joint_of_many_degrees_of_freedom_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "free.xml"
     path.write_text(FREE_MJCF, encoding="utf-8")
