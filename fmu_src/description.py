@@ -136,7 +136,7 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
     _unknowns(structure, "Derivatives", table.derivatives, table, ("input", "state"))
     initial = [v for v in table.variables if v in outputs or v.derivative_of]
     known = ("input", "state", "fixed", "tunable")
-    _unknowns(structure, "InitialUnknowns", initial, table, known)
+    _unknowns(structure, "InitialUnknowns", initial, table, known, initially=True)
     ET.indent(root)
     written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
     return written + b"\n"
@@ -217,15 +217,18 @@ def _unknowns(
     unknowns: Iterable[Variable],
     table: Interface,
     known: tuple[str, ...],
+    *,
+    initially: bool = False,
 ) -> None:
     unknowns = list(unknowns)
     if not unknowns:
         return
     parent = ET.SubElement(structure, kind)
     for variable in unknowns:
+        names = (*variable.dependencies, *(variable.initial_dependencies if initially else ()))
         numbers = sorted(
             table.references[name] + 1
-            for name in variable.dependencies
+            for name in dict.fromkeys(names)
             if table.variables[table.references[name]].role in known
         )
         ET.SubElement(

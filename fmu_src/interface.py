@@ -53,6 +53,7 @@ class Variable:
     nominal : usual size of a state, by which solvers scale their tolerances.
     derivative_of : name of the state whose time derivative this is.
     dependencies : for a computed variable, the names of all variables in its expression.
+    initial_dependencies : names of further variables that count until the initialisation ends.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Variable:
     nominal: float = 1.0
     derivative_of: str | None = None
     dependencies: tuple[str, ...] = ()
+    initial_dependencies: tuple[str, ...] = ()
 
     @property
     def computed(self) -> bool:
@@ -82,6 +84,8 @@ class Interface:
     own : how many numbers the component remembers besides its variables.
     model_exchange : whether the component is also for model exchange.
     directional_derivatives : whether the component provides them.
+    inner_steps : whether the component cuts steps into its own, over which it follows the slopes of
+        inputs itself.
 
     Raises
     ------
@@ -94,6 +98,7 @@ class Interface:
     own: int = 0
     model_exchange: bool = True
     directional_derivatives: bool = True
+    inner_steps: bool = False
 
     def __post_init__(self) -> None:
         seen: set[str] = set()
@@ -130,7 +135,12 @@ def _odd(twice: bool) -> str:
 def to_c(interface: Interface, guid: str) -> str:
     """Return interface.h: the GUID and the tables of variables of the C side."""
     rows = []
-    felt = {name for v in interface.variables if v.computed for name in v.dependencies}
+    felt = {
+        name
+        for v in interface.variables
+        if v.computed
+        for name in (*v.dependencies, *v.initial_dependencies)
+    }
     for variable in interface.variables:
         kind = (
             f"INTEGER, 1, {len(variable.enumeration.items)}"
@@ -156,6 +166,7 @@ def to_c(interface: Interface, guid: str) -> str:
         watched=len(watched),
         model_exchange=int(interface.model_exchange),
         derivable=int(interface.directional_derivatives),
+        inner_steps=int(interface.inner_steps),
         rows="\n".join(rows),
         state_list=_list(states),
         derivative_list=_list([interface.references[v.name] for v in derivatives]),
@@ -181,6 +192,7 @@ _INTERFACE = """\
 enum {{ VARIABLES = {variables}, STATES = {states}, INDICATORS = {indicators} }};
 enum {{ OWN = {own}, WATCHED = {watched} }};
 enum {{ MODEL_EXCHANGE = {model_exchange}, DIRECTIONAL_DERIVATIVES = {derivable} }};
+enum {{ INNER_STEPS = {inner_steps} }};
 
 static const Variable variables[VARIABLES] = {{
 {rows}

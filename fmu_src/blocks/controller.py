@@ -63,7 +63,7 @@ def controller(joints: int, *, step: float = 0.005) -> Content:
             scalar("friction_gain", "tunable", "1", "factor on the friction torque", 1.0),
             *(v for n, unit, text in _GAINS for v in vector(n, "tunable", unit, text, zeros)),
         ),
-        own=4 * joints,
+        own=4 * joints + 1,  # what controller.c remembers
         model_exchange=False,
         directional_derivatives=False,
     )

@@ -35,7 +35,14 @@ typedef struct {
     double x[MAX_STATES], dx[MAX_STATES], rate[MAX_STATES];
 } Trial;
 
-static Step step_of(const Component *component, int i, double h) {
+/* An input at a time [s] after the beginning of the glue's step. */
+static double input_at(const Component *component, int variable, double time) {
+    return component->v[variable] + component->slope[variable] * time;
+}
+
+/* An inner step of h that ends at a time [s] after the beginning of the glue's; it is implicit, so
+ * its inputs are those of its end. */
+static Step step_of(const Component *component, int i, double h, double time) {
     const Joint *joint = &joints[i];
     const double *v = component->v;
     return (Step){
@@ -46,10 +53,10 @@ static Step step_of(const Component *component, int i, double h) {
         .gear = 1.0 / v[RATIO + i],
         .stiffness = v[STIFFNESS + i],
         .damping = v[DAMPING + i],
-        .tau_motor = v[TAU_MOTOR + i],
-        .tau_load = v[TAU_LOAD + i],
-        .q_link = v[Q_LINK + i],
-        .dq_link = v[DQ_LINK + i],
+        .tau_motor = input_at(component, TAU_MOTOR + i, time),
+        .tau_load = input_at(component, TAU_LOAD + i, time),
+        .q_link = input_at(component, Q_LINK + i, time),
+        .dq_link = input_at(component, DQ_LINK + i, time),
         .h = h,
         .euler = v[DISCRETISATION] == EULER,
     };

@@ -6,7 +6,8 @@
  * FMI.
  *
  * The generated interface.h defines MODEL_GUID, how many VARIABLES, STATES and INDICATORS there
- * are, how many doubles the component remembers besides (OWN), and the tables of these.
+ * are, how many doubles the component remembers besides (OWN), whether it makes INNER_STEPS, and
+ * the tables of these.
  */
 #ifndef COMPONENT_H
 #define COMPONENT_H
@@ -18,6 +19,7 @@
 typedef struct {
     double v[VARIABLES];           /* Integers and enumerations included */
     double own[OWN > 0 ? OWN : 1]; /* zero at the start; the glue only copies it */
+    double slope[VARIABLES];       /* of inputs over the next step [unit/s], kept by the glue */
     double time;                   /* [s], kept by the glue */
 } Component;
 
@@ -43,7 +45,8 @@ static bool component_initialise(Component *component, void *workspace, Message 
 static bool component_output(Component *component, void *workspace, Message *why);
 
 /* Move the states by `step` > 0 [s] with the inputs held, and compute as component_output does for
- * the end of the step. The glue advances the time afterwards. */
+ * the end of the step. With INNER_STEPS the inputs are those of the step's beginning, from which
+ * they follow their slopes. The glue advances the time afterwards. */
 static bool component_step(Component *component, void *workspace, double step, Message *why);
 
 /* Compute the variables that are marked as on demand. */

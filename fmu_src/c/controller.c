@@ -23,19 +23,28 @@ enum {
     COMMAND = JOINTS,      /* that command over the last sample [rad/s] */
     ERROR = 2 * JOINTS,    /* torque error of the last sample [N.m] */
     PREVIOUS = 3 * JOINTS, /* and of the one before */
+    STARTED = 4 * JOINTS,  /* whether the initialisation has ended */
 };
 
+/* At rest the servo's own integral holds the torque already. */
+static double equilibrium(const double *v, int i) {
+    return v[KI + i] > 0.0 ? (v[TAU_D + i] - v[TAU_G + i]) / v[KI + i] : 0.0;
+}
+
+/* Until the initialisation ends nothing is remembered, and the loop is as it begins. */
 static double compensation(const Component *component, int i, double *error) {
     const double *v = component->v, *own = component->own;
+    const bool started = own[STARTED] > 0.0;
     const double sample = v[SAMPLE_TIME];
     *error = 0.0;
     if (v[COMPENSATION] == TORQUE_ERROR) {
         *error = v[TAU_D + i] - v[TAU_MEAS + i];
-        const double rate = (*error - own[PREVIOUS + i]) / sample;
+        const double rate = started ? (*error - own[PREVIOUS + i]) / sample : 0.0;
         return exp(-v[LAMBDA] * fabs(v[DQ_D + i])) * (v[KP + i] * *error + v[KD + i] * rate);
     }
     if (v[COMPENSATION] == SERVO_INVERSION) {
-        const double wanted = v[TAU_D + i] - v[TAU_G + i] - v[KI + i] * own[INTEGRAL + i];
+        const double integral = started ? own[INTEGRAL + i] : equilibrium(v, i);
+        const double wanted = v[TAU_D + i] - v[TAU_G + i] - v[KI + i] * integral;
         return wanted / (v[KV + i] + 0.5 * sample * v[KI + i]);
     }
     return 0.0;
@@ -76,14 +85,12 @@ static bool component_initialise(Component *component, void *workspace, Message 
         }
     }
     component_output(component, workspace, why);
-    for (int i = 0; v[COMPENSATION] == SERVO_INVERSION && i < JOINTS; i++) {
-        /* At rest the servo's own integral holds the torque already. */
-        own[INTEGRAL + i] = v[KI + i] > 0.0 ? (v[TAU_D + i] - v[TAU_G + i]) / v[KI + i] : 0.0;
-    }
     remember(component);
     for (int i = 0; i < JOINTS; i++) {
+        own[INTEGRAL + i] = v[COMPENSATION] == SERVO_INVERSION ? equilibrium(v, i) : 0.0;
         own[PREVIOUS + i] = own[ERROR + i];
     }
+    own[STARTED] = 1.0;
     return true;
 }
 

@@ -22,7 +22,7 @@
 #include "root.h"
 
 /* What the component remembers besides its variables. */
-enum { STEPPED = 0 /* whether any step has been made */ };
+enum { STARTED = 0 /* whether the initialisation has ended */ };
 
 /* Inner steps of one step; more take longer than anybody waits. */
 #define MOST_PARTS 1e7
@@ -86,7 +86,6 @@ static bool sound(int variable, double value, bool right, const char *needed, Me
 
 static bool component_initialise(Component *component, void *workspace, Message *why) {
     const double *v = component->v;
-    (void)workspace;
     if (!sound(SUBSTEP, v[SUBSTEP], v[SUBSTEP] > 0.0, "be positive", why)) {
         return false;
     }
@@ -99,14 +98,17 @@ static bool component_initialise(Component *component, void *workspace, Message 
             return false;
         }
     }
+    component_output(component, workspace, why);
+    component->own[STARTED] = 1.0;
     return true;
 }
 
-/* Before the first step, what the start values give; after it, what the last step has given. */
+/* Until the initialisation ends, what start values and inputs give; from then on the outputs are
+ * those of the last step. */
 static bool component_output(Component *component, void *workspace, Message *why) {
     (void)workspace, (void)why;
-    for (int i = 0; i < JOINTS && component->own[STEPPED] == 0.0; i++) {
-        const Step step = step_of(component, i, 0.0);
+    for (int i = 0; i < JOINTS && component->own[STARTED] == 0.0; i++) {
+        const Step step = step_of(component, i, 0.0, 0.0);
         Trial trial;
         component->v[Q + i] = component->v[Q_START + i];
         component->v[DQ + i] = component->v[DQ_START + i];
@@ -133,9 +135,9 @@ static bool component_step(Component *component, void *workspace, double step, M
         return false;
     }
     for (int i = 0; i < JOINTS; i++) {
-        const Step part = step_of(component, i, step / parts);
         motion[i] = motion_of(component, i);
-        for (double n = 0.0; n < parts; n++) {
+        for (double n = 1.0; n <= parts; n++) {
+            const Step part = step_of(component, i, step / parts, step * (n / parts));
             if (!advance(&part, i, &motion[i], why)) {
                 return false;
             }
@@ -144,6 +146,5 @@ static bool component_step(Component *component, void *workspace, double step, M
     for (int i = 0; i < JOINTS; i++) {
         put(component, i, &motion[i]);
     }
-    component->own[STEPPED] = 1.0;
     return true;
 }

@@ -61,11 +61,10 @@ enum { MOST_REFUSALS = 10 };
 /* All that GetFMUstate copies: it holds no pointers. */
 typedef struct {
     Component component;
-    double slope[VARIABLES]; /* of inputs, for the next step only */
-    double stop;             /* end of the experiment [s] */
-    double refused;          /* the step that was refused last [s] */
-    int refusals;            /* how many times, without another step in between */
-    int type;                /* fmi2ModelExchange or fmi2CoSimulation */
+    double stop;    /* end of the experiment [s] */
+    double refused; /* the step that was refused last [s] */
+    int refusals;   /* how many times, without another step in between */
+    int type;       /* fmi2ModelExchange or fmi2CoSimulation */
     int mode;
     int sloped; /* whether any slope has been set */
     int stale;  /* whether the outputs are older than what they depend on */

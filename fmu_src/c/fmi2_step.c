@@ -5,15 +5,16 @@
 static void follow_slopes(Memory *memory, const Component *from, double time) {
     for (int i = 0; i < VARIABLES; i++) {
         if (variables[i].role == INPUT) {
-            memory->component.v[i] = from->v[i] + memory->slope[i] * time;
+            memory->component.v[i] = from->v[i] + from->slope[i] * time;
         }
     }
 }
 
-/* States move with inputs held; where these have slopes, at their value in the middle. */
+/* States move with inputs held; where these have slopes, at their value in the middle, or as the
+ * component follows them by inner steps. */
 static bool follow(Memory *memory, void *workspace, double step, Message *why) {
     const Component before = memory->component;
-    follow_slopes(memory, &before, 0.5 * step);
+    follow_slopes(memory, &before, INNER_STEPS ? 0.0 : 0.5 * step);
     component_event(&memory->component, 0.0, NULL);
     bool moved = component_step(&memory->component, workspace, step, why);
     if (moved) {
@@ -25,7 +26,7 @@ static bool follow(Memory *memory, void *workspace, double step, Message *why) {
         memory->component = before;
         return false;
     }
-    memset(memory->slope, 0, sizeof memory->slope);
+    memset(memory->component.slope, 0, sizeof memory->component.slope);
     memory->sloped = false;
     return true;
 }

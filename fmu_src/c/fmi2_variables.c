@@ -61,6 +61,20 @@ static fmi2Status refuse_number(const Instance *instance, const char *function,
                   variables[vr].name, value);
 }
 
+/* What is computed on demand alone may still not be finite. After a failure or the end, it is what
+ * there is. */
+static fmi2Status demanded_are_finite(const Instance *instance, const fmi2ValueReference vr[],
+                                      size_t n) {
+    const Component *component = &instance->memory.component;
+    for (size_t i = 0; (instance->memory.mode & RUNNING) && i < n; i++) {
+        if (variables[vr[i]].role == ON_DEMAND && !isfinite(component->v[vr[i]])) {
+            return refuse(instance, "%s became %g at time %.9g.", variables[vr[i]].name,
+                          component->v[vr[i]], component->time);
+        }
+    }
+    return fmi2OK;
+}
+
 /* Common part of the getters. */
 static fmi2Status read(fmi2Component c, const char *function, Type type,
                        const fmi2ValueReference vr[], size_t n, const void *value) {
@@ -81,7 +95,7 @@ static fmi2Status read(fmi2Component c, const char *function, Type type,
     if (demanded && status == fmi2OK) {
         component_demand(&instance->memory.component);
     }
-    return status;
+    return status == fmi2OK ? demanded_are_finite(instance, vr, n) : status;
 }
 
 FMI2_STATUS(fmi2GetReal)
@@ -210,7 +224,7 @@ FMI2_STATUS(fmi2SetRealInputDerivatives)
         return refuse_number(instance, function, vr[odd], value[odd]);
     }
     for (size_t i = 0; i < n; i++) {
-        instance->memory.slope[vr[i]] = value[i];
+        instance->memory.component.slope[vr[i]] = value[i];
     }
     instance->memory.sloped = true;
     return fmi2OK;
@@ -265,6 +279,10 @@ FMI2_STATUS(fmi2GetDirectionalDerivative)
         !differentiable(instance, function, unknowns, n_unknown, knowns, n_known)) {
         return failed(instance);
     }
+    const size_t odd = first_odd(d_known, n_known);
+    if (odd < n_known) {
+        return refuse_number(instance, function, knowns[odd], d_known[odd]);
+    }
     const fmi2Status status = refreshed(instance);
     if (status != fmi2OK) {
         return status;
@@ -273,6 +291,13 @@ FMI2_STATUS(fmi2GetDirectionalDerivative)
         seed[knowns[i]] += d_known[i];
     }
     component_tangent(&instance->memory.component, seed, tangent);
+    for (size_t i = 0; i < n_unknown; i++) {
+        if (!isfinite(tangent[unknowns[i]])) {
+            return refuse(instance, "%s: the derivative of %s is %g at time %.9g.", function,
+                          variables[unknowns[i]].name, tangent[unknowns[i]],
+                          instance->memory.component.time);
+        }
+    }
     for (size_t i = 0; i < n_unknown; i++) {
         d_unknown[i] = tangent[unknowns[i]];
     }

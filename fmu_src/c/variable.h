@@ -23,7 +23,7 @@ typedef struct {
     Role role;
     Type type;
     int low, high; /* bounds of an INTEGER */
-    int felt;      /* whether what is computed depends on it directly */
+    int felt;      /* whether what is computed depends on it directly, be it at the start only */
 } Variable;
 
 #endif

@@ -1,7 +1,7 @@
 """The drive component: its interface and its generated C, from a friction model and its motors."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from math import isfinite
 
 from fmu_src.blocks.table import scalar, vector
@@ -132,22 +132,32 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
         for joint, law in enumerate(model.laws, start=1)
     ]
     choice = discretisation(model, "how the states of the friction are relaxed over an inner step")
+    variables = (
+        *(v for n, unit, text in _INPUTS for v in vector(n, "input", unit, text, zeros)),
+        *(v for n, unit, text, deps in _OUTPUTS
+          for v in vector(n, "output", unit, text, zeros, deps)),
+        *friction,
+        *_parameters(own, zeros),
+        scalar("substep", "fixed", "s", "longest inner step", substep),
+        choice,
+        *(v for joint, law in enumerate(model.laws, start=1)
+          for v in law_variables(law, joint, _sources(joint))),
+    )  # fmt: skip
+    inputs = {v.name for v in variables if v.role == "input"}
     return Interface(
-        variables=(
-            *(v for n, unit, text in _INPUTS for v in vector(n, "input", unit, text, zeros)),
-            *(v for n, unit, text, deps in _OUTPUTS
-              for v in vector(n, "output", unit, text, zeros, deps)),
-            *friction,
-            *_parameters(own, zeros),
-            scalar("substep", "fixed", "s", "longest inner step", substep),
-            choice,
-            *(v for joint, law in enumerate(model.laws, start=1)
-              for v in law_variables(law, joint, _sources(joint))),
-        ),
-        own=1,  # STEPPED of drive.c
+        variables=tuple(_of_the_last_step(v, inputs) for v in variables),
+        own=1,  # STARTED of drive.c
         model_exchange=False,
         directional_derivatives=False,
-    )  # fmt: skip
+        inner_steps=True,
+    )
+
+
+def _of_the_last_step(variable: Variable, inputs: Collection[str]) -> Variable:
+    """Return a variable on which inputs act at the start and by steps only."""
+    at_once = tuple(name for name in variable.dependencies if name in inputs)
+    others = tuple(name for name in variable.dependencies if name not in inputs)
+    return replace(variable, dependencies=others, initial_dependencies=at_once)
 
 
 def _parameters(own: Motors, zeros: Sequence[float]) -> Iterator[Variable]:

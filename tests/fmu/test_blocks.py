@@ -322,6 +322,36 @@ def test_inversion_of_the_servo(fmus: Mapping[str, Path]) -> None:
     np.testing.assert_allclose(torque, wanted, rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize("compensation", ["none", "torque_error", "servo_inversion"])
+def test_the_first_command_is_known_while_the_controller_is_initialised(
+    fmus: Mapping[str, Path], compensation: str
+) -> None:
+    """Masters pass it on then: the loop begins at rest, whatever else is remembered later."""
+    start = {"Kp": 0.01, "Kd": 0.01, "Kv": 10.0, "Ki": (50.0, 50.0, 0.0), "tau_rb": 20.0}
+    given = {"tau_meas": 15.0, "tau_g": 5.0, "dq_d": 0.1, "lambda": 0.0}
+    expected = {
+        "none": [0.0, 0.0, 0.0],
+        "torque_error": [0.05, 0.05, 0.05],
+        "servo_inversion": [0.0, 0.0, 1.5],
+    }
+    with Component(fmus["Controller"]) as block:
+        expanded = block.variables.expanded
+        names = [f"{n}[{i}]" for n in ("dq_comp", "dq_cmd", "tau_d") for i in range(1, N + 1)]
+        for _ in range(2):
+            block.enter_initialisation(
+                start=expanded(start | {"compensation": compensation, "tau_rb": 7.0})
+            )
+            block.get(names)  # inputs may still change
+            block.set(expanded(start | given))
+            begun = block.get(names)
+            np.testing.assert_allclose(begun[:N], expected[compensation], rtol=1e-12, atol=1e-15)
+            np.testing.assert_allclose(begun[N : 2 * N], 0.1 + begun[:N], rtol=1e-15)
+            block.exit_initialisation()
+            np.testing.assert_array_equal(block.get(names), begun)
+            block.step(0.0, STEP)
+            block.reset()
+
+
 def test_the_controller_samples_at_its_own_step(fmus: Mapping[str, Path]) -> None:
     with Component(fmus["Controller"]) as block:
         block.initialise()

@@ -13,9 +13,17 @@ from c_hosts import build_host
 from drive_runs import model_of
 from fmpy import read_model_description
 
+from cosim.component import Component
+from cosim.master import simulate
+from cosim.system import SystemSpec
+from fmu_src.blocks.controller import controller
 from fmu_src.check import check
 from fmu_src.drive.export import export_drive
 from fmu_src.friction.embedded import embedded_model
+from fmu_src.package import write_fmu
+from hesr_model.config import read_toml
+from hesr_model.friction.functions import DQ, TAU_LOAD, absolute
+from hesr_model.friction.law import FrictionLaw, LawForm, Relaxation
 from hesr_model.friction.model import FrictionModel
 
 VDMCHECK2 = Path(__file__).parents[3] / ".tools" / "vdmcheck2"
@@ -55,15 +63,103 @@ def test_laws_of_every_kind_are_valid(make_law, tmp_path: Path) -> None:
     assert {"joint[2].sigma_0", "scale[4]", "z[2]", "der(z[2])"} <= set(about)
 
 
-def test_no_output_depends_on_the_motor_torque_at_once(fmu: Path) -> None:
-    """So that a controller and a drive make no algebraic loop."""
+def bristle_with_load() -> FrictionLaw:
+    """A law whose state and whose torque depend on the load."""
+    rate = 20.0 * absolute(DQ) / (1.0 + 0.1 * absolute(TAU_LOAD))
+    z = Relaxation(name="z", unit="rad", drive=DQ, rate=rate)
+    output = 20.0 * z.state + 0.5 * z.derivative
+    form = LawForm(coefficients=(), relaxations=(z,), output=output)
+    return FrictionLaw(name="by_hand", form=form, values={})
+
+
+def inputs_of(unknowns) -> dict[str, set[str]]:
+    return {
+        u.variable.name: {v.name for v in u.dependencies if v.causality == "input"}
+        for u in unknowns
+    }
+
+
+def test_no_output_depends_on_an_input_of_the_same_instant(make_law, tmp_path: Path) -> None:
+    """So that neither a controller nor a link makes an algebraic loop with a drive."""
+    laws = {"a": bristle_with_load(), "b": make_law("viscous"), "c": make_law("lugre")}
+    fmu = export_drive(model_of(laws), tmp_path / "D.fmu", inertia=INERTIA, stiffness=INERTIA)
+    assert check(fmu).problems == ()
     about = read_model_description(str(fmu))
-    outputs = {u.variable.name: {v.name for v in u.dependencies} for u in about.outputs}
-    assert {f"{n}[{i}]" for n in ("q", "dq", "ddq", "tau_f", "tau_link") for i in (1, 2, 3)} == set(
-        outputs
+    outputs = {f"{n}[{i}]" for n in ("q", "dq", "ddq", "tau_f", "tau_link") for i in (1, 2, 3)}
+    assert inputs_of(about.outputs) == {name: set() for name in outputs}
+    assert not any(inputs_of(about.derivatives).values())
+    initially = {name: found for name, found in inputs_of(about.initialUnknowns).items() if found}
+    expected = {f"tau_link[{i}]": {f"q_link[{i}]", f"dq_link[{i}]"} for i in (1, 2, 3)}
+    expected |= {name: {"tau_load[1]"} for name in ("tau_f[1]", "der(z[1])")}
+    assert initially == expected | {"tau_f[2]": {"tau_load[2]"}}
+
+
+def test_what_inputs_give_is_seen_until_the_initialisation_ends(make_law, tmp_path: Path) -> None:
+    laws = {"a": bristle_with_load(), "b": make_law("viscous")}
+    one = [1.0, 1.0]
+    fmu = export_drive(
+        model_of(laws), tmp_path / "D.fmu", inertia=one, stiffness=[50.0, 50.0], damping=[4.0, 4.0]
     )
-    assert outputs["q[1]"] == outputs["dq[1]"] == set()
-    assert not any(name.startswith("tau_motor") for found in outputs.values() for name in found)
+    names = ["tau_link[1]", "tau_f[2]", "der(z[1])", "tau_f[1]"]
+    with Component(fmu) as drive:
+        drive.enter_initialisation(start={"dq_start[1]": 0.5, "dq_start[2]": 0.5, "z[1]": 0.1})
+        first = drive.get(names)
+        assert first[:2] == pytest.approx([2.0, 4.5 + 12.0 * 0.5**3 + 0.5])
+        drive.set({"q_link[1]": 0.1, "dq_link[1]": 0.2, "tau_load[1]": 7.0, "tau_load[2]": -8.0})
+        given = drive.get(names)
+        assert given[:2] == pytest.approx([-5.0 + 4.0 * 0.3, first[1] + 0.8])
+        assert np.all(given != first)
+        drive.exit_initialisation()
+        np.testing.assert_array_equal(drive.get(names), given)
+        drive.set({f"{n}[{i}]": 3.0 for n in ("q_link", "dq_link", "tau_load", "tau_motor")
+                   for i in (1, 2)})  # fmt: skip
+        np.testing.assert_array_equal(drive.get(names), given)
+        drive.step(0.0, 0.001)
+        assert np.all(drive.get(names) != given)
+
+
+ADMITTANCE = """
+step = 0.01
+stop = 0.5
+observe = ["drive.tau_link", "link.dq_cmd"]
+
+[[components]]
+name = "drive"
+fmu = "D.fmu"
+start = { tau_motor = 20.0, tau_load = 0.0, q_link = 0.0 }
+
+[[components]]
+name = "link"
+fmu = "Controller.fmu"
+start = { compensation = "torque_error", Kp = 0.02, tau_rb = 5.0, tau_f = 0.0, tau_g = 0.0, \
+q_d = 0.0, dq_d = 0.0, q = 0.0 }
+
+[connections]
+"link.tau_meas" = "drive.tau_link"
+"drive.dq_link" = "link.dq_cmd"
+"""
+
+
+@pytest.mark.parametrize("order", ["gauss_seidel", "jacobi"])
+def test_a_link_that_answers_at_once_makes_no_algebraic_loop(
+    make_law, tmp_path: Path, order: str
+) -> None:
+    """Its speed follows the torque of the same instant, which the drive takes for its next step."""
+    path = tmp_path / "system.toml"
+    path.write_text(f'order = "{order}"\n' + ADMITTANCE.replace("\\\n", ""), encoding="utf-8")
+    export_drive(
+        model_of({"a": make_law("lugre")}), tmp_path / "D.fmu", inertia=[1.0], damping=[10.0],
+        stiffness=[200.0],
+    )  # fmt: skip
+    write_fmu(controller(1, step=0.01), tmp_path / "Controller.fmu")
+    result = simulate(read_toml(path, SystemSpec), path).require_success()
+    torque, speed = (result.vector(n)[:, 0] for n in ("drive.tau_link", "link.dq_cmd"))
+    assert len(result.t) == 51
+    # At the start all is at rest but the link: tau = -10 v and v = 0.02 (5 - tau).
+    assert (torque[0], speed[0]) == pytest.approx((-1.25, 0.125), rel=1e-3)
+    late = int(order == "jacobi")
+    np.testing.assert_allclose(speed[1:], 0.02 * (5.0 - torque[1 - late : 51 - late]), rtol=1e-9)
+    assert np.ptp(torque) > 1.0
 
 
 def test_it_carries_its_model(fmu: Path, table1: FrictionModel) -> None:
