@@ -36,12 +36,16 @@ def package(
         raise ConfigError(f"--ssp is '{ssp}'; needed is 1.0 or 2.0.")
     with working(f"packing {system.name}"), opened_system(system) as spec:
         contents = read_contents(spec, system)
+        note = None
         if container:
             from cosim.package.container import write_container
 
             write_container(contents, output)
         else:
-            from cosim.package.ssp import write_ssp
+            from cosim.package.ssp import left_out, write_ssp
 
+            note = left_out(contents)
             write_ssp(contents, output, version="2.0" if ssp == "2.0" else "1.0")
     typer.echo(f"{len(spec.components)} FMUs, written to {output}.")
+    if note:
+        typer.echo(note)

@@ -173,7 +173,7 @@ def _variable(contents: Contents, place: Mapping[str, int], variable: Exposed) -
         "mappings": [{"component": place[name], "valueReference": described.valueReference}],
     }
     start = contents.wiring.start[name].get(own)
-    if start is not None:
+    if start is not None and variable.start is not None:  # what is fed needs none
         data["start"] = [text_of(contents.type_of(variable.element), start)]
     return data
 

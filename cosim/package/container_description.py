@@ -1,5 +1,6 @@
 """modelDescription.xml of a container: what of its components is seen from outside."""
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version as installed
@@ -11,6 +12,9 @@ from cosim.package.markup import add_units, to_bytes
 from cosim.package.ssv import text_of
 from cosim.wiring import Element
 
+_PART = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
+_STRUCTURED = re.compile(rf"{_PART}(\.{_PART})*", re.ASCII)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Exposed:
@@ -20,11 +24,13 @@ class Exposed:
     ----------
     element : component and variable.
     causality : that it has in the container.
+    initial : how its value at the start comes about, None where that is not said.
     start : its start value, None where it has none.
     """
 
     element: Element
     causality: str
+    initial: str | None
     start: float | str | None
 
 
@@ -33,7 +39,8 @@ def exposed_variables(contents: Contents) -> Iterator[Exposed]:
 
     Outputs are the signals that the system observes, or those of all components where it observes
     none. Inputs are those that nothing feeds. Parameters and whatever else the system gives a start
-    value are kept; all other outputs can be looked at.
+    value are kept; all other outputs can be looked at. What is observed and cannot be an output,
+    as a parameter or an input that nothing feeds, is shown as what it is.
     """
     wiring = contents.wiring
     observed = set(wiring.observed)
@@ -41,22 +48,35 @@ def exposed_variables(contents: Contents) -> Iterator[Exposed]:
         for variable in described.modelVariables:
             element = (name, variable.name)
             given = wiring.start[name].get(variable.name)
-            causality = variable.causality
-            if element in wiring.sources or (causality == "independent"):
-                continue
-            if causality == "output":
-                seen = "output" if element in observed or not observed else "local"
-            elif element in observed:
-                seen = "output"
-            elif causality in ("input", "parameter") or given is not None:
-                seen = causality
-            else:
-                continue
-            yield Exposed(
-                element=element,
-                causality=seen,
-                start=_own_start(variable) if given is None else given,
+            fed = element in wiring.sources
+            seen = _causality(
+                variable, observed=element in observed, every=not observed, fed=fed, given=given
             )
+            if seen is not None:
+                start = _own_start(variable) if given is None else given
+                initial = None if seen == "input" else variable.initial
+                yield Exposed(
+                    element=element,
+                    causality=seen,
+                    initial="calculated" if fed else initial,
+                    start=None if fed else start,
+                )
+
+
+def _causality(
+    variable: Any, *, observed: bool, every: bool, fed: bool, given: float | str | None
+) -> str | None:
+    """Return what a variable of a component is in the container, None if it need not be there."""
+    own: str = variable.causality
+    if own == "output":
+        return "output" if observed or every else "local"
+    if own == "parameter" or (own == "input" and not fed):
+        return own
+    if own == "independent" or not (observed or (given is not None and not fed)):
+        return None
+    # FMI: an output is continuous or discrete, not what changes with parameters alone.
+    follows = variable.variability in ("fixed", "tunable")
+    return "output" if observed and not follows else "local"
 
 
 def to_description(contents: Contents, exposed: list[Exposed], identifier: str, guid: str) -> bytes:
@@ -70,7 +90,7 @@ def to_description(contents: Contents, exposed: list[Exposed], identifier: str, 
         description=f"System of {len(spec.components)} FMUs, stepped every {spec.step:g} s.",
         generationTool=f"HESR {installed('hesr')}",
         generationDateAndTime=contents.created,
-        variableNamingConvention="structured",
+        variableNamingConvention=_convention(exposed),
         numberOfEventIndicators="0",
     )
     ET.SubElement(
@@ -95,6 +115,12 @@ def to_description(contents: Contents, exposed: list[Exposed], identifier: str, 
     return to_bytes(root)
 
 
+def _convention(exposed: list[Exposed]) -> str:
+    """Return "structured" if all names are; with what a component calls "der(x)" they are not."""
+    named = (".".join(shown.element) for shown in exposed)
+    return "structured" if all(_STRUCTURED.fullmatch(name) for name in named) else "flat"
+
+
 def _scalar(
     contents: Contents, shown: Exposed, reference: int, units: Mapping[str, Unit]
 ) -> ET.Element:
@@ -106,7 +132,7 @@ def _scalar(
         "description": _text(variable),
         "causality": shown.causality,
         "variability": variable.variability,
-        "initial": None if shown.causality == "input" else variable.initial,
+        "initial": shown.initial,
     }
     scalar = ET.Element("ScalarVariable", {k: v for k, v in said.items() if v is not None})
     kind = ET.SubElement(
@@ -145,8 +171,9 @@ def _own_start(variable: Any) -> float | str | None:
 def _unknowns(structure: ET.Element, contents: Contents, exposed: list[Exposed]) -> None:
     """Add what is calculated: outputs, and those of them that are unknown at the start."""
     index = {shown.element: i for i, shown in enumerate(exposed, start=1)}
-    outputs = [shown.element for shown in exposed if shown.causality == "output"]
-    unknown = [(n, v) for n, v in outputs if contents.variables[n][v].initial != "exact"]
+    shown_as_output = [shown for shown in exposed if shown.causality == "output"]
+    outputs = [shown.element for shown in shown_as_output]
+    unknown = [shown.element for shown in shown_as_output if shown.initial != "exact"]
     for tag, elements, needs in (
         ("Outputs", outputs, {n: v.feedthrough for n, v in contents.variables.items()}),
         ("InitialUnknowns", unknown, {n: _at_start(contents, n) for n in contents.variables}),
@@ -180,7 +207,8 @@ def _known(
 ) -> set[Element]:
     """Return the variables, none of them fed by another, on which a signal depends."""
     sources = contents.wiring.sources
-    seen, left = set[Element](), [output]
+    # An input that is fed and observed is what feeds it.
+    seen, left = set[Element](), [sources.get(output, output)]
     while left:
         component, name = left.pop()
         # What nothing is said of may depend on every input.

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from cosim.system import ComponentSpec, SystemSpec
+from cosim.system import SystemSpec
 from cosim.variables import Variables
 from cosim.wiring import Element, Wiring
 from hesr_model.errors import ConfigError, SimulationError
@@ -92,7 +92,9 @@ def read_contents(spec: SystemSpec, path: Path) -> Contents:
         If an FMU is missing or none of FMI 2.0 for co-simulation, or if the system does not fit
         its FMUs; see `Wiring`.
     """
-    descriptions = {c.name: _described(c, path) for c in spec.components}
+    descriptions = {
+        c.name: described(c.fmu, f"{path}: component '{c.name}'") for c in spec.components
+    }
     variables = {c.name: Variables(c.fmu, descriptions[c.name]) for c in spec.components}
     return Contents(
         spec=spec,
@@ -104,18 +106,31 @@ def read_contents(spec: SystemSpec, path: Path) -> Contents:
     )
 
 
-def _described(component: ComponentSpec, path: Path) -> Any:
+def described(fmu: Path, where: str) -> Any:
+    """Return FMPy's description of the FMU of a component.
+
+    Parameters
+    ----------
+    fmu : the file.
+    where : for messages: the file of the system and the component.
+
+    Raises
+    ------
+    ConfigError
+        If it is missing, or none of FMI 2.0 for co-simulation.
+    SimulationError
+        If it cannot be read.
+    """
     from fmpy.model_description import read_model_description  # slow to import
 
-    where = f"{path}: component '{component.name}'"
-    if not component.fmu.is_file():
-        raise ConfigError(f"{where}: there is no FMU {component.fmu}.")
+    if not fmu.is_file():
+        raise ConfigError(f"{where}: there is no FMU {fmu}.")
     try:
-        found = read_model_description(component.fmu, validate=False)
+        found = read_model_description(fmu, validate=False)
     except Exception as error:  # FMPy raises bare exceptions
-        raise SimulationError(f"{where}: {component.fmu} is no readable FMU ({error}).") from error
+        raise SimulationError(f"{where}: {fmu} is no readable FMU ({error}).") from error
     if found.fmiVersion != "2.0" or found.coSimulation is None:
-        raise ConfigError(f"{where}: {component.fmu} is no FMU of FMI 2.0 for co-simulation.")
+        raise ConfigError(f"{where}: {fmu} is no FMU of FMI 2.0 for co-simulation.")
     return found
 
 

@@ -2,23 +2,31 @@
 
 import re
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
+from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
+from cosim.package.contents import Unit, described
 from cosim.package.markup import NAMESPACES
+from cosim.package.names import safe_names
 from cosim.package.ssp import SSD
+from cosim.package.units import Quantity, differ, in_unit_of, read_units
 from cosim.system import SystemSpec
+from cosim.variables import Variables
 from hesr_model.config import validated
-from hesr_model.errors import ConfigError
+from hesr_model.errors import ConfigError, SimulationError
 
 _PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
 # Each engine's annotation that gives the step; any namespace, since tools differ in it.
 _STEPS = ((".//{*}FixedStepAlgorithm", "baseStepSize"), (".//{*}FixedStepMaster", "stepSize"))
+
+_TRUE = ("true", "1")
+_LONGEST = 100  # characters of a file's name
 
 
 @contextmanager
@@ -26,12 +34,15 @@ def opened_system(path: Path) -> Iterator[SystemSpec]:
     """Yield the system that a file describes; the FMUs of an SSP are unpacked for as long.
 
     Of an SSP are read one level of components with their connections, start values and steps; all
-    outputs that have a connector are observed.
+    outputs that have a connector are observed. Components whose names a system does not allow get
+    others; start values in units of their own are converted.
 
     Raises
     ------
     ConfigError
         Naming the file and what is wrong or cannot be read in it.
+    SimulationError
+        If an FMU cannot be read, whose units are needed for its start values.
     """
     if path.suffix.lower() != ".ssp":
         yield SystemSpec.read(path)
@@ -58,8 +69,11 @@ class _Reader:
         return ConfigError(f"{self.path}: {text}")
 
     def member(self, name: str, where: str = "") -> bytes:
+        # Sources are URIs; some tools write plain names all the same.
+        names = self.archive.NameToInfo
+        member = next((n for n in (unquote(name), name) if str(PurePosixPath(n)) in names), name)
         try:
-            return self.archive.read(str(PurePosixPath(name)))
+            return self.archive.read(str(PurePosixPath(member)))
         except KeyError as error:
             raise self.error(f"{where}there is no {name} in it.") from error
         except (OSError, zipfile.BadZipFile, RuntimeError) as error:
@@ -88,16 +102,16 @@ class _Reader:
         if stop is None:
             raise self.error("gives no stopTime of its default experiment.")
         nodes = _all(system, "ssd:Elements/*")
+        names = safe_names(self.attribute(node, "name", "an element") for node in nodes)
         start = self.values(system, f"system '{system.get('name')}'")
-        components = [self.component(node, start) for node in nodes]
         return {
             "name": root.get("name", self.path.stem),
             "step": self.step(root),
             "stop": stop,
-            "components": components,
-            "connections": self.connections(system),
+            "components": [self.component(node, names, start) for node in nodes],
+            "connections": self.connections(root, system, names),
             "observe": [
-                f"{node.get('name')}.{connector.get('name')}"
+                self.signal(names[node.get("name", "")], connector, "name")
                 for node in nodes
                 for connector in _all(node, "ssd:Connectors/ssd:Connector[@kind='output']")
             ],
@@ -110,21 +124,45 @@ class _Reader:
                 return text
         raise self.error("gives no step, as an annotation for libcosim or OMSimulator.")
 
-    def component(self, node: ET.Element, more: dict[str, Any]) -> dict[str, Any]:
+    def component(
+        self, node: ET.Element, names: Mapping[str, str], more: Mapping[str, Any]
+    ) -> dict[str, Any]:
         name = node.get("name", "")
         where = f"component '{name}'"
         if node.tag != f"{{{_PREFIXES['ssd']}}}Component":
             raise self.error(f"element '{name}' is no FMU; only one level of FMUs is read.")
-        fmu = self.folder / f"{re.sub(r'[^0-9A-Za-z_]', '_', name)}.fmu"
+        # A folder for each: names that differ here may be those of one file on other systems.
+        file = f"{re.sub(r'[^0-9A-Za-z_]', '_', names[name])[:_LONGEST]}.fmu"
+        fmu = self.folder / str(list(names).index(name)) / file
+        fmu.parent.mkdir(exist_ok=True)
         fmu.write_bytes(self.member(self.attribute(node, "source", where), f"{where}: "))
         outer = {
             key.removeprefix(f"{name}."): value
             for key, value in more.items()
             if key.startswith(f"{name}.")
         }
-        data = {"name": name, "fmu": fmu, "start": self.values(node, where) | outer}
+        start = self.converted(self.values(node, where) | outer, fmu, where)
+        data = {"name": names[name], "fmu": fmu, "start": start}
         hint = node.find(".//{*}StepSizeHint")
         return data if hint is None else data | {"step": hint.get("value")}
+
+    def converted(self, start: Mapping[str, Any], fmu: Path, where: str) -> Mapping[str, Any]:
+        """Return start values in the units of an FMU, which is read only where one has a unit."""
+        if not any(isinstance(value, Quantity) for value in start.values()):
+            return start
+        variables = Variables(fmu, described(fmu, f"{self.path}: {where}"))
+        found: dict[str, Any] = {}
+        for name, value in start.items():
+            if not isinstance(value, Quantity):
+                found[name] = value
+                continue
+            parameter = f"{self.path}: {where}: parameter '{name}'"
+            try:
+                elements = variables.elements(name)
+            except SimulationError as error:
+                raise ConfigError(f"{parameter}: {error}") from error
+            found |= {e: in_unit_of(variables, e, value, parameter) for e in elements}
+        return found
 
     def values(self, node: ET.Element, where: str) -> dict[str, Any]:
         """Return what the parameter bindings of an element say."""
@@ -133,47 +171,87 @@ class _Reader:
             if _one(binding, "ssd:ParameterMapping") is not None:
                 raise self.error(f"{where}: mappings of parameters are not read.")
             source, prefix = binding.get("source"), binding.get("prefix", "")
-            for parameter in (
-                _all(binding, "ssd:ParameterValues/ssv:ParameterSet/ssv:Parameters/ssv:Parameter")
+            for values in (
+                _all(binding, "ssd:ParameterValues/ssv:ParameterSet")
                 if source is None
-                else _all(self.parsed(source, f"{where}: "), "ssv:Parameters/ssv:Parameter")
+                else [self.parsed(source, f"{where}: ")]
             ):
-                name = self.attribute(parameter, "name", f"{where}: a parameter")
-                found[prefix + name] = self.value(parameter, f"{where}: parameter '{name}'")
+                units = read_units(_all(values, "ssv:Units/ssc:Unit"), f"{self.path}: {where}")
+                for parameter in _all(values, "ssv:Parameters/ssv:Parameter"):
+                    name = self.attribute(parameter, "name", f"{where}: a parameter")
+                    about = f"{where}: parameter '{name}'"
+                    found[prefix + name] = self.value(parameter, units, about)
         return found
 
-    def value(self, parameter: ET.Element, where: str) -> float | int | bool | str:
+    def value(
+        self, parameter: ET.Element, units: Mapping[str, Unit], where: str
+    ) -> float | int | bool | str | Quantity:
         for node in parameter:
             kind, text = node.tag.rpartition("}")[2], self.attribute(node, "value", where)
             if kind in ("String", "Enumeration"):
                 return text
             if kind == "Boolean":
-                return text in ("true", "1")
+                return text in _TRUE
             try:
-                return int(text) if kind == "Integer" else float(text)
+                number = int(text) if kind == "Integer" else float(text)
             except ValueError as error:
                 raise self.error(f"{where} is '{text}', no {kind}.") from error
+            unit = node.get("unit")
+            return Quantity(value=number, unit=unit, base=units.get(unit)) if unit else number
         raise self.error(f"{where} has no value.")
 
-    def connections(self, system: ET.Element) -> dict[str, str]:
+    def signal(self, component: str, node: ET.Element, key: str) -> str:
+        """Return a connector as systems name it."""
+        connector = self.attribute(node, key, f"a connector of '{component}'")
+        if not connector or re.search(r"\s", connector):
+            raise self.error(
+                f"connector '{connector}' of '{component}': names with spaces are not read."
+            )
+        return f"{component}.{connector}"
+
+    def connections(
+        self, root: ET.Element, system: ET.Element, names: Mapping[str, str]
+    ) -> dict[str, str]:
+        defined = read_units(_all(root, "ssd:Units/ssc:Unit"), f"{self.path}: {SSD}")
+        units = {
+            (node.get("name"), connector.get("name")): kind.get("unit", "")
+            for node in _all(system, "ssd:Elements/*")
+            for connector in _all(node, "ssd:Connectors/ssd:Connector")
+            for kind in connector
+        }
         found: dict[str, str] = {}
         for node in _all(system, "ssd:Connections/ssd:Connection"):
-            into, out = self.connection(node)
+            into, out = self.connection(node, names)
             if into in found:
                 raise self.error(f"'{into}' is connected to '{found[into]}' and to '{out}'.")
             found[into] = out
+            taken, given = (
+                units.get((node.get(f"{end}Element"), node.get(f"{end}Connector")), "")
+                for end in ("end", "start")
+            )
+            if differ(taken, given, defined) and node.get("suppressUnitConversion") not in _TRUE:
+                raise self.error(
+                    f"connection '{into}' = '{out}': the input is in {taken}, the output in "
+                    f"{given}."
+                )
         return found
 
-    def connection(self, node: ET.Element) -> tuple[str, str]:
+    def connection(self, node: ET.Element, names: Mapping[str, str]) -> tuple[str, str]:
         ends = [node.get(f"{end}{what}") for end in ("end", "start")
                 for what in ("Element", "Connector")]  # fmt: skip
         into, out = (".".join(filter(None, pair)) for pair in (ends[:2], ends[2:]))
+        where = f"connection '{into}' = '{out}'"
         if None in ends:
-            raise self.error(
-                f"connection '{into}' = '{out}': connectors of the system itself are not read."
-            )
+            raise self.error(f"{where}: connectors of the system itself are not read.")
         if any(child.tag.endswith("Transformation") for child in node):
-            raise self.error(f"connection '{into}' = '{out}': transformations are not read.")
+            raise self.error(f"{where}: transformations are not read.")
+        for element in (ends[0], ends[2]):
+            if element not in names:
+                raise self.error(f"{where}: '{element}' is no component of the system.")
+        into, out = (
+            self.signal(names[str(node.get(f"{end}Element"))], node, f"{end}Connector")
+            for end in ("end", "start")
+        )
         return into, out
 
 

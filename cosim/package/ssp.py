@@ -44,3 +44,18 @@ def write_ssp(contents: Contents, path: Path, *, version: Version = "1.0") -> Pa
     with written_whole(path) as temporary:
         zip_members(temporary, members, contents.created)
     return path
+
+
+def left_out(contents: Contents) -> str | None:
+    """Return one sentence on what of a system its SSP has not, None if that is nothing.
+
+    Connectors of inputs that nothing feeds, of parameters and of what is local would be refused by
+    engines, so that an SSP observes outputs only.
+    """
+    from fmu_src.check.report import listed  # slow to import
+
+    used = set(contents.used)
+    observed = [".".join(e) for e in contents.wiring.observed if e not in used]
+    parts = [f"observes outputs only, not {listed(observed)}"] if observed else []
+    parts += [f"has no limits of {listed(contents.spec.limits)}"] if contents.spec.limits else []
+    return f"The SSP {', and '.join(parts)}." if parts else None

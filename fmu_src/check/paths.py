@@ -1,8 +1,9 @@
 """Paths of the machine on which an FMU was built, left in it by a compiler or a tool."""
 
-import mmap
 import re
 from collections.abc import Iterator
+from functools import cache
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 
@@ -40,22 +41,24 @@ _ALONE = re.compile(rb"(?<![A-Za-z0-9_.~-])(?<!\b[A-Za-z]:)|(?<=-[IL])")
 
 
 # No host looks for the FMU's own binary under a name with a version.
-_CARRIED = re.compile(r"binaries/[^/]+/lib[^/]+\.so(\.[0-9]+)+")
+_CARRIED = re.compile(r"(.+/)?binaries/[^/]+/lib[^/]+\.so(\.[0-9]+)+")
+
+_LIBRARIES = (".so", ".dll", ".dylib")
 
 
 def skipped(contents: Contents) -> list[str]:
     """Return the libraries that an FMU carries as somebody else has built them, and why."""
     return [
-        f"paths in {plain(name)}: a library that the FMU carries, built elsewhere."
-        for name in contents.files
-        if _CARRIED.fullmatch(name)
+        f"paths in {plain(name)}: {reason}"
+        for name, file in contents.files.items()
+        if (reason := _built_elsewhere(name, file))
     ]
 
 
 def problems(contents: Contents) -> Iterator[str]:
     """Yield the files in which there is such a path."""
     for name, file in contents.files.items():
-        if _CARRIED.fullmatch(name):
+        if _built_elsewhere(name, file):
             continue
         found = list(dict.fromkeys(islice(_paths(file), MOST_PATHS)))
         if found:
@@ -66,18 +69,37 @@ def problems(contents: Contents) -> Iterator[str]:
             )
 
 
+def _built_elsewhere(name: str, file: Path) -> str | None:
+    """Why a file is not searched, if so: its paths are not those of whoever made the FMU."""
+    if _CARRIED.fullmatch(name):
+        return "a library that the FMU carries, built elsewhere."
+    if name.endswith(_LIBRARIES):
+        for own in _of_fmpy().get(file.stat().st_size, ()):
+            if file.read_bytes() == own.read_bytes():
+                return f"{own.name} of FMPy as it is distributed, built elsewhere."
+    return None
+
+
+@cache
+def _of_fmpy() -> dict[int, list[Path]]:
+    """Return the libraries that come with FMPy, which containers have for their own, by size."""
+    found: dict[int, list[Path]] = {}
+    spec = find_spec("fmpy")
+    for folder in (spec.submodule_search_locations if spec else None) or ():
+        for file in sorted(Path(folder).rglob("*")):
+            if file.suffix in _LIBRARIES and file.is_file():
+                found.setdefault(file.stat().st_size, []).append(file)
+    return found
+
+
 def _paths(file: Path) -> Iterator[str]:
-    if file.stat().st_size == 0:  # which cannot be mapped
-        return
-    with (
-        file.open("rb") as opened,
-        mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as data,
-    ):
-        for literal, before, pattern in _PLACES:
-            place = data.find(literal)
-            while place >= 0:
-                start = place - before
-                match = pattern.match(data, start) if start >= 0 else None
-                if match and _ALONE.match(data, start):
-                    yield match[0].decode("utf-8", "replace")
-                place = data.find(literal, match.end() if match else place + 1)
+    # Not mapped: Python's search in a mapping reads a byte beyond it, where there may be no memory.
+    data = file.read_bytes()
+    for literal, before, pattern in _PLACES:
+        place = data.find(literal)
+        while place >= 0:
+            start = place - before
+            match = pattern.match(data, start) if start >= 0 else None
+            if match and _ALONE.match(data, start):
+                yield match[0].decode("utf-8", "replace")
+            place = data.find(literal, match.end() if match else place + 1)

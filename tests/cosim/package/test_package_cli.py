@@ -89,7 +89,7 @@ TOML = [
      "component 'friction': {folder}/open.toml is no readable FMU (File is not a zip file)."),
     ('"friction.q" = ', '"friktion.q" = ',
      "connection 'friktion.q' = 'trajectory.q': there is no component 'friktion'; did you mean "
-     "friction."),
+     "friction?"),
     ('"trajectory.q"\n', '"trajectory.p"\n',
      "connection 'friction.q' = 'trajectory.p': {folder}/Trajectory.fmu: there is no variable "
      "'p'."),

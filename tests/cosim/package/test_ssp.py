@@ -191,3 +191,20 @@ def test_an_ssp_is_simulated(lags: Write, tmp_path: Path, hesr: Hesr) -> None:
         assert hesr("simulate", system, "-o", result).code == 0
         path.unlink(missing_ok=True)
     assert results[0].read_bytes() == results[1].read_bytes()
+
+
+def test_what_an_ssp_leaves_out_is_told(lags: Write, tmp_path: Path, hesr: Hesr) -> None:
+    path = lags(
+        ('"b.y"]', '"b.y", "b.u", "a.u", "a.T", "a.x"]\nlimits = { "a.y" = [-9.0, 9.0] }'),
+        ("step = 0.2\n", ""),
+    )
+    answer = hesr("package", path, "-o", tmp_path / "lags.ssp")
+    assert (answer.code, answer.out.splitlines()[1:]) == (
+        0,
+        [
+            "The SSP observes outputs only, not 'b.u', 'a.u', 'a.T', 'a.x', and has no limits of "
+            "'a.y'."
+        ],
+    )
+    answer = hesr("package", path, "--container", "-o", tmp_path / "lags.fmu")
+    assert (answer.code, len(answer.out.splitlines())) == (0, 1)

@@ -1,5 +1,8 @@
 """Paths of the machine that built an FMU: found where they are, and nowhere else."""
 
+from pathlib import Path
+
+import fmpy.container_fmu
 import pytest
 from fmu_files import BINARY, changed, members, said
 
@@ -81,9 +84,28 @@ def test_binaries_and_the_description_are_searched_too(table1_fmu, tmp_path):
 
 def test_what_others_have_built_is_not_looked_at(source_fmu, tmp_path):
     text = b"/home/anna/robot/x.c"
-    names = ("binaries/linux64/libother.so.4.0.0", "binaries/linux64/libother.so")
-    for name, problems in zip(names, (0, 1), strict=True):
+    nested = "resources/arm/binaries/linux64/libother.so.4.0.0"  # as in a container
+    names = ("binaries/linux64/libother.so.4.0.0", nested, "binaries/linux64/libother.so")
+    for name, problems in zip(names, (0, 0, 1), strict=True):
         fmu = changed(source_fmu, tmp_path / "F.fmu", files={name: text})
         assert len(said(fmu, "paths")) == problems
         skipped = f"paths in {name}: a library that the FMU carries, built elsewhere."
         assert (skipped in check(fmu).skipped) == (problems == 0)
+
+
+def test_libraries_of_fmpy_are_not_looked_at(source_fmu, tmp_path):
+    """Only those very bytes under a library's name: what is changed in them is the FMU's own."""
+    own = Path(fmpy.container_fmu.__file__).parent / "binaries/x86_64-linux/container_fmu.so"
+    library = own.read_bytes()
+    other = library[:-1] + bytes([library[-1] ^ 1])
+    told = (
+        "paths in resources/x.so: container_fmu.so of FMPy as it is distributed, built elsewhere."
+    )
+    for name, data, passed in (
+        ("resources/x.so", library, True),
+        ("resources/x.so", other, False),
+        ("resources/x.bin", library, False),
+    ):
+        found = check(changed(source_fmu, tmp_path / "F.fmu", files={name: data}))
+        assert (told in found.skipped) == passed
+        assert [p.check for p in found.problems] == ([] if passed else ["paths"])

@@ -1,0 +1,205 @@
+"""SSPs as other tools write them: units of their own, URIs, names that ours could not have."""
+
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from fakes import description, variable
+from small_study import Hesr
+
+from cosim.master import simulate
+from cosim.package.contents import read_contents
+from cosim.package.names import safe_names
+from cosim.package.read import opened_system
+from cosim.package.ssp import SSD, write_ssp
+from cosim.package.units import Quantity, in_unit_of
+from cosim.system import SystemSpec
+from cosim.variables import SI, Variables
+from hesr_model.errors import ConfigError
+
+Write = Callable[..., Path]
+Changes = Mapping[str, list[tuple[str, str]]]
+Edit = Callable[..., Path]
+
+A = "resources/a.ssv"
+MS = (
+    ('value="0.5" unit="s"', 'value="500" unit="ms"'),
+    (
+        "<ssv:Units>",
+        '<ssv:Units><ssc:Unit name="ms"><ssc:BaseUnit s="1" factor="1e-3"/></ssc:Unit>',
+    ),
+)
+
+
+def si(**given: float) -> tuple[float, ...]:
+    """A unit in SI base units."""
+    return tuple({"factor": 1.0, **given}.get(key, 0.0) for key in SI)
+
+
+@pytest.fixture
+def edited(lags: Write, tmp_path: Path) -> Edit:
+    """Write the two lags as an SSP with texts of its members replaced, and members renamed."""
+    system = lags()
+    whole = write_ssp(read_contents(SystemSpec.read(system), system), tmp_path / "whole.ssp")
+
+    def file(changes: Changes, renamed: Mapping[str, str] | None = None) -> Path:
+        path = tmp_path / "lags.ssp"
+        with zipfile.ZipFile(whole) as old, zipfile.ZipFile(path, "w") as new:
+            for name in old.namelist():
+                data = old.read(name)
+                for before, after in changes.get(name, ()):
+                    assert before.encode() in data
+                    data = data.replace(before.encode(), after.encode())
+                new.writestr((renamed or {}).get(name, name), data)
+        return path
+
+    return file
+
+
+def test_start_values_in_other_units_are_converted(edited: Edit) -> None:
+    """In a file of their own, and within the description of the system."""
+    inline = f"""<ssd:ParameterBindings><ssd:ParameterBinding prefix="b."><ssd:ParameterValues>
+<ssv:ParameterSet version="1.0" name="inside"><ssv:Parameters>
+<ssv:Parameter name="T"><ssv:Real {MS[0][1]}/></ssv:Parameter></ssv:Parameters>
+{MS[1][1]}</ssv:Units></ssv:ParameterSet></ssd:ParameterValues></ssd:ParameterBinding>
+</ssd:ParameterBindings><ssd:Elements>"""
+    path = edited({A: list(MS), SSD: [("<ssd:Elements>", inline)]})
+    with opened_system(path) as spec:
+        assert [dict(c.start) for c in spec.components] == [
+            {"u": 2.0, "T": pytest.approx(0.5, rel=1e-15), "x": 0.25},
+            {"T": pytest.approx(0.5, rel=1e-15)},
+        ]
+
+
+UNITS = {
+    "rad/s": SimpleNamespace(**dict(zip(SI, si(s=-1, rad=1), strict=True))),
+    "degC": SimpleNamespace(**dict(zip(SI, si(K=1, offset=273.15), strict=True))),
+    "turn": None,
+}
+DEGREES = Quantity(value=180, unit="deg/s", base=si(s=-1, rad=1, factor=np.pi / 180))
+FAHRENHEIT = Quantity(value=50.0, unit="degF", base=si(K=1, factor=5 / 9, offset=459.67 * 5 / 9))
+
+
+@pytest.mark.parametrize(
+    ("unit", "relative", "given", "value"),
+    [
+        ("rad/s", None, DEGREES, np.pi),
+        ("rad/s", None, Quantity(value=2.0, unit="1/s*rad", base=si(s=-1, rad=1)), 2.0),
+        ("rad/s", None, Quantity(value=2.0, unit="rad/s", base=None), 2.0),
+        ("degC", None, Quantity(value=300.0, unit="K", base=si(K=1)), 26.85),
+        ("degC", None, FAHRENHEIT, 10.0),
+        ("degC", True, FAHRENHEIT, 50.0 * 5 / 9),
+        ("turn", None, Quantity(value=3.0, unit="turn", base=si(rad=1, factor=6.28)), 3.0),
+        (None, None, Quantity(value=3.0, unit="anything", base=None), 3.0),
+    ],
+)  # fmt: skip
+def test_a_number_in_the_unit_of_its_variable(
+    unit: str | None, relative: bool | None, given: Quantity, value: float
+) -> None:
+    about = description(
+        variable("x", "parameter", unit=unit, relativeQuantity=relative), units=UNITS
+    )
+    found = in_unit_of(Variables(Path("F.fmu"), about), "x", given, "x")
+    assert found == pytest.approx(value, rel=1e-12)
+
+
+def test_a_unit_that_an_fmu_does_not_define() -> None:
+    about = description(variable("x", "parameter", unit="turn"), units=UNITS)
+    with pytest.raises(
+        ConfigError,
+        match=r"^here is in deg, its variable in turn, and the FMU does not define what turn is in "
+        r"SI base units\.$",
+    ):
+        in_unit_of(
+            Variables(Path("F.fmu"), about),
+            "x",
+            Quantity(value=1.0, unit="deg", base=si(rad=1)),
+            "here",
+        )
+
+
+REFUSED: list[tuple[Changes, str]] = [
+    ({A: [MS[0]]},
+     "component 'a': parameter 'T' is in ms, its variable in s, and the SSP does not define what "
+     "ms is in SI base units."),
+    ({A: [MS[0], (MS[1][0], MS[1][1].replace('s="1"', 'm="1"'))]},
+     "component 'a': parameter 'T' is in ms, which cannot be converted into s, the unit of its "
+     "variable."),
+    ({A: [MS[0], (MS[1][0], MS[1][1].replace("1e-3", "tiny"))]},
+     "component 'a': factor of unit 'ms' is 'tiny', no number."),
+    ({A: [('name="T"', 'name="TT"')]},
+     "component 'a': parameter 'TT': {fmu}: there is no variable 'TT'"),
+    ({SSD: [('startElement="a"', 'startElement="c d"')]},
+     "connection 'b.u' = 'c d.y': 'c d' is no component of the system."),
+    ({SSD: [('startConnector="y"', 'startConnector="y 1"')]},
+     "connector 'y 1' of 'a': names with spaces are not read."),
+    ({SSD: [('"u" kind="input">\n            <ssc:Real unit="1"',
+             '"u" kind="input"><ssc:Real unit="%"'),
+            ("<ssd:Units>",
+             '<ssd:Units><ssc:Unit name="%"><ssc:BaseUnit factor="0.01"/></ssc:Unit>')]},
+     "connection 'b.u' = 'a.y': the input is in %, the output in 1."),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "sentence"), REFUSED)
+def test_what_is_refused(
+    changes: Changes, sentence: str, edited: Edit, tmp_path: Path, hesr: Hesr
+) -> None:
+    path = edited(changes)
+    answer = hesr("simulate", path, "-o", tmp_path / "x.csv")
+    head, _, tail = sentence.partition("{fmu}")
+    assert answer.code == 2
+    assert answer.err.startswith(f"hesr: {path}: {head}")
+    assert tail in answer.err
+    assert answer.err.count("\n") == 1
+    assert not (tmp_path / "x.csv").exists()
+
+
+@pytest.mark.parametrize("source", ["resources/My Fric.fmu", "resources/My%20Fric.fmu"])
+def test_a_source_is_a_uri(source: str, edited: Edit) -> None:
+    """Of tools that write it as a name, too, where that is what it is called."""
+    changes = {SSD: [('source="resources/a.fmu"', 'source="resources/My%20Fric.fmu"')]}
+    with opened_system(edited(changes, {"resources/a.fmu": source})) as spec:
+        assert spec.components[0].fmu.is_file()
+
+
+def test_names_that_ours_could_not_have(edited: Edit, lags: Write) -> None:
+    """The same run, under names that a system allows; start values of the system follow them."""
+    inline = """<ssd:ParameterBindings><ssd:ParameterBinding><ssd:ParameterValues>
+<ssv:ParameterSet version="1.0" name="inside"><ssv:Parameters>
+<ssv:Parameter name="my-fric 1.T"><ssv:Real value="0.5"/></ssv:Parameter>
+</ssv:Parameters></ssv:ParameterSet></ssd:ParameterValues></ssd:ParameterBinding>
+</ssd:ParameterBindings><ssd:Elements>"""
+    path = edited({SSD: [
+        ('name="a"', 'name="my-fric 1"'), ('Element="a"', 'Element="my-fric 1"'),
+        ('name="b"', 'name="2nd"'), ('Element="b"', 'Element="2nd"'),
+        ("<ssd:Elements>", inline),
+    ]})  # fmt: skip
+    with opened_system(path) as spec:
+        assert [c.name for c in spec.components] == ["my_fric_1", "_2nd"]
+        assert dict(spec.connections) == {"_2nd.u": "my_fric_1.y"}
+        assert spec.observe == ("my_fric_1.y", "_2nd.y")
+        found = simulate(spec, path).require_success()
+    system = lags()
+    expected = simulate(SystemSpec.read(system), system).require_success()
+    for (_, one), (_, other) in zip(found.signals.items(), expected.signals.items(), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_names_stay_apart() -> None:
+    names = ["my_fric", "my-fric", "my fric", "größe", "µ", "2nd", "a.b", "", "my_fric_2", "x²"]
+    assert safe_names([*names, "µ"]) == {
+        "my_fric": "my_fric",
+        "größe": "größe",
+        "my_fric_2": "my_fric_2",
+        "my-fric": "my_fric_3",
+        "my fric": "my_fric_4",
+        "µ": "_",
+        "2nd": "_2nd",
+        "a.b": "a_b",
+        "": "__2",
+        "x²": "x_",
+    }
