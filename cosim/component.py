@@ -27,6 +27,20 @@ from cosim.variables import Variables
 from hesr_model.errors import SimulationError
 
 
+def described(fmu: Path) -> ModelDescription:
+    """Read what an FMU says of itself, without loading it.
+
+    Raises
+    ------
+    SimulationError
+        If it cannot be read.
+    """
+    try:
+        return read_model_description(fmu, validate=False)
+    except Exception as error:  # FMPy raises bare exceptions
+        raise SimulationError(f"{fmu}: not a readable FMU ({error}).") from error
+
+
 class Component:
     """A slave; a context manager that frees the instance and its files on every way out.
 
@@ -74,8 +88,8 @@ class Component:
         with ExitStack() as cleanup:
             folder = cleanup.enter_context(TemporaryDirectory(prefix="hesr-"))
             binaries = f"binaries/{fmpy.platform}/"
+            self.description = described(self.fmu)
             try:
-                self.description = read_model_description(self.fmu, validate=False)
                 fmpy.extract(
                     self.fmu, folder, lambda name: name.startswith((binaries, "resources/"))
                 )

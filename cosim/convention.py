@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from cosim.batch import Array
-from cosim.component import Component
+from cosim.component import Component, described
 from fmu_src.friction.embedded import embedded_model
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, errors, torques
 from hesr_model.errors import SimulationError
 from hesr_model.friction.functions import INPUTS
+from hesr_model.friction.model import FrictionModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +29,7 @@ class Convention:
     Attributes
     ----------
     joints : names of the joints.
+    sliding : whether each of them slides; empty if all turn.
     step : of the runs, the model's sample time [s].
     frequency : of the sinusoidal velocity [Hz].
     speeds : its amplitude for each joint [rad/s].
@@ -37,6 +39,7 @@ class Convention:
     """
 
     joints: tuple[str, ...]
+    sliding: tuple[bool, ...] = ()
     step: float
     frequency: float
     speeds: tuple[float, ...]
@@ -63,13 +66,9 @@ def measure(fmu: Path, *, frequency: float = 0.25, periods: float = 5.0) -> Conv
     ArtifactError
         If the FMU cannot be read, or the model in it is damaged.
     SimulationError
-        If it carries no friction model, or fails.
+        If it carries no friction model or has other connectors than a friction FMU, or fails.
     """
-    model = embedded_model(fmu)
-    if model is None:
-        raise SimulationError(
-            f"{fmu}: carries no friction model, by which its results could be judged."
-        )
+    model = judge(fmu)
     motion = reference_motion(model, frequency=frequency, periods=periods)
     truths = {truth: torques(model, motion, truth) for truth in ("direct", CONTINUOUS)}
     found = {setting: run(fmu, motion, setting) for setting in SETTINGS}
@@ -79,12 +78,44 @@ def measure(fmu: Path, *, frequency: float = 0.25, periods: float = 5.0) -> Conv
 
     return Convention(
         joints=model.joints,
+        sliding=model.sliding,
         step=model.sample_time,
         frequency=frequency,
         speeds=tuple(map(float, np.abs(motion.dq).max(axis=0))),
         replay=against("direct"),
         continuous=against(CONTINUOUS),
     )
+
+
+def judge(fmu: Path) -> FrictionModel:
+    """Return the model by which the results of a friction FMU are judged; it does not run it.
+
+    Raises
+    ------
+    ArtifactError
+        If the FMU cannot be read, or the model in it is damaged.
+    SimulationError
+        If it carries no friction model, or has other connectors than a friction FMU.
+    """
+    model = embedded_model(fmu)
+    if model is None:
+        raise SimulationError(
+            f"{fmu}: carries no friction model, by which its results could be judged."
+        )
+    try:
+        variables = described(fmu).modelVariables
+    except SimulationError:  # what it is, a check of the FMU says better
+        return model
+    has = {(v.name, v.causality) for v in variables}
+    joints = range(1, len(model.joints) + 1)
+    needed = [(f"{symbol.name}[{i}]", "input") for symbol in INPUTS for i in joints]
+    for name, kind in (*needed, *((f"tau[{i}]", "output") for i in joints)):
+        if (name, kind) not in has:
+            raise SimulationError(
+                f"{fmu}: --convention needs a friction FMU (velocity in, torque out), and this one "
+                f"has no {kind} '{name}'."
+            )
+    return model
 
 
 def run(fmu: Path, motion: Motion, setting: str) -> Array:

@@ -1,12 +1,14 @@
 """Saves what a report needs of a run: what was run on which logs, and torques over time."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
 
+from cosim.sample_logs import is_sample
 from cosim.saved import TRACES, SavedBand, SavedLog, SavedRun, write_run, write_torques
 from cosim.scoring import inputs_of
 from cosim.study import Study
@@ -50,6 +52,7 @@ def save_run(
     source : provenance of the laws.
     """
     traces = _save_torques(folder / TRACES, study, records, predictions)
+    stems = Counter(log.name for log in logs.values())
     write_run(
         folder,
         SavedRun(
@@ -64,14 +67,15 @@ def save_run(
             seed=study.seed,
             logs=tuple(
                 SavedLog(
-                    name=log.name,
-                    file=files[name].name,
+                    name=log.name if stems[log.name] == 1 else name,
+                    file=_file(name, files[name]),
                     sha256=sha256(files[name]),
                     roles=_roles(study, name),
                     rows=len(log.t),
                     duration=float(log.t[-1] - log.t[0]),
                     rate=float(1.0 / np.median(np.diff(log.t))),
                     trace=traces.get(name, ""),
+                    sample=is_sample(files[name]),
                 )
                 for name, log in logs.items()
             ),
@@ -89,6 +93,13 @@ def save_run(
             },
         ),
     )
+
+
+def _file(name: str, file: Path) -> str:
+    """Return a log's file as the study names it, without folders of the machine."""
+    inside = PurePath(name)
+    known = file.match(name) and not inside.is_absolute() and ".." not in inside.parts
+    return inside.as_posix() if known else file.name
 
 
 def _roles(study: Study, name: str) -> tuple[str, ...]:

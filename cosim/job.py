@@ -51,6 +51,11 @@ class Job:
         for law, options in study.options.items():
             self._require_law(f"options.{law}", law, options)
         for name, variant in study.variants.items():
+            if name in registry():
+                raise ConfigError(
+                    f"{self.path}: key 'variants.{name}' has the name of a law; give it one of its "
+                    "own."
+                )
             self._require_law(f"variants.{name}.law", variant.law, {})
             self._require_law(f"variants.{name}.options", variant.law, variant.options)
         if study.refinement:

@@ -1,6 +1,6 @@
 """Tables of the property battery for the terminal."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from rich import box
@@ -10,6 +10,7 @@ from rich.table import Table
 from cosim.tables import title
 from hesr_model.friction.expectations import EXPECTATIONS, Expectation
 from hesr_model.friction.properties import Finding, Properties
+from hesr_model.units import unit_of_joints
 
 _MARKS = {"pass": "[green]✓[/]", "fail": "[red]✗[/]"}
 _LAW_WIDTH, _WIDTH, _NARROW = 12, 6, 5
@@ -44,14 +45,18 @@ def properties(found: Mapping[str, Properties]) -> Table:
     return table
 
 
-def legend() -> Table:
-    """Return what each column of `properties` shows, and what passes."""
+def legend(sliding: Sequence[bool] = ()) -> Table:
+    """Return what each column of `properties` shows, and what passes.
+
+    `sliding` is whether each joint slides; empty if all turn.
+    """
     table = Table(box=None, show_header=False, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column(no_wrap=True)
     table.add_column()
     for e in EXPECTATIONS.values():
+        unit = unit_of_joints(e.unit, sliding)
         who = "; ".join(f"{s.who} {s.year}" for s in e.sources)
-        table.add_row(e.short, escape(f"{e.shows} [{e.unit}]. {e.expected} ({who})"))
+        table.add_row(e.short, escape(f"{e.shows} [{unit}]. {e.expected} ({who})"))
     return table
 
 

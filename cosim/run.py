@@ -118,7 +118,7 @@ def run_study(
         save_run(
             folder,
             study=study,
-            command=" ".join(["hesr run", *_given(path), *(["--quick"] if quick else [])]),
+            command=_command(path, platforms, quick=quick),
             quick=quick,
             robot=job.robot,
             files=files,
@@ -148,7 +148,15 @@ def unfinished(output: Path) -> Path:
     return output.parent / f".{output.name}-unfinished"
 
 
-def _given(study: Path) -> list[str]:
-    """Return how a study is given to the command line; the default one is not."""
+def _command(study: Path, platforms: Sequence[str], *, quick: bool) -> str:
+    """Return the command that makes the same results again; folders of the machine stay out."""
     default = models_folder() / "studies" / "default.toml"
-    return [] if study.resolve() == default.resolve() else [study.name]
+    given = [study.name if study.is_absolute() else study.as_posix()]
+    return " ".join(
+        [
+            "hesr run",
+            *(given if study.resolve() != default.resolve() else []),
+            *(f"--platform {platform}" for platform in platforms if list(platforms) != ["linux64"]),
+            *(["--quick"] if quick else []),
+        ]
+    )

@@ -3,12 +3,16 @@
 They stand in for measured logs until a user has some, so that everything can be run at once.
 """
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
 from hesr_model.base_parameters import base_columns
 from hesr_model.errors import RobotError
 from hesr_model.excitation import ExcitationSettings, condition, random_motions
+from hesr_model.files import sha256
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.lugre import LuGre
@@ -23,6 +27,9 @@ Array = NDArray[np.float64]
 
 RATE = 200.0
 """[Hz]"""
+
+_MARK = "SAMPLES.sha256"
+"""Beside the logs, as `sha256sum` writes it: who puts his own in their place need not say so."""
 
 _PERIOD = 20.0
 _HARMONICS = 5
@@ -65,6 +72,18 @@ def sample_logs(model: RobotModel) -> tuple[RobotLog, RobotLog]:
         _simulated(model, training, laws, name="sample_training", seed=1),
         _simulated(model, test, laws, name="sample_test", seed=2),
     )
+
+
+def mark_samples(files: Sequence[Path]) -> None:
+    """Write down beside log files that they are samples, so that no report calls them measured."""
+    lines = [f"{sha256(file)}  {file.name}\n" for file in files]
+    (files[0].parent / _MARK).write_text("".join(lines), encoding="utf-8")
+
+
+def is_sample(file: Path) -> bool:
+    """Whether a log file still is one of the samples that were laid in its folder."""
+    mark = file.parent / _MARK
+    return mark.is_file() and sha256(file) in mark.read_text(encoding="utf-8")
 
 
 def _friction(model: RobotModel, motion: Fourier) -> list[FrictionLaw]:

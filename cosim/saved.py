@@ -5,7 +5,7 @@ log that is shown.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
@@ -36,6 +36,7 @@ class SavedLog:
     duration : [s].
     rate : samples per second [Hz].
     trace : file in `traces/`, empty where its torques are not saved.
+    sample : whether it is one of the simulated logs that `hesr new` lays.
     """
 
     name: str
@@ -46,6 +47,7 @@ class SavedLog:
     duration: float
     rate: float
     trace: str = ""
+    sample: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,9 +79,9 @@ class SavedRun:
     bands : parts of test sets that are scored by themselves.
     inputs : inputs that each law uses.
     variants : law of which each variant is one.
-    left_out : why a law of the study was not fitted, by law.
     controller : parameters of the closed loop's study; empty where there is none.
     versions : of the programs.
+    left_out : why a law of the study was not fitted, by law.
     """
 
     study: str
@@ -95,9 +97,9 @@ class SavedRun:
     bands: tuple[SavedBand, ...]
     inputs: Mapping[str, str]
     variants: Mapping[str, str]
-    left_out: Mapping[str, str]
     controller: Mapping[str, Any]
     versions: Mapping[str, str]
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def read(cls, path: Path) -> Self:

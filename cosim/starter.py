@@ -9,7 +9,7 @@ from pathlib import Path
 
 import jinja2
 
-from cosim.sample_logs import RATE, sample_logs
+from cosim.sample_logs import RATE, mark_samples, sample_logs
 from cosim.study import Study
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.files import folder_written_whole, models_folder
@@ -92,8 +92,11 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> Started:
             (temporary / file).write_text(text, encoding="utf-8")
         description = RobotDescription.read(temporary / "robot.toml")
         Study.read(temporary / "study.toml")
+        written = []
         for log in sample_logs(RobotModel(description)):
-            log.write(temporary / "logs" / f"{log.name}.csv")
+            written.append(temporary / "logs" / f"{log.name}.csv")
+            log.write(written[-1])
+        mark_samples(written)
     return Started(
         folder=folder,
         joints=tuple(joint.name for joint in used),

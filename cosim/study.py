@@ -1,5 +1,6 @@
 """A study: which logs identify, train and test, on which robot, with which laws."""
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
@@ -138,6 +139,17 @@ class Study(Config):
         for band in self.bands:
             if band.test not in self.logs.test:
                 raise ValueError(f"band '{band.name}' is of the unknown test set '{band.test}'")
+        return self
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Self:
+        rows = {
+            "law": [*self.laws, *self.variants],
+            "test set or band": [*self.logs.test, *(band.name for band in self.bands)],
+        }
+        for what, names in rows.items():
+            if twice := [name for name, count in Counter(names).items() if count > 1]:
+                raise ValueError(f"the name '{twice[0]}' stands for more than one {what}")
         return self
 
     @model_validator(mode="after")

@@ -14,19 +14,27 @@ from hesr_model.friction.functions import INPUT_UNITS
 from hesr_model.friction.laws import registry
 from hesr_model.friction.trained import Excess, Range
 from hesr_model.rigid_body import RigidBody
+from hesr_model.units import unit_of_joint, unit_of_joints
 
 if TYPE_CHECKING:
     from cosim.convention import Convention
 
+_INTERVALS = 6
+"""So many intervals stand side by side in 80 columns."""
+
 _TITLES = {
-    "rmse": "RMSE of the predicted torque [N.m], all rows",
-    "rmse_moving": "RMSE [N.m] while moving (|dq| > 0.02 rad/s)",
-    "rmse_reversal": "RMSE [N.m] within 0.1 s of velocity reversals",
+    "rmse": "RMSE of the predicted torque [{torque}], all rows",
+    "rmse_moving": "RMSE [{torque}] while moving (|dq| > 0.02 {speed})",
+    "rmse_reversal": "RMSE [{torque}] within 0.1 s of velocity reversals",
 }
 
 
 def comparison(
-    name: str, scores: Comparison, measure: str, inputs: Mapping[str, str] | None = None
+    name: str,
+    scores: Comparison,
+    measure: str,
+    inputs: Mapping[str, str] | None = None,
+    sliding: Sequence[bool] = (),
 ) -> Table:
     """Return laws by joints of one measure on one test set; the best law of a joint is bold.
 
@@ -36,8 +44,10 @@ def comparison(
     scores : of the laws.
     measure : one of `scoring.MEASURES`.
     inputs : inputs of each law; where given, laws of equal inputs stand together.
+    sliding : whether each joint slides; empty if all turn.
     """
-    table = _by_joint(f"{name}: {_TITLES[measure]}", "law", len(scores.joints))
+    heading = _TITLES[measure].format(**_units(sliding))
+    table = _by_joint(f"{name}: {heading}", "law", len(scores.joints))
     values = {law: [getattr(s, measure) for s in row] for law, row in scores.laws.items()}
     if measure == "rmse":
         first = next(iter(scores.laws.values()))
@@ -47,9 +57,9 @@ def comparison(
         min((v for v in column if v is not None), default=None)
         for column in zip(*(row for law, row in values.items() if law != ORACLE), strict=True)
     ]
-    for heading, laws_of_class in _classes(values, inputs):
-        if heading:
-            table.add_row(f"[italic]{heading}[/]")
+    for label, laws_of_class in _classes(values, inputs):
+        if label:
+            table.add_row(f"[italic]{label}[/]")
         for law in laws_of_class:
             cells = [
                 f"[bold]{_figure(v)}[/]" if v is not None and v == b else _figure(v)
@@ -64,28 +74,45 @@ def ratios(name: str, scores: Comparison, inputs: Mapping[str, str] | None = Non
     """Return the RMSE of every law over that of the reference, with 95 % intervals below."""
     heading = f"{name}: RMSE relative to {title(scores.reference)}, 95 % interval below"
     table = _by_joint(heading, "law", len(scores.joints))
+    # In 80 columns, the ends of more intervals do not stand side by side.
+    dash = "-" if len(scores.joints) <= _INTERVALS else "-\n"
     for label, laws_of_class in _classes(scores.ratios, inputs):
         if label:
             table.add_row(f"[italic]{label}[/]")
         for law in laws_of_class:
-            cells = [f"{r.value:.2f}\n{r.low:.2f}-{r.high:.2f}" for r in scores.ratios[law]]
+            cells = [f"{r.value:.2f}\n{r.low:.2f}{dash}{r.high:.2f}" for r in scores.ratios[law]]
             table.add_row(title(law), *cells)
         table.add_section()
     return table
 
 
-def audit(name: str, audits: Sequence[Audit]) -> Table:
-    """Return what a friction model must be known for before it is trusted, by joint."""
+def audit(name: str, audits: Sequence[Audit], sliding: Sequence[bool] = ()) -> Table:
+    """Return what a friction model must be known for before it is trusted, by joint.
+
+    Parameters
+    ----------
+    name : of the model.
+    audits : of each joint.
+    sliding : whether each joint slides; empty if all turn.
+    """
     table = _by_joint(f"Audit of {title(name)}", "", len(audits))
+    units = _units(sliding)
+    slides = sliding or (False,) * len(audits)
     rows = {
-        "steady torque drives for dq in [rad/s]": [_ranges(a.driving) for a in audits],
+        f"steady torque drives for dq in [{units['speed']}]": [_ranges(a.driving) for a in audits],
         "the same without offset, |dq| in": [_ranges(a.driving_both_ways) for a in audits],
-        "most energy given per cycle [J]": [_generated(a) for a in audits],
-        "slope d tau/d dq at rest [N.m.s/rad]": [_slope(a) for a in audits],
-        f"chatter at rest, encoder {1e6 * ENCODER:.0f} urad [N.m]": [
+        "most energy given per cycle [J]": [
+            unit_of_joint(_generated(a), slides=s) for a, s in zip(audits, slides, strict=True)
+        ],
+        f"slope d tau/d dq at rest [{units['slope']}]": [
+            unit_of_joint(_slope(a), slides=s) for a, s in zip(audits, slides, strict=True)
+        ],
+        f"chatter at rest, encoder {1e6 * ENCODER:.0f} {units['angle']} [{units['torque']}]": [
             f"{a.chatter:.3g}" for a in audits
         ],
-        "largest |tau| in the trained range [N.m]": [f"{a.largest:.3g}" for a in audits],
+        f"largest |tau| in the trained range [{units['torque']}]": [
+            f"{a.largest:.3g}" for a in audits
+        ],
         f"largest |tau| up to {REACH:g} times outside": [_outside(a) for a in audits],
     }
     for label, cells in rows.items():
@@ -105,14 +132,15 @@ def convention(name: str, found: "Convention") -> Table:
         SETTINGS,  # most tables are of no FMU, which takes long to load
     )
 
+    units = _units(found.sliding)
     speeds = ", ".join(f"{speed:.3g}" for speed in found.speeds)
     table = _by_joint(
-        f"{escape(name)}: RMSE [N.m] of all rows; below, within 0.1 s of reversals",
+        f"{escape(name)}: RMSE [{units['torque']}] of all rows; below, within 0.1 s of reversals",
         "inputs",
         len(found.joints),
     )
     table.caption = (
-        f"Velocity: a sine of {found.frequency:g} Hz and {speeds} rad/s, in steps of "
+        f"Velocity: a sine of {found.frequency:g} Hz and {speeds} {units['speed']}, in steps of "
         f"{found.step:g} s. " + "; ".join(f"{way}: {text}" for way, text in SETTINGS.items())
     )
     table.caption_justify = "left"
@@ -128,24 +156,41 @@ def convention(name: str, found: "Convention") -> Table:
     return table
 
 
-def leaving(joints: Sequence[str], found: Sequence[Mapping[str, Excess]]) -> str:
-    """Return one line for each input that leaves the trained range in the logs, by joint."""
+def leaving(
+    joints: Sequence[str], found: Sequence[Mapping[str, Excess]], sliding: Sequence[bool] = ()
+) -> str:
+    """Return one line for each input that leaves the trained range in the logs, by joint.
+
+    Parameters
+    ----------
+    joints : names of the joints.
+    found : for each joint how far which input leaves the range.
+    sliding : whether each joint slides; empty if all turn.
+    """
+    slides = sliding or (False,) * len(joints)
     return "\n".join(
         f"{joint}: {name} leaves the trained range in {100.0 * excess.rows:.1f} % of the rows, by "
-        f"up to {max(excess.below, excess.above):.3g} {INPUT_UNITS[name]}."
-        for joint, of_joint in zip(joints, found, strict=True)
+        f"up to {max(excess.below, excess.above):.3g} {unit_of_joint(INPUT_UNITS[name], slides=s)}."
+        for joint, of_joint, s in zip(joints, found, slides, strict=True)
         for name, excess in of_joint.items()
     )
 
 
-def rigid_body(found: RigidBody) -> str:
-    """Return what was identified, in a sentence or two."""
+def rigid_body(found: RigidBody, sliding: Sequence[bool] = ()) -> str:
+    """Return what was identified, in a sentence or two.
+
+    Parameters
+    ----------
+    found : the rigid body.
+    sliding : whether each joint slides; empty if all turn.
+    """
     rotors = sum(name.endswith(".Ir") for name in found.names)
     more = f" ({rotors} of them rotor inertias)" if rotors else ""
     errors = ", ".join(f"{e:.3g}" for e in found.rmse)
     return (
         f"Rigid body: {len(found.base)} base parameters of {len(found.names)}{more}, condition "
-        f"{found.condition:.3g}, from {', '.join(found.logs)}; residual RMSE {errors} N.m."
+        f"{found.condition:.3g}, from {', '.join(found.logs)}; residual RMSE {errors} "
+        f"{unit_of_joints('N.m', sliding)}."
     )
 
 
@@ -163,6 +208,11 @@ def title(law: str) -> str:
     """Return the title of a law, or the name itself where it is none of the registry."""
     known = registry()
     return known[law].title if law in known else law
+
+
+def _units(sliding: Sequence[bool]) -> dict[str, str]:
+    turning = {"torque": "N.m", "speed": "rad/s", "slope": "N.m.s/rad", "angle": "urad"}
+    return {name: unit_of_joints(unit, sliding) for name, unit in turning.items()}
 
 
 def _by_joint(heading: str, first: str, joints: int) -> Table:

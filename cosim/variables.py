@@ -1,8 +1,8 @@
 """The variables of one FMU, as its description lists them: found by name, start values checked."""
 
 import re
-from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
+from collections.abc import Iterable, Mapping, Sequence
+from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,20 @@ SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")
 
 _INDEX = re.compile(r"\[\d+(,\d+)*\]$")
 _CHOICE = re.compile(r"\b(\d+) = (\w+)")
+
+_CLOSE = 0.6
+"""Share of letters that names have in common, in order, from which on one may stand for another."""
+
+
+def suggestion(name: str, known: Iterable[str], most: int) -> str:
+    """Return "did you mean a, b or c?", the closest name first; nothing where none is close."""
+    shares = {other: SequenceMatcher(None, other, name).ratio() for other in known}
+    # Stable: names that are equally close stay in their own order.
+    near = sorted((o for o, s in shares.items() if s >= _CLOSE), key=lambda o: -shares[o])[:most]
+    if not near:
+        return ""
+    *others, last = near
+    return f"did you mean {', '.join(others)} or {last}?" if others else f"did you mean {last}?"
 
 
 class Variables:
@@ -43,9 +57,9 @@ class Variables:
             return self._by_name[name]
         except KeyError:
             known = dict.fromkeys([*(_INDEX.sub("", n) for n in self._by_name), *self._by_name])
-            near = get_close_matches(name, known, n=3)
-            hint = f"; did you mean {', '.join(near)}" if near else ""
-            raise SimulationError(f"{self._fmu}: there is no variable '{name}'{hint}.") from None
+            hint = suggestion(name, known, 3)
+            end = f"; {hint}" if hint else "."
+            raise SimulationError(f"{self._fmu}: there is no variable '{name}'{end}") from None
 
     def elements(self, name: str) -> list[str]:
         """Return the variables that a name stands for: itself, or all elements of a vector."""

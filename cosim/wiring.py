@@ -1,13 +1,12 @@
 """How the signals of a system are connected, checked against what its FMUs say of themselves."""
 
 from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
 from cosim.system import Bounds, SystemSpec, Value
-from cosim.variables import Variables
+from cosim.variables import Variables, suggestion
 from hesr_model.errors import ConfigError, SimulationError
 
 Element = tuple[str, str]
@@ -68,9 +67,8 @@ class Wiring:
 
     def _require_component(self, name: str, where: str) -> None:
         if name not in self._slaves:
-            near = get_close_matches(name, self._slaves, n=1)
-            hint = f"did you mean {near[0]}" if near else f"there are {', '.join(self._slaves)}"
-            raise self._error(f"{where}: there is no component '{name}'; {hint}.")
+            hint = suggestion(name, self._slaves, 1) or f"there are {', '.join(self._slaves)}."
+            raise self._error(f"{where}: there is no component '{name}'; {hint}")
 
     def _elements(self, signal: str, where: str, kind: str | None = None) -> list[Element]:
         """Return the elements of a signal, all of one type where that is given."""

@@ -1,6 +1,7 @@
 """The C compiler: one for all targets, the same bytes on every host."""
 
 import os
+import shutil
 import struct
 import subprocess
 import sys
@@ -133,15 +134,22 @@ def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[s
     ExportError
         If it fails, with the first line of what it says.
     """
-    command = [sys.executable, "-m", "ziglang", "cc", *flags, "-o", str(output), source.name, *last]
-    with tempfile.TemporaryDirectory(prefix="hesr-cache-") as cache:
+    # A linker takes a percent sign in the name of its output for a place to fill in, and folders of
+    # a machine may have one. So it writes into a folder beside the source, named from there.
+    with (
+        tempfile.TemporaryDirectory(prefix="hesr-cache-") as cache,
+        tempfile.TemporaryDirectory(prefix="hesr-", dir=source.parent) as folder,
+    ):
+        written = Path(folder, output.name)
+        relative = f"{written.parent.name}/{output.name}"
+        command = [sys.executable, "-m", "ziglang", "cc", *flags, "-o", relative, source.name]
         # The compiler's cache of objects gives stale ones when compilations run side by side, so
         # each has its own; that of the C library, which takes long to build, stays shared.
         environment = os.environ | {"ZIG_LOCAL_CACHE_DIR": cache}
         try:
             # In the sources' own folder, so that no path of this machine gets into the binary.
             result = subprocess.run(
-                command,
+                [*command, *last],
                 cwd=source.parent,
                 env=environment,
                 capture_output=True,
@@ -150,6 +158,8 @@ def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[s
             )
         except OSError as error:
             raise ExportError(f"the C compiler cannot be run ({error.strerror}).") from error
+        if not result.returncode:
+            shutil.move(written, output)
     if result.returncode:
         lines = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
         raise ExportError(f"{output.name}: the C compiler failed: {lines[0].strip()}.")

@@ -20,6 +20,7 @@ from hesr_model.friction.laws import estimator
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.rigid_body import RigidBody
+from hesr_model.units import unit_of_joint
 
 MODEL_FORMAT = "hesr-friction-model-1"
 RIGID_BODY_FORMAT = "hesr-rigid-body-1"
@@ -106,9 +107,16 @@ def model_to_json(model: FrictionModel) -> dict[str, Any]:
         "robot": model.robot,
         "sample_time": model.sample_time,
         "joints": [
-            {"joint": joint, **_law_to_json(law), **_trained_to_json(law, trained), **error}
-            for joint, law, trained, error in zip(
-                model.joints, model.laws, ranges, errors, strict=True
+            {
+                "joint": joint,
+                # Said of those that slide only: files of older versions know no others.
+                **({"sliding": True} if slides else {}),
+                **_law_to_json(law),
+                **_trained_to_json(law, trained),
+                **error,
+            }
+            for joint, slides, law, trained, error in zip(
+                model.joints, model.slides, model.laws, ranges, errors, strict=True
             )
         ],
         "provenance": dict(model.provenance),
@@ -129,6 +137,7 @@ def model_from_json(path: Path, data: Mapping[str, Any]) -> FrictionModel:
             robot=str(data["robot"]),
             joints=tuple(str(j["joint"]) for j in data["joints"]),
             laws=tuple(_law_from_json(j) for j in data["joints"]),
+            sliding=tuple(_slides(j) for j in data["joints"]),
             sample_time=float(data["sample_time"]),
             trained=tuple(
                 TrainedRange.from_json(j["trained"]) for j in data["joints"] if "trained" in j
@@ -177,6 +186,15 @@ def _trained_to_json(law: FrictionLaw, trained: TrainedRange | None) -> dict[str
     return {"trained": trained.to_json(), "audit": audit(law, trained).to_json()}
 
 
+def _slides(data: Mapping[str, Any]) -> bool:
+    slides = data.get("sliding", False)
+    if not isinstance(slides, bool):
+        raise ArtifactError(
+            f"'sliding' of joint '{data['joint']}' is {slides!r}; needed is true or false."
+        )
+    return slides
+
+
 def _law_from_json(data: Mapping[str, Any]) -> FrictionLaw:
     form = estimator(data["law"]).form(data["structure"])
     if data["discretisation"] not in ("exact", "euler"):
@@ -185,10 +203,11 @@ def _law_from_json(data: Mapping[str, Any]) -> FrictionLaw:
         )
     for coefficient in form.coefficients:
         entry = data["coefficients"].get(coefficient.name)
-        if entry is not None and entry["unit"] != coefficient.unit:
+        unit = unit_of_joint(coefficient.unit, slides=_slides(data))
+        if entry is not None and entry["unit"] != unit:
             raise ArtifactError(
                 f"coefficient '{coefficient.name}' has the unit '{entry['unit']}', needed is "
-                f"'{coefficient.unit}'."
+                f"'{unit}'."
             )
     return FrictionLaw(
         name=str(data["law"]),

@@ -12,6 +12,7 @@ from hesr_model.rigid_body import RigidBody
 from hesr_model.robot import RobotModel
 from hesr_model.robot_log import RobotLog
 from hesr_model.signals import smooth
+from hesr_model.units import unit_of_joint
 
 Array = NDArray[np.float64]
 
@@ -36,6 +37,8 @@ class FrictionRecord:
         (N,) [N.m], friction: measured torque less rigid-body torque (eq. 8), not smoothed.
     gear_ratio
         Turns of the motor per turn of the joint, where the robot file gives it.
+    sliding
+        Whether the joint slides, so that positions are in m and torques are forces in N.
     """
 
     log: str
@@ -46,6 +49,7 @@ class FrictionRecord:
     tau_load: Array
     tau: Array
     gear_ratio: float | None = None
+    sliding: bool = False
 
 
 def friction_records(
@@ -73,6 +77,7 @@ def friction_records(
             tau_load=np.ascontiguousarray(load[:, k]),
             tau=motion.tau[:, k] - load[:, k],
             gear_ratio=ratios[k],
+            sliding=model.tree[k].prismatic,
         )
         for k, joint in enumerate(model.description.joints)
     ]
@@ -87,8 +92,9 @@ def require_reversals(records: Sequence[FrictionRecord]) -> None:
         Naming the joint and the logs.
     """
     if not any(len(reversals(record.dq)) for record in records):
+        unit = unit_of_joint("rad/s", slides=records[0].sliding)
         raise LogError(
             f"log {', '.join(record.log for record in records)}: the velocity of joint "
-            f"'{records[0].joint}' never reverses between speeds of more than {MOVING:g} rad/s; "
+            f"'{records[0].joint}' never reverses between speeds of more than {MOVING:g} {unit}; "
             "at least one log must reverse it."
         )

@@ -1,6 +1,7 @@
-"""Units in which robots log, and what they are in SI."""
+"""Units in which robots log, what they are in SI, and how joints that slide differ in them."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from math import pi
 
 TURNING: Mapping[str, Mapping[str, float]] = {
@@ -40,3 +41,44 @@ def fits(quantity: str, unit: str, *, slides: bool) -> bool:
     if slides:
         return unit in SLIDING[quantity] or TURNING[quantity].get(unit) == 1.0
     return unit in TURNING[quantity]
+
+
+_SLID = (
+    (re.compile(r"\(([kmµu]?)N\.m\)|\b([kmµu]?)N\.m\b"), r"\1\2N"),
+    (re.compile(r"\b([mµu]?)rad(?=\d|\b)"), r"\1m"),
+    (re.compile(r"\bkg\.m2\b"), "kg"),
+)
+
+
+def unit_of_joint(unit: str, *, slides: bool) -> str:
+    """Return a unit as it is at a joint that slides, from that at one that turns.
+
+    Everything about friction is written for joints that turn. The equations of a joint that slides
+    are the same ones in m and N: `N.m.s/rad` is `N.s/m` there, `1/(N.m)` is `1/N`.
+
+    Parameters
+    ----------
+    unit : in FMI's spelling, with a prefix as in `mrad` or not; or a text with units in it. What
+        is of a joint that slides already stays as it is.
+    slides : whether the joint slides; where it turns, the unit comes back unchanged.
+    """
+    if slides:
+        for pattern, slid in _SLID:
+            unit = pattern.sub(slid, unit)
+    return unit
+
+
+def unit_of_joints(unit: str, sliding: Sequence[bool]) -> str:
+    """Return a unit for what is said of several joints, as the heading of a table.
+
+    Where some turn and some slide it is both, as `N.m (N where it slides)`.
+
+    Parameters
+    ----------
+    unit : as for `unit_of_joint`, but no text.
+    sliding : whether each joint slides; empty if all turn.
+    """
+    slid = unit_of_joint(unit, slides=True)
+    if not any(sliding) or slid == unit:
+        return unit
+    return slid if all(sliding) else f"{unit} ({slid} where it slides)"

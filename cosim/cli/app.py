@@ -139,7 +139,9 @@ def _platforms(typed: str) -> list[str]:
     return [name for name in (*TARGETS, "all") if name.startswith(typed)]
 
 
-Logs = Annotated[list[Path], typer.Argument(metavar="LOG", help="CSV or Parquet files.")]
+Logs = Annotated[
+    list[Path], typer.Argument(metavar="LOG", help="CSV, Parquet or MATLAB files, or ROS bags.")
+]
 Robot = Annotated[Path, typer.Option("--robot", metavar="ROBOT.toml", help="Robot file.")]
 Body = Annotated[
     Path, typer.Option("--rigid-body", metavar="FILE", help="Result of 'hesr identify'.")

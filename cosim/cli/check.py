@@ -38,6 +38,11 @@ def check(
 
     for fmu in fmus:
         opened(fmu).close()  # what cannot be opened is told before the work on others
+    if convention:
+        from cosim.convention import judge
+
+        for fmu in fmus:
+            judge(fmu)  # nor is anything done for what cannot be measured
     reports = []
     with shown_progress() as progress:
         for k, fmu in enumerate(fmus):

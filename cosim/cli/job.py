@@ -52,11 +52,12 @@ def run(
         if wanted:
             write_json(wanted, {"folder": str(folder)} | outcome.to_json())
     console = Console()
-    console.print(tables.rigid_body(outcome.rigid_body))
+    sliding = next(iter(outcome.models.values())).sliding
+    console.print(tables.rigid_body(outcome.rigid_body, sliding))
     inputs = {law: inputs_of(model) for law, model in outcome.models.items()}
     for name, comparison in outcome.comparisons.items():
         for measure in ("rmse", "rmse_moving", "rmse_reversal"):
-            console.print(tables.comparison(name, comparison, measure, inputs))
+            console.print(tables.comparison(name, comparison, measure, inputs, sliding))
         if comparison.ratios:
             console.print(tables.ratios(name, comparison, inputs))
     if outcome.loop:
@@ -68,7 +69,7 @@ def run(
         from cosim import property_tables
 
         console.print(property_tables.properties(outcome.properties))
-        console.print(property_tables.legend())
+        console.print(property_tables.legend(sliding))
     console.print("The figures are those of the FMUs, run through FMPy over the test logs:")
     for fmu in outcome.fmus.values():
         console.print(f"  {fmu}", soft_wrap=True, highlight=False)

@@ -68,7 +68,8 @@ def properties(
             write_properties(wanted, named)
     console = Console()
     console.print(tables.properties(named))
-    console.print(tables.legend())
+    sliding = [slides for s in subjects if s.model for slides in s.model.slides]
+    console.print(tables.legend(sliding))
     if why:
         console.print(tables.reasons(named))
 

@@ -126,7 +126,8 @@ def identify(
             f"{centre} m in the frame of {description.joints[-1]}; written to {output}."
         )
     else:
-        typer.echo(f"{tables.rigid_body(found)}\nwritten to {output}.")
+        sliding = [joint.prismatic for joint in model.tree]
+        typer.echo(f"{tables.rigid_body(found, sliding)}\nwritten to {output}.")
 
 
 @app.command()
@@ -196,7 +197,7 @@ def evaluate(
     law_files = [file for file in files if file.suffix == ".json"]
     logs = [file for file in files if file.suffix != ".json"]
     if not law_files or not logs:
-        missing = "friction model (.json)" if logs else "log (.csv or .parquet)"
+        missing = "friction model (.json)" if logs else "log"
         raise ConfigError(f"evaluate: no {missing} among the files; both kinds are needed.")
     models = [read_model(file) for file in law_files]
     # By the law where that tells them apart, else by the file's name, else by its path.
@@ -211,7 +212,8 @@ def evaluate(
         }
         scores = compare(records, predicted)
     answer(json_file, scores.to_json())
-    _print_scores("evaluation", scores, {name: inputs_of(m) for name, m in named.items()})
+    inputs = {name: inputs_of(m) for name, m in named.items()}
+    _print_scores("evaluation", scores, records, inputs)
     for name, model in named.items():
         _print_audit(name, model, records)
 
@@ -235,7 +237,7 @@ def replay(
         progress(f"replaying {fmu.name}", 0, 1)
         scores = compare(records, {fmu.stem: predict_fmu(fmu, records)})
     answer(json_file, scores.to_json())
-    _print_scores("replay", scores)
+    _print_scores("replay", scores, records)
 
 
 def _options(pairs: list[str]) -> dict[str, Any]:
@@ -252,14 +254,17 @@ def _options(pairs: list[str]) -> dict[str, Any]:
     return options
 
 
-def _print_scores(name: str, scores: "Comparison", inputs: dict[str, str] | None = None) -> None:
+def _print_scores(
+    name: str, scores: "Comparison", records: "Records", inputs: dict[str, str] | None = None
+) -> None:
     from rich.console import Console
 
     from cosim import tables
 
     console = Console()
+    sliding = [of_joint[0].sliding for of_joint in records]
     for measure in ("rmse", "rmse_moving", "rmse_reversal"):
-        console.print(tables.comparison(name, scores, measure, inputs))
+        console.print(tables.comparison(name, scores, measure, inputs, sliding))
     if scores.ratios:
         console.print(tables.ratios(name, scores, inputs))
 
@@ -291,11 +296,12 @@ def _print_audit(name: str, model: "FrictionModel", records: "Records | None" = 
     if not model.trained:
         return
     pairs = list(zip(model.laws, model.trained, strict=True))
-    Console().print(tables.audit(name, [audit(law, trained) for law, trained in pairs]))
+    audits = [audit(law, trained) for law, trained in pairs]
+    Console().print(tables.audit(name, audits, model.sliding))
     if records is not None:
         found = [
             {k: v for k, v in outside(trained, r).items() if k in map(str, law.form.inputs)}
             for (law, trained), r in zip(pairs, records, strict=True)
         ]
         if any(found):
-            typer.echo(tables.leaving(model.joints, found))
+            typer.echo(tables.leaving(model.joints, found, model.sliding))

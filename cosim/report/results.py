@@ -16,6 +16,7 @@ from hesr_model.friction.laws import registry
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.properties import Properties, read_properties
 from hesr_model.rigid_body import RigidBody
+from hesr_model.units import unit_of_joints
 
 if TYPE_CHECKING:
     from cosim.studies.traces import Trace
@@ -57,6 +58,16 @@ class Results:
     def joints(self) -> tuple[str, ...]:
         """Short names of the joints, as in tables."""
         return tuple(f"J{k}" for k in range(1, len(self.run.joints) + 1))
+
+    @property
+    def sliding(self) -> tuple[bool, ...]:
+        """Whether each joint slides; empty if all turn."""
+        return next((model.sliding for model in self.models.values()), ())
+
+    def unit(self, unit: str, joint: int | None = None) -> str:
+        """Return a unit as it is for all joints, or for the one of an index."""
+        sliding = self.sliding if joint is None else self.sliding[joint : joint + 1]
+        return unit_of_joints(unit, sliding)
 
     @property
     def tests(self) -> list[str]:

@@ -50,6 +50,9 @@ def true_friction(mjcf: Path, joints: Sequence[str], *, sample_time: float) -> F
         robot=mjcf.stem,
         joints=tuple(joints),
         laws=tuple(_law(model, elements[joint]) for joint in joints),
+        sliding=tuple(
+            bool(model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE) for joint in joints
+        ),
         sample_time=sample_time,
     )
 

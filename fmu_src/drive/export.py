@@ -9,10 +9,12 @@ from pathlib import Path
 from fmu_src.description import Description
 from fmu_src.drive.component import SUBSTEP, interface, laws_to_c, motors
 from fmu_src.drive.documentation import to_html
+from fmu_src.friction.defined import require_numbers
 from fmu_src.friction.embedded import EMBEDDED_MODEL
 from fmu_src.friction.export import date_of
 from fmu_src.package import Content, check_request, own_source, write_fmu
 from hesr_model.artifacts import model_to_json
+from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.progress import Progress, unheard
 
@@ -50,8 +52,8 @@ def export_drive(
     Raises
     ------
     ExportError
-        If a number is not what it must be, the model cannot be expressed in C or FMI, or a binary
-        cannot be built.
+        If a joint slides, a number is not what it must be, the model cannot be expressed in C or
+        FMI, or a binary cannot be built.
     ArtifactError
         If `path` cannot be written.
     """
@@ -69,6 +71,13 @@ def content(
     ratio: Sequence[float] | None = None,
 ) -> Content:
     """Return the FMU of a drive, before it is compiled; arguments are those of `export_drive`."""
+    for joint, slides in zip(model.joints, model.slides, strict=True):
+        if slides:
+            raise ExportError(
+                f"drive: joint '{joint}' slides, and a drive turns; export its law as a friction "
+                "FMU (--format fmu), which knows both kinds."
+            )
+    require_numbers(model)
     own = motors(
         len(model.laws), inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio
     )

@@ -11,6 +11,7 @@ from hesr_model.errors import ExportError
 from hesr_model.friction.functions import DQ, INPUT_UNITS, INPUTS
 from hesr_model.friction.law import FrictionLaw, LawForm, Relaxation
 from hesr_model.friction.model import FrictionModel
+from hesr_model.units import unit_of_joint
 
 DISCRETISATION = Enumeration(
     name="Discretisation",
@@ -28,6 +29,8 @@ _INPUT_DESCRIPTIONS = {
     "q": "position of {}",
     "tau_load": "load torque on {}: rigid-body torque of the motion",
 }
+_EFFORT = {False: "torque", True: "force"}
+"""What a joint that turns, or one that slides, takes to move."""
 
 
 def interface(model: FrictionModel) -> Interface:
@@ -40,26 +43,28 @@ def interface(model: FrictionModel) -> Interface:
     ExportError
         If the laws' names are not names in FMI, or their discretisations differ.
     """
-    joints = range(1, len(model.laws) + 1)
+    # A joint's name may have the word torque in it, so it is put in afterwards.
     inputs = [
         Variable(
             name=f"{symbol.name}[{joint}]",
             role="input",
-            description=_INPUT_DESCRIPTIONS[symbol.name].format(model.joints[joint - 1]),
-            unit=INPUT_UNITS[symbol.name],
+            description=_INPUT_DESCRIPTIONS[symbol.name]
+            .replace("torque", _EFFORT[slides])
+            .format(name),
+            unit=unit_of_joint(INPUT_UNITS[symbol.name], slides=slides),
         )
         for symbol in INPUTS
-        for joint in joints
+        for joint, (name, slides) in enumerate(zip(model.joints, model.slides, strict=True), 1)
     ]
     outputs = [
         Variable(
             name=f"tau[{joint}]",
             role="output",
-            description=f"friction torque of {model.joints[joint - 1]}",
-            unit="N.m",
+            description=f"friction {_EFFORT[slides]} of {model.joints[joint - 1]}",
+            unit=unit_of_joint("N.m", slides=slides),
             dependencies=torque_dependencies(law, joint, _sources(joint)),
         )
-        for joint, law in enumerate(model.laws, start=1)
+        for joint, (law, slides) in enumerate(zip(model.laws, model.slides, strict=True), 1)
     ]
     slopes = [
         Variable(
@@ -67,10 +72,10 @@ def interface(model: FrictionModel) -> Interface:
             role="on_demand",
             description=f"slope of tau[{joint}] over dq[{joint}] held over the last step, the "
             "states following; in model exchange that at the last event, the states at rest",
-            unit="N.m.s/rad",
+            unit=unit_of_joint("N.m.s/rad", slides=slides),
             dependencies=torque_dependencies(law, joint, _sources(joint)),
         )
-        for joint, law in enumerate(model.laws, start=1)
+        for joint, (law, slides) in enumerate(zip(model.laws, model.slides, strict=True), 1)
     ]
     choice = discretisation(
         model,

@@ -10,11 +10,12 @@ from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, error
 from hesr_model.errors import SimulationError
 from hesr_model.friction.audit import REACH, Audit, audit
 from hesr_model.friction.cycles import ENCODER
-from hesr_model.friction.evaluate import Array
+from hesr_model.friction.evaluate import Array, numbers
 from hesr_model.friction.functions import INPUTS, lowered
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import Range, TrainedRange
+from hesr_model.units import unit_of_joint, unit_of_joints
 
 RK4, EULER = 2.785, 2.0
 """Largest rate * step at which Runge-Kutta of order 4 and forward Euler let a state decay."""
@@ -70,41 +71,58 @@ def audits(model: FrictionModel, seen: Sequence[TrainedRange]) -> tuple[Audit, .
     return tuple(audit(law, range_) for law, range_ in zip(model.laws, seen, strict=True))
 
 
-def audit_rows(found: Sequence[Audit]) -> dict[str, list[str]]:
-    """Return the figures of audits as text: what they are of, and a cell for each joint."""
+def audit_rows(found: Sequence[Audit], sliding: Sequence[bool] = ()) -> dict[str, list[str]]:
+    """Return the figures of audits as text: what they are of, and a cell for each joint.
+
+    Parameters
+    ----------
+    found : audit of each joint.
+    sliding : whether each joint slides; empty if all turn.
+    """
+    speed, torque, slope, angle = (
+        unit_of_joints(unit, sliding) for unit in ("rad/s", "N.m", "N.m.s/rad", "µrad")
+    )
     return {
-        "Steady sliding drives the joint for dq [rad/s]": [_ranges(a.driving) for a in found],
-        "The same without any offset, for |dq| [rad/s]": [
+        f"Steady sliding drives the joint for dq [{speed}]": [_ranges(a.driving) for a in found],
+        f"The same without any offset, for |dq| [{speed}]": [
             _ranges(a.driving_both_ways) for a in found
         ],
         "Most energy given in a closed cycle [J]": [figure(a.generated, 3) for a in found],
-        "Jump of the torque at rest [N.m]": [figure(a.jump, 3) for a in found],
-        "Slope dtau/ddq at rest [N.m.s/rad]": [figure(a.slope) for a in found],
-        "The same, held over one sample [N.m.s/rad]": [figure(a.slope_of_step) for a in found],
-        f"Chatter at rest, encoder noise {1e6 * ENCODER:.0f} µrad [N.m]": [
+        f"Jump of the torque at rest [{torque}]": [figure(a.jump, 3) for a in found],
+        f"Slope dtau/ddq at rest [{slope}]": [figure(a.slope) for a in found],
+        f"The same, held over one sample [{slope}]": [figure(a.slope_of_step) for a in found],
+        f"Chatter at rest, encoder noise {1e6 * ENCODER:.0f} {angle} [{torque}]": [
             figure(a.chatter, 3) for a in found
         ],
-        "Largest |tau| within the range [N.m]": [figure(a.largest, 3) for a in found],
-        f"Largest |tau| up to {REACH:g} times outside [N.m]": [
+        f"Largest |tau| within the range [{torque}]": [figure(a.largest, 3) for a in found],
+        f"Largest |tau| up to {REACH:g} times outside [{torque}]": [
             figure(a.largest_outside, 3) for a in found
         ],
     }
 
 
-def verdict(found: Audit, *, known: bool) -> str:
-    """Return what an audit says, in words; `known` is whether its range is that of training."""
+def verdict(found: Audit, *, known: bool, slides: bool = False) -> str:
+    """Return what an audit says, in words.
+
+    Parameters
+    ----------
+    found : audit of a joint.
+    known : whether its range is that of training.
+    slides : whether the joint does so, instead of turning.
+    """
+    speed = unit_of_joint("rad/s", slides=slides)
     cycle = found.generating
     if cycle is None or found.generated < _ALMOST_PASSIVE:
         said = "None of the closed cycles that were tried gives energy."
     else:
         said = (
-            f"It is not passive: over a closed cycle of {figure(cycle.amplitude, 2)} rad/s at "
+            f"It is not passive: over a closed cycle of {figure(cycle.amplitude, 2)} {speed} at "
             f"{figure(cycle.frequency, 2)} Hz it gives {figure(found.generated, 3)} J."
         )
     if found.driving_both_ways:
         said += (
-            f" Steady sliding drives at speeds of {_ranges(found.driving_both_ways)} rad/s, so do "
-            "not use it as the friction of a simulated plant."
+            f" Steady sliding drives at speeds of {_ranges(found.driving_both_ways)} {speed}, so "
+            "do not use it as the friction of a simulated plant."
         )
     if known and found.explodes:
         said += " Just outside the trained range its torque explodes."
@@ -139,7 +157,7 @@ def fastest(law: FrictionLaw, seen: TrainedRange) -> dict[str, float]:
     symbols = tuple(c.symbol for c in law.form.coefficients)
     rates = lowered((*symbols, *INPUTS), tuple(r.rate for r in law.form.relaxations))
     with np.errstate(all="ignore"):  # what is not finite says so itself
-        values = rates(*law.values.values(), *grid)
+        values = rates(*numbers(law), *grid)
     return {
         r.name: float(np.max(value)) for r, value in zip(law.form.relaxations, values, strict=True)
     }

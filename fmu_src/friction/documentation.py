@@ -22,10 +22,12 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws import registry
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
+from hesr_model.units import unit_of_joints
 
 _INTERVAL = 1.96  # standard errors to either side hold 95 %
 _NO_DATE = "1980-01-01"  # stands for none in archives
-_RANGES = {**INPUT_UNITS, "tau": "N.m"}
+_UNITS = {**INPUT_UNITS, "tau": "N.m", "dtau_ddq": "N.m.s/rad"}
+_RANGES = (*INPUT_UNITS, "tau")
 
 
 def to_html(
@@ -47,6 +49,7 @@ def to_html(
     live : HTML of `live.page`, if the page shall have such a section.
     properties : HTML of `properties_sheet.section`, likewise.
     """
+    units = {name: unit_of_joints(unit, model.sliding) for name, unit in _UNITS.items()}
     used = {symbol for law in model.laws for symbol in law.form.inputs}
     start = table.variables[table.references["discretisation"]].start
     return rendered(
@@ -64,7 +67,8 @@ def to_html(
             for joint, (name, law) in enumerate(zip(model.joints, model.laws, strict=True), start=1)
         ],
         training=training(model.provenance),
-        trained_rows=_trained_rows(model.trained),
+        units=units,
+        trained_rows=_trained_rows(model.trained, units),
         **_measured(model),
     )
 
@@ -140,15 +144,17 @@ def _bare(path: str) -> str:
     return PurePosixPath(path.replace("\\", "/")).name
 
 
-def _trained_rows(trained: Sequence[TrainedRange]) -> dict[str, list[str]]:
+def _trained_rows(
+    trained: Sequence[TrainedRange], units: Mapping[str, str]
+) -> dict[str, list[str]]:
     if not trained:
         return {}
     rows = {
-        f"{name} [{unit}]": [
+        f"{name} [{units[name]}]": [
             f"{figure(getattr(seen, name)[0], 3)} to {figure(getattr(seen, name)[1], 3)}"
             for seen in trained
         ]
-        for name, unit in _RANGES.items()
+        for name in _RANGES
     }
     return rows | {"sample time [s]": [figure(seen.sample_time) for seen in trained]}
 
@@ -164,8 +170,11 @@ def _measured(model: FrictionModel) -> dict[str, Any]:
             _rate_rows(law, range_) for law, range_ in zip(model.laws, seen, strict=True)
         ]
         audits = datasheet.audits(model, seen)
-        found["audit"] = datasheet.audit_rows(audits)
-        found["verdicts"] = [datasheet.verdict(a, known=bool(model.trained)) for a in audits]
+        found["audit"] = datasheet.audit_rows(audits, model.sliding)
+        found["verdicts"] = [
+            datasheet.verdict(a, known=bool(model.trained), slides=slides)
+            for a, slides in zip(audits, model.slides, strict=True)
+        ]
     except HesrError as error:
         found["refused"] = str(error)
     try:

@@ -12,6 +12,7 @@ from typing import Any
 
 from fmu_src.description import Description
 from fmu_src.friction.component import interface, laws_to_c
+from fmu_src.friction.defined import require_numbers
 from fmu_src.friction.documentation import to_html
 from fmu_src.friction.embedded import EMBEDDED_MODEL
 from fmu_src.friction.pictures import model_png
@@ -97,6 +98,7 @@ def content(model: FrictionModel, properties: Properties | None = None) -> Conte
         module = pool.submit(wasm, translation_unit(table, about, sources)[1])
         picture = model_png(model)
         live = live_section(live_data(model, table, module.result())) + live_assets()
+    page = section(properties, sliding=model.sliding) if properties else ""
     return Content(
         table=table,
         about=about,
@@ -104,7 +106,7 @@ def content(model: FrictionModel, properties: Properties | None = None) -> Conte
         members={
             "model.png": picture,
             "documentation/index.html": to_html(
-                model, table, about, live=live, properties=section(properties) if properties else ""
+                model, table, about, live=live, properties=page
             ).encode(),
             EMBEDDED_MODEL: (json.dumps(model_to_json(model), indent=2) + "\n").encode(),
             **reference_files(model, about.identifier),
@@ -114,6 +116,7 @@ def content(model: FrictionModel, properties: Properties | None = None) -> Conte
 
 def _component(model: FrictionModel) -> tuple[Interface, Description, dict[str, str]]:
     """Return the variables, the description and the own C files of a model's FMU."""
+    require_numbers(model)
     table = interface(model)
     about = Description(
         name=f"Friction of {model.robot} by {model.law}",

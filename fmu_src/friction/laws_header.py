@@ -40,16 +40,15 @@ def laws_header(
     first : name in C of a kind of variable to the name of the first one.
     needs : of the component.
     """
-    forms: list[LawForm] = []
-    for law in model.laws:
-        if law.form not in forms:
-            forms.append(law.form)
+    # C knows no units, in which the forms of joints that turn and that slide differ alone.
+    shapes = [law.form.sliding for law in model.laws]
+    forms = list(dict.fromkeys(shapes))
     names = {form: f"law_{i}" for i, form in enumerate(forms, start=1)}
     rows, before = [], 0
-    for joint, law in enumerate(model.laws, start=1):
-        cells = _cells(law, joint, table, names[law.form], before)
+    for joint, (law, shape) in enumerate(zip(model.laws, shapes, strict=True), start=1):
+        cells = _cells(law, joint, table, names[shape], before)
         wanted = [*_COMMON, *needs.members]
-        rows.append(f"    {{{', '.join(cells.get(m, f'{names[law.form]}_{m}') for m in wanted)}}},")
+        rows.append(f"    {{{', '.join(cells.get(m, f'{names[shape]}_{m}') for m in wanted)}}},")
         before += len(switches(law.form))
     constants = [
         f"static const double constants_{joint}[] = "

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fmu_src.friction.reference import reference_motion
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.model import FrictionModel
+from hesr_model.units import unit_of_joints
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,8 +55,8 @@ def model_png(model: FrictionModel) -> bytes:
         _draw(panel, of_joint, joint)
     for panel in panels[len(loops) :]:
         panel.set_visible(False)
-    figure.supxlabel("dq [rad/s]", fontsize=9, color=_GREY)
-    figure.supylabel("tau [N.m]", fontsize=9, color=_GREY)
+    figure.supxlabel(f"dq [{unit_of_joints('rad/s', model.sliding)}]", fontsize=9, color=_GREY)
+    figure.supylabel(f"tau [{unit_of_joints('N.m', model.sliding)}]", fontsize=9, color=_GREY)
     figure.canvas.draw()
     # Fewer shades at the edges of lines take half the space and look the same.
     drawn = canvas.buffer_rgba()  # type: ignore[no-untyped-call] # Matplotlib has not typed it

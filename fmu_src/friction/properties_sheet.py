@@ -1,12 +1,13 @@
 """The section of an FMU's documentation on what the property battery found, with small plots."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from fmu_src.friction.datasheet import figure
 from fmu_src.html import rendered
 from hesr_model.friction.expectations import EXPECTATIONS, Expectation
 from hesr_model.friction.properties import Figure, Finding, Plot, Properties
+from hesr_model.units import unit_of_joint, unit_of_joints
 
 MARKS = {"pass": "✓", "fail": "✗", "not applicable": "n/a", "not run": "–"}
 
@@ -16,14 +17,24 @@ _LINES = ("var(--accent)", "#c2410c", "#15803d")
 _DIGITS = 3
 
 
-def section(found: Properties) -> str:
-    """Return HTML: a table of properties by joints, then each experiment with its plots."""
+def section(found: Properties, *, sliding: Sequence[bool] = ()) -> str:
+    """Return HTML: a table of properties by joints, then each experiment with its plots.
+
+    Parameters
+    ----------
+    found : what the battery found.
+    sliding : whether each joint slides; empty if all turn.
+    """
+    slides = sliding or (False,) * len(found.joints)
     return rendered(
         "properties.html.j2",
         joints=[joint.joint for joint in found.joints],
-        tau_load=figure(found.tau_load, _DIGITS),
-        sizes=[_sizes(joint) for joint in found.joints],
-        properties=[_property(found, e) for e in EXPECTATIONS.values()],
+        tau_load=f"{figure(found.tau_load, _DIGITS)} {unit_of_joints('N.m', sliding)}",
+        sizes=[
+            [(name, unit_of_joint(text, slides=s)) for name, text in _sizes(joint)]
+            for joint, s in zip(found.joints, slides, strict=True)
+        ],
+        properties=[_property(found, e, sliding) for e in EXPECTATIONS.values()],
     )
 
 
@@ -37,10 +48,13 @@ def _sizes(joint: Any) -> list[tuple[str, str]]:
     ]
 
 
-def _property(found: Properties, expectation: Expectation) -> dict[str, Any]:
+def _property(
+    found: Properties, expectation: Expectation, sliding: Sequence[bool]
+) -> dict[str, Any]:
     findings = [joint.findings[expectation.key] for joint in found.joints]
     return {
         "expectation": expectation,
+        "unit": unit_of_joints(expectation.unit, sliding),
         "cells": [_cell(f, expectation) for f in findings],
         "joints": [
             {

@@ -4,7 +4,7 @@ The files follow the FMI cross-check: NAME_in.csv, NAME_ref.csv and NAME_ref.opt
 from the laws in Python, not by the FMU, so that they are a check of the FMU, too.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from hesr_model.errors import SimulationError
 from hesr_model.friction.functions import INPUTS
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
+from hesr_model.units import unit_of_joint
 
 Array = NDArray[np.float64]
 
@@ -31,7 +32,7 @@ _SAME, _CLOSE = 1e-12, 1e-6
 
 _README = """\
 Reference results, in the file style of the FMI cross-check. They are computed from the law in
-Python, not by this FMU. Units are SI: s, rad, rad/s, N.m.
+Python, not by this FMU. Units are SI: {units}.
 
 co_simulation/{name}_in.csv, _ref.csv, _ref.opt
     Start with the inputs of row 0 set before the end of the initialisation; row 0 of the reference
@@ -130,13 +131,26 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
     smooth = _rounded(_motion(model, step))
     fine = torques(model, smooth, CONTINUOUS, substeps=_SUBSTEPS)
     text = _README.format(
-        name=identifier, step=f"{step:.9g}", same=_SAME, close=_CLOSE, substeps=_SUBSTEPS
+        name=identifier,
+        step=f"{step:.9g}",
+        same=_SAME,
+        close=_CLOSE,
+        substeps=_SUBSTEPS,
+        units=_units(model.sliding),
     )
     return {
         "extra/README.txt": text.encode(),
         **_members(f"extra/co_simulation/{identifier}", motion, torque, 14, step, _SAME),
         **_members(f"extra/model_exchange/{identifier}", smooth, fine, 8, 0.0, _CLOSE),
     }
+
+
+def _units(sliding: Sequence[bool]) -> str:
+    turning = "s, rad, rad/s, N.m"
+    if not any(sliding):
+        return turning
+    slid = unit_of_joint(turning, slides=True)
+    return slid if all(sliding) else f"{turning}; {slid} of a joint that slides"
 
 
 def _motion(model: FrictionModel, step: float, lead_in: float = 0.0) -> Motion:

@@ -3,7 +3,7 @@
 import base64
 import zlib
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import floor, log10
 from typing import Any
 
@@ -17,13 +17,19 @@ from hesr_model.friction.functions import INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
+from hesr_model.units import unit_of_joint
 
 _FACTOR = 5.0
 """How far the slider of a coefficient goes to either side of its value."""
 _SLOWEST, _FASTEST = 0.05, 5.0  # [Hz]
 _FEWEST = 20  # rows of a cycle
 _USUAL = 0.25  # [Hz], that of the FMU's picture
+_UNITS = {"velocity": "rad/s", "position": "rad", "time": "s", "torque": "N.m"}
 _NO_LOAD = 20.0  # [N.m], where no load was trained
+# What a field takes beyond its slider, so that a page does not stand still: a sine has some rows,
+# and a browser runs as many as these within seconds.
+_LEAST_ROWS, _MOST_ROWS = 4, 20_000  # of a cycle
+_MOST_CYCLES = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +44,7 @@ class Knob:
     unit : SI unit; empty if it has none.
     value : at the start.
     low, high : ends of the slider.
+    least, most : what the field takes; None where there is no bound.
     scale : of the slider: "linear", "log" (both ends of one sign), or "whole" numbers.
     reference : value reference, for a parameter of the FMU.
     """
@@ -49,6 +56,8 @@ class Knob:
     value: float
     low: float
     high: float
+    least: float | None = None
+    most: float | None = None
     scale: str = "linear"
     reference: int | None = None
 
@@ -73,11 +82,19 @@ def live_data(model: FrictionModel, table: Interface, module: bytes) -> dict[str
                     name: table.references[f"{name}[{joint}]"]
                     for name in (*(u.name for u in INPUTS), "tau")
                 },
+                "units": {
+                    name: unit_of_joint(unit, slides=slides) for name, unit in _UNITS.items()
+                },
                 "speeds": list(seen.dq) if seen else None,
-                "motion": [asdict(k) for k in _motion(law, seen, model.sample_time)],
+                "motion": [
+                    asdict(replace(k, unit=unit_of_joint(k.unit, slides=slides)))
+                    for k in _motion(law, seen, model.sample_time)
+                ],
                 "coefficients": [asdict(k) for k in _coefficients(law, joint, table)],
             }
-            for joint, (law, seen) in enumerate(zip(model.laws, trained, strict=True), start=1)
+            for joint, (law, seen, slides) in enumerate(
+                zip(model.laws, trained, model.slides, strict=True), start=1
+            )
         ],
     }
 
@@ -88,12 +105,15 @@ def _motion(law: FrictionLaw, seen: TrainedRange | None, step: float) -> Iterato
     digits = 2 - floor(log10(speed))
     within = floor(speed * 10.0**digits) / 10.0**digits  # short, and not outside what was trained
     yield Knob(name="amplitude", text="velocity amplitude", unit="rad/s", value=within,
-               low=_short(speed / 200.0), high=_short(2.0 * speed), scale="log")  # fmt: skip
+               low=_short(speed / 200.0), high=_short(2.0 * speed), least=0.0,
+               scale="log")  # fmt: skip
     fastest = max(min(_FASTEST, 1.0 / (_FEWEST * step)), 2.0 * _SLOWEST)
     yield Knob(name="frequency", text="frequency", unit="Hz", value=min(_USUAL, fastest),
-               low=_SLOWEST, high=_short(fastest), scale="log")  # fmt: skip
+               low=_SLOWEST, high=_short(fastest), scale="log",
+               least=min(_SLOWEST, _short(1.0 / (_MOST_ROWS * step))),
+               most=max(_short(fastest), _short(1.0 / (_LEAST_ROWS * step))))  # fmt: skip
     yield Knob(name="cycles", text="cycles, the last one drawn in full", unit="", value=3.0,
-               low=1.0, high=10.0, scale="whole")  # fmt: skip
+               low=1.0, high=10.0, least=1.0, most=_MOST_CYCLES, scale="whole")  # fmt: skip
     if Q in law.form.inputs:
         middle = seen.middle if seen else 0.0
         yield Knob(name="centre", text="centre of the positions", unit="rad",

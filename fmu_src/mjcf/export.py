@@ -7,12 +7,14 @@ from importlib.metadata import version
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
+from fmu_src.friction.defined import require_numbers
 from fmu_src.mjcf.parts import JointFriction, NoCounterpartError, Wave, parts_of
-from fmu_src.mjcf.projection import Misfit, projected
-from hesr_model.errors import ExportError
+from fmu_src.mjcf.projection import Misfit, projected, records
+from hesr_model.errors import ExportError, HesrError
 from hesr_model.files import written_whole
 from hesr_model.friction.model import FrictionModel
 from hesr_model.progress import Progress, counted, unheard
+from hesr_model.units import unit_of_joint
 
 _HEAD = """\
 <!-- Friction of joints as passive actuators of MuJoCo (4.0 or later). Put
@@ -35,21 +37,24 @@ class JointProjection:
     missing : what in the law MuJoCo has no part for; None where the MJCF is the law itself.
     fitted, unseen : how far the projection is off where it was fitted and on another motion; None
         where there is none.
+    unit : of its torque.
     """
 
     joint: str
     missing: str | None = None
     fitted: Misfit | None = None
     unseen: Misfit | None = None
+    unit: str = "N.m"
 
     def __str__(self) -> str:
         if self.fitted is None or self.unseen is None:
             return f"{self.joint}: exact"
+        fitted, unseen = self.fitted, self.unseen
         return (
-            f"{self.joint}: projected, since {self.missing}; RMSE {self.fitted.rmse:.3g} N.m where "
-            f"fitted and {self.unseen.rmse:.3g} N.m on another motion, at most "
-            f"{100.0 * self.fitted.relative:.3g} and {100.0 * self.unseen.relative:.3g} % of the "
-            "largest torque"
+            f"{self.joint}: projected, since {self.missing}; RMSE {fitted.rmse:.3g} {self.unit} "
+            f"where fitted and {unseen.rmse:.3g} {self.unit} on another motion, at most "
+            f"{100.0 * fitted.relative:.3g} and {100.0 * unseen.relative:.3g} % of the largest "
+            "torque"
         )
 
 
@@ -96,6 +101,7 @@ def export_mjcf_law(
     """
     if path.suffix.lower() != ".xml":
         raise ExportError(f"{path}: the name of an MJCF ends in .xml.")
+    require_numbers(model)
     with written_whole(path) as temporary:
         joints = [
             _of_joint(model, index, project)
@@ -113,15 +119,32 @@ def _of_joint(
     law, joint = model.laws[index], model.joints[index]
     try:
         return parts_of(law), JointProjection(joint=joint)
-    except NoCounterpartError as missing:
+    except NoCounterpartError as error:
+        slides = model.slides[index]
+        missing = unit_of_joint(str(error), slides=slides)
+        trained = model.trained[index] if model.trained else None
+        try:
+            if project:
+                nearest, fitted, unseen = projected(law, trained, model.sample_time)
+            else:
+                records(law, trained, model.sample_time)  # so that nothing is promised below
+        except HesrError as reason:
+            raise ExportError(
+                f"law '{model.law}' of joint '{joint}' is not expressible in MJCF: {missing}; "
+                f"nor can it be projected: {reason}"
+            ) from reason
         if not project:
             raise ExportError(
                 f"law '{model.law}' of joint '{joint}' is not expressible in MJCF: {missing}; "
                 "--project writes the nearest bristles and says how far off they are."
-            ) from missing
-        trained = model.trained[index] if model.trained else None
-        nearest, fitted, unseen = projected(law, trained, model.sample_time)
-        found = JointProjection(joint=joint, missing=str(missing), fitted=fitted, unseen=unseen)
+            ) from error
+        found = JointProjection(
+            joint=joint,
+            missing=missing,
+            fitted=fitted,
+            unseen=unseen,
+            unit=unit_of_joint("N.m", slides=slides),
+        )
         return parts_of(nearest), found
 
 

@@ -19,13 +19,12 @@ from typing import Self
 
 import sympy
 
+from fmu_src.friction.defined import shown
 from hesr_model.errors import ExportError
 from hesr_model.friction.functions import DQ, INPUTS, TAU_LOAD, Q, absolute
 from hesr_model.friction.law import FrictionLaw, Relaxation
 
 Values = Mapping[sympy.Symbol, float]
-
-_LONGEST = 60
 
 
 class NoCounterpartError(ExportError):
@@ -117,13 +116,14 @@ class _Motion:
     def of(cls, relaxation: Relaxation, zeros: Mapping[sympy.Symbol, int], values: Values) -> Self:
         drive, rate = relaxation.drive.subs(zeros), relaxation.rate.subs(zeros)
         scale = sympy.cancel(drive / DQ)
-        if _uses_inputs(scale) or _number(scale, values) <= 0.0:
+        own = f"its state '{relaxation.name}'"
+        if _uses_inputs(scale) or _number(scale, values, f"the drive of {own}") <= 0.0:
             raise NoCounterpartError(
-                f"its state '{relaxation.name}' is driven by {_shown(drive)}, a bristle by the "
+                f"its state '{relaxation.name}' is driven by {shown(drive)}, a bristle by the "
                 "velocity itself"
             )
         peaks = [e for e in rate.atoms(sympy.exp) if _uses_inputs(e)]
-        stribeck = _stribeck_velocity(peaks[0], values) if len(peaks) == 1 else None
+        stribeck = _stribeck_velocity(peaks[0], values, own) if len(peaks) == 1 else None
         speed = sympy.Dummy(positive=True)
         slope = sympy.cancel(
             rate.subs(dict.fromkeys(peaks, _PEAK)).subs(absolute(DQ), speed) / speed
@@ -131,7 +131,7 @@ class _Motion:
         shaped = not peaks or stribeck is not None
         if not shaped or speed in slope.free_symbols or _uses_inputs(slope):
             raise NoCounterpartError(
-                f"its state '{relaxation.name}' relaxes at the rate {_shown(rate)}, a bristle in "
+                f"its state '{relaxation.name}' relaxes at the rate {shown(rate)}, a bristle in "
                 "proportion to the speed with one Stribeck peak at most"
             )
         peak = peaks[0] if peaks else None
@@ -142,12 +142,13 @@ _PEAK = sympy.Symbol("_peak", positive=True)
 """Stands for exp(-(v / v_s)^2): 1 at rest, 0 at speed."""
 
 
-def _stribeck_velocity(peak: sympy.Expr, values: Values) -> float | None:
-    """Return v_s of exp(-(v / v_s)^2), None for another exponential."""
+def _stribeck_velocity(peak: sympy.Expr, values: Values, own: str) -> float | None:
+    """Return v_s of exp(-(v / v_s)^2), None for another exponential; `own` names its state."""
     square = sympy.cancel(-(DQ**2) / peak.args[0])
-    if _uses_inputs(square) or _number(square, values) <= 0.0:
+    what = f"the Stribeck velocity of {own}"
+    if _uses_inputs(square) or _number(square, values, what) <= 0.0:
         return None
-    return _number(sympy.sqrt(square), values)
+    return _number(sympy.sqrt(square), values, what)
 
 
 @dataclass
@@ -168,22 +169,20 @@ class _Torque:
                 self._add_linear(symbol, factor)
                 return
         if not states and not _uses_inputs(term):
-            self.waves.append(_constant(_number(term, self.values)))
+            self.waves.append(_constant(_number(term, self.values, "a term of its torque")))
         elif not states and (wave := _wave(term, self.values)):
             self.waves.append(wave)
         elif TAU_LOAD in term.free_symbols:
-            raise NoCounterpartError(
-                f"its torque has the term {_shown(term)}, which is of the load"
-            )
+            raise NoCounterpartError(f"its torque has the term {shown(term)}, which is of the load")
         else:
             raise NoCounterpartError(
-                f"its torque has the term {_shown(term)}, which is neither a bristle's nor viscous "
+                f"its torque has the term {shown(term)}, which is neither a bristle's nor viscous "
                 "nor a ripple in the joint's angle alone"
             )
 
     def _add_linear(self, symbol: sympy.Symbol, factor: sympy.Expr) -> None:
         if symbol == DQ:
-            self.viscous += _number(factor, self.values)
+            self.viscous += _number(factor, self.values, "its viscous friction")
         else:
             self.forces[symbol] = self.forces.get(symbol, sympy.Integer(0)) + factor
 
@@ -201,9 +200,9 @@ def _wave(term: sympy.Expr, values: Values) -> Wave | None:
             straight = sympy.expand_mul(angle - poles * Q - phase) == 0
             if straight and not any(map(_uses_inputs, (factor, poles, phase))):
                 return Wave(
-                    amplitude=-_number(factor, values),
-                    poles=_number(poles, values),
-                    phase=_number(phase, values) + lead,
+                    amplitude=-_number(factor, values, "the amplitude of its ripple"),
+                    poles=_number(poles, values, "the waves per radian of its ripple"),
+                    phase=_number(phase, values, "the phase of its ripple") + lead,
                 )
     return None
 
@@ -217,8 +216,9 @@ def _bristle(
 ) -> Bristle | None:
     """Return the bristle of a relaxation; None where its state does not count in the torque."""
     stiffness = (force or sympy.Integer(0)) * motion.scale
-    found = _number(stiffness, values)
-    micro = _number((damping or sympy.Integer(0)) * motion.scale, values)
+    own = f"its state '{relaxation.name}'"
+    found = _number(stiffness, values, f"the stiffness of {own}")
+    micro = _number((damping or sympy.Integer(0)) * motion.scale, values, f"the damping of {own}")
     if not found and not micro:
         return None
     if found <= 0.0:
@@ -226,13 +226,17 @@ def _bristle(
             f"the torque of its state '{relaxation.name}' has the factor {found:g} N.m/rad, and "
             "the stiffness of a bristle is positive"
         )
+    if motion.rate == 0:
+        raise NoCounterpartError(f"{own} never relaxes, a bristle in proportion to the speed")
     level = sympy.cancel(stiffness / motion.rate)
     if not level.is_polynomial(_PEAK) or sympy.degree(level, _PEAK) > 1:
         raise NoCounterpartError(
             f"the sliding torque of its state '{relaxation.name}' is "
-            f"{_shown(level.subs(_PEAK, motion.peak))}, a bristle's a constant with a Stribeck peak"
+            f"{shown(level.subs(_PEAK, motion.peak))}, a bristle's a constant with a Stribeck peak"
         )
-    coulomb, static = (_number(level.subs(_PEAK, peak), values) for peak in (0, 1))
+    coulomb, static = (
+        _number(level.subs(_PEAK, peak), values, f"the sliding torque of {own}") for peak in (0, 1)
+    )
     if not (coulomb > 0.0 and static > 0.0):
         raise NoCounterpartError(
             f"its state '{relaxation.name}' slides at {coulomb:g} to {static:g} N.m, a bristle at "
@@ -249,13 +253,9 @@ def _uses_inputs(expression: sympy.Expr) -> bool:
     return not expression.free_symbols.isdisjoint(INPUTS)
 
 
-def _number(expression: sympy.Expr, values: Values) -> float:
+def _number(expression: sympy.Expr, values: Values, what: str) -> float:
+    """Return the value of an expression; `what` it is in the law is told where it has none."""
     value = expression.subs(values)
     if not value.is_real:
-        raise NoCounterpartError(f"its coefficients make {_shown(expression)} no number ({value})")
+        raise NoCounterpartError(f"its coefficients make {what} no number ({shown(expression)})")
     return float(value)
-
-
-def _shown(expression: sympy.Expr) -> str:
-    text = str(sympy.sstr(expression)).replace("absolute(", "abs(")
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."

@@ -70,10 +70,7 @@ def projected(
     SimulationError
         If the law is not stable at that sample time.
     """
-    seen, unseen = (
-        _record(law, trajectory, trained, sample_time)
-        for trajectory in _motions(trained_speed(trained))
-    )
+    seen, unseen = records(law, trained, sample_time)
     form, space = _family(_poles(law))
     samples = Samples.of([seen], coefficients=len(form.coefficients))
     problem = Separable(form, space, samples)
@@ -82,6 +79,17 @@ def projected(
         unknowns, _ = problem.solve(point)
     found = FrictionLaw(name="projected", form=form, values=problem.values(point, unknowns))
     return found, misfit(found, seen), misfit(found, unseen)
+
+
+def records(
+    law: FrictionLaw, trained: TrainedRange | None, sample_time: float
+) -> tuple[FrictionRecord, FrictionRecord]:
+    """Return what a projection of a law is fitted to, and what it is tried on.
+
+    Arguments and errors are those of `projected`.
+    """
+    slow, fast = _motions(trained_speed(trained))
+    return _record(law, slow, trained, sample_time), _record(law, fast, trained, sample_time)
 
 
 def misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:

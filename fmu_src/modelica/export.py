@@ -11,6 +11,7 @@ import sympy
 
 from fmu_src.friction import datasheet
 from fmu_src.friction.component import nominal
+from fmu_src.friction.defined import require_numbers
 from fmu_src.friction.reference import reference_motion
 from fmu_src.modelica.documentation import TEMPLATES, joint_html, law_title, package_html
 from fmu_src.modelica.printer import FUNCTIONS, Equations, equations
@@ -56,7 +57,8 @@ def export_modelica(model: FrictionModel, path: Path) -> Path:
     Raises
     ------
     ExportError
-        If the file's or a law's names are none in Modelica, or an expression has no counterpart.
+        If a joint slides, the file's or a law's names are none in Modelica, or an expression has no
+        counterpart.
     ArtifactError
         If `path` cannot be written.
     """
@@ -69,6 +71,13 @@ def export_modelica(model: FrictionModel, path: Path) -> Path:
 
 def package(model: FrictionModel, name: str) -> str:
     """Return the text of the package; errors are those of `export_modelica`."""
+    for joint, slides in zip(model.joints, model.slides, strict=True):
+        if slides:
+            raise ExportError(
+                f"Modelica: joint '{joint}' slides, and the package has rotational flanges; export "
+                "its law as a friction FMU (--format fmu), which Modelica tools import."
+            )
+    require_numbers(model)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
         block_start_string="<%",

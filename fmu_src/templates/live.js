@@ -1,9 +1,9 @@
 /* Brings each section of class "live" to life: the FMU inside it, run for a motion, drawn. */
 
 const AXES = {
-  velocity: { column: "dq", text: "velocity q̇ [rad/s]" },
-  position: { column: "q", text: "position q [rad]" },
-  time: { column: "t", text: "time [s]" },
+  velocity: { column: "dq", text: "velocity q̇" },
+  position: { column: "q", text: "position q" },
+  time: { column: "t", text: "time" },
 };
 const STEPS = 200; /* of a slider */
 
@@ -93,6 +93,15 @@ function valueAt(knob, share) {
   return scale === "whole" ? Math.round(value) : Number(value.toPrecision(DIGITS));
 }
 
+/* What the field of a knob takes, in words. */
+function allowed({ least, most, scale, unit }) {
+  const range = [least !== null && `from ${short(least)}`, most !== null && `to ${short(most)}`];
+  const words = [scale === "whole" ? "a whole number" : "a number", ...range.filter(Boolean)];
+  if (least !== null || most !== null) words.push(unit);
+  if (least !== null && most === null) words.push("on");
+  return words.filter(Boolean).join(" ");
+}
+
 class Section {
   constructor(element, data, fmu) {
     Object.assign(this, { element, data, fmu });
@@ -118,6 +127,7 @@ class Section {
   }
 
   show(number) {
+    this.objection = "";
     this.number = number;
     this.joint = this.data.joints[number];
     this.rows = new Map();
@@ -144,7 +154,8 @@ class Section {
     row.querySelector(".live-unit").textContent = knob.unit && `[${knob.unit}]`;
     slider.setAttribute("aria-label", what);
     field.setAttribute("aria-label", `${what}: number in ${knob.unit || "its unit"}`);
-    if (knob.reference === null) Object.assign(field, { min: knob.low, max: knob.high });
+    Object.assign(field, { min: knob.least ?? "", max: knob.most ?? "" });
+    if (knob.scale === "whole") field.step = 1;
     back.setAttribute("aria-label", `${knob.name} back to ${short(knob.value, 6)}`);
     back.title = "back";
     slider.addEventListener("input", () => this.set(knob, valueAt(knob, Number(slider.value))));
@@ -152,9 +163,17 @@ class Section {
       const wrong = field.value === "" || !field.validity.valid;
       field.setAttribute("aria-invalid", wrong);
       if (!wrong) this.set(knob, field.valueAsNumber, field);
+      /* An empty field is not wrong yet: a number is about to be typed. */
+      else this.object(field.value && `${knob.name}: needed is ${allowed(knob)}.`);
     });
-    /* An edit may also end by another joint being shown, where this field is gone. */
-    field.addEventListener("change", () => this.rows.has(knob) && this.write(knob));
+    field.addEventListener("change", () => {
+      /* An edit may also end by another joint being shown, where this field is gone. */
+      if (!this.rows.has(knob)) return;
+      if (field.getAttribute("aria-invalid") === "true") {
+        this.object(`${knob.name} stays as it was: needed is ${allowed(knob)}.`);
+      }
+      this.write(knob);
+    });
     back.addEventListener("click", () => {
       this.set(knob, knob.value);
       slider.focus();
@@ -164,7 +183,14 @@ class Section {
     return row;
   }
 
+  /* Say what is wrong with a number that was typed, until another one is set. */
+  object(text) {
+    this.objection = text;
+    this.schedule();
+  }
+
   set(knob, value, typing) {
+    this.objection = "";
     this.values[this.number][keyOf(knob)] = knob.scale === "whole" ? Math.round(value) : value;
     this.write(knob, typing);
     this.schedule();
@@ -185,6 +211,7 @@ class Section {
   }
 
   reset() {
+    this.objection = "";
     this.values[this.number] = this.fitted(this.joint);
     for (const knob of this.knobs(this.joint)) this.write(knob);
     this.schedule();
@@ -210,7 +237,9 @@ class Section {
     const part = (torque, a, b) => ({ x: x.slice(a, b), y: torque.slice(a, b) });
     const curves = { fitted: part(fitted.torque, from), now: part(now.torque, early) };
     if (early > 0) curves.early = part(now.torque, 0, early + 1);
-    const whole = this.plot.draw(curves, AXES[view].text);
+    const { units } = joint;
+    const whole = this.plot.draw(
+      curves, `${AXES[view].text} [${units[view]}]`, `friction torque τ [${units.torque}]`);
     const refused = now.refused && `The FMU refuses this. ${now.refused}`;
     this.tell(motion, view, refused || (whole ? "" : "The torque is too large to be drawn."));
   }
@@ -229,14 +258,16 @@ class Section {
     const { speeds } = this.joint, { amplitude } = this.values[this.number];
     const inside = !speeds || (-amplitude >= speeds[0] && amplitude <= speeds[1]);
     say("beyond", inside ? "" : "Faster than what the law was trained on: extrapolated.");
-    say("refused", trouble);
+    say("refused", this.objection || trouble);
+    const unit = this.joint.units.torque;
+    say("torque-unit", unit);
     const value = (knob) => this.values[this.number][keyOf(knob)];
     const changes = this.joint.coefficients.filter((c) => value(c) !== c.value).map((c) =>
       `${c.name} ${shown(value(c), 6)} in place of ${shown(c.value, 6)} ${c.unit}`.trim());
     say("changed", changes.length ? `Changed: ${changes.join("; ")}.` : "All as fitted.");
     this.plot.svg.firstElementChild.textContent =
-      `Friction torque over ${view} of ${this.joint.name}, at most ${shown(columns[1][0])} N.m; ` +
-      `as fitted at most ${shown(columns[0][0])} N.m.`;
+      `Friction torque over ${view} of ${this.joint.name}, at most ${shown(columns[1][0])} ${unit}; ` +
+      `as fitted at most ${shown(columns[0][0])} ${unit}.`;
   }
 
   /* What is drawn, in full precision; rows that the FMU refused are empty. */

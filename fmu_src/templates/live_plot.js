@@ -1,6 +1,5 @@
 /* A plot of curves with two axes, as SVG in the colours of its page. */
 
-const TORQUE = "friction torque τ [N.m]";
 const MARGIN = { left: 58, right: 14, top: 26, bottom: 42 };
 const DIGITS = 4; /* of what a slider sets, so that what is shown is what is used */
 
@@ -49,9 +48,9 @@ class Plot {
     return parent.appendChild(element);
   }
 
-  /* Curves are { x, y } by name; `text` is what the horizontal axis shows. False if no axis can hold
-   * them. */
-  draw(curves, text) {
+  /* Curves are { x, y } by name; the texts are what the axes show. False if no axis can hold them.
+   */
+  draw(curves, textAcross, textUp) {
     const { width, height } = this.svg.getBoundingClientRect();
     const all = Object.values(curves);
     const [left, right] = range(...all.map((c) => c.x));
@@ -76,8 +75,8 @@ class Plot {
       label({ x: MARGIN.left - 7, y: y(value) + 4, "text-anchor": "end" }, words);
     }
     const middle = MARGIN.left + (width - MARGIN.left - MARGIN.right) / 2;
-    label({ x: middle, y: height - 6, "text-anchor": "middle", class: "live-axis" }, text);
-    label({ x: 8, y: 15, class: "live-axis" }, TORQUE);
+    label({ x: middle, y: height - 6, "text-anchor": "middle", class: "live-axis" }, textAcross);
+    label({ x: 8, y: 15, class: "live-axis" }, textUp);
     for (const [name, curve] of Object.entries(curves)) {
       this.curves[name].setAttribute("d", this.path(curve, x, y));
     }

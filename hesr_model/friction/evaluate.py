@@ -92,6 +92,15 @@ def _functions(form: LawForm) -> tuple[Any, Any]:
     return drives, lowered((*coefficients, *INPUTS, *states), (form.output,))
 
 
+def numbers(law: FrictionLaw) -> tuple[np.float64, ...]:
+    """Return the values of a law's coefficients, in their order and units, for lowered functions.
+
+    As NumPy's numbers: a division by one that is 0 gives inf or nan, as it does in C and among
+    arrays, where Python's own would end the program.
+    """
+    return tuple(np.float64(value) for value in law.values.values())
+
+
 def predict(
     law: FrictionLaw,
     *,
@@ -125,7 +134,7 @@ def predict(
     zero = np.zeros_like(time)
     inputs = [zero if u is None else np.asarray(u, dtype=float) for u in (dq, q, tau_load)]
     drives, output = _functions(law.form)
-    values = tuple(law.values.values())
+    values = numbers(law)
     dt = np.diff(time, prepend=time[0])
     lowered_drives = [np.broadcast_to(e, time.shape) for e in drives(*values, *inputs)]
     states: list[Array] = []
@@ -152,8 +161,7 @@ def estimated_start(
     if not law.start_samples or len(law.start) != 1:
         return law.start
     b, r = (
-        np.broadcast_to(e, t.shape)
-        for e in _functions(law.form)[0](*law.values.values(), dq, q, tau_load)
+        np.broadcast_to(e, t.shape) for e in _functions(law.form)[0](*numbers(law), dq, q, tau_load)
     )
     moving = r > 1e-9 * max(float(r.max()), 1e-300)
     limit = float(np.max(np.abs(b[moving] / r[moving]), initial=0.0))
@@ -184,7 +192,7 @@ class Stepper:
     def __init__(self, law: FrictionLaw) -> None:
         self._law = law
         self._drives, self._output = _functions(law.form)
-        self._values = tuple(law.values.values())
+        self._values = numbers(law)
         self.x: list[float] = list(law.start)
 
     def step(self, dt: float, dq: float, q: float = 0.0, tau_load: float = 0.0) -> float:

@@ -188,6 +188,7 @@ def fit_models(
             robot=robot,
             joints=joints,
             laws=tuple(done[law, joint] for joint in range(len(records))),
+            sliding=tuple(of_joint[0].sliding for of_joint in records),
             sample_time=round(float(np.median(periods)), 9),
             trained=tuple(TrainedRange.of(of_joint) for of_joint in records),
             training_rmse=tuple(

@@ -21,6 +21,7 @@ INPUTS = (DQ, Q, TAU_LOAD)
 """Inputs that a law may use, in the order in which every lowering passes them."""
 
 INPUT_UNITS = {"dq": "rad/s", "q": "rad", "tau_load": "N.m"}
+"""Of a joint that turns; `units.unit_of_joint` has those of one that slides."""
 
 
 class sgn(sympy.Function):  # type: ignore[misc]  # noqa: N801 - printed under this name

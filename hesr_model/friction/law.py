@@ -10,7 +10,7 @@ description; no law is written a second time.
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite
 from typing import Any, Literal
@@ -19,6 +19,7 @@ import sympy
 
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.functions import INPUTS
+from hesr_model.units import unit_of_joint
 
 Discretisation = Literal["exact", "euler"]
 
@@ -96,6 +97,24 @@ class LawForm:
         expressions = [self.output, *(e for r in self.relaxations for e in (r.drive, r.rate))]
         used = set().union(*(e.free_symbols for e in expressions))
         return tuple(symbol for symbol in INPUTS if symbol in used)
+
+    @cached_property
+    def sliding(self) -> "LawForm":
+        """The same equations for a joint that slides: in other units, with force for torque."""
+        return replace(
+            self,
+            coefficients=tuple(
+                replace(
+                    c,
+                    unit=unit_of_joint(c.unit, slides=True),
+                    description=c.description.replace("torque", "force"),
+                )
+                for c in self.coefficients
+            ),
+            relaxations=tuple(
+                replace(r, unit=unit_of_joint(r.unit, slides=True)) for r in self.relaxations
+            ),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

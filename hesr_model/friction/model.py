@@ -1,7 +1,7 @@
 """A friction model: one frozen law for each joint of a robot, which predicts its friction."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any, overload
 
@@ -25,17 +25,25 @@ class FrictionModel:
     law : name of the law, as in the registry or of a published model.
     robot : name of the robot.
     joints : names of the joints.
-    laws : the law of each joint.
+    laws : the law of each joint; that of a joint that slides is made one of its units.
+    sliding : whether each joint slides, so that its position is in m and its torque a force in N;
+        where none does or nothing is given, it is empty.
     sample_time : sample period at which the laws were made [s].
     trained : ranges of the records that each law was fitted to; empty where they are not known.
     training_rmse : error of each law on those records [N.m]; empty where it is not known.
     provenance : JSON data on where the model comes from (files with hashes, seed, versions).
+
+    Raises
+    ------
+    ArtifactError
+        If there is not one of everything for each joint, or the sample time is not positive.
     """
 
     law: str
     robot: str
     joints: tuple[str, ...]
     laws: tuple[FrictionLaw, ...]
+    sliding: tuple[bool, ...] = ()
     sample_time: float
     trained: tuple[TrainedRange, ...] = ()
     training_rmse: tuple[float, ...] = ()
@@ -45,6 +53,11 @@ class FrictionModel:
         if not self.joints or len(self.joints) != len(self.laws):
             raise ArtifactError(
                 f"friction model '{self.law}': {len(self.laws)} laws for {len(self.joints)} joints."
+            )
+        if self.sliding and len(self.sliding) != len(self.joints):
+            raise ArtifactError(
+                f"friction model '{self.law}': {len(self.sliding)} entries say which joints slide, "
+                f"of {len(self.joints)} joints."
             )
         if self.trained and len(self.trained) != len(self.joints):
             raise ArtifactError(
@@ -61,6 +74,19 @@ class FrictionModel:
                 f"friction model '{self.law}': sample time is {self.sample_time} s; needed is a "
                 "positive number."
             )
+        if not any(self.sliding):
+            object.__setattr__(self, "sliding", ())
+        # Here, so that no model has units that are not those of its joints.
+        laws = (
+            replace(law, form=law.form.sliding) if slides else law
+            for law, slides in zip(self.laws, self.slides, strict=True)
+        )
+        object.__setattr__(self, "laws", tuple(laws))
+
+    @property
+    def slides(self) -> tuple[bool, ...]:
+        """For each joint whether it slides."""
+        return self.sliding or (False,) * len(self.joints)
 
     @overload
     def predict(self, records: Sequence[FrictionRecord]) -> NDArray[np.float64]: ...

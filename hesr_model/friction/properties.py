@@ -5,13 +5,14 @@ in `hesr_model.friction.expectations`.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
 from hesr_model.artifacts import read_json, write_json
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.expectations import EXPECTATIONS
+from hesr_model.units import unit_of_joint
 
 FORMAT = "hesr-friction-properties-1"
 
@@ -62,6 +63,20 @@ class Finding:
     figures: tuple[Figure, ...] = ()
     reason: str = ""
     plot: Plot | None = None
+
+    def of_joint(self, *, slides: bool) -> "Finding":
+        """Return the finding with the units of its joint; it was written for one that turns."""
+
+        def named(text: str) -> str:
+            return unit_of_joint(text, slides=slides)
+
+        plot = self.plot
+        return replace(
+            self,
+            figures=tuple(replace(f, unit=named(f.unit)) for f in self.figures),
+            reason=named(self.reason),
+            plot=plot and replace(plot, x=named(plot.x), y=named(plot.y)),
+        )
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:

@@ -19,6 +19,7 @@ from hesr_model.artifacts import read_model
 from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute, sgn
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.trained import TrainedRange
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -200,16 +201,126 @@ def test_what_no_axis_holds_is_said(page: "Page") -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "typed"), [("c_h", ""), ("frequency", "0"), ("frequency", "1e9"), ("cycles", "2.5e6")]
+    ("name", "typed", "needed"),
+    [
+        ("c_h", "", "a number"),
+        ("amplitude", "-1", "a number from 0 rad/s on"),
+        ("frequency", "0", "a number from 0.01 to 50 Hz"),
+        ("frequency", "1e9", "a number from 0.01 to 50 Hz"),
+        ("cycles", "2.5", "a whole number from 1 to 100"),
+        ("cycles", "2.5e6", "a whole number from 1 to 100"),
+    ],
 )
-def test_a_number_that_cannot_be_used_changes_nothing(page: "Page", name: str, typed: str) -> None:
+def test_a_number_that_cannot_be_used_changes_nothing_and_is_told(
+    page: "Page", name: str, typed: str, needed: str
+) -> None:
     before = drawn(page, "now")
     shown = field(page, name).input_value()
     field(page, name).fill(typed)
     assert field(page, name).get_attribute("aria-invalid") == "true"
     assert np.array_equal(drawn(page, "now"), before)
+    assert refused(page) == ([f"{name}: needed is {needed}."] if typed else [])
     field(page, name).blur()
+    assert refused(page) == [f"{name} stays as it was: needed is {needed}."]
     assert field(page, name).input_value() == shown
+    assert field(page, name).get_attribute("aria-invalid") is None
+    slider(page, "c_h").fill("0.6")
+    assert refused(page) == []
+
+
+def test_the_fields_of_a_motion_go_beyond_their_sliders(
+    page: "Page", table1: FrictionModel
+) -> None:
+    for name, typed in (("frequency", "10"), ("amplitude", "6.5"), ("cycles", "40")):
+        assert float(typed) > {"frequency": 5.0, "amplitude": 2.4, "cycles": 10.0}[name]
+        field(page, name).fill(typed)
+        field(page, name).blur()
+        assert float(field(page, name).input_value()) == float(typed)
+        assert refused(page) == []
+    columns = saved(page)
+    assert len(columns["t"]) == 40 * 20 + 1
+    assert columns["dq"] == pytest.approx(6.5 * np.sin(20.0 * np.pi * columns["t"]), abs=1e-11)
+    assert error(columns["tau"], expected(table1.laws[0], columns)) < SAME
+
+
+def test_faster_than_the_training_is_said_beyond_the_slider(
+    open_page: OpenPage, table1: FrictionModel, tmp_path: Path
+) -> None:
+    seen = TrainedRange(
+        sample_time=0.005, dq=(-1.2, 1.2), q=(-1.0, 1.0), tau_load=(0.0, 0.0), tau=(-9.0, 9.0)
+    )
+    page = alive(open_page(written(tmp_path, {"one": replace(table1, trained=(seen,) * 3)})))
+    note = page.locator(".live-beyond")
+    assert not note.is_visible()
+    field(page, "amplitude").fill("6")
+    settle(page)
+    assert note.inner_text() == "Faster than what the law was trained on: extrapolated."
+    assert float(slider(page, "amplitude").input_value()) == 1.0
+    field(page, "amplitude").fill("0")
+    settle(page)
+    assert not note.is_visible()
+    assert len(drawn(page, "now")) > 0
+
+
+COLOURS = """element => {
+  const canvas = new OffscreenCanvas(1, 1).getContext("2d", { willReadFrequently: true });
+  const pixel = (...layers) => {
+    for (const [colour, opacity] of layers) {
+      canvas.globalAlpha = opacity;
+      canvas.fillStyle = colour;
+      canvas.fillRect(0, 0, 1, 1);
+    }
+    return [...canvas.getImageData(0, 0, 1, 1).data];
+  };
+  const of = (e, pseudo) => getComputedStyle(e, pseudo);
+  const page = [of(document.body).backgroundColor, 1];
+  const found = { page: { what: pixel(page), on: pixel(page) } };
+  const plot = element.querySelector(".live-plot"), card = [of(plot).backgroundColor, 1];
+  for (const path of plot.querySelectorAll("path")) {
+    const { stroke, strokeOpacity } = of(path);
+    const what = pixel(card, [stroke, strokeOpacity]);
+    found[`path ${path.classList}`] = { what, on: pixel(card) };
+  }
+  for (const key of element.querySelectorAll(".live-key")) {
+    const { borderTopColor, opacity } = of(key, "::before");
+    const what = pixel(page, [borderTopColor, opacity]);
+    found[`key ${key.classList}`] = { what, on: pixel(page) };
+  }
+  const controls = "select, button, input[type=number], .live-views input:not(:checked) + span";
+  [...element.querySelectorAll(controls)].filter((e) => e.checkVisibility()).forEach((e, k) => {
+    const { borderTopColor, borderTopWidth, backgroundColor } = of(e);
+    if (parseFloat(borderTopWidth) < 1) throw new Error(`no border: ${e.outerHTML}`);
+    const border = pixel(page, [borderTopColor, 1]);
+    found[`${e.tagName} ${k} on the page`] = { what: border, on: pixel(page) };
+    found[`${e.tagName} ${k} within`] = { what: border, on: pixel(page, [backgroundColor, 1]) };
+  });
+  return found;
+}"""
+
+
+def contrast(one: list[int], other: list[int]) -> float:
+    """WCAG 2.2, of two colours (red, green, blue)."""
+    shares = np.array([one[:3], other[:3]]) / 255.0
+    linear = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
+    low, high = sorted(linear @ [0.2126, 0.7152, 0.0722])
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_curves_and_borders_stand_out(open_page: OpenPage, unzipped: Path, scheme: str) -> None:
+    """3:1 is what WCAG 1.4.11 asks for."""
+    page = alive(open_page(unzipped, color_scheme=scheme))
+    slider(page, "c_h").fill("0.6")
+    settle(page)
+    found = page.locator(".live").evaluate(COLOURS)
+    paper = found.pop("page")["what"]
+    assert (min(paper[:3]) > 200) == (scheme == "light")
+    names = {name.split()[0] for name in found}
+    assert names == {"path", "key", "SELECT", "BUTTON", "INPUT", "SPAN"}
+    assert len([name for name in found if name.startswith(("path", "key"))]) == 6
+    ratios = {name: contrast(c["what"], c["on"]) for name, c in found.items()}
+    assert {name: ratio for name, ratio in ratios.items() if ratio < 3.0} == {}
+    assert contrast([0, 0, 0], [255, 255, 255]) == pytest.approx(21.0)
 
 
 def test_knobs_have_names_for_all_who_cannot_see_them(page: "Page") -> None:

@@ -9,7 +9,10 @@ from cosim.component import Component
 from cosim.studies.properties.battery import Subject, measure
 from fmu_src import model_file
 from fmu_src.friction.properties_sheet import section
-from hesr_model.artifacts import read_model
+from hesr_model.artifacts import read_model, write_model
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.lugre import LuGre
+from hesr_model.friction.model import FrictionModel
 
 TABLE_1 = "uf850-table1"
 
@@ -110,3 +113,30 @@ def test_options_that_a_robot_does_not_have(hesr, tmp_path, monkeypatch, argumen
     answer = hesr("export", "robot.xml", *arguments, "-o", "A.fmu")
     assert answer.code == 2
     assert sentence in answer.err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["-o", "F.fmu"],
+        ["--format", "drive", "--inertia", "1", "-o", "D.fmu"],
+        ["--format", "modelica", "-o", "F.mo"],
+        ["--format", "mjcf", "-o", "f.xml"],
+        ["--format", "mjcf", "--project", "-o", "f.xml"],
+    ],
+)
+def test_a_law_that_divides_by_zero(hesr, tmp_path, monkeypatch, arguments):
+    values = {"sigma_0": 1e4, "sigma_1": 10.0, "sigma_2": 5.0, "F_c": 0.0, "F_s": 8.0, "v_s": 0.1,
+              "tau_0": 0.0}  # fmt: skip
+    law = FrictionLaw(name="lugre", form=LuGre.core({}), values=values)
+    model = FrictionModel(
+        law="lugre", robot="bench", joints=("hip",), laws=(law,), sample_time=0.005
+    )
+    monkeypatch.chdir(tmp_path)
+    write_model(tmp_path / "law.json", model)
+    answer = hesr("export", "law.json", *arguments)
+    assert answer.code == 2
+    assert answer.err == (
+        "hesr: law 'lugre' of joint 'hip' cannot be run: 1/F_c in it is no number with F_c = 0.\n"
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["law.json"]

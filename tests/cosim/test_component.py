@@ -95,8 +95,11 @@ def test_steps_that_fail_name_the_time_at_which_they_began(friction_fmu):
 
 def test_unknown_variables(friction_fmu):
     with Component(friction_fmu) as friction:
-        with pytest.raises(SimulationError, match=r"no variable 'tau\[9\]'; did you mean tau\["):
+        with pytest.raises(SimulationError) as caught:
             friction.get(["tau[9]"])
+        assert str(caught.value).endswith(
+            "there is no variable 'tau[9]'; did you mean tau[1], tau[2] or tau[3]?"
+        )
         with pytest.raises(SimulationError, match="'discretisation' is not a Real"):
             friction.batch(["discretisation"])
 

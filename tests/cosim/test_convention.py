@@ -7,18 +7,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+from small_study import Hesr, hesr_here
 
 from cosim import tables
 from cosim.convention import measure, run
 from cosim.replay import replay
 from fmu_src import model_file
+from fmu_src.drive.export import export_drive
 from fmu_src.friction.embedded import EMBEDDED_MODEL
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import SETTINGS, torques
 from hesr_model.artifacts import read_model
-from hesr_model.errors import HesrError
+from hesr_model.errors import HesrError, SimulationError
 
 BEST_FIRST = ("direct", "linear", "hold")
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
 
 
 def test_table_1_pays_for_held_inputs(friction_fmu: Path) -> None:
@@ -72,6 +79,39 @@ def test_an_fmu_without_a_model_is_refused(friction_fmu: Path, tmp_path: Path) -
     )
     with pytest.raises(HesrError, match="no such file"):
         measure(tmp_path / "missing.fmu")
+
+
+@pytest.fixture(scope="module")
+def drive_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    model = read_model(model_file("uf850-table1"))
+    return export_drive(model, tmp_path_factory.mktemp("drive") / "Drive.fmu", inertia=[3.0] * 3)
+
+
+def test_an_fmu_with_other_connectors_is_refused_before_it_is_checked(
+    friction_fmu: Path, drive_fmu: Path, hesr: Hesr
+) -> None:
+    sentence = (
+        f"{drive_fmu}: --convention needs a friction FMU (velocity in, torque out), and this one "
+        "has no input 'dq[1]'."
+    )
+    with pytest.raises(SimulationError) as caught:
+        measure(drive_fmu)
+    assert str(caught.value) == sentence
+    answer = hesr("check", "--convention", friction_fmu, drive_fmu, "--json", "-")
+    assert (answer.code, answer.out, answer.err) == (2, "", f"hesr: {sentence}\n")
+
+
+def test_a_friction_fmu_whose_description_is_broken_is_checked_all_the_same(
+    friction_fmu: Path, tmp_path: Path, hesr: Hesr
+) -> None:
+    broken = tmp_path / "broken.fmu"
+    with zipfile.ZipFile(friction_fmu) as old, zipfile.ZipFile(broken, "w") as new:
+        for name in old.namelist():
+            new.writestr(name, b"<" if name == "modelDescription.xml" else old.read(name))
+    answer = hesr("check", "--convention", broken)
+    assert answer.code == 2
+    assert f"{broken}: [xml] modelDescription.xml:" in answer.out
+    assert answer.err.startswith(f"hesr: {broken}: not a readable FMU (")
 
 
 def test_results_as_a_table_and_as_json(friction_fmu: Path) -> None:

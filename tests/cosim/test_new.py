@@ -95,6 +95,7 @@ def test_what_is_laid_runs_at_once_and_again_with_own_logs(
     assert "LuGre" in answer.out
     assert "results/my_arm/fmus/parfam_h.fmu" in answer.out
     before = read_model(Path("results/my_arm/laws/lugre.json"))
+    assert "Sample data, not measured" in Path("results/my_arm/report.html").read_text("utf-8")
 
     # The newcomer's own logs, of another friction and at another rate, and another choice of laws.
     study = Path("my_arm/study.toml")
@@ -106,6 +107,7 @@ def test_what_is_laid_runs_at_once_and_again_with_own_logs(
     answer = hesr(*command)
     assert answer.code == 0, answer.err
     assert "Stribeck" not in answer.out
+    assert "The logs were measured" in Path("results/my_arm/report.html").read_text("utf-8")
     after = read_model(Path("results/my_arm/laws/lugre.json"))
     recorded = {f["name"]: f["sha256"] for f in after.provenance["files"]}
     assert recorded["sample_training.csv"] == sha256(Path("my_arm/logs/sample_training.csv"))
@@ -138,6 +140,7 @@ def test_everything_is_there_and_says_that_its_logs_are_samples(tmp_path: Path) 
         "robot.toml",
         "study.toml",
         "logs/sample_training.csv",
+        "logs/SAMPLES.sha256",
         "logs/sample_test.csv",
     }
     assert "SAMPLE DATA" in (tmp_path / "new" / "README.txt").read_text()

@@ -10,6 +10,8 @@ import pytest
 
 from cosim.scoring import (
     MEASURES,
+    Comparison,
+    Ratio,
     by_joint,
     compare,
     inputs_of,
@@ -24,7 +26,7 @@ from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws import estimator
 from hesr_model.friction.model import FrictionModel
-from hesr_model.metrics import rmse
+from hesr_model.metrics import Score, rmse
 from hesr_model.residual import FrictionRecord
 
 BRISTLE = {
@@ -226,14 +228,31 @@ def test_a_class_is_named_by_what_any_joint_uses() -> None:
     assert inputs_of(model_of(stribeck(), bristle())) == "v, q, load, start"
 
 
-def shown(table: object) -> str:
+def shown(table: object, width: int = 120) -> str:
     from io import StringIO
 
     from rich.console import Console
 
     out = StringIO()
-    Console(file=out, width=120).print(table)
+    Console(file=out, width=width).print(table)
     return out.getvalue()
+
+
+@pytest.mark.parametrize("joints", [6, 8])
+def test_intervals_of_many_joints_fit_80_columns_whole(joints: int) -> None:
+    ratio = Ratio(value=8.25, low=6.07, high=11.24)
+    score = Score(tau_std=1.0, rmse=1.0, rmse_reversal=None, rmse_moving=None, r2=None)
+    names = tuple(f"j{k}" for k in range(joints))
+    scores = Comparison(
+        joints=names,
+        laws=dict.fromkeys(("lugre", "parfam_hx"), (score,) * joints),
+        ratios={"parfam_hx": (ratio,) * joints},
+        reference="lugre",
+    )
+    text = shown(ratios("unseen", scores), 80)
+    assert "…" not in text
+    assert text.count("11.24") == joints
+    assert text.count("6.07-") == joints
 
 
 def test_tables_group_laws_of_equal_inputs_the_fewest_first(

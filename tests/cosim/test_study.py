@@ -128,6 +128,18 @@ HEAD = 'name = "x"\nrobot = "r.toml"\n'
             "band 'b' is of the unknown test set 'seen'",
         ),
         (
+            f'{HEAD}bands = [{{ test = "unseen", name = "unseen" }}]\n{LOGS}',
+            "the name 'unseen' stands for more than one test set or band",
+        ),
+        (
+            f'{HEAD}laws = ["lugre", "lugre"]\n{LOGS}',
+            "the name 'lugre' stands for more than one law",
+        ),
+        (
+            f'{HEAD}laws = ["lugre"]\n{LOGS}[variants.lugre]\nlaw = "stribeck"',
+            "the name 'lugre' stands for more than one law",
+        ),
+        (
             f'{HEAD}bands = [{{ test = "unseen", name = "b", start = -1.0 }}]\n{LOGS}',
             "key 'bands.0.start' is -1.0",
         ),
@@ -370,6 +382,16 @@ def test_a_study_without_laws_runs_those_that_the_robot_file_allows(tmp_path: Pa
         laws = Job(study=Study.read(path), path=path, progress=lambda *_: None).laws
         assert ("lugre_load_ripple" in laws) == ripple
         assert {"stribeck", "parfam_h", "parfam_hx"} <= set(laws)
+
+
+def test_a_variant_may_not_be_named_as_a_law(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(f'{HEAD}{LOGS}[variants.lugre]\nlaw = "stribeck"')
+    with pytest.raises(ConfigError) as caught:
+        Job(study=Study.read(path), path=path, progress=lambda *_: None)
+    assert str(caught.value) == (
+        f"{path}: key 'variants.lugre' has the name of a law; give it one of its own."
+    )
 
 
 def test_a_quick_run_has_the_classic_laws_only(tmp_path: Path) -> None:

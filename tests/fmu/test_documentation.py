@@ -1,5 +1,6 @@
 """documentation/index.html: well formed, of itself alone, and right in what it says."""
 
+import re
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,6 +16,7 @@ from fmu_src.friction import component as friction
 from fmu_src.friction.datasheet import EULER, RK4, fastest, figure
 from fmu_src.friction.documentation import to_html
 from fmu_src.friction.mathml import equations
+from fmu_src.html import TEMPLATES
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws import registry
 from hesr_model.friction.model import FrictionModel
@@ -91,6 +93,18 @@ def check(text: str, *, alive: bool = False) -> Page:
     assert anchors <= set(page.values("id"))
     assert not [name for _, name, _ in page.attributes if name.startswith("on")]
     return page
+
+
+def test_header_cells_say_what_they_head() -> None:
+    """In every page that is made of a template; none of them is empty."""
+    cells = [
+        (template.name, *cell)
+        for template in TEMPLATES.glob("*.j2")
+        for cell in re.findall(r"(<th\b[^>]*>)(</th>)?", template.read_text(encoding="utf-8"))
+    ]
+    assert len({name for name, *_ in cells}) == 5
+    assert len(cells) > 30
+    assert [c for c in cells if not re.search(r'scope="(col|row)"', c[1]) or c[2]] == []
 
 
 def test_page_of_every_registered_law(fitted: dict[str, FrictionModel]) -> None:

@@ -122,6 +122,8 @@ def test_the_motion_is_one_that_was_trained(
         knobs = joint["motion"]
         assert {knob["name"]: knob["value"] for knob in knobs} == expected
         assert all(knob["low"] < knob["value"] < knob["high"] for knob in knobs)
+        assert all(knob["least"] is None or knob["least"] <= knob["low"] for knob in knobs)
+        assert all(knob["most"] is None or knob["most"] >= knob["high"] for knob in knobs)
     slow = make_model(make_law("bare"), sample_time=0.5)
     knobs = {k["name"]: k for k in live_of(slow)["joints"][0]["motion"]}
     assert set(knobs) == {"amplitude", "frequency", "cycles"}

@@ -328,3 +328,14 @@ def test_a_log_at_once_is_the_log_step_by_step(law: FrictionLaw, seed: int) -> N
         [stepper.step(*row) for row in np.stack([steps, dq, q, load], axis=1).tolist()]
     )
     np.testing.assert_allclose(torque, stepped, rtol=0, atol=1e-12 * np.abs(stepped).max())
+
+
+def test_a_division_by_a_coefficient_that_is_zero_gives_no_number() -> None:
+    """As among arrays and in C: what runs a law looks for what is not finite."""
+    form = LawForm(coefficients=(A, B), output=DQ * b / a)
+    law = FrictionLaw(name="odd", form=form, values={"a": 0.0, "b": 2.0})
+    with np.errstate(divide="ignore", invalid="ignore"):
+        torque = predict(law, t=[0.0, 1.0], dq=[0.0, 3.0])
+        assert not np.isfinite(Stepper(law).step(0.1, 3.0))
+    assert np.isnan(torque[0])
+    assert not np.isfinite(torque[1])

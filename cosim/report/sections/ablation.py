@@ -28,7 +28,10 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     if variants:
         whole = results.run.variants[variants[-1]]
         ladder = [*variants, *([whole] if whole in laws else [])]
-        caption = f"{test}: RMSE [N.m] of the variants, each with one part more than that above it"
+        caption = (
+            f"{test}: RMSE [{results.unit('N.m')}] of the variants, each with one part more than "
+            "that above it"
+        )
         parts.append(
             table(
                 Table(

@@ -52,16 +52,14 @@ def section(results: Results, pictures: Pictures) -> Section | None:
             paragraph(
                 "Friction takes energy out of a motion; a law that was fitted to torque may do "
                 "otherwise. Each law was tried on closed cycles of 0.05 to 2 Hz and, at rest, "
-                "under "
-                f"encoder noise of {1e6 * ENCODER:.0f} µrad. Laws that give energy are no friction "
-                "of "
-                "a simulated plant, whatever their RMSE."
+                f"under encoder noise of {1e6 * ENCODER:.0f} {results.unit('µrad')}. Laws that "
+                "give energy are no friction of a simulated plant, whatever their RMSE."
             ),
             table(
                 Table(
                     caption="Most energy that a law gives in a closed cycle [J], and the chatter "
                     "of "
-                    "its torque at rest [N.m]",
+                    f"its torque at rest [{results.unit('N.m')}]",
                     head=(
                         "law",
                         *(f"energy {short}" for short in results.joints),
@@ -93,7 +91,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                             head=("", *results.joints),
                             rows=[
                                 Row(head=label, cells=cells)
-                                for label, cells in audit_rows(of_law).items()
+                                for label, cells in audit_rows(of_law, results.sliding).items()
                             ],
                         )
                     )

@@ -40,7 +40,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
             ),
             *(
                 details(f"{results.title(law)}: figures, reasons and plots",
-                        _sheet(law, results.properties[law]))
+                        _sheet(results, law))
                 for law in shown
             ),
             paragraph("Those of other laws stand in the documentation of their FMUs.", note=True),
@@ -67,6 +67,8 @@ def _marks(found: Properties) -> list[Markup]:
     return cells
 
 
-def _sheet(law: str, found: Properties) -> Markup:
-    html = sheet(found).replace('id="property-', f'id="{law}-property-')
+def _sheet(results: Results, law: str) -> Markup:
+    html = sheet(results.properties[law], sliding=results.sliding).replace(
+        'id="property-', f'id="{law}-property-'
+    )
     return Markup(html.replace('href="#property-', f'href="#{law}-property-'))

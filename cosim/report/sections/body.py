@@ -32,7 +32,7 @@ def section(results: Results, pictures: Pictures) -> Section:
             f"{len(body.base)} base parameters carry the {len(body.names)} standard ones{more}. "
             f"They were found by {_method(body)} from {', '.join(body.logs)}, with a condition "
             f"number of {rounded(body.condition)}. What is left over the rows of the fit: "
-            f"{errors} N.m RMSE."
+            f"{errors} {results.unit('N.m')} RMSE."
         )
     ]
     log = results.log_of("identification")
@@ -59,7 +59,7 @@ def _figure(results: Results, pictures: Pictures, log: SavedLog) -> Markup:
         (
             Panel(
                 title=f"{short}: {name}",
-                y="torque [N.m]",
+                y=f"torque [{results.unit('N.m', k - 1)}]",
                 lines=(
                     Line(name="measured", x=t, y=torques[f"tau{k}"], stroke=MEASURED),
                     Line(name="rigid body", x=t, y=torques[f"tau_rb{k}"], stroke=blue),

@@ -14,6 +14,12 @@ def section(results: Results, pictures: Pictures) -> Section:
         if run.twin
         else "The logs were measured. The true friction is not known, and there is no closed loop."
     )
+    if samples := [log.name for log in run.logs if log.sample]:
+        source = (
+            f"Sample data, not measured: {', '.join(samples)} were simulated by 'hesr new', with "
+            "friction and noise of plausible size. What is learnt from them says nothing about a "
+            "real robot."
+        )
     joints = ", ".join(
         f"{short} {name}" for short, name in zip(results.joints, run.joints, strict=True)
     )

@@ -46,9 +46,19 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     )
     picture = sheets(
         (
-            Sheet(title="(a) β: slope at rest", x="dq [mrad/s]", y="tanh(β dq)", lines=slopes),
-            Sheet(title="(b) α: width of the loop", x="dq [rad/s]", y="h", lines=widths),
-            Sheet(title="(c) as fitted", x="dq [rad/s]", y="h", lines=fitted),
+            Sheet(
+                title="(a) β: slope at rest",
+                x=f"dq [{results.unit('mrad/s', 0)}]",
+                y="tanh(β dq)",
+                lines=slopes,
+            ),
+            Sheet(
+                title="(b) α: width of the loop",
+                x=f"dq [{results.unit('rad/s', 0)}]",
+                y="h",
+                lines=widths,
+            ),
+            Sheet(title="(c) as fitted", x=f"dq [{results.unit('rad/s')}]", y="h", lines=fitted),
         )
     )
     values = "; ".join(
@@ -63,7 +73,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                 "The paper's law sees, beside the velocity, a state h that follows the direction "
                 "of "
                 "motion with a delay (its eq. 9): dh/dt = α (tanh(β dq) − h). Fitted (α [1/s], "
-                f"β [s/rad]): {values}."
+                f"β [{results.unit('s/rad')}]): {values}."
             ),
             pictures.figure(
                 "hysteresis",

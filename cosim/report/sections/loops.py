@@ -29,7 +29,12 @@ def section(results: Results, pictures: Pictures) -> Section | None:
         }
         drawn = pictures.figure(
             f"loops_{k}",
-            loops((dq, measured), laws, x=f"dq of {short} [rad/s]", y="friction [N.m]"),
+            loops(
+                (dq, measured),
+                laws,
+                x=f"dq of {short} [{results.unit('rad/s', k - 1)}]",
+                y=f"friction [{results.unit('N.m', k - 1)}]",
+            ),
             f"Friction of {name} over its velocity near reversals on {log.name}: grey as measured, "
             "blue the law. A law of velocity alone is one curve; one with memory opens into loops, "
             "and the best follow the measured ones.",

@@ -26,7 +26,7 @@ from cosim.scoring import ORACLE, Comparison, Ratio
 
 _WINDOW = 10.0  # [s] of a picture; the view that zooms shows all
 _MEASURES = {
-    "rmse_moving": "while moving (|dq| > 0.02 rad/s)",
+    "rmse_moving": "while moving (|dq| > 0.02 {speed})",
     "rmse_reversal": "within 0.1 s of velocity reversals",
 }
 
@@ -71,7 +71,7 @@ def _of_test(results: Results, pictures: Pictures, test: str, *, first: bool) ->
     if log is not None and first:
         parts.append(_traces(results, pictures, test))
     more = [
-        table(_errors(results, test, scores, measure, words))
+        table(_errors(results, test, scores, measure, words.format(speed=results.unit("rad/s"))))
         for measure, words in _MEASURES.items()
     ]
     parts.append(details("Moving rows and reversals by themselves", *more))
@@ -115,7 +115,8 @@ def _errors(results: Results, name: str, scores: Comparison, measure: str, words
             for law in laws
         ]  # fmt: skip
     return Table(
-        caption=f"{name}: RMSE of the predicted torque [N.m] {words}{beside if ratios else ''}",
+        caption=f"{name}: RMSE of the predicted torque [{results.unit('N.m')}] {words}"
+        f"{beside if ratios else ''}",
         head=("law", *results.joints),
         rows=rows,
     )
@@ -192,7 +193,7 @@ def _split(results: Results, scores: Sequence[tuple[str, Comparison]]) -> Table:
         for name, c in scores
     }
     return Table(
-        caption="RMSE of the predicted torque [N.m] on the parts",
+        caption=f"RMSE of the predicted torque [{results.unit('N.m')}] on the parts",
         head=("law", *(f"{name}: {short}" for name, _ in scores for short in results.joints)),
         rows=[
             Row(

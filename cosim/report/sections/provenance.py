@@ -13,8 +13,11 @@ def section(results: Results, pictures: Pictures) -> Section:
     del pictures
     run = results.run
     versions = ", ".join(f"{name} {number}" for name, number in run.versions.items())
-    files = {log.file: log.sha256 for log in run.logs}
-    files |= {f["name"]: f["sha256"] for f in results.provenance.get("files", ())}
+    files = dict.fromkeys((log.file, log.sha256) for log in run.logs)
+    logs = {log.sha256 for log in run.logs}
+    for file in results.provenance.get("files", ()):
+        if file["sha256"] not in logs:
+            files[file["name"], file["sha256"]] = None
     return Section(
         key="provenance",
         title="Provenance",
@@ -36,7 +39,7 @@ def section(results: Results, pictures: Pictures) -> Section:
                         head=("file", "SHA-256"),
                         rows=[
                             Row(head=name, cells=[Markup("<code>{}</code>").format(digest)])
-                            for name, digest in files.items()
+                            for name, digest in files
                         ],
                         numeric=False,
                     )

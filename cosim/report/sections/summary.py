@@ -82,7 +82,7 @@ def _error(results: Results) -> Tile:
         text += f"; Stribeck {_listed([s.rmse for s in scores['stribeck']])}"
     if ORACLE in scores:
         text += f"; the true friction {_listed([s.rmse for s in scores[ORACLE]])}"
-    return Tile(figure=_listed(best), unit="N.m", text=f"{text} ({_over(results)})")
+    return Tile(figure=_listed(best), unit=results.unit("N.m"), text=f"{text} ({_over(results)})")
 
 
 def _paper(results: Results) -> Tile | None:
@@ -166,8 +166,8 @@ def _honest(results: Results) -> list[str]:
         best = [s.rmse for s in scores.laws[results.best]]
         above = 100.0 * float(np.mean(np.divide(best, floor)) - 1.0)
         said.append(
-            f"Noise and the rigid body’s own error leave {_listed(floor)} N.m to any law; "
-            f"{results.title(results.best)} is {above:.0f}\u00a0% above that on average."
+            f"Noise and the rigid body’s own error leave {_listed(floor)} {results.unit('N.m')} to "
+            f"any law; {results.title(results.best)} is {above:.0f}\u00a0% above that on average."
         )
     if PAPERS in results.properties:
         counts = {law: passed(found) for law, found in results.properties.items()}

@@ -32,7 +32,7 @@ def torque_chart(
             (
                 Panel(
                     title=f"{short}: {name}",
-                    y="friction [N.m]",
+                    y=f"friction [{results.unit('N.m', k - 1)}]",
                     lines=(
                         Line(name="measured", x=t, y=measured, stroke=MEASURED),
                         *(
@@ -44,7 +44,7 @@ def torque_chart(
                 ),
                 Panel(
                     title="",
-                    y="|error| [N.m]",
+                    y=f"|error| [{results.unit('N.m', k - 1)}]",
                     lines=tuple(
                         Line(name=results.title(law), x=t, y=np.abs(tau - measured),
                              stroke=styles[law])

@@ -122,7 +122,9 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
                 return _collected(subject, load, speed, None, inertia, found)
             found = _moved(bench, scale, model, seen, inertia)
         if model and inertia is not None:
-            drive = export_drive(model, Path(folder, "drive.fmu"), inertia=inertia.tolist())
+            # The drive of a joint that slides moves by the same equations, its inertia a mass.
+            turning = replace(model, sliding=())
+            drive = export_drive(turning, Path(folder, "drive.fmu"), inertia=inertia.tolist())
             with drive_bench(drive, places) as driven:
                 for key, experiment in _DRIVEN.items():
                     found[key] = _tried(partial(experiment, driven, scale), joints)
@@ -140,6 +142,7 @@ def _collected(
     """Return all findings by joint; sizes are zero where nothing could be measured."""
     model = subject.model
     names = model.joints if model else [f"joint {k}" for k in range(1, len(speed) + 1)]
+    sliding = model.slides if model else (False,) * len(speed)
     return Properties(
         law=model.law if model else subject.name,
         robot=model.robot if model else "",
@@ -151,7 +154,9 @@ def _collected(
                 level=float(scale.level[j]) if scale else 0.0,
                 deflection=float(scale.deflection[j]) if scale else 0.0,
                 inertia=None if inertia is None else float(inertia[j]),
-                findings={key: _finite(found[key][j]) for key in EXPECTATIONS},
+                findings={
+                    key: _finite(found[key][j]).of_joint(slides=sliding[j]) for key in EXPECTATIONS
+                },
             )
             for j, name in enumerate(names)
         ),

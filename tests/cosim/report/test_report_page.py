@@ -159,6 +159,18 @@ def test_measured_logs_have_no_loop_and_no_truth(copied: Path) -> None:
     assert "Table II of the paper" not in page.text
 
 
+def test_logs_of_one_name_in_two_folders_keep_their_hashes(copied: Path) -> None:
+    def renamed(run: Json) -> None:
+        for k, log in enumerate(run["logs"][:2]):
+            log.update(name=f"d{k}/log.csv", file=f"d{k}/log.csv", sha256=f"{k}" * 64)
+
+    edit(copied / "run.json", renamed)
+    page = Page(write_report(copied))
+    for k in range(2):
+        assert f"d{k}/log.csv" in page.text
+        assert f"{k}" * 64 in page.text
+
+
 def test_without_fmus_nothing_is_live_and_the_rest_is_there(copied: Path) -> None:
     shutil.rmtree(copied / "fmus")
     assert Page(write_report(copied)).sections == [s for s in SECTIONS if s != "live"]

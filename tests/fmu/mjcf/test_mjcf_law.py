@@ -195,9 +195,9 @@ NO_COUNTERPART = {
         odd(output=lambda z: F * z.state + sympy.sin(Q + DQ)),
         "its torque has the term sin(dq + q), ",
     ),
-    "complex": (
-        odd(output=lambda z: F * z.state + sympy.log(C) * DQ, values=(0.1, 9.0, -2.0)),
-        "its coefficients make log(c) no number (0.693147180559945 + I*pi)",
+    "endless": (
+        odd(rate=absolute(DQ) * C, values=(0.1, 9.0, 0.0)),
+        "its state 'z' never relaxes, a bristle in proportion to the speed",
     ),
     "wave of the square": (
         odd(output=lambda z: F * z.state + C * sympy.sin(Q**2)),
@@ -221,8 +221,17 @@ def test_what_mujoco_has_no_part_for_is_refused(name, make_model, tmp_path):
     assert reason in sentence
     assert sentence.endswith(
         "; --project writes the nearest bristles and says how far off they are."
+        if name != "negative level"
+        else "; nor can it be projected: relaxation rate is negative, so the state would not decay."
     )
     assert not list(tmp_path.iterdir())
+
+
+def test_a_part_that_is_no_number_is_named():
+    law = odd(output=lambda z: F * z.state + sympy.log(C) * DQ, values=(0.1, 9.0, -2.0))
+    with pytest.raises(ExportError) as refusal:
+        parts_of(law)
+    assert str(refusal.value) == "its coefficients make its viscous friction no number (log(c))"
 
 
 REGISTRY = {

@@ -152,10 +152,13 @@ def test_a_law_without_a_finite_torque(make_model, tmp_path):
     own = Coefficient(name="a", unit="1", description="")
     form = LawForm(coefficients=(own,), output=sympy.exp(own.symbol * DQ**2))
     law = FrictionLaw(name="wild", form=form, values={"a": 1e4})
-    with pytest.raises(ExportError) as refusal:
-        export_mjcf_law(make_model(law), tmp_path / "friction.xml", project=True)
-    assert str(refusal.value) == (
-        "law 'wild': its torque is not finite at speeds up to 1.2 rad/s, so that nothing can be "
-        "projected onto it."
-    )
-    assert not list(tmp_path.iterdir())
+    for project in (True, False):
+        with pytest.raises(ExportError) as refusal:
+            export_mjcf_law(make_model(law), tmp_path / "friction.xml", project=project)
+        assert str(refusal.value) == (
+            "law 'by_hand' of joint 'axis_1' is not expressible in MJCF: its torque has the term "
+            "exp(a*dq**2), which is neither a bristle's nor viscous nor a ripple in the joint's "
+            "angle alone; nor can it be projected: law 'wild': its torque is not finite at speeds "
+            "up to 1.2 rad/s, so that nothing can be projected onto it."
+        )
+        assert not list(tmp_path.iterdir())

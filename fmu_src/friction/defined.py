@@ -1,0 +1,72 @@
+"""Whether the numbers of a law give a torque at all: what divides by zero is told, not exported."""
+
+from collections.abc import Mapping
+
+import sympy
+
+from hesr_model.errors import ExportError
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
+
+_LONGEST = 60
+
+
+def require_numbers(model: FrictionModel) -> None:
+    """Refuse a model of which some law has no value, whatever its inputs are.
+
+    Only what the coefficients alone make so is looked for, as a division by one that is 0; a torque
+    may still be no number at some speeds.
+
+    Raises
+    ------
+    ExportError
+        Naming the law, the joint, the part of the law, and the coefficients that make it so.
+    """
+    for law, joint in zip(model.laws, model.joints, strict=True):
+        part = _undefined(law)
+        if part is not None:
+            at = ", ".join(
+                f"{c.name} = {law.values[c.name]:g}"
+                for c in law.form.coefficients
+                if c.symbol in part.free_symbols
+            )
+            raise ExportError(
+                f"law '{model.law}' of joint '{joint}' cannot be run: {shown(part)} in it is no "
+                f"number with {at}."
+            )
+
+
+def shown(expression: sympy.Expr) -> str:
+    """Return an expression for people, cut where it is long."""
+    text = str(sympy.sstr(expression)).replace("absolute(", "abs(")
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+
+
+def _undefined(law: FrictionLaw) -> sympy.Expr | None:
+    """Return the smallest part of a law that its coefficients make no number; None for none."""
+    values = {c.symbol: sympy.Float(law.values[c.name]) for c in law.form.coefficients}
+    known: dict[sympy.Basic, sympy.Basic] = {}
+    form = law.form
+    for whole in (*(e for r in form.relaxations for e in (r.drive, r.rate)), form.output):
+        # Parts before what they are parts of.
+        for part in sympy.postorder_traversal(whole):
+            if part not in known:
+                known[part] = _value(part, values, known)
+                if isinstance(part, sympy.Expr) and _no_number(known[part]):
+                    return part
+    return None
+
+
+def _value(
+    part: sympy.Basic,
+    values: Mapping[sympy.Symbol, sympy.Float],
+    known: Mapping[sympy.Basic, sympy.Basic],
+) -> sympy.Basic:
+    if not part.args:
+        return values.get(part, part)
+    return part.func(*(known[argument] for argument in part.args))
+
+
+def _no_number(value: sympy.Basic) -> bool:
+    infinite = value.has(sympy.nan, sympy.zoo, sympy.oo, -sympy.oo)
+    return bool(infinite or (value.is_number and value.is_real is False))

@@ -1,0 +1,151 @@
+"""FMUs and other exports of models with a joint that slides: units, pages, refusals."""
+
+import json
+import re
+import zipfile
+
+import mujoco
+import numpy as np
+import pytest
+from fmpy import read_model_description
+
+from fmu_src import export_fmu
+from fmu_src.arm.truth import true_friction
+from fmu_src.check import check
+from fmu_src.drive.export import export_drive
+from fmu_src.friction.embedded import EMBEDDED_MODEL
+from fmu_src.mjcf.export import export_mjcf_law
+from fmu_src.modelica.export import export_modelica
+from hesr_model.artifacts import model_to_json
+from hesr_model.errors import ExportError
+
+CART = """
+<mujoco>
+  <option timestep="0.0005"/>
+  <worldbody>
+    <body><joint name="axis_1" type="slide" axis="1 0 0"/><geom size="0.1" mass="2"/></body>
+  </worldbody>
+  <include file="friction.xml"/>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def mixed(make_law, make_model):
+    """A joint that turns and one that slides, of one law."""
+    return make_model(make_law("lugre"), make_law("lugre"), sliding=(False, True))
+
+
+@pytest.fixture(scope="module")
+def mixed_fmu(mixed, tmp_path_factory):
+    return export_fmu(mixed, tmp_path_factory.mktemp("mixed") / "Friction.fmu")
+
+
+def variables(fmu):
+    return {v.name: v for v in read_model_description(fmu, validate=True).modelVariables}
+
+
+def test_every_variable_has_the_unit_of_its_joint(mixed_fmu):
+    found = variables(mixed_fmu)
+    for name, turning, sliding in (
+        ("dq[{}]", "rad/s", "m/s"),
+        ("q[{}]", "rad", "m"),
+        ("tau_load[{}]", "N.m", "N"),
+        ("tau[{}]", "N.m", "N"),
+        ("dtau_ddq[{}]", "N.m.s/rad", "N.s/m"),
+        ("z[{}]", "rad", "m"),
+        ("der(z[{}])", "rad/s", "m/s"),
+        ("joint[{}].sigma_0", "N.m/rad", "N/m"),
+        ("joint[{}].sigma_1", "N.m.s/rad", "N.s/m"),
+        ("joint[{}].F_c", "N.m", "N"),
+        ("joint[{}].v_s", "rad/s", "m/s"),
+    ):
+        assert [found[name.format(i)].unit for i in (1, 2)] == [turning, sliding], name
+    assert found["tau[1]"].description == "friction torque of axis_1"
+    assert found["tau[2]"].description == "friction force of axis_2"
+    assert (
+        found["tau_load[2]"].description == "load force on axis_2: rigid-body force of the motion"
+    )
+
+
+def test_it_passes_every_check_and_carries_the_model(mixed, mixed_fmu):
+    assert check(mixed_fmu).problems == ()
+    with zipfile.ZipFile(mixed_fmu) as archive:
+        carried = json.loads(archive.read(EMBEDDED_MODEL))
+    assert carried == model_to_json(mixed)
+    assert [joint.get("sliding") for joint in carried["joints"]] == [None, True]
+
+
+def test_the_code_of_a_law_is_there_once(mixed_fmu):
+    with zipfile.ZipFile(mixed_fmu) as archive:
+        laws = archive.read("sources/laws.h").decode()
+    assert "law_1_torque" in laws
+    assert "law_2_torque" not in laws
+
+
+def test_its_page_does_not_lie(mixed, mixed_fmu, make_law, make_model, tmp_path):
+    both, one = "N.m (N where it slides)", make_model(make_law("lugre"), sliding=(True,))
+    with zipfile.ZipFile(mixed_fmu) as archive:
+        page = archive.read("documentation/index.html").decode()
+        readme = archive.read("extra/README.txt").decode()
+    assert f"Jump of the torque at rest [{both}]" in page
+    assert "<td>rad/s (m/s where it slides)</td>" in page
+    assert '"torque": "N"' in page
+    assert "Units are SI: s, rad, rad/s, N.m; s, m, m/s, N of a joint that slides." in readme
+    with zipfile.ZipFile(export_fmu(one, tmp_path / "F.fmu")) as archive:
+        page = archive.read("documentation/index.html").decode()
+        readme = archive.read("extra/README.txt").decode()
+    shown = re.sub(r"<script.*?</script>|<style.*?</style>", "", page, flags=re.DOTALL)
+    assert not re.findall(r".*(?:N\.m|\brad\b|µrad).*", shown)
+    assert "Units are SI: s, m, m/s, N.\n" in readme
+
+
+def test_a_drive_turns(mixed, tmp_path):
+    with pytest.raises(ExportError) as caught:
+        export_drive(mixed, tmp_path / "Drive.fmu", inertia=(1.0, 1.0))
+    assert str(caught.value) == (
+        "drive: joint 'axis_2' slides, and a drive turns; export its law as a friction FMU "
+        "(--format fmu), which knows both kinds."
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_modelica_package_turns(mixed, tmp_path):
+    with pytest.raises(ExportError) as caught:
+        export_modelica(mixed, tmp_path / "Friction.mo")
+    assert str(caught.value) == (
+        "Modelica: joint 'axis_2' slides, and the package has rotational flanges; export its law "
+        "as a friction FMU (--format fmu), which Modelica tools import."
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_mujoco_slides_as_the_law_does(make_law, make_model, tmp_path):
+    """Passive actuators act on any joint, in N where it slides."""
+    model = make_model(make_law("lugre"), law="lugre", sliding=(True,))
+    assert export_mjcf_law(model, tmp_path / "friction.xml").lines() == ["axis_1: exact"]
+    (tmp_path / "cart.xml").write_text(CART)
+    cart = mujoco.MjModel.from_xml_path(str(tmp_path / "cart.xml"))
+    assert true_friction(tmp_path / "cart.xml", ("axis_1",), sample_time=0.005).sliding == (True,)
+    data = mujoco.MjData(cart)
+    dt, rows = cart.opt.timestep, 4000
+    dq, force = np.empty(rows), np.empty(rows)
+    for k in range(rows):
+        data.qfrc_applied[0] = 25.0 * np.sin(6.0 * k * dt)
+        dq[k] = data.qvel[0]
+        mujoco.mj_step(cart, data)
+        force[k] = data.qfrc_actuator[0]
+    assert np.abs(force).max() > 5.0
+    # MuJoCo puts the force of a step's beginning on the joint; the law gives that of its end.
+    said = model.predict(t=dt * np.arange(rows), dq=dq[:, None])[:, 0]
+    assert np.abs(force[1:] + said[:-1]).max() < 0.05 * np.abs(said).max()
+
+
+def test_what_mujoco_has_no_part_for_is_said_in_its_units(make_law, make_model, tmp_path):
+    law = make_law("lugre")
+    negative = type(law)(**{**vars(law), "values": {**law.values, "sigma_0": -9.0, "F_c": 1.0}})
+    with pytest.raises(ExportError, match=r"has the factor -9 N/m, and the stiffness"):
+        export_mjcf_law(make_model(negative, sliding=(True,)), tmp_path / "friction.xml")
+    parfam = make_model(make_law("parfam_tanh"), sliding=(True,))
+    (line,) = export_mjcf_law(parfam, tmp_path / "friction.xml", project=True).lines()
+    assert re.search(r"RMSE \S+ N where fitted and \S+ N on another motion", line)

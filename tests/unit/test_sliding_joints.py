@@ -1,0 +1,148 @@
+"""Joints that slide: their units, in a model, in its file, and from a fit."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from joint_data import HX_PAPER, along, law, path
+
+from hesr_model.artifacts import read_model, write_model
+from hesr_model.errors import ArtifactError, LogError
+from hesr_model.friction.equation import coefficient_lines
+from hesr_model.friction.fit import fit
+from hesr_model.friction.laws import registry
+from hesr_model.friction.model import FrictionModel
+from hesr_model.residual import require_reversals
+from hesr_model.units import unit_of_joint, unit_of_joints
+
+TRUTH = law("parfam_hx", HX_PAPER, c_0=0.4, c_dq=5.0, c_h=9.0, c_dh=0.02, alpha=10.0, beta=50.0)
+TURNS = along(TRUTH, path(0), log="run")
+SLIDES = replace(TURNS, joint="lift", sliding=True)
+
+
+@pytest.fixture(scope="module")
+def model() -> FrictionModel:
+    """A joint that turns, and one that slides."""
+    return fit("lugre", [TURNS, SLIDES])
+
+
+@pytest.mark.parametrize(
+    ("turning", "sliding"),
+    [
+        ("N.m", "N"),
+        ("rad", "m"),
+        ("rad/s", "m/s"),
+        ("rad/s2", "m/s2"),
+        ("N.m.s", "N.s"),
+        ("N.m/rad", "N/m"),
+        ("N.m.s/rad", "N.s/m"),
+        ("N.m/s", "N/s"),
+        ("1/rad", "1/m"),
+        ("1/rad2", "1/m2"),
+        ("s/rad", "s/m"),
+        ("1/(N.m)", "1/N"),
+        ("rad/(s.N.m)", "m/(s.N)"),
+        ("kN.m/rad", "kN/m"),
+        ("mrad", "mm"),
+        ("µrad", "µm"),
+        ("kg.m2", "kg"),
+        ("1", "1"),
+        ("1/s", "1/s"),
+        ("J", "J"),
+        ("%", "%"),
+        ("", ""),
+        ("The grade at 2 rad/s is 3 N.m.", "The grade at 2 m/s is 3 N."),
+    ],
+)
+def test_units_of_a_joint_that_slides(turning: str, sliding: str) -> None:
+    assert unit_of_joint(turning, slides=True) == sliding
+    assert unit_of_joint(sliding, slides=True) == sliding
+    assert unit_of_joint(turning, slides=False) == turning
+
+
+def test_units_of_several_joints() -> None:
+    assert unit_of_joints("N.m", ()) == unit_of_joints("N.m", (False, False)) == "N.m"
+    assert unit_of_joints("N.m", (True, True)) == "N"
+    assert unit_of_joints("N.m", (False, True)) == "N.m (N where it slides)"
+    assert unit_of_joints("J", (False, True)) == "J"
+
+
+def test_no_law_of_the_registry_turns_where_it_slides() -> None:
+    for name, entry in registry().items():
+        try:
+            form = entry.form({})
+        except (ArtifactError, KeyError):
+            continue  # a family, which needs its structure
+        units = [c.unit for c in form.sliding.coefficients]
+        units += [r.unit for r in form.sliding.relaxations]
+        assert not [u for u in units if "rad" in u or "N.m" in u], name
+        assert not [c for c in form.sliding.coefficients if "torque" in c.description], name
+        assert form.sliding.sliding == form.sliding
+        assert form.sliding.output == form.output
+
+
+def test_a_fit_carries_which_joints_slide(model: FrictionModel) -> None:
+    assert model.sliding == (False, True)
+    turns, slides = model.laws
+    assert slides.values == turns.values
+    units = {c.name: (c.unit, s.unit) for c, s in zip(
+        turns.form.coefficients, slides.form.coefficients, strict=True
+    )}  # fmt: skip
+    assert units["sigma_0"] == ("N.m/rad", "N/m")
+    assert units["sigma_2"] == ("N.m.s/rad", "N.s/m")
+    assert units["v_s"] == ("rad/s", "m/s")
+    assert [r.unit for one in model.laws for r in one.form.relaxations] == ["rad", "m"]
+    assert any(line.endswith(" N/m") for line in coefficient_lines(slides))
+    assert not any("rad" in line or "N.m" in line for line in coefficient_lines(slides))
+
+
+def test_the_prediction_does_not_depend_on_units(model: FrictionModel) -> None:
+    predicted = model.predict([TURNS, SLIDES])
+    assert (predicted[:, 0] == predicted[:, 1]).all()
+
+
+def test_a_file_says_which_joints_slide_and_only_those(
+    model: FrictionModel, tmp_path: Path
+) -> None:
+    file = tmp_path / "law.json"
+    write_model(file, model)
+    turns, slides = json.loads(file.read_text())["joints"]
+    assert "sliding" not in turns
+    assert slides["sliding"] is True
+    assert slides["coefficients"]["sigma_0"]["unit"] == "N/m"
+    assert read_model(file) == model
+
+
+def test_a_model_without_the_field_turns(model: FrictionModel) -> None:
+    plain = FrictionModel(
+        law="lugre", robot="bench", joints=("j1",), laws=model.laws[:1], sample_time=0.01
+    )
+    assert (plain.sliding, plain.slides) == ((), (False,))
+    two = replace(plain, joints=("j1", "j2"), laws=plain.laws * 2, sliding=(False, False))
+    assert (two.sliding, two.slides) == ((), (False, False))
+
+
+def test_files_that_are_wrong_about_it(model: FrictionModel, tmp_path: Path) -> None:
+    file = tmp_path / "law.json"
+    write_model(file, model)
+    data = json.loads(file.read_text())
+    data["joints"][1]["sliding"] = "yes"
+    file.write_text(json.dumps(data))
+    with pytest.raises(ArtifactError, match="'sliding' of joint 'lift' is 'yes'; needed is true"):
+        read_model(file)
+    del data["joints"][1]["sliding"]
+    file.write_text(json.dumps(data))
+    with pytest.raises(ArtifactError, match=r"has the unit '.+', needed is '.*N\.m.*'"):
+        read_model(file)
+
+
+def test_one_entry_for_each_joint(model: FrictionModel) -> None:
+    with pytest.raises(ArtifactError, match="1 entries say which joints slide, of 2 joints"):
+        replace(model, sliding=(True,))
+
+
+def test_a_log_that_never_reverses_is_refused_in_its_units() -> None:
+    one_way = replace(SLIDES, dq=abs(SLIDES.dq) + 1.0)
+    with pytest.raises(LogError, match=r"speeds of more than 0\.02 m/s; at least one log"):
+        require_reversals([one_way])
