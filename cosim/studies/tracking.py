@@ -2,10 +2,9 @@
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from cosim.master import Master, Result
 from cosim.studies.traces import Trace
 from cosim.system import Value
 from fmu_src.blocks.trajectory import start_values
-from hesr_model import interrupts, parallel
+from hesr_model import parallel
 from hesr_model.files import sha256, written_whole
 from hesr_model.progress import Progress, unheard
 from hesr_model.trajectories import Trajectory
@@ -158,19 +157,10 @@ def track(
         progress(len(done), len(rows))
 
     progress(len(done), len(rows))
-    count = min(workers or os.cpu_count() or 1, len(left))
-    if count <= 1:
-        for i in left:
-            keep(i, _tracked(rows[i], motions, duration, limits, traced))
-    else:
-        with parallel.workers(count) as pool:
-            with interrupts.put_off():
-                futures = {
-                    pool.submit(_tracked, rows[i], motions, duration, limits, traced): i
-                    for i in left
-                }
-            for future in as_completed(futures):
-                keep(futures[future], future.result())
+    jobs = [partial(_tracked, rows[i], motions, duration, limits, traced) for i in left]
+    with parallel.begun(jobs, workers) as results:
+        for i, result in zip(left, results, strict=True):
+            keep(i, result())
     return [done[i] for i in range(len(rows))]
 
 

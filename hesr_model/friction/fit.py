@@ -1,6 +1,5 @@
 """Fit laws to all joints of a robot, each joint and law in a process of its own."""
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hesr_model import interrupts, parallel
+from hesr_model import parallel
 from hesr_model.artifacts import provenance as source_of
 from hesr_model.errors import FitError
 from hesr_model.friction.law import FrictionLaw
@@ -158,28 +157,18 @@ def fit_models(
     }
     done: dict[tuple[str, int], FrictionLaw] = {}
     failed: dict[str, FitError] = {}
-
-    def gather(results: Mapping[tuple[str, int], Callable[[], FrictionLaw]]) -> None:
-        for (law, joint), result in counted(results.items(), progress):
+    with parallel.begun(list(jobs.values()), workers) as results:
+        for (law, joint), result in counted(list(zip(jobs, results, strict=True)), progress):
             try:
                 done[law, joint] = result()
             except FitError as error:
                 failed.setdefault(law, error)
                 if left_out is None:
                     raise
-
-    count = min(workers or os.cpu_count() or 1, len(jobs))
-    if count <= 1:
-        gather(jobs)
-    else:
-        with parallel.workers(count) as pool:
-            with interrupts.put_off():
-                futures = {key: pool.submit(job) for key, job in jobs.items()}
-            gather({key: future.result for key, future in futures.items()})
-    for law, error in failed.items():
+    for law, reason in failed.items():
         if left_out is None or len(failed) == len(laws):
-            raise error
-        left_out(law, error)
+            raise reason
+        left_out(law, reason)
     joints = tuple(of_joint[0].joint for of_joint in records)
     periods = [float(np.median(np.diff(r.t))) for of_joint in records for r in of_joint]
     return {

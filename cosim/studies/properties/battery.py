@@ -1,6 +1,5 @@
 """Run all experiments on one model or FMU, and on many of them side by side."""
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -27,7 +26,7 @@ from cosim.studies.properties.stick_slip import stick_slip
 from fmu_src.drive.export import export_drive
 from fmu_src.friction.export import export_bare
 from fmu_src.friction.reference import UNKNOWN_SPEED
-from hesr_model import interrupts, parallel
+from hesr_model import parallel
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.friction.audit import loads_of
 from hesr_model.friction.expectations import EXPECTATIONS
@@ -91,13 +90,9 @@ def run_battery(
     """
     for subject in subjects:
         _require_inertia(subject)
-    count = min(workers or os.cpu_count() or 1, len(subjects))
-    if count <= 1:
-        return [measure(subject, load=load) for subject in counted(subjects, progress)]
-    with parallel.workers(count) as pool:
-        with interrupts.put_off():
-            futures = [pool.submit(measure, subject, load=load) for subject in subjects]
-        return [future.result() for future in counted(futures, progress)]
+    jobs = [partial(measure, subject, load=load) for subject in subjects]
+    with parallel.begun(jobs, workers) as results:
+        return [result() for result in counted(results, progress)]
 
 
 def measure(subject: Subject, *, load: float = 0.0) -> Properties:
