@@ -270,7 +270,9 @@ def test_entries_that_overlap(tmp_path, monkeypatch):
     path = tmp_path / "F.fmu"
     path.write_bytes(out.getvalue())
     found = said(path, "archive")
-    assert found == [
+    # Newer Pythons see it by themselves.
+    own = "the entry 'a' cannot be read (Overlapped entries: 'a' (possible zip bomb))."
+    assert [text for text in found if text != own] == [
         "the entry 'a' is there more than once.",
         f"its entries claim {300 * (9 << 20)} bytes unpacked; more than {50 << 20} are not read; "
         "left out: 'a'.",
