@@ -1,42 +1,57 @@
 # make run        set everything up in .venv and do the main job
 # make test       set everything up and run the tests
+# make contract   run the tests of what every law and module must keep to
+# make soak       run the tests that take too long for every day
 # make lint       formatting, static checks, types
+# make mutate     put small faults into the sources and count those that tests notice
 # make interop    install other FMI engines in .tools and compare them with ours
 # make benchmark  speed and memory, recorded, not judged
 
 PYTHON ?= python3
-BIN := .venv/bin
+VENV ?= .venv
+BIN := $(VENV)/bin
+override IGNORED += tests/benchmarks
 C_FILES := $(wildcard fmu_src/c/*.c fmu_src/c/*.h tests/fmu/*.c tests/fmu/*.h tests/cosim/properties/*.c)
 
-.PHONY: run test lint format interop benchmark clean
+.PHONY: run test contract soak mutate lint format interop benchmark clean
 
-run: .venv/installed
+run: $(VENV)/installed
 	$(BIN)/hesr run
 
-test: .venv/installed
-	$(BIN)/pytest -n 2 --dist loadfile --ignore=tests/benchmarks
+test: $(VENV)/installed
+	$(BIN)/pytest $(IGNORED:%=--ignore=%) -n 2 --dist loadfile --no-loadscope-reorder -m "not soak"
 
-lint: .venv/installed
+contract: $(VENV)/installed
+	$(BIN)/pytest tests/contract -m "not soak"
+
+soak: $(VENV)/installed
+	$(BIN)/pytest $(IGNORED:%=--ignore=%) -n 2 --dist worksteal -m soak
+
+mutate: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --editable '.[mutation]'
+	$(BIN)/python tests/mutation/run.py $(MUTATE)
+
+lint: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run -Werror $(C_FILES)
 
-format: .venv/installed
+format: $(VENV)/installed
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 	$(BIN)/clang-format -i $(C_FILES)
 
-interop: .venv/installed
+interop: $(VENV)/installed
 	.ci/interop .tools/interop
 	$(BIN)/pytest tests/interop
 
-benchmark: .venv/installed
+benchmark: $(VENV)/installed
 	$(BIN)/pytest tests/benchmarks --benchmark-columns=min,median,max,rounds
 
-.venv/installed: pyproject.toml
+$(VENV)/installed: pyproject.toml
 	$(PYTHON) -c "import sys; sys.exit('HESR needs Python 3.11 or newer.' if sys.version_info < (3, 11) else 0)"
-	$(PYTHON) -m venv .venv
+	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	touch $@

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cosim.batch import Array
-from cosim.component import Component
+from cosim.slave import Component
 from fmu_src.arm.plant import ArmOutput, Plant
 
 _TRUE = ("q_true", "dq_true", "tau_true", "tau_f_true")

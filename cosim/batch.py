@@ -2,7 +2,7 @@
 
 import ctypes
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,23 @@ Array = NDArray[np.float64]
 
 WARNING = 1
 """Highest status of FMI 2.0 with which a call has done its work."""
+
+
+class Buffer(Protocol):
+    """Values of several Real variables, wherever their FMU runs.
+
+    Attributes
+    ----------
+    values : (n,) the buffer.
+    """
+
+    values: Array
+
+    def write(self) -> None:
+        """Set the variables to `values`; where that fails the next call may be the one to say."""
+
+    def read(self) -> Array:
+        """Read the variables into `values`, (n,) in their units, and return these."""
 
 
 class Batch:

@@ -1,19 +1,33 @@
 """The closed loop of an arm as a system of FMUs: trajectory, models, controller, arm."""
 
-from collections.abc import Collection, Mapping
+import re
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter
 
 from cosim.system import ComponentSpec, SystemSpec, Value
-from hesr_model.config import Config
+from hesr_model.support.config import Config
 
-VELOCITY_ONLY = "(velocity command only)"
-BODY_ONLY = "(rigid body only)"
-ORACLE = "(oracle)"
-"""What stands in the place of a law: no torque, that of the rigid body, the truth of both."""
+
+class StandIn(StrEnum):
+    """What stands in the place of a law: no torque, that of the rigid body, the truth of both."""
+
+    VELOCITY_ONLY = "(velocity command only)"
+    BODY_ONLY = "(rigid body only)"
+    ORACLE = "(oracle)"
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        return "true friction and rigid body" if self is StandIn.ORACLE else self.value[1:-1]
+
+
+Law = Annotated[StandIn | str, Field(union_mode="left_to_right")]
+"""Name of a law, or what stands in its place."""
 
 ARM = "Arm.fmu"
 """Name of the arm's FMU beside those of the laws."""
@@ -21,6 +35,11 @@ ARM = "Arm.fmu"
 PerJoint = Annotated[tuple[float, ...], Field(min_length=1)]
 _REST = 0.05  # [s] longer than any preview, so that a motion begins where the arm stands still
 Compensation = Literal["none", "torque_error", "servo_inversion"]
+_TITLES: Mapping[Compensation, str] = {
+    "none": "velocity command only",
+    "torque_error": "torque error (the paper’s scheme)",
+    "servo_inversion": "servo inversion",
+}
 Source = Literal["desired", "measured", "filtered"]
 """The velocity on which friction is evaluated."""
 
@@ -79,19 +98,70 @@ class Scheme:
     Kx : gain of the outer position loop [1/s].
     source : velocity on which friction is evaluated.
     friction_gain : factor on the friction torque.
+    change : what is otherwise than it was identified, for tables; empty for nothing.
     """
 
     compensation: Compensation
     Kx: float = 0.0
     source: Source = "desired"
     friction_gain: float = 1.0
+    change: str = ""
 
     @property
     def name(self) -> str:
-        """For tables."""
-        outer = f", Kx = {self.Kx:g}" if self.Kx else ""
-        source = "" if self.source == "desired" else f", friction of {self.source} velocity"
-        return f"{self.compensation}{outer}{source}"
+        """For files; `of_name` gives the scheme back."""
+        change = f": {self.change}" if self.change else ""
+        return ", ".join((self.compensation, *self._more)) + change
+
+    @property
+    def title(self) -> str:
+        """In words."""
+        return ", ".join((_TITLES[self.compensation], *self._more))
+
+    @property
+    def _more(self) -> Iterator[str]:
+        if self.Kx:
+            yield f"Kx = {_digits(self.Kx)}"
+        if self.source != "desired":
+            yield f"friction of {self.source} velocity"
+        if self.friction_gain != 1.0:
+            yield f"factor {_digits(self.friction_gain)}"
+
+    @classmethod
+    def of_name(cls, name: str) -> Self:
+        """Return the scheme of a name that stood in a file.
+
+        Raises
+        ------
+        ValueError
+            If it is no scheme's name.
+        """
+        found = _NAME.fullmatch(name)
+        if found is None:
+            raise ValueError(f"'{name}' is no scheme")
+        parts = {key: text for key, text in found.groupdict().items() if text}
+        return TypeAdapter(cls).validate_python(parts)
+
+
+_NAME = re.compile(
+    r"(?P<compensation>\w+)(, Kx = (?P<Kx>[^,:]+))?(, friction of (?P<source>\w+) velocity)?"
+    r"(, factor (?P<friction_gain>[^,:]+))?(: (?P<change>.+))?"
+)
+
+
+def _digits(value: float) -> str:
+    """Return a number with all its digits."""
+    return repr(float(value)).removesuffix(".0")
+
+
+def _scheme(value: Any) -> Any:
+    return Scheme.of_name(value) if isinstance(value, str) else value
+
+
+NamedScheme = Annotated[
+    Scheme, BeforeValidator(_scheme), PlainSerializer(lambda scheme: scheme.name, return_type=str)
+]
+"""A scheme that is its name in JSON."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,19 +6,20 @@ with its law as logs are replayed, and with its law in continuous time.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from cosim.batch import Array
-from cosim.component import Component, described
+from cosim.description import described
+from cosim.replay import require_finite
+from cosim.slave import Component
 from fmu_src.friction.embedded import embedded_model
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, errors, torques
 from hesr_model.errors import SimulationError
-from hesr_model.friction.functions import INPUTS
+from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.model import FrictionModel
 
 
@@ -45,10 +46,6 @@ class Convention:
     speeds: tuple[float, ...]
     replay: Mapping[str, tuple[Error, ...]]
     continuous: Mapping[str, tuple[Error, ...]]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON data in SI units."""
-        return asdict(self)
 
 
 def measure(fmu: Path, *, frequency: float = 0.25, periods: float = 5.0) -> Convention:
@@ -153,4 +150,5 @@ def run(fmu: Path, motion: Motion, setting: str) -> Array:
                 follow(slopes[k])
             component.step(time, step)
             torque[k + 1] = outputs.read()
+    require_finite(fmu, motion.t, torque)
     return torque

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from cosim.sample_logs import is_sample
-from cosim.saved import TRACES, SavedBand, SavedLog, SavedRun, write_run, write_torques
+from cosim.saved import TRACES, SavedLog, SavedRun, write_run, write_torques
 from cosim.scoring import inputs_of
 from cosim.study import Study
-from hesr_model.files import sha256
-from hesr_model.friction.evaluate import Array
+from hesr_model.equations.over_log import Array
 from hesr_model.friction.model import FrictionModel
-from hesr_model.residual import FrictionRecord
-from hesr_model.robot import RobotDescription
-from hesr_model.robot_log import RobotLog
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.robots.robot import RobotDescription
+from hesr_model.support.files import sha256
 
 Predictions = Mapping[str, Mapping[str, Sequence[Sequence[Array]]]]
 """Friction torques of each test set, by law, [joint][log], (N,) each [N.m]."""
@@ -32,7 +32,7 @@ def save_run(
     robot: RobotDescription,
     files: Mapping[str, Path],
     logs: Mapping[str, RobotLog],
-    records: Mapping[str, Sequence[FrictionRecord]],
+    records: Mapping[str, Sequence[Sequence[FrictionRecord]]],
     predictions: Predictions,
     models: Mapping[str, FrictionModel],
     left_out: Mapping[str, str],
@@ -45,7 +45,7 @@ def save_run(
     folder : of the results.
     study, command, quick : what was run.
     robot : its description.
-    files, logs, records : of every log, by name.
+    files, logs, records : of every log, by name; records by part of the log and joint.
     predictions : on the test sets.
     models : the laws.
     left_out : why others could not be fitted.
@@ -79,9 +79,7 @@ def save_run(
                 )
                 for name, log in logs.items()
             ),
-            bands=tuple(
-                SavedBand(test=b.test, name=b.name, start=b.start, stop=b.stop) for b in study.bands
-            ),
+            bands=study.bands,
             inputs={law: inputs_of(model) for law, model in models.items()},
             variants={name: variant.law for name, variant in study.variants.items()},
             left_out=left_out,
@@ -115,10 +113,10 @@ def _roles(study: Study, name: str) -> tuple[str, ...]:
 def _save_torques(
     folder: Path,
     study: Study,
-    records: Mapping[str, Sequence[FrictionRecord]],
+    records: Mapping[str, Sequence[Sequence[FrictionRecord]]],
     predictions: Predictions,
 ) -> dict[str, str]:
-    """Write the torques of the first log of each role; return their files by log."""
+    """Write the torques of the first log of each role, up to a gap; return their files by log."""
     first: dict[str, dict[str, list[Array]]] = {study.logs.identification[0]: {}}
     for test, names in study.logs.test.items():
         first[names[0]] = {
@@ -128,5 +126,5 @@ def _save_torques(
     traces = {}
     for k, (name, predicted) in enumerate(first.items(), start=1):
         traces[name] = f"torques_{k}.parquet"
-        write_torques(folder / traces[name], records[name], predicted)
+        write_torques(folder / traces[name], records[name][0], predicted)
     return traces

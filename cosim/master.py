@@ -4,18 +4,19 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.batch import Array, Batch
-from cosim.component import Component
+from cosim.batch import Array, Buffer
+from cosim.slave import Component
 from cosim.system import SystemSpec, Value
 from cosim.wiring import Element, Wiring
 from hesr_model.errors import HesrError, SimulationError
-from hesr_model.files import written_whole
-from hesr_model.progress import Progress, unheard
-from hesr_model.tables import write_table
+from hesr_model.logs.tables import write_table
+from hesr_model.support.files import written_whole
+from hesr_model.support.progress import Progress, unheard
 
 _TELL_EVERY = 200  # steps
 
@@ -77,22 +78,22 @@ class _Station:
 
     slave: Component
     every: int
-    inputs: Batch
+    inputs: Buffer
     sources: NDArray[np.intp]
-    outputs: Batch
+    outputs: Buffer
 
-    def take(self, values: Array) -> None:
+    def set_inputs(self, values: Array) -> None:
         """Set the connected inputs."""
         if self.sources.size:
             # All places are valid; without that promise NumPy would go through a copy.
             values.take(self.sources, out=self.inputs.values, mode="clip")
             self.inputs.write()
 
-    def go(self, k: int, step: float) -> None:
+    def step(self, k: int, step: float) -> None:
         """Step to the end of communication step k, whose size is `step` [s]."""
         self.slave.step((k + 1 - self.every) * step, self.every * step)
 
-    def give(self) -> None:
+    def read_outputs(self) -> None:
         """Read the outputs."""
         if self.outputs.values.size:
             self.outputs.read()
@@ -131,9 +132,14 @@ class Master:
             self._cleanup = cleanup.pop_all()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         """Free all FMUs."""
-        self._cleanup.close()
+        self._cleanup.__exit__(kind, error, trace)
 
     def _build(self) -> None:
         """Give every output that is needed a place, those of a component side by side."""
@@ -220,7 +226,7 @@ class Master:
         for station in self._stations:
             station.slave.exit_initialisation()
         for station in self._stations:
-            station.give()
+            station.read_outputs()
 
     def _propagate(self) -> None:
         """Set each connected input to what feeds it, in the order in which values become known.
@@ -251,21 +257,21 @@ class Master:
         values, step = self._values, self.spec.step
         for station in self._stations:
             if (k + 1) % station.every == 0:
-                station.take(values)
-                station.go(k, step)
-                station.give()
+                station.set_inputs(values)
+                station.step(k, step)
+                station.read_outputs()
 
     def _jacobi(self, k: int) -> None:
         """Do the same with the outputs of the instant at which the component's step begins."""
         values, step = self._values, self.spec.step
         for station in self._stations:
             if k % station.every == 0:
-                station.take(values)
+                station.set_inputs(values)
         ending = [s for s in self._stations if (k + 1) % s.every == 0]
         for station in ending:
-            station.go(k, step)
+            station.step(k, step)
         for station in ending:
-            station.give()
+            station.read_outputs()
 
     def _not_finite(self, time: float) -> SimulationError | None:
         finite = np.isfinite(self._values)

@@ -13,8 +13,8 @@ from cosim.closed_loop import Gains, Scheme, preview
 from fmu_src.arm.plant import Arm, Plant
 from hesr_model.friction.evaluate import Stepper, predict
 from hesr_model.friction.model import FrictionModel
-from hesr_model.robot import RobotModel
-from hesr_model.trajectories import Trajectory
+from hesr_model.motions.trajectories import Trajectory
+from hesr_model.robots.robot import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ _ROUNDING = 1e-9  # [s] by which a time may miss the instant at which the motion
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Loop:
+class MonolithicLoop:
     """A closed loop, of n joints.
 
     Attributes
@@ -69,7 +69,7 @@ class LoopResult:
     dq_cmd: Array
 
 
-def run_loop(loop: Loop) -> LoopResult:
+def run_loop(loop: MonolithicLoop) -> LoopResult:
     """Run a closed loop: measure, command, hold the command for a step, and again.
 
     Raises
@@ -98,7 +98,7 @@ def run_loop(loop: Loop) -> LoopResult:
     return LoopResult(t=t, q_d=q_d, q_true=q_true, dq_cmd=dq_cmd)
 
 
-def _motion(loop: Loop, t: Array) -> tuple[Array, Array, Array]:
+def _motion(loop: MonolithicLoop, t: Array) -> tuple[Array, Array, Array]:
     """Position, velocity and acceleration (N, n) at times (N,), of which the first are at rest."""
     q, dq, ddq = loop.motion.sample(np.maximum(t - loop.rest, 0.0))
     moving = (t >= loop.rest - _ROUNDING)[:, None]
@@ -118,7 +118,7 @@ class _Desired:
     dq : (N, n) [rad/s].
     """
 
-    def __init__(self, loop: Loop, t: Array) -> None:
+    def __init__(self, loop: MonolithicLoop, t: Array) -> None:
         self._loop = loop
         ahead = t + preview(loop.scheme, loop.gains, loop.step)
         self._q, self.dq, ddq = _motion(loop, ahead)
@@ -161,7 +161,7 @@ class _Desired:
 class _Controller:
     """The laws that the Controller FMU's C describes, for all joints at once."""
 
-    def __init__(self, loop: Loop, q_d: Array, desired: _Desired) -> None:
+    def __init__(self, loop: MonolithicLoop, q_d: Array, desired: _Desired) -> None:
         self._loop, self._q_d, self._desired = loop, q_d, desired
         gains = loop.gains
         self._fade = np.exp(-gains.decay * np.abs(desired.dq))

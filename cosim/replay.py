@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cosim.batch import Array
-from cosim.component import Component
+from cosim.slave import Component
 from hesr_model.errors import SimulationError
-from hesr_model.friction.functions import INPUTS
+from hesr_model.friction.inputs import INPUTS
 
 
 def replay(
@@ -76,4 +76,21 @@ def replay(
             inputs.write()
             component.step(instants[k - 1], instants[k] - instants[k - 1])
             torque[k] = outputs.read()
+    require_finite(fmu, time, torque)
     return torque
+
+
+def require_finite(fmu: Path, t: Array, torque: Array) -> None:
+    """Check the (N, n) torque of a friction FMU at the times t (N,) [s].
+
+    Raises
+    ------
+    SimulationError
+        If it is no finite number somewhere, naming the first time and joint.
+    """
+    finite = np.isfinite(torque)
+    if not finite.all():
+        row, joint = np.argwhere(~finite)[0]
+        raise SimulationError(
+            f"{fmu}: at t = {t[row]:.9g} s tau[{joint + 1}] is not a finite number."
+        )

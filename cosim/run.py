@@ -4,26 +4,29 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cosim.describe import save_run
-from cosim.job import Job
+from cosim.health import told, write_findings
+from cosim.pipeline import Job, records_of
 from cosim.scoring import Comparison
 from cosim.study import Study
 from fmu_src import export_fmu
 from fmu_src.toolchain import targets
 from hesr_model.artifacts import provenance, write_json, write_model, write_rigid_body
-from hesr_model.files import folder_written_whole, models_folder
 from hesr_model.friction.model import FrictionModel
-from hesr_model.progress import Stages, counted, unheard
-from hesr_model.residual import friction_records
-from hesr_model.rigid_body import RigidBody
-from hesr_model.robot import RobotModel
-from hesr_model.robot_log import RobotLog
+from hesr_model.health.examine import checked
+from hesr_model.health.fitted import check_body, check_laws
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.rigid_body.residual import friction_records
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support.files import folder_written_whole, models_folder
+from hesr_model.support.progress import Stages, counted, unheard
+from hesr_model.support.typed_json import to_json
 
 if TYPE_CHECKING:
     from cosim.studies.whole_loop import LoopOutcome
-    from hesr_model.friction.properties import Properties
+    from hesr_model.friction.audit.properties import Properties
 
 QUICK_LAWS = ("stribeck", "lugre", "parfam_h")
 """Laws of a quick run: the paper's law and its classic baselines."""
@@ -52,15 +55,6 @@ class Outcome:
     properties: "Mapping[str, Properties]"
     loop: "LoopOutcome | None" = None
 
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON data: scores and where the FMUs are."""
-        return {
-            "fmus": {law: str(path) for law, path in self.fmus.items()},
-            "left_out": dict(self.left_out),
-            "evaluation": {name: c.to_json() for name, c in self.comparisons.items()},
-            "closed_loop": self.loop.to_json() if self.loop else None,
-        }
-
 
 def run_study(
     path: Path,
@@ -68,6 +62,7 @@ def run_study(
     *,
     platforms: Sequence[str] = ("linux64",),
     quick: bool = False,
+    accepted: Sequence[str] = (),
     progress: Stages = unheard,
 ) -> Outcome:
     """Run a study and write everything that it makes into a folder, or nothing on an error.
@@ -81,6 +76,7 @@ def run_study(
     platforms : for which the FMUs hold a binary.
     quick : run `QUICK_LAWS` only, without variants, without refining the rigid body and without
         the property battery.
+    accepted : checks of the logs whose refusals are only told.
     progress : told how far the run has come.
 
     Raises
@@ -98,13 +94,20 @@ def run_study(
     model = RobotModel(job.robot)
     with folder_written_whole(output) as folder:
         files = job.log_files(folder)
-        logs = {name: RobotLog.read(file, job.robot) for name, file in files.items()}
+        logs = {name: job.read(name, file) for name, file in files.items()}
+        findings = told(checked(list(logs.values()), model, accepted))
         rigid_body = job.rigid_body(logs, model)
+        findings += told(check_body(rigid_body, model))
         about = [study.robot, job.robot.model, *(files[name] for name in job.trained_on)]
         source = provenance(files=about, seed=study.seed)
         write_rigid_body(folder / "rigid_body.json", rigid_body, source)
-        records = {name: friction_records(log, model, rigid_body) for name, log in logs.items()}
+        records = {
+            name: [friction_records(part, model, rigid_body) for part in log.parts()]
+            for name, log in logs.items()
+        }
         models, left_out = job.fit_all(records, source)
+        findings += told(check_laws(models, records_of(study.logs.training, records)))
+        write_findings(folder, findings)
         found = {} if quick else job.properties(model, rigid_body, models, folder)
         for law, fitted in counted(models.items(), partial(job.progress, "building FMUs")):
             write_model(folder / "laws" / f"{law}.json", fitted)
@@ -113,7 +116,7 @@ def run_study(
         comparisons, predictions = job.compare(models, records, files, folder / "fmus")
         loop = job.closed_loop(model, rigid_body, folder, models, kept=unfinished(output))
         write_json(
-            folder / "evaluation.json", {name: c.to_json() for name, c in comparisons.items()}
+            folder / "evaluation.json", {name: to_json(c) for name, c in comparisons.items()}
         )
         save_run(
             folder,

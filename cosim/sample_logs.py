@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hesr_model.base_parameters import base_columns
 from hesr_model.errors import RobotError
-from hesr_model.excitation import ExcitationSettings, condition, random_motions
-from hesr_model.files import sha256
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.lugre import LuGre
-from hesr_model.motion_limits import MotionLimits
-from hesr_model.noise import standard_normal
-from hesr_model.rigid_body import LEAST_PEAK
-from hesr_model.robot import RobotModel
-from hesr_model.robot_log import RobotLog
-from hesr_model.trajectories import Fourier
+from hesr_model.friction.laws.lugre import LuGre
+from hesr_model.logs.noise import standard_normal
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.motions.excitation import ExcitationSettings, condition, random_motions
+from hesr_model.motions.limits import MotionLimits
+from hesr_model.motions.trajectories import Fourier
+from hesr_model.rigid_body.base_parameters import base_columns
+from hesr_model.rigid_body.identification import LEAST_PEAK
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support.files import sha256
 
 Array = NDArray[np.float64]
 

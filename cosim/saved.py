@@ -5,17 +5,19 @@ log that is shown.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
+from pydantic import ConfigDict
 
+from cosim.study import Band
 from hesr_model.artifacts import read_json, write_json
-from hesr_model.errors import ArtifactError
-from hesr_model.friction.evaluate import Array
-from hesr_model.residual import FrictionRecord
-from hesr_model.tables import read_table, write_table
+from hesr_model.equations.over_log import Array
+from hesr_model.logs.tables import read_table, write_table
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.typed_json import from_json, to_json
 
 RUN, TRACES = "run.json", "traces"
 RUN_FORMAT = "hesr-run-1"
@@ -51,16 +53,6 @@ class SavedLog:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SavedBand:
-    """A part of a test set in time [s]."""
-
-    test: str
-    name: str
-    start: float
-    stop: float
-
-
-@dataclass(frozen=True, kw_only=True)
 class SavedRun:
     """What was run.
 
@@ -84,6 +76,8 @@ class SavedRun:
     left_out : why a law of the study was not fitted, by law.
     """
 
+    __pydantic_config__: ClassVar = ConfigDict(extra="forbid")
+
     study: str
     command: str
     robot: str
@@ -94,7 +88,7 @@ class SavedRun:
     quick: bool
     seed: int
     logs: tuple[SavedLog, ...]
-    bands: tuple[SavedBand, ...]
+    bands: tuple[Band, ...]
     inputs: Mapping[str, str]
     variants: Mapping[str, str]
     controller: Mapping[str, Any]
@@ -110,23 +104,12 @@ class SavedRun:
         ArtifactError
             Naming the file and what is missing or wrong in it.
         """
-        data = read_json(path, RUN_FORMAT)
-        data.pop("format")
-        try:
-            for key, of in (("logs", SavedLog), ("bands", SavedBand)):
-                data[key] = tuple(of(**entry) for entry in data[key])
-            for key in ("joints", "gear_ratio"):
-                data[key] = tuple(data[key])
-            return cls(**data)
-        except KeyError as error:
-            raise ArtifactError(f"{path}: key {error} is missing.") from error
-        except TypeError as error:
-            raise ArtifactError(f"{path}: not the description of a run ({error}).") from error
+        return from_json(cls, read_json(path, RUN_FORMAT), path, "the description of a run")
 
 
 def write_run(folder: Path, run: SavedRun) -> None:
     """Write what was run into the folder of its results."""
-    write_json(folder / RUN, {"format": RUN_FORMAT, **asdict(run)})
+    write_json(folder / RUN, {"format": RUN_FORMAT, **to_json(run)})
 
 
 def write_torques(

@@ -1,19 +1,19 @@
 """How well laws predict logs: as Python models, or as the FMUs made of them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hesr_model.equations.over_log import Array
 from hesr_model.errors import ArtifactError, ConfigError
-from hesr_model.friction.evaluate import Array
-from hesr_model.friction.functions import INPUTS
+from hesr_model.friction.inputs import INPUTS
+from hesr_model.friction.metrics import rmse, rmse_ratio_interval, score, time_band
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, record_start
-from hesr_model.metrics import Score, rmse, rmse_ratio_interval, score, time_band
-from hesr_model.residual import FrictionRecord
+from hesr_model.rigid_body.residual import FrictionRecord
 
 Records = Sequence[Sequence[FrictionRecord]]
 """For each joint its records, one for each log."""
@@ -38,61 +38,39 @@ class Ratio:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Ratios:
+    """Ratios of each other law to the reference, one for each joint."""
+
+    reference: str
+    laws: Mapping[str, tuple[Ratio, ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawScores:
+    """Errors of a law, one for each joint [N.m] but for `r2`; None where no row is of that kind."""
+
+    rmse: tuple[float, ...]
+    rmse_reversal: tuple[float | None, ...]
+    rmse_moving: tuple[float | None, ...]
+    r2: tuple[float | None, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Comparison:
     """Scores of several laws on the same logs.
 
     Attributes
     ----------
     joints : names of the joints.
-    laws : scores of each law, one for each joint.
-    reference : law to which the ratios are taken.
-    ratios : ratio of each other law to the reference, one for each joint.
+    tau_std : standard deviation of the measured friction of each joint [N.m].
+    laws : scores of each law.
+    ratios : of each other law to the reference.
     """
 
     joints: tuple[str, ...]
-    laws: Mapping[str, tuple[Score, ...]]
-    reference: str
-    ratios: Mapping[str, tuple[Ratio, ...]]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON data, in Nm, per joint."""
-        first = next(iter(self.laws.values()))
-        return {
-            "joints": list(self.joints),
-            "tau_std": [score.tau_std for score in first],
-            "laws": {
-                law: {measure: [getattr(s, measure) for s in scores] for measure in MEASURES}
-                for law, scores in self.laws.items()
-            },
-            "ratios": {
-                "reference": self.reference,
-                "laws": {law: [asdict(r) for r in row] for law, row in self.ratios.items()},
-            },
-        }
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> "Comparison":
-        """Rebuild what `to_json` returned.
-
-        Raises
-        ------
-        KeyError, TypeError
-            If a part of the data is missing, or not what it should be.
-        """
-        return cls(
-            joints=tuple(data["joints"]),
-            laws={
-                law: tuple(
-                    Score(tau_std=std, **{name: row[name][k] for name in MEASURES})
-                    for k, std in enumerate(data["tau_std"])
-                )
-                for law, row in data["laws"].items()
-            },
-            reference=data["ratios"]["reference"],
-            ratios={
-                law: tuple(Ratio(**r) for r in row) for law, row in data["ratios"]["laws"].items()
-            },
-        )
+    tau_std: tuple[float, ...]
+    laws: Mapping[str, LawScores]
+    ratios: Ratios
 
 
 def by_joint(logs: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
@@ -110,21 +88,25 @@ def compare(records: Records, predictions: Mapping[str, Sequence[Sequence[Array]
         ]
         for law, predicted in predictions.items()
     }
+    scores = {
+        law: [score(r, p) for r, p in zip(records, predicted, strict=True)]
+        for law, predicted in predictions.items()
+    }
     return Comparison(
         joints=tuple(of_joint[0].joint for of_joint in records),
+        tau_std=tuple(s.tau_std for s in scores[reference]),
         laws={
-            law: tuple(score(r, p) for r, p in zip(records, predicted, strict=True))
-            for law, predicted in predictions.items()
+            law: LawScores(**{m: tuple(getattr(s, m) for s in row) for m in MEASURES})
+            for law, row in scores.items()
         },
-        reference=reference,
-        ratios={
-            law: tuple(
-                _ratio(of_joint, below, records[joint])
-                for joint, (of_joint, below) in enumerate(zip(rows, errors[reference], strict=True))
-            )
-            for law, rows in errors.items()
-            if law != reference
-        },
+        ratios=Ratios(
+            reference=reference,
+            laws={
+                law: tuple(map(_ratio, row, errors[reference], records))
+                for law, row in errors.items()
+                if law != reference
+            },
+        ),
     )
 
 
@@ -223,7 +205,7 @@ def predict_fmu(fmu: Path, records: Records) -> list[list[Array]]:
         if model is not None and len(model.laws) == len(log):
             for i, (law, record) in enumerate(zip(model.laws, log, strict=True), start=1):
                 values = record_start(law, record) if law.start_samples else ()
-                states = law.form.relaxations
+                states = law.form.memory
                 start |= {f"{s.name}[{i}]": x for s, x in zip(states, values, strict=False)}
         dq, q, tau_load = (
             np.column_stack([getattr(r, u) for r in log]) for u in ("dq", "q", "tau_load")

@@ -12,9 +12,9 @@ import jinja2
 from cosim.sample_logs import RATE, mark_samples, sample_logs
 from cosim.study import Study
 from hesr_model.errors import ConfigError, RobotError
-from hesr_model.files import folder_written_whole, models_folder
-from hesr_model.model_file import driven_joints, joints_of
-from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.robots.model_file import driven_joints, joints_of
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import folder_written_whole, is_empty, models_folder
 
 _TEMPLATES = {
     "robot.toml": "robot.toml.j2",
@@ -62,7 +62,7 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> Started:
     """
     if folder.is_file():
         raise ConfigError(f"{folder}: is a file; give a new or an empty folder.")
-    if folder.is_dir() and any(folder.iterdir()):
+    if folder.is_dir() and not is_empty(folder):
         raise ConfigError(f"{folder}: is not empty; give a new or an empty folder.")
     if model.suffix.lower() == ".xacro":
         raise RobotError(

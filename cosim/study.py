@@ -7,7 +7,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, model_validator
 
 from cosim.closed_loop import Tracking
-from hesr_model.config import Config, RelativePath
+from hesr_model.support.config import Config, RelativePath
 
 # Names that become names of files.
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
@@ -29,6 +29,20 @@ class Twin(Config):
     motions: RelativePath
 
 
+class Part(Config):
+    """A part of a log in time, where there is one log only to train on and to test.
+
+    Attributes
+    ----------
+    log : file beside the study.
+    start, stop : of the part [s], from the beginning of the log.
+    """
+
+    log: str
+    start: float = Field(default=0.0, ge=0.0)
+    stop: float = Field(default=1e9, gt=0.0)
+
+
 class StudyLogs(Config):
     """Which logs serve for what: files beside the study, or names of the twin's motions.
 
@@ -38,12 +52,14 @@ class StudyLogs(Config):
     reversed : their time-reversed counterparts, where there are any, in the same order.
     friction : logs on which the laws are trained; those of the identification if left out.
     test : sets of logs on which the laws are compared, by a name of the set.
+    parts : names for parts of logs, which may stand wherever a log does.
     """
 
     identification: tuple[str, ...] = Field(min_length=1)
     reversed: tuple[str, ...] = ()
     friction: tuple[str, ...] = ()
     test: Mapping[str, tuple[str, ...]] = Field(min_length=1)
+    parts: Mapping[Annotated[str, Field(pattern=_NAME)], Part] = {}
 
     @property
     def training(self) -> tuple[str, ...]:
@@ -91,7 +107,7 @@ class Band(Config):
     stop: float = Field(default=1e9, gt=0.0)
 
 
-class Refinement(Config):
+class RefinementStudy(Config):
     """Rigid body and friction in turn.
 
     Attributes
@@ -115,6 +131,7 @@ class Study(Config):
     laws : names in the registry; all laws if left out.
     options : hyper-parameters of estimators, by law.
     variants : further rows, by their name.
+    physical : whether the rigid body must be one that can exist.
     refinement : whether the rigid body is identified again once friction is known.
     bands : parts of test sets that are scored by themselves.
     twin : where the logs come from the digital twin.
@@ -128,7 +145,8 @@ class Study(Config):
     laws: tuple[str, ...] = ()
     options: Mapping[str, Mapping[str, Any]] = {}
     variants: Mapping[Annotated[str, Field(pattern=_NAME)], Variant] = {}
-    refinement: Refinement | None = None
+    physical: bool = False
+    refinement: RefinementStudy | None = None
     bands: tuple[Band, ...] = ()
     twin: Twin | None = None
     tracking: Tracking | None = None
@@ -139,6 +157,12 @@ class Study(Config):
         for band in self.bands:
             if band.test not in self.logs.test:
                 raise ValueError(f"band '{band.name}' is of the unknown test set '{band.test}'")
+        return self
+
+    @model_validator(mode="after")
+    def _one_way_to_a_body(self) -> Self:
+        if self.physical and self.refinement:
+            raise ValueError("'physical' does not go with 'refinement'; give one of them")
         return self
 
     @model_validator(mode="after")

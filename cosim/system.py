@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from hesr_model.config import Config, RelativePath
+from hesr_model.support.config import Config, RelativePath
 
 Order = Literal["gauss_seidel", "jacobi"]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")]
@@ -14,6 +14,7 @@ Signal = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*\.\S+$")]
 Value = bool | int | float | str | tuple[float, ...]
 
 _MULTIPLE = 1e-9  # relative; how exactly a step has to be a multiple of another
+_MOST_STEPS = 10**9  # of a run
 
 
 def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
@@ -92,6 +93,11 @@ class SystemSpec(Config):
 
 def _multiple_of(time: float, step: float, what: str) -> None:
     """Check that a time is a positive integer multiple of the communication step."""
+    if not time / step <= _MOST_STEPS:
+        raise ValueError(
+            f"{what} is {time:g} s, {time / step:.3g} communication steps of {step:g} s; at most "
+            f"{_MOST_STEPS:g} can be done"
+        )
     count = round(time / step)
     if count < 1 or abs(time - count * step) > _MULTIPLE * time:
         raise ValueError(f"{what} is {time:g} s, no multiple of the communication step, {step:g} s")

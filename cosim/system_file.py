@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.system import ComponentSpec, SystemSpec
-from hesr_model.files import written_whole
+from hesr_model.support.files import written_whole
 
 
 def write_system(spec: SystemSpec, path: Path) -> Path:

@@ -132,8 +132,8 @@ def _odd(twice: bool) -> str:
     return "used twice" if twice else "not a structured name of FMI"
 
 
-def to_c(interface: Interface, guid: str) -> str:
-    """Return interface.h: the GUID and the tables of variables of the C side."""
+def to_c(interface: Interface, guid: str, step: float) -> str:
+    """Return interface.h: GUID, preferred step [s] and tables of variables of the C side."""
     rows = []
     felt = {
         name
@@ -159,6 +159,7 @@ def to_c(interface: Interface, guid: str) -> str:
                if v.role in ("output", "local", "state")]  # fmt: skip
     return _INTERFACE.format(
         guid=guid,
+        step=literal(step),
         variables=len(rows),
         states=len(states),
         indicators=interface.indicators,
@@ -188,6 +189,7 @@ _INTERFACE = """\
 #include "variable.h"
 
 #define MODEL_GUID "{guid}"
+#define PREFERRED_STEP {step} /* [s] */
 
 enum {{ VARIABLES = {variables}, STATES = {states}, INDICATORS = {indicators} }};
 enum {{ OWN = {own}, WATCHED = {watched} }};

@@ -3,17 +3,18 @@
 import hashlib
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from fmu_src import exported
 from fmu_src.description import Description, to_xml
 from fmu_src.interface import Interface, to_c
 from fmu_src.toolchain import Target, build, targets
 from hesr_model.errors import ExportError
-from hesr_model.files import written_whole
-from hesr_model.progress import Progress, counted, unheard
+from hesr_model.support.files import written_whole
+from hesr_model.support.progress import Progress, counted, unheard
 
 _HERE = Path(__file__).parent
 _C = _HERE / "c"
@@ -42,16 +43,20 @@ _ALL_C = """\
 
 @dataclass(frozen=True, kw_only=True)
 class Binary:
-    """A shared library that a component is linked to and that stands beside it in the FMU.
+    """A shared library that a component needs on a platform and that stands beside it in the FMU.
 
     Attributes
     ----------
-    library : the file, under the name that loaders look for; of linux64.
-    include : folder of its headers.
+    name : the file's place beside the component's binary, under the name that loaders look for.
+    content : of the file.
+    flags : for the compiler.
+    link : flags by which the component is linked to it; none where it loads it itself.
     """
 
-    library: Path
-    include: Path
+    name: str
+    content: bytes
+    flags: tuple[str, ...] = ()
+    link: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,14 +69,14 @@ class Content:
     about : what the description says of it.
     sources : text of its own C files, by name; all .c files make one translation unit.
     members : other members of the archive by name: documentation, resources.
-    binary : a library that the component needs; the FMU is then for linux64 only.
+    libraries : for each platform the library that the component needs, if it needs one.
     """
 
     table: Interface
     about: Description
     sources: Mapping[str, str]
     members: Mapping[str, bytes]
-    binary: Binary | None = None
+    libraries: Mapping[str, Binary] = field(default_factory=dict)
 
 
 def own_source(name: str) -> str:
@@ -107,6 +112,7 @@ def write_fmu(
         If `path` cannot be written.
     """
     wanted = check_request(path, platforms)
+    _require_libraries(content, wanted)
     table, about = content.table, content.about
     guid, sources = translation_unit(table, about, content.sources)
     members: dict[str, bytes] = {
@@ -119,13 +125,13 @@ def write_fmu(
         for name, text in sources.items():
             Path(folder, name).write_text(text, encoding="utf-8")
         for target in counted(wanted, progress):
-            flags = _link_flags(content.binary, target)
-            library = build(Path(folder, "all.c"), about.identifier, target, flags)
+            own = content.libraries.get(target.folder)
+            library = _built(Path(folder, "all.c"), about.identifier, target, own)
             members[f"binaries/{target.folder}/{about.identifier}{target.suffix}"] = library
-            if content.binary:
-                own = content.binary.library
-                members[f"binaries/{target.folder}/{own.name}"] = own.read_bytes()
+            if own:
+                members[f"binaries/{target.folder}/{own.name}"] = own.content
     write_archive(members, path, about.created)
+    exported.remember(path)
     return path
 
 
@@ -142,7 +148,7 @@ def translation_unit(
     """
     sources = _sources(own)
     guid = _guid(table, about, sources)
-    return guid, sources | {"interface.h": to_c(table, guid)}
+    return guid, sources | {"interface.h": to_c(table, guid, about.step)}
 
 
 def write_archive(members: Mapping[str, bytes], path: Path, created: str) -> None:
@@ -165,16 +171,26 @@ def check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
     return targets(platforms)
 
 
-def _link_flags(binary: Binary | None, target: Target) -> tuple[str, ...]:
-    """Return the flags by which a component finds its library, in the host beside itself."""
-    if binary is None:
-        return ()
-    if target.folder != "linux64":
+def _require_libraries(content: Content, wanted: Sequence[Target]) -> None:
+    missing = [t.folder for t in wanted if content.libraries and t.folder not in content.libraries]
+    if missing:
         raise ExportError(
-            f"platform '{target.folder}': this FMU carries {binary.library.name}, which is for "
-            "linux64 only."
+            f"platform '{missing[0]}': this FMU needs a library, which is given for "
+            f"{', '.join(content.libraries)} only."
         )
-    return (f"-isystem{binary.include}", str(binary.library), "-Wl,-rpath,$ORIGIN")
+
+
+def _built(source: Path, identifier: str, target: Target, own: Binary | None) -> bytes:
+    """Compile a component, linked to the library that it needs, and return its binary."""
+    if own is None:
+        return build(source, identifier, target)
+    flags = own.flags
+    if own.link:
+        file = source.parent / target.folder / Path(own.name).name
+        file.parent.mkdir()
+        file.write_bytes(own.content)
+        flags += (str(file), *own.link)
+    return build(source, identifier, target, flags)
 
 
 def _sources(own: Mapping[str, str]) -> dict[str, str]:
@@ -187,7 +203,7 @@ def _sources(own: Mapping[str, str]) -> dict[str, str]:
 def _guid(table: Interface, about: Description, sources: Mapping[str, str]) -> str:
     """Return a GUID of all content that is not itself made from the GUID."""
     content = hashlib.sha256(to_xml(table, about, ""))
-    content.update(to_c(table, "").encode())
+    content.update(to_c(table, "", about.step).encode())
     for name, text in sorted(sources.items()):
         content.update(f"\0{name}\0{text}".encode())
     digest = content.hexdigest()

@@ -1,16 +1,20 @@
 """The C compiler: one for all targets, the same bytes on every host."""
 
+import hashlib
 import os
-import shutil
+import re
 import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 from hesr_model.errors import ExportError
+from hesr_model.support.cache import folder as cache_folder
+from hesr_model.support.cache import kept
 
 CFLAGS = (
     "-std=c99",
@@ -46,7 +50,14 @@ class Target:
 
 # glibc 2.17 is that of the oldest systems which tools still support. FMI 2.0 has no folder for
 # 64-bit ARM Linux; the one here is FMI 3.0's, which FMI 2.0.5 asks for.
-_ELF = ("-fPIC", "-Wl,--build-id=none", "-lm")
+# Nothing unwinds through C there, and the tables are a tenth of a binary.
+_ELF = (
+    "-fPIC",
+    "-Wl,--build-id=none",
+    "-lm",
+    "-fno-unwind-tables",
+    "-fno-asynchronous-unwind-tables",
+)
 _MACH_O = ("-fPIC", "-Wl,-install_name,@rpath/{library}")
 TARGETS: Mapping[str, Target] = {
     target.folder: target
@@ -127,13 +138,51 @@ def build_wasm(source: Path) -> bytes:
 
 
 def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[str] = ()) -> None:
-    """Run the compiler on one source file.
+    """Compile one source file, or take what was made of the same texts and flags before.
 
     Raises
     ------
     ExportError
-        If it fails, with the first line of what it says.
+        If the compiler fails, with the first line of what it says.
     """
+    inputs = (
+        f"ziglang {version('ziglang')}",
+        source.name,
+        output.name,
+        *(f"flag {flag}" for flag in (*flags, "|", *last)),
+        *_contents(source, (*flags, *last)),
+    )
+    output.write_bytes(kept("binaries", inputs, lambda: _compiled(source, flags, output, last)))
+    output.chmod(0o755)
+
+
+_INCLUDE = re.compile(rb"^[ \t]*#[ \t]*include[ \t]*[\"<]([^\">]+)", re.MULTILINE)
+
+
+def _contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
+    """Yield a hash of each file that goes into a compilation, but for those of the compiler.
+
+    These are the source, what the flags name, and what they include, wherever it is found.
+    """
+    home = source.parent
+    folders = [home / found[1] for flag in flags if (found := re.match("-(?:I|isystem)(.+)", flag))]
+    todo = [source, *(home / flag for flag in flags if (home / flag).is_file())]
+    seen = set(todo)
+    while todo:
+        file = todo.pop()
+        data = file.read_bytes()
+        yield hashlib.sha256(data).hexdigest()
+        if file.suffix not in (".c", ".h"):
+            continue
+        for name in _INCLUDE.findall(data):
+            places = (place / name.decode() for place in (file.parent, *folders))
+            found = next((place for place in places if place.is_file()), None)
+            if found and found not in seen:
+                seen.add(found)
+                todo.append(found)
+
+
+def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[str]) -> bytes:
     # A linker takes a percent sign in the name of its output for a place to fill in, and folders of
     # a machine may have one. So it writes into a folder beside the source, named from there.
     with (
@@ -145,13 +194,13 @@ def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[s
         command = [sys.executable, "-m", "ziglang", "cc", *flags, "-o", relative, source.name]
         # The compiler's cache of objects gives stale ones when compilations run side by side, so
         # each has its own; that of the C library, which takes long to build, stays shared.
-        environment = os.environ | {"ZIG_LOCAL_CACHE_DIR": cache}
+        caches = {"ZIG_LOCAL_CACHE_DIR": cache, "ZIG_GLOBAL_CACHE_DIR": str(cache_folder() / "zig")}
         try:
             # In the sources' own folder, so that no path of this machine gets into the binary.
             result = subprocess.run(
                 [*command, *last],
                 cwd=source.parent,
-                env=environment,
+                env=os.environ | caches,
                 capture_output=True,
                 text=True,
                 check=False,
@@ -159,10 +208,9 @@ def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[s
         except OSError as error:
             raise ExportError(f"the C compiler cannot be run ({error.strerror}).") from error
         if not result.returncode:
-            shutil.move(written, output)
-    if result.returncode:
-        lines = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
-        raise ExportError(f"{output.name}: the C compiler failed: {lines[0].strip()}.")
+            return written.read_bytes()
+    lines = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
+    raise ExportError(f"{output.name}: the C compiler failed: {lines[0].strip()}.")
 
 
 _FAT_MAGIC = 0xCAFEBABE

@@ -27,13 +27,13 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hesr_model.artifacts import read_model, read_rigid_body, write_model, write_rigid_body
     from hesr_model.errors import HesrError
-    from hesr_model.friction.fit import fit
-    from hesr_model.friction.laws import registry
+    from hesr_model.friction.fitting.fit import fit
     from hesr_model.friction.model import FrictionModel
-    from hesr_model.residual import FrictionRecord, friction_records
-    from hesr_model.rigid_body import RigidBody, identify
-    from hesr_model.robot import RobotDescription, RobotModel
-    from hesr_model.robot_log import RobotLog
+    from hesr_model.friction.registry import registry
+    from hesr_model.logs.robot_log import RobotLog
+    from hesr_model.rigid_body.identification import RigidBody, identify
+    from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+    from hesr_model.robots.robot import RobotDescription, RobotModel
 
 __all__ = [
     "FrictionModel",
@@ -55,18 +55,18 @@ __all__ = [
 
 _HOMES = {
     "FrictionModel": "friction.model",
-    "FrictionRecord": "residual",
+    "FrictionRecord": "rigid_body.residual",
     "HesrError": "errors",
-    "RigidBody": "rigid_body",
-    "RobotDescription": "robot",
-    "RobotLog": "robot_log",
-    "RobotModel": "robot",
-    "fit": "friction.fit",
-    "friction_records": "residual",
-    "identify": "rigid_body",
+    "RigidBody": "rigid_body.identification",
+    "RobotDescription": "robots.robot",
+    "RobotLog": "logs.robot_log",
+    "RobotModel": "robots.robot",
+    "fit": "friction.fitting.fit",
+    "friction_records": "rigid_body.residual",
+    "identify": "rigid_body.identification",
     "read_model": "artifacts",
     "read_rigid_body": "artifacts",
-    "registry": "friction.laws",
+    "registry": "friction.registry",
     "write_model": "artifacts",
     "write_rigid_body": "artifacts",
 }

@@ -4,9 +4,26 @@ Each carries one sentence that names the file, the column or key, the row where 
 was found and what is needed. The command line prints that sentence and exits with 2.
 """
 
+_LONGEST = 2000  # characters of a sentence; what a file holds may have millions
+
 
 class HesrError(Exception):
-    """Base of every error that a user can cause and mend."""
+    """Base of every error that a user can cause and mend.
+
+    Its sentence may quote what stands in a file: it is shortened, and characters that cannot be
+    printed are escaped.
+    """
+
+    def __init__(self, sentence: str) -> None:
+        if len(sentence) > _LONGEST:
+            sentence = f"{sentence[: _LONGEST // 2]} ... {sentence[-_LONGEST // 2 :]}"
+        super().__init__("".join(map(_shown, sentence)))
+
+
+def _shown(letter: str) -> str:
+    if letter.isprintable() or letter == "\n":
+        return letter
+    return letter.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 
 class ConfigError(HesrError):
@@ -35,3 +52,7 @@ class ExportError(HesrError):
 
 class SimulationError(HesrError):
     """A component or a system of FMUs failed while it was running."""
+
+
+class WorkerError(HesrError):
+    """A worker process ended before its job was done."""

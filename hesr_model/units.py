@@ -30,14 +30,28 @@ KNOWN: Mapping[str, Mapping[str, float]] = {
 """By quantity (t, q, dq, tau, current): one unit in SI."""
 
 
-def fits(quantity: str, unit: str, *, slides: bool) -> bool:
-    """Tell whether a joint of this kind can be logged in a unit.
+def in_si(quantity: str, unit: str | float) -> float:
+    """Return what one logged unit is in SI; a number is that already, ``-deg`` counts backwards.
+
+    Raises
+    ------
+    KeyError
+        If the unit is unknown.
+    """
+    if isinstance(unit, str):
+        return KNOWN[quantity][unit.removeprefix("-")] * (-1.0 if unit.startswith("-") else 1.0)
+    return float(unit)
+
+
+def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
+    """Tell whether a joint of this kind can be logged in a unit; a number fits any.
 
     The SI unit of a joint that turns (rad, rad/s, N.m) is the default of every robot file and
     stands for the SI unit of a joint that slides as well.
     """
-    if quantity in OTHERS:
+    if quantity in OTHERS or not isinstance(unit, str):
         return True
+    unit = unit.removeprefix("-")
     if slides:
         return unit in SLIDING[quantity] or TURNING[quantity].get(unit) == 1.0
     return unit in TURNING[quantity]

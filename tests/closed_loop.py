@@ -1,5 +1,6 @@
 """The closed loop of the UF850, as a system of FMUs and without FMI."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cosim.closed_loop import Fmus, Gains, Scheme, Setting, system
-from cosim.monolithic import Loop
+from cosim.monolithic import MonolithicLoop
 from cosim.system import SystemSpec
 from fmu_src import export_fmu
 from fmu_src.arm.native import arm
@@ -18,10 +19,10 @@ from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import start_values, trajectory
 from fmu_src.blocks.velocity import velocity
 from fmu_src.package import write_fmu
-from hesr_model.files import models_folder
 from hesr_model.friction.model import FrictionModel
-from hesr_model.robot import RobotDescription, RobotModel
-from hesr_model.trajectories import random_fourier
+from hesr_model.motions.trajectories import random_fourier
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import models_folder
 
 UF850 = models_folder() / "uf850"
 STEP = 0.005
@@ -54,10 +55,27 @@ class Bench:
     plant: Plant
     friction: FrictionModel
 
-    def loop(self, scheme: Scheme, **more: Any) -> Loop:
+    @classmethod
+    def of(cls, folder: Path, friction: FrictionModel) -> "Bench":
+        """The FMUs that `write_fmus` has written into a folder."""
+        return cls(
+            fmus=Fmus(
+                arm=folder / "Arm.fmu",
+                trajectory=folder / "Trajectory.fmu",
+                body=folder / "InverseDynamics.fmu",
+                friction=folder / "Friction.fmu",
+                controller=folder / "Controller.fmu",
+                velocity=folder / "Velocity.fmu",
+            ),
+            robot=_robot(),
+            plant=Plant.read(UF850 / "plant.toml"),
+            friction=friction,
+        )
+
+    def loop(self, scheme: Scheme, **more: Any) -> MonolithicLoop:
         """The loop without FMI."""
         data = {"motion": MOTION, "gains": GAINS, "step": STEP, "stop": 10.0, "rest": 0.05}
-        return Loop(
+        return MonolithicLoop(
             plant=self.plant,
             robot=self.robot,
             parameters=self.robot.nominal_parameters,
@@ -66,7 +84,7 @@ class Bench:
             **data | more,
         )
 
-    def system(self, loop: Loop, **more: Any) -> SystemSpec:
+    def system(self, loop: MonolithicLoop, **more: Any) -> SystemSpec:
         """The same loop as a system of FMUs."""
         q0 = tuple(map(float, loop.motion.sample(np.zeros(1))[0][0]))
         setting = Setting(
@@ -82,29 +100,29 @@ class Bench:
         return spec.model_copy(update={"observe": OBSERVED} | more)
 
 
-def build(folder: Path, friction: FrictionModel) -> Bench:
+def build(folder: Path, friction: FrictionModel, platforms: Sequence[str] = ("linux64",)) -> Bench:
     """Build the FMUs."""
-    robot = RobotModel(RobotDescription.read(UF850 / "robot.toml"))
-    model = UF850 / "uf850.xml"
+    write_fmus(folder, friction, platforms)
+    return Bench.of(folder, friction)
+
+
+def write_fmus(
+    folder: Path, friction: FrictionModel, platforms: Sequence[str] = ("linux64",)
+) -> None:
+    """Write the FMUs of a loop."""
+    robot, model = _robot(), UF850 / "uf850.xml"
     signals = signals_of(model, UF850 / "arm.toml")
     contents = {
-        "Arm": arm(signals, name="UF850", source=model.read_bytes()),
+        "Arm": arm(signals, name="UF850", source=model.read_bytes(), platforms=platforms),
         "Trajectory": trajectory(robot.n),
         "InverseDynamics": inverse_dynamics(robot, robot.nominal_parameters),
         "Controller": controller(robot.n),
         "Velocity": velocity(robot.n),
     }
-    made = {name: write_fmu(c, folder / f"{name}.fmu") for name, c in contents.items()}
-    return Bench(
-        fmus=Fmus(
-            arm=made["Arm"],
-            trajectory=made["Trajectory"],
-            body=made["InverseDynamics"],
-            friction=export_fmu(friction, folder / "Friction.fmu"),
-            controller=made["Controller"],
-            velocity=made["Velocity"],
-        ),
-        robot=robot,
-        plant=Plant.read(UF850 / "plant.toml"),
-        friction=friction,
-    )
+    for name, content in contents.items():
+        write_fmu(content, folder / f"{name}.fmu", platforms=platforms)
+    export_fmu(friction, folder / "Friction.fmu", platforms=platforms)
+
+
+def _robot() -> RobotModel:
+    return RobotModel(RobotDescription.read(UF850 / "robot.toml"))

@@ -1,15 +1,29 @@
-"""A small arm whose parameters are known, and motions of it without noise."""
+"""A small arm whose parameters are known, and what takes long and is made once for all workers."""
 
+import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from filelock import FileLock
+from hypothesis import settings
+from registry_models import models_of_registry
 
-from hesr_model.log_format import LogFormat
-from hesr_model.robot import RobotDescription, RobotModel
-from hesr_model.robot_log import RobotLog
-from hesr_model.signals import Motion
+from fmu_src import export_fmu, model_file
+from hesr_model.artifacts import read_model, write_model
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import registry
+from hesr_model.logs.log_format import LogFormat
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import Motion
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support import cache
+
+# How long an example takes says how busy the machine is.
+settings.register_profile("unhurried", deadline=None)
+settings.load_profile("unhurried")
 
 ARM_MJCF = """
 <mujoco model="arm">
@@ -34,6 +48,73 @@ ARM_MJCF = """
 RATE = 200.0
 
 MakeMotion = Callable[..., Motion]
+Shared = Callable[[str, Callable[[Path], object]], Path]
+
+
+@pytest.fixture(scope="session")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Shared:
+    """Give the folder of a name, which the first of all workers that asks has filled.
+
+    Tests do not write into it.
+    """
+    base = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent  # that of all workers
+
+    def filled(name: str, fill: Callable[[Path], object]) -> Path:
+        folder, done = base / name / "shared", base / name / "done"
+        folder.parent.mkdir(exist_ok=True)
+        with FileLock(base / name / "lock"):
+            if not done.exists():
+                shutil.rmtree(folder, ignore_errors=True)  # of one who failed
+                folder.mkdir()
+                fill(folder)
+                done.touch()
+        return folder
+
+    return filled
+
+
+@pytest.fixture(scope="session")
+def table1() -> FrictionModel:
+    """The paper's law with the paper's numbers."""
+    return read_model(model_file("uf850-table1"))
+
+
+@pytest.fixture(scope="session")
+def table1_fmu(table1: FrictionModel, shared: Shared) -> Path:
+    return shared("table1", lambda to: export_fmu(table1, to / "Friction.fmu")) / "Friction.fmu"
+
+
+@pytest.fixture(scope="session")
+def registry_models(shared: Shared) -> dict[str, FrictionModel]:
+    """A fitted model of every law of the registry, in its order."""
+
+    def fit(folder: Path) -> None:
+        for model in models_of_registry():
+            write_model(folder / f"{model.law}.json", model)
+
+    folder = shared("registry", fit)
+    return {law: read_model(folder / f"{law}.json") for law in registry()}
+
+
+@pytest.fixture(scope="session")
+def small_results(shared: Shared) -> Path:
+    """Results of a study in which everything is done, but little of it."""
+    from small_results import write_results  # slow to import
+
+    return shared("results", write_results) / "results"
+
+
+@pytest.fixture
+def empty_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder in which nothing is kept yet but the compiler's own C libraries."""
+    libraries = cache.folder() / "zig"
+    libraries.mkdir(exist_ok=True)
+    home = tmp_path_factory.mktemp("cache")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(home))
+    (cache.folder() / "zig").symlink_to(libraries)
+    return cache.folder()
 
 
 @pytest.fixture

@@ -4,11 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hesr_model.friction.fit import fit_joint
-from hesr_model.friction.laws import registry
+from hesr_model.friction.fitting.fit import fit_joint
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import registry
 from hesr_model.friction.trained import TrainedRange
-from hesr_model.residual import FrictionRecord
+from hesr_model.rigid_body.residual import FrictionRecord
 
 
 def models_of_registry() -> Iterator[FrictionModel]:

@@ -7,7 +7,7 @@ from small_twin import GAINS, MOTIONS
 
 from cosim.run import run_study
 from cosim.studies import robustness
-from hesr_model.files import models_folder
+from hesr_model.support.files import models_folder
 
 STUDY = """
 name = "small"

@@ -3,12 +3,11 @@
 import sys
 from typing import NoReturn
 
-import typer
-
 from cosim.cli import (
     check,
     excite,
     export,
+    inspect,
     interop,
     job,
     new,
@@ -20,14 +19,15 @@ from cosim.cli import (
     view,
 )
 from cosim.cli.app import app
-from cosim.cli.voice import ended_by_signals
-from hesr_model.errors import HesrError
+from cosim.cli.console import ended_by_signals
+from cosim.cli.last_resort import errors_said, plain_where_needed
 
 __all__ = [
     "app",
     "check",
     "excite",
     "export",
+    "inspect",
     "interop",
     "job",
     "main",
@@ -43,10 +43,7 @@ __all__ = [
 
 def main() -> NoReturn:
     """Run the command line; an error that a user can mend is one sentence and exit code 2."""
-    with ended_by_signals():
-        try:
-            app()
-        except HesrError as error:
-            typer.echo(f"hesr: {error}", err=True)
-            sys.exit(2)
+    plain_where_needed()
+    with ended_by_signals(), errors_said():
+        app()
     sys.exit(0)

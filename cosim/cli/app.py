@@ -2,7 +2,7 @@
 
 import inspect
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,14 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from cosim.cli.voice import speaking
-from hesr_model.progress import Stages, counted
+from cosim.cli.console import command_output
+from hesr_model.support.progress import Stages, counted
 
 if TYPE_CHECKING:
     from cosim.scoring import Records
+    from hesr_model.health.findings import Finding
+    from hesr_model.logs.robot_log import RobotLog
+    from hesr_model.robots.robot import RobotModel
 
-__all__ = ["Body", "Json", "Logs", "Output", "Platforms", "Robot", "app",
-           "read_records"]  # fmt: skip
+
+__all__ = ["Accept", "Body", "Json", "Logs", "Output", "Platforms", "Robot", "Trust", "app",
+           "examined", "read_records", "trusted"]  # fmt: skip
 
 _EPILOG = """\b
 Exit codes:
@@ -33,7 +37,7 @@ programs; --json - writes them to standard output, and nothing else there.
 """
 
 _ORDER = (
-    *("new", "run", "report", "view"),
+    *("new", "inspect", "run", "report", "view"),
     *("excite", "identify", "fit", "evaluate", "properties", "laws"),
     *("export", "check", "replay", "simulate", "package", "interop"),
 )
@@ -60,7 +64,7 @@ class _App(typer.Typer):
         def decorate(function: Callable[..., None]) -> Callable[..., None]:
             told, heading, examples = (inspect.getdoc(function) or "").partition("\nExample")
             shown = {"help": told.strip(), "epilog": _lines(heading.strip() + examples)}
-            register(*args, **shown | options)(_talking(function))
+            register(*args, **shown | options)(_with_output_options(function))
             return function
 
         return decorate
@@ -81,7 +85,7 @@ def _lines(examples: str) -> str:
     return "\n".join(lines)
 
 
-def _talking(function: Callable[..., None]) -> Callable[..., None]:
+def _with_output_options(function: Callable[..., None]) -> Callable[..., None]:
     """Add the options that every command takes."""
     more = {
         "quiet": Annotated[bool, typer.Option("--quiet", help="Print errors only.")],
@@ -92,7 +96,7 @@ def _talking(function: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(function)
     def run(*, quiet: bool, verbose: bool, **arguments: Any) -> None:
-        with speaking(quiet=quiet, verbose=verbose, json_file=arguments.get("json_file")):
+        with command_output(quiet=quiet, verbose=verbose, json_file=arguments.get("json_file")):
             function(**arguments)
 
     own = inspect.signature(function).parameters.values()
@@ -147,10 +151,24 @@ Body = Annotated[
     Path, typer.Option("--rigid-body", metavar="FILE", help="Result of 'hesr identify'.")
 ]
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")]
+Accept = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--accept", metavar="CHECK", help="Go on although this check refuses; repeatable."
+    ),
+]
 Json = Annotated[
     Path | None,
     typer.Option(
         "--json", metavar="FILE", help="Also write the results as JSON; - is standard output."
+    ),
+]
+Trust = Annotated[
+    bool,
+    typer.Option(
+        "--trust",
+        help="Run these FMUs as our own, now and later: faster, but they can do what you can. "
+        "Others run in a process with limits.",
     ),
 ]
 Platforms = Annotated[
@@ -164,15 +182,39 @@ Platforms = Annotated[
 ]
 
 
+def examined(
+    logs: "Sequence[RobotLog]", model: "RobotModel", accepted: list[str] | None
+) -> "list[Finding]":
+    """Check logs, tell what is odd on standard error, and return it."""
+    from cosim.health import told
+    from hesr_model.health.examine import checked
+
+    return told(checked(logs, model, accepted or ()))
+
+
+def trusted(fmus: Iterable[Path], *, trust: bool) -> None:
+    """Remember FMUs as our own, where their user trusts them."""
+    if trust:
+        from fmu_src.exported import remember
+
+        for fmu in fmus:
+            if fmu.is_file():  # what is not there, others say better
+                remember(fmu)
+
+
 def read_records(
-    logs: list[Path], robot: Path, rigid_body: Path, progress: "Stages"
-) -> "tuple[Records, str, Path]":
-    """Return the friction records [joint][log], the robot's name and its model file."""
+    logs: list[Path],
+    robot: Path,
+    rigid_body: Path,
+    progress: "Stages",
+    accepted: list[str] | None = None,
+) -> "tuple[Records, RobotModel, list[Finding]]":
+    """Return the friction records [joint][log], the robot's model, and what is odd in the logs."""
     from cosim.scoring import by_joint
     from hesr_model.artifacts import read_rigid_body
-    from hesr_model.residual import friction_records
-    from hesr_model.robot import RobotDescription, RobotModel
-    from hesr_model.robot_log import RobotLog
+    from hesr_model.logs.robot_log import RobotLog, parts_of
+    from hesr_model.rigid_body.residual import friction_records
+    from hesr_model.robots.robot import RobotDescription, RobotModel
 
     description = RobotDescription.read(robot)
     model = RobotModel(description)
@@ -180,5 +222,6 @@ def read_records(
     read = [
         RobotLog.read(log, description) for log in counted(logs, partial(progress, "reading logs"))
     ]
-    records = by_joint([friction_records(log, model, body) for log in read])
-    return records, description.name, description.model
+    findings = examined(read, model, accepted)
+    records = by_joint([friction_records(log, model, body) for log in parts_of(read)])
+    return records, model, findings

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from cosim.cli.app import Json, app
-from cosim.cli.voice import answer, shown_progress, working
+from cosim.cli.app import Json, Trust, app, trusted
+from cosim.cli.console import answer, shown_progress, working
 
 
 @app.command()
@@ -25,11 +25,19 @@ def check(
             "--convention", help="Also measure what each way of handing inputs over costs."
         ),
     ] = False,
+    hostile: Annotated[
+        bool,
+        typer.Option(
+            "--hostile",
+            help="Also run them under a master at its worst: odd steps, steps taken back.",
+        ),
+    ] = False,
     json_file: Json = None,
+    trust: Trust = False,
 ) -> None:
     """Check FMUs by every validator there is.
 
-    The exit code is 1 if anything is wrong.
+    The exit code is 1 if anything is wrong. No code of an FMU is run but with --convention.
 
     Example: hesr check Friction.fmu --vdmcheck .tools/vdmcheck2
     """
@@ -43,11 +51,12 @@ def check(
 
         for fmu in fmus:
             judge(fmu)  # nor is anything done for what cannot be measured
+    trusted(fmus, trust=trust)
     reports = []
     with shown_progress() as progress:
         for k, fmu in enumerate(fmus):
             progress("checking", k, len(fmus))
-            reports.append(check_fmu(fmu, vdmcheck=vdmcheck))
+            reports.append(check_fmu(fmu, vdmcheck=vdmcheck, hostile=hostile))
     for fmu, report in zip(fmus, reports, strict=True):
         for problem in report.problems:
             typer.echo(f"{fmu}: [{problem.check}] {problem.text}")
@@ -59,15 +68,18 @@ def check(
         from rich.console import Console
 
         from cosim.convention import measure
-        from cosim.tables import convention as table
+        from cosim.tables.laws import convention as table
+        from cosim.tables.terminal import Drawn
 
         for fmu in fmus:
             with working(f"measuring {fmu.name}"):
                 found[fmu] = measure(fmu)
-            Console().print(table(fmu.name, found[fmu]))
+            Console().print(Drawn(table(fmu.name, found[fmu])))
     if json_file is not None:
+        from hesr_model.support.typed_json import to_json
+
         data = [
-            report.to_json() | ({"convention": found[fmu].to_json()} if fmu in found else {})
+            report.to_json() | ({"convention": to_json(found[fmu])} if fmu in found else {})
             for fmu, report in zip(fmus, reports, strict=True)
         ]
         answer(json_file, data)

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from cosim.cli.app import app
-from cosim.cli.voice import shown_progress
+from cosim.cli.console import shown_progress
 
 
 @app.command()

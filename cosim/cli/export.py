@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cosim.cli.app import Output, Platforms, app
+from cosim.cli.console import shown_progress
 from cosim.cli.numbers import numbers
-from cosim.cli.voice import shown_progress
 from hesr_model.errors import ConfigError
-from hesr_model.progress import Progress, Stages
+from hesr_model.support.progress import Progress, Stages
 
 if TYPE_CHECKING:
     from hesr_model.friction.model import FrictionModel
@@ -38,6 +38,7 @@ class _Request:
     """Options of a drive, as they were typed."""
     project: bool
     properties: bool
+    power: bool
     progress: Stages
 
     @property
@@ -93,6 +94,10 @@ def export(
             "--properties", help="Run 'hesr properties' and put its table into an FMU's pages."
         ),
     ] = False,
+    power: Annotated[
+        bool,
+        typer.Option("--power", help="FMU: the power that the friction takes as an output, too."),
+    ] = False,
     signals: Annotated[
         Path | None,
         typer.Option(
@@ -100,16 +105,25 @@ def export(
             help="Of an MJCF: its inputs and outputs; default: every control and every sensor.",
         ),
     ] = None,
+    python: Annotated[
+        bool,
+        typer.Option(
+            "--python", help="Of an MJCF: an FMU for hosts in Python, which have HESR and MuJoCo."
+        ),
+    ] = False,
 ) -> None:
     """Write a friction model, or a robot, for other tools.
 
     Examples: hesr export law.json -o Friction.fmu --platform linux64 --platform win64;
     hesr export law.json --format drive --inertia 3,3,0.6 -o Drive.fmu;
-    hesr export robot.xml -o Arm.fmu --signals arm.toml
+    hesr export robot.xml -o Arm.fmu --signals arm.toml --platform win64
     """
     of_robot = Path(model).suffix.lower() == ".xml"
-    if signals is not None and not of_robot:
-        raise ConfigError(f"--signals is for an MJCF, a file in .xml; '{model}' is none.")
+    for option, given in (("--signals", signals is not None), ("--python", python)):
+        if given and not of_robot:
+            raise ConfigError(f"{option} is for an MJCF, a file in .xml; '{model}' is none.")
+    if python and platform is not None:
+        raise ConfigError("--platform is for native FMUs; with --python there is no such choice.")
     motor = {"inertia": inertia, "stiffness": stiffness, "damping": damping, "ratio": ratio}
     with shown_progress() as progress:
         request = _Request(
@@ -118,16 +132,14 @@ def export(
             motor=motor,
             project=project,
             properties=properties,
+            power=power,
             progress=progress,
         )
         _refuse_others(request, platform, kind, of_robot=of_robot)
         if of_robot:
-            _robot(Path(model), request, signals)
+            _robot(Path(model), request, signals, python=python)
         else:
-            from fmu_src import model_file
-            from hesr_model.artifacts import read_model
-
-            _WRITERS[kind](read_model(model_file(model)), request)
+            _law(model, kind, request)
     typer.echo(f"written to {output}.")
 
 
@@ -142,6 +154,7 @@ def _refuse_others(
     given = motor | {
         "--project": (request.project, (Format.MJCF,)),
         "--properties": (request.properties, (Format.FMU,)),
+        "--power": (request.power, (Format.FMU,)),
         "--platform": (platform is not None, (Format.FMU, Format.DRIVE)),
     }
     for option, (present, formats) in given.items():
@@ -152,7 +165,12 @@ def _refuse_others(
             raise ConfigError(f"{option} needs {allowed}, but the format is '{kind}'.")
 
 
-def _robot(model: Path, request: _Request, signals: Path | None) -> None:
+def _robot(model: Path, request: _Request, signals: Path | None, *, python: bool) -> None:
+    if python:
+        from fmu_src.arm.python_fmu import export_python_arm
+
+        export_python_arm(model, signals, request.output)
+        return
     from fmu_src.arm.native import export_mjcf
 
     export_mjcf(
@@ -162,6 +180,24 @@ def _robot(model: Path, request: _Request, signals: Path | None) -> None:
         platforms=request.platforms,
         progress=request.building,
     )
+
+
+def _law(model: str, kind: Format, request: _Request) -> None:
+    from cosim.exported import exported
+    from fmu_src import model_file
+
+    file = model_file(model)
+
+    def write() -> None:
+        from hesr_model.artifacts import read_model
+
+        _WRITERS[kind](read_model(file), request)
+
+    if kind in (Format.FMU, Format.DRIVE) and not request.properties:
+        options = {"format": kind, "platforms": request.platforms, "motor": request.motor}
+        exported(file, options, request.output, write)
+    else:
+        write()
 
 
 def _fmu(model: "FrictionModel", request: _Request) -> None:
@@ -180,12 +216,13 @@ def _fmu(model: "FrictionModel", request: _Request) -> None:
         request.output,
         platforms=request.platforms,
         properties=found,
+        power=request.power,
         progress=request.building,
     )
 
 
 def _drive(model: "FrictionModel", request: _Request) -> None:
-    from fmu_src.drive.export import export_drive
+    from fmu_src.drive.drive_fmu import export_drive
 
     motor = {name: _of_joints(name, text, len(model.joints))
              for name, text in request.motor.items()}  # fmt: skip
@@ -217,7 +254,7 @@ def _of_joints(name: str, text: str | None, joints: int) -> Sequence[float] | No
 
 
 def _mjcf(model: "FrictionModel", request: _Request) -> None:
-    from fmu_src.mjcf.export import export_mjcf_law
+    from fmu_src.mjcf.mjcf_file import export_mjcf_law
 
     report = export_mjcf_law(
         model, request.output, project=request.project, progress=request.building
@@ -227,7 +264,7 @@ def _mjcf(model: "FrictionModel", request: _Request) -> None:
 
 
 def _modelica(model: "FrictionModel", request: _Request) -> None:
-    from fmu_src.modelica.export import export_modelica
+    from fmu_src.modelica.modelica_package import export_modelica
 
     export_modelica(model, request.output)
 

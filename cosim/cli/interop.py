@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.cli.app import Json, app
-from cosim.cli.voice import answer, shown_progress
+from cosim.cli.app import Json, Trust, app, trusted
+from cosim.cli.console import answer, shown_progress
 
 if TYPE_CHECKING:
     from cosim.interop.case import Case
@@ -29,28 +29,33 @@ def interop(
         typer.Option(metavar="FOLDER", help="Folder with engines; default: .tools/interop."),
     ] = None,
     json_file: Json = None,
+    trust: Trust = False,
 ) -> None:
     """Run FMUs in every engine there is, and compare.
 
     Each engine is compared with our own run of the same FMUs, in the engine's way of coupling. The
-    exit code is 1 if one gives something else.
+    exit code is 1 if one gives something else. Engines run FMUs without limits but on time.
 
     Example: hesr interop Friction.fmu --json matrix.json
     """
     from rich.console import Console
 
+    from cosim.interop.case import Alone
     from cosim.interop.engine import DEFAULT_TOOLS, Tools
     from cosim.interop.matrix import compare
     from cosim.interop.table import notes, table
+    from cosim.tables.terminal import Drawn
 
     with (
         TemporaryDirectory(prefix="hesr-") as folder,
         _opened(what, Path(folder)) as case,
         shown_progress() as progress,
     ):
+        fmus = [case.fmu] if isinstance(case, Alone) else [c.fmu for c in case.spec.components]
+        trusted(fmus, trust=trust)
         chosen = Tools(folder=tools or DEFAULT_TOOLS)
         matrix = compare([case], chosen, progress=partial(progress, case.name))
-    Console().print(table(matrix))
+    Console().print(Drawn(table(matrix)))
     for note in notes(matrix):
         typer.echo(note)
     answer(json_file, matrix.to_json())

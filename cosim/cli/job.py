@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from cosim.cli.app import Json, Platforms, app
-from cosim.cli.voice import Interrupted, answer, answer_file, shown_progress
+from cosim.cli.app import Accept, Json, Platforms, app
+from cosim.cli.console import Interrupted, answer, answer_file, shown_progress
 
 
 @app.command()
@@ -24,6 +24,7 @@ def run(
     quick: Annotated[
         bool, typer.Option("--quick", help="Stribeck, LuGre and ParFam-H only.")
     ] = False,
+    accept: Accept = None,
     json_file: Json = None,
 ) -> None:
     """Do the whole job: identify, fit, build FMUs and score them.
@@ -35,41 +36,52 @@ def run(
     """
     from rich.console import Console
 
-    from cosim import tables
     from cosim.run import run_study, unfinished
     from cosim.scoring import inputs_of
     from cosim.study import Study
+    from cosim.tables import loop, properties
+    from cosim.tables.laws import rigid_body
+    from cosim.tables.scores import MEASURES, errors
+    from cosim.tables.terminal import Drawn
     from hesr_model.artifacts import write_json
-    from hesr_model.files import models_folder
+    from hesr_model.support.files import models_folder
+    from hesr_model.support.typed_json import to_json
 
     path = study or models_folder() / "studies" / "default.toml"
     folder = output or Path("results") / Study.read(path).name
     with answer_file(json_file) as wanted:
         with shown_progress() as progress, _going_on(unfinished(folder)):
             outcome = run_study(
-                path, folder, platforms=platform or ["linux64"], quick=quick, progress=progress
+                path,
+                folder,
+                platforms=platform or ["linux64"],
+                quick=quick,
+                accepted=accept or (),
+                progress=progress,
             )
         if wanted:
-            write_json(wanted, {"folder": str(folder)} | outcome.to_json())
+            write_json(
+                wanted,
+                {
+                    "folder": str(folder),
+                    "fmus": {law: str(path) for law, path in outcome.fmus.items()},
+                    "left_out": outcome.left_out,
+                    "evaluation": {name: to_json(c) for name, c in outcome.comparisons.items()},
+                    "closed_loop": to_json(outcome.loop) if outcome.loop else None,
+                },
+            )
     console = Console()
     sliding = next(iter(outcome.models.values())).sliding
-    console.print(tables.rigid_body(outcome.rigid_body, sliding))
+    console.print(rigid_body(outcome.rigid_body, sliding))
     inputs = {law: inputs_of(model) for law, model in outcome.models.items()}
     for name, comparison in outcome.comparisons.items():
-        for measure in ("rmse", "rmse_moving", "rmse_reversal"):
-            console.print(tables.comparison(name, comparison, measure, inputs, sliding))
-        if comparison.ratios:
-            console.print(tables.ratios(name, comparison, inputs))
-    if outcome.loop:
-        from cosim import loop_tables
-
-        for table in loop_tables.outcome(outcome.loop):
-            console.print(table)
+        for measure in MEASURES:
+            console.print(Drawn(errors(name, comparison, measure, inputs, sliding)))
+    for table in loop.outcome(outcome.loop) if outcome.loop else ():
+        console.print(Drawn(table))
     if outcome.properties:
-        from cosim import property_tables
-
-        console.print(property_tables.properties(outcome.properties))
-        console.print(property_tables.legend(sliding))
+        console.print(Drawn(properties.properties(outcome.properties)))
+        console.print(Drawn(properties.legend(sliding)))
     console.print("The figures are those of the FMUs, run through FMPy over the test logs:")
     for fmu in outcome.fmus.values():
         console.print(f"  {fmu}", soft_wrap=True, highlight=False)
@@ -101,11 +113,12 @@ def laws(json_file: Json = None) -> None:
     """
     from rich.console import Console
 
-    from cosim import tables
-    from hesr_model.friction.laws import registry
+    from cosim.tables.laws import laws as table
+    from cosim.tables.terminal import Drawn
+    from hesr_model.friction.registry import registry
 
-    Console().print(tables.laws())
+    Console().print(Drawn(table()))
     answer(
         json_file,
-        {name: {"title": law.title, "equation": law.equation} for name, law in registry().items()},
+        {name: {"title": law.title, "equation": law.as_text()} for name, law in registry().items()},
     )

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from cosim.cli.app import app
-from cosim.cli.voice import working
+from cosim.cli.console import working
 
 
 @app.command()

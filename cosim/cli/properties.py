@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.cli.app import Json, app
+from cosim.cli.app import Json, Trust, app, trusted
+from cosim.cli.console import answer_file, shown_progress
 from cosim.cli.numbers import numbers
-from cosim.cli.voice import answer_file, shown_progress
 from hesr_model.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ def properties(
     ] = 0.0,
     why: Annotated[bool, typer.Option("--why", help="Also say why, joint by joint.")] = False,
     json_file: Json = None,
+    trust: Trust = False,
 ) -> None:
     """Put friction laws to the test: memory, stick-slip, work done.
 
@@ -54,24 +55,26 @@ def properties(
 
     from rich.console import Console
 
-    from cosim import property_tables as tables
     from cosim.studies.properties.battery import run_battery
-    from hesr_model.friction.properties import write_properties
+    from cosim.tables import properties as tables
+    from cosim.tables.terminal import Drawn
+    from hesr_model.friction.audit.properties import write_properties
 
     if not isfinite(load):
         raise ConfigError(f"--load is {load}; needed is a number.")
     subjects = _subjects(laws, numbers("--inertia", inertia))
+    trusted((s.fmu for s in subjects if s.fmu), trust=trust)
     with answer_file(json_file) as wanted, shown_progress() as progress:
         found = run_battery(subjects, load=load, progress=partial(progress, "testing the laws"))
         named = {s.name: of_law for s, of_law in zip(subjects, found, strict=True)}
         if wanted is not None:
             write_properties(wanted, named)
     console = Console()
-    console.print(tables.properties(named))
+    console.print(Drawn(tables.properties(named)))
     sliding = [slides for s in subjects if s.model for slides in s.model.slides]
-    console.print(tables.legend(sliding))
+    console.print(Drawn(tables.legend(sliding)))
     if why:
-        console.print(tables.reasons(named))
+        console.print(Drawn(tables.reasons(named)))
 
 
 def _subjects(laws: list[str], inertia: tuple[float, ...] | None) -> "list[Subject]":

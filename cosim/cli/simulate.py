@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.cli.app import app
-from cosim.cli.voice import shown_progress
+from cosim.cli.app import Trust, app, trusted
+from cosim.cli.console import shown_progress
 
 if TYPE_CHECKING:
     from cosim.system import SystemSpec
@@ -22,6 +22,7 @@ def simulate(
         Path,
         typer.Option("-o", "--output", metavar="FILE", help="CSV or Parquet file to write."),
     ],
+    trust: Trust = False,
 ) -> None:
     """Run a system of FMUs and write the signals that it observes.
 
@@ -33,13 +34,14 @@ def simulate(
     if output.suffix.lower() not in (".csv", ".parquet", ".pq"):
         raise ConfigError(f"{output}: results are written as .csv or .parquet.")
     with opened_system(system) as spec:
+        trusted((component.fmu for component in spec.components), trust=trust)
         _simulate(spec, system, output)
 
 
 def _simulate(spec: "SystemSpec", system: Path, output: Path) -> None:
     from cosim.master import Master
     from hesr_model.errors import ConfigError, SimulationError
-    from hesr_model.files import written_whole
+    from hesr_model.support.files import written_whole
 
     if not spec.observe:
         raise ConfigError(f"{system}: key 'observe' names no signals, so nothing would be written.")

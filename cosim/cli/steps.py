@@ -1,6 +1,5 @@
 """Commands of the single steps: identify, fit, evaluate, replay."""
 
-import tomllib
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,17 +7,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cosim.cli.app import (
+    Accept,
     Body,
     Json,
     Logs,
     Output,
     Robot,
+    Trust,
     app,
+    examined,
     read_records,
+    trusted,
 )
-from cosim.cli.voice import answer, shown_progress
+from cosim.cli.console import answer, shown_progress
 from hesr_model.errors import ConfigError
-from hesr_model.progress import counted
+from hesr_model.support.bounded import parse_toml
+from hesr_model.support.progress import counted
 
 if TYPE_CHECKING:
     from cosim.scoring import Comparison, Records
@@ -26,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def _laws(typed: str) -> list[str]:
-    from hesr_model.friction.laws import registry
+    from hesr_model.friction.registry import registry
 
     return [name for name in registry() if name.startswith(typed)]
 
@@ -66,18 +70,21 @@ def identify(
         bool,
         typer.Option("--physical", help="Only bodies that can exist; pays on short logs."),
     ] = False,
+    accept: Accept = None,
 ) -> None:
     """Identify the rigid body from logs.
 
     Example: hesr identify excitation.csv --robot robot.toml -o rigid_body.json
     """
-    from cosim import tables
+    from cosim.health import told
+    from cosim.tables.laws import rigid_body as summary
     from hesr_model.artifacts import provenance, read_model, read_rigid_body, write_rigid_body
-    from hesr_model.payload import identify_payload, loaded
-    from hesr_model.refinement import identify_again
-    from hesr_model.rigid_body import identify as identify_rigid_body
-    from hesr_model.robot import RobotDescription, RobotModel
-    from hesr_model.robot_log import RobotLog
+    from hesr_model.health.fitted import check_body
+    from hesr_model.logs.robot_log import RobotLog
+    from hesr_model.rigid_body.identification import identify as identify_rigid_body
+    from hesr_model.rigid_body.payload import identify_payload, loaded
+    from hesr_model.rigid_body.refinement import identify_again
+    from hesr_model.robots.robot import RobotDescription, RobotModel
 
     if method not in ("stacked", "paper"):
         raise ConfigError(f"--method is '{method}'; allowed are 'stacked' and 'paper'.")
@@ -97,6 +104,7 @@ def identify(
             RobotLog.read(log, description)
             for log in counted([*logs, *counterparts], partial(progress, "reading logs"))
         ]
+        findings = examined(read, model, accept)
         forward, backward = read[: len(logs)], read[len(logs) :]
         progress("identifying", 0, 1)
         files = [robot, description.model, *logs, *counterparts]
@@ -118,7 +126,11 @@ def identify(
                 physical=physical,
             )
             source = provenance(files=files)
+        impossible = list(check_body(found, model))
+        findings += impossible
+        source |= {"health": [finding.to_json() for finding in findings]}
         write_rigid_body(output, found, source)
+        told(impossible)
     if payload is not None:
         centre = ", ".join(f"{c:.4f}" for c in carried.centre_of_mass)
         typer.echo(
@@ -127,7 +139,7 @@ def identify(
         )
     else:
         sliding = [joint.prismatic for joint in model.tree]
-        typer.echo(f"{tables.rigid_body(found, sliding)}\nwritten to {output}.")
+        typer.echo(f"{summary(found, sliding)}\nwritten to {output}.")
 
 
 @app.command()
@@ -145,6 +157,7 @@ def fit(
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="Option of the law, as in TOML; repeatable."),
     ] = None,
+    accept: Accept = None,
 ) -> None:
     """Fit a friction law to the joints of a robot.
 
@@ -153,26 +166,30 @@ def fit(
     Example: hesr fit sweep.csv --robot robot.toml --rigid-body rigid_body.json --law parfam_h
     -o law.json --option 'search="paper"'
     """
+    from cosim.health import told
     from hesr_model.artifacts import provenance, write_model
-    from hesr_model.friction.fit import fit_models
-    from hesr_model.friction.laws import estimator
+    from hesr_model.friction.fitting.fit import fit_models
+    from hesr_model.friction.registry import estimator
+    from hesr_model.health.fitted import check_laws
 
     estimator(law)
     options = _options(option or [])
     with shown_progress() as progress:
-        records, name, model_file = read_records(logs, robot, rigid_body, progress)
-        files = [robot, model_file, rigid_body, *logs]
-        source = provenance(files=files, seed=seed, options=options)
+        records, own, findings = read_records(logs, robot, rigid_body, progress, accept)
+        files = [robot, own.description.model, rigid_body, *logs]
+        health = [finding.to_json() for finding in findings]
+        source = provenance(files=files, seed=seed, options=options, health=health)
         model = fit_models(
             [law],
             records,
-            robot=name,
+            robot=own.description.name,
             seed=seed,
             options={law: options},
             provenance=source,
             progress=partial(progress, f"fitting {law}"),
         )[law]
     write_model(output, model)
+    told(check_laws({law: model}, records))
     _print_law(model)
     typer.echo(f"{law} for {', '.join(model.joints)}; written to {output}.")
 
@@ -185,14 +202,17 @@ def evaluate(
     ],
     robot: Robot,
     rigid_body: Body,
+    accept: Accept = None,
     json_file: Json = None,
 ) -> None:
     """Score friction models on logs, and audit them.
 
     Example: hesr evaluate test.csv --robot robot.toml --rigid-body rigid_body.json law.json
     """
+    from cosim.health import told
     from cosim.scoring import compare, inputs_of, predict_model
     from hesr_model.artifacts import read_model
+    from hesr_model.health.fitted import check_owner
 
     law_files = [file for file in files if file.suffix == ".json"]
     logs = [file for file in files if file.suffix != ".json"]
@@ -205,13 +225,15 @@ def evaluate(
     names = next((n for n in namings if len(set(n)) == len(n)), namings[-1])
     named = dict(zip(names, models, strict=True))
     with shown_progress() as progress:
-        records, _, _ = read_records(logs, robot, rigid_body, progress)
+        records, own, _ = read_records(logs, robot, rigid_body, progress, accept)
+        for model in models:
+            told(check_owner(model, own))
         predicted = {
             name: predict_model(model, records)
             for name, model in counted(named.items(), partial(progress, "evaluating"))
         }
         scores = compare(records, predicted)
-    answer(json_file, scores.to_json())
+    _answer_scores(json_file, scores)
     inputs = {name: inputs_of(m) for name, m in named.items()}
     _print_scores("evaluation", scores, records, inputs)
     for name, model in named.items():
@@ -224,7 +246,9 @@ def replay(
     logs: Logs,
     robot: Robot,
     rigid_body: Body,
+    accept: Accept = None,
     json_file: Json = None,
+    trust: Trust = False,
 ) -> None:
     """Run a friction FMU over logs through FMPy and score it.
 
@@ -232,12 +256,19 @@ def replay(
     """
     from cosim.scoring import compare, predict_fmu
 
+    trusted([fmu], trust=trust)
     with shown_progress() as progress:
-        records, _, _ = read_records(logs, robot, rigid_body, progress)
+        records, _, _ = read_records(logs, robot, rigid_body, progress, accept)
         progress(f"replaying {fmu.name}", 0, 1)
         scores = compare(records, {fmu.stem: predict_fmu(fmu, records)})
-    answer(json_file, scores.to_json())
+    _answer_scores(json_file, scores)
     _print_scores("replay", scores, records)
+
+
+def _answer_scores(json_file: Path | None, scores: "Comparison") -> None:
+    from hesr_model.support.typed_json import to_json
+
+    answer(json_file, to_json(scores))
 
 
 def _options(pairs: list[str]) -> dict[str, Any]:
@@ -245,8 +276,8 @@ def _options(pairs: list[str]) -> dict[str, Any]:
     options: dict[str, Any] = {}
     for pair in pairs:
         try:
-            options |= tomllib.loads(pair)
-        except tomllib.TOMLDecodeError as error:
+            options |= parse_toml(pair)
+        except ValueError as error:
             raise ConfigError(
                 f"--option is '{pair}'; needed is KEY=VALUE with a value as in TOML, for instance "
                 'ripple=false or search="paper".'
@@ -259,19 +290,17 @@ def _print_scores(
 ) -> None:
     from rich.console import Console
 
-    from cosim import tables
+    from cosim.tables.scores import MEASURES, errors
+    from cosim.tables.terminal import Drawn
 
-    console = Console()
     sliding = [of_joint[0].sliding for of_joint in records]
-    for measure in ("rmse", "rmse_moving", "rmse_reversal"):
-        console.print(tables.comparison(name, scores, measure, inputs, sliding))
-    if scores.ratios:
-        console.print(tables.ratios(name, scores, inputs))
+    for measure in MEASURES:
+        Console().print(Drawn(errors(name, scores, measure, inputs, sliding)))
 
 
 def _print_law(model: "FrictionModel") -> None:
     from hesr_model.friction.equation import coefficient_lines, equations
-    from hesr_model.friction.uncertainty import MOST_COEFFICIENTS
+    from hesr_model.friction.fitting.uncertainty import MOST_COEFFICIENTS
 
     for joint, law in zip(model.joints, model.laws, strict=True):
         if len(law.values) > MOST_COEFFICIENTS:
@@ -289,19 +318,20 @@ def _print_law(model: "FrictionModel") -> None:
 def _print_audit(name: str, model: "FrictionModel", records: "Records | None" = None) -> None:
     from rich.console import Console
 
-    from cosim import tables
-    from hesr_model.friction.audit import audit
+    from cosim.tables import laws
+    from cosim.tables.terminal import Drawn
+    from hesr_model.friction.audit.audit import audit
     from hesr_model.friction.trained import outside
 
     if not model.trained:
         return
     pairs = list(zip(model.laws, model.trained, strict=True))
     audits = [audit(law, trained) for law, trained in pairs]
-    Console().print(tables.audit(name, audits, model.sliding))
+    Console().print(Drawn(laws.audit(name, audits, model.sliding)))
     if records is not None:
         found = [
             {k: v for k, v in outside(trained, r).items() if k in map(str, law.form.inputs)}
             for (law, trained), r in zip(pairs, records, strict=True)
         ]
         if any(found):
-            typer.echo(tables.leaving(model.joints, found, model.sliding))
+            typer.echo(laws.leaving(model.joints, found, model.sliding))

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from cosim.cli.app import app
-from cosim.cli.voice import shown_progress, working
+from cosim.cli.console import shown_progress, working
 
 
 @app.command()

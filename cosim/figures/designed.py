@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from hesr_model.excitation import Excitation
-from hesr_model.files import written_whole
+from hesr_model.motions.excitation import Excitation
+from hesr_model.support.files import written_whole
 
 Array = NDArray[np.float64]
 

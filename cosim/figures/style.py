@@ -17,7 +17,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hesr_model.files import written_whole
+from hesr_model.support.files import written_whole
 
 if TYPE_CHECKING:
     from matplotlib.typing import RcKeyType  # which older versions do not have

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.component import Component
 from cosim.interop.case import Alone, Array
+from cosim.slave import Component
 from cosim.system import Value
 
 _AMPLITUDE, _RATE, _PHASE = 0.5, 2.0 * np.pi, 0.7

@@ -15,7 +15,7 @@ import numpy as np
 
 from cosim.interop.case import Alone, Array, Run, Together
 from cosim.interop.reference import Coupling
-from fmu_src.check.process import FailedError, run
+from hesr_model.support.process import FailedError, run
 
 DEFAULT_TOOLS = Path(".tools/interop")
 """Where `.ci/interop` lays out engines, below the current folder."""
@@ -23,7 +23,7 @@ DEFAULT_TOOLS = Path(".tools/interop")
 SECONDS = 300.0
 """Longest run of an engine."""
 
-_HOSTS = Path(__file__).with_name("hosts")
+HOSTS = Path(__file__).with_name("hosts")
 _LONGEST = 300  # characters of what an engine said
 _VERSIONS = """
 import importlib.metadata as m, json
@@ -124,7 +124,7 @@ def require_success(command: Sequence[str | Path], folder: Path) -> str:
 def host(python: Path, name: str, given: Mapping[str, Any], folder: Path) -> Run:
     """Run one of the Python hosts, which need no package but the engine, on a case."""
     (folder / "case.json").write_text(json.dumps(given), encoding="utf-8")
-    require_success((python, "-E", "-s", _HOSTS / name, "case.json"), folder)
+    require_success((python, "-E", "-s", HOSTS / name, "case.json"), folder)
     seconds = folder / "seconds"
     return Run(
         signals=read_signals(folder / "result.csv"),

@@ -12,12 +12,12 @@ from cosim.interop.case import Alone, Array, Case, Run, Together, deviation
 from cosim.interop.engine import Engine, SkippedError, Tools
 from cosim.interop.engines import ENGINES
 from cosim.interop.reference import alone, together
-from fmu_src.check.process import FailedError
-from hesr_model.progress import Progress, counted, unheard
+from hesr_model.support.process import FailedError
+from hesr_model.support.progress import Progress, counted, unheard
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class EngineResult:
     """One engine on one case.
 
     Attributes
@@ -44,7 +44,7 @@ class Cell:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class EngineRow:
     """One engine.
 
     Attributes
@@ -57,15 +57,15 @@ class Row:
     engine: Engine
     version: str = ""
     missing: str = ""
-    cells: Mapping[str, Cell]
+    cells: Mapping[str, EngineResult]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Matrix:
+class EngineMatrix:
     """Engines by cases."""
 
     cases: Sequence[Case]
-    rows: Sequence[Row]
+    rows: Sequence[EngineRow]
 
     @property
     def failing(self) -> list[tuple[str, str]]:
@@ -106,7 +106,7 @@ def compare(
     *,
     engines: Sequence[Engine] = ENGINES,
     progress: Progress = unheard,
-) -> Matrix:
+) -> EngineMatrix:
     """Run all engines that are there on all cases.
 
     Raises
@@ -116,7 +116,7 @@ def compare(
     """
     expected = References()
     rows = [_row(engine, cases, tools, expected) for engine in counted(engines, progress)]
-    return Matrix(cases=cases, rows=rows)
+    return EngineMatrix(cases=cases, rows=rows)
 
 
 class References:
@@ -135,26 +135,26 @@ class References:
         return self._known[key]
 
 
-def _row(engine: Engine, cases: Sequence[Case], tools: Tools, expected: References) -> Row:
+def _row(engine: Engine, cases: Sequence[Case], tools: Tools, expected: References) -> EngineRow:
     try:
         version = engine.find(tools)
     except (SkippedError, FailedError) as error:
-        return Row(engine=engine, missing=f"{error}: {engine.install}", cells={})
+        return EngineRow(engine=engine, missing=f"{error}: {engine.install}", cells={})
     cells = {case.name: run_cell(engine, case, tools, expected) for case in cases}
-    return Row(engine=engine, version=version, cells=cells)
+    return EngineRow(engine=engine, version=version, cells=cells)
 
 
-def run_cell(engine: Engine, case: Case, tools: Tools, expected: References) -> Cell:
+def run_cell(engine: Engine, case: Case, tools: Tools, expected: References) -> EngineResult:
     """Run an engine on a case and compare it with what it should give."""
     # Ours is first: a case that cannot be run at all is no engine's fault, and some never end.
     reference = expected.of(case, engine)
     try:
         run = _run(engine, case, tools)
     except SkippedError as error:
-        return Cell(skipped=str(error))
+        return EngineResult(skipped=str(error))
     except FailedError as error:
-        return Cell(failure=str(error))
-    return Cell(
+        return EngineResult(failure=str(error))
+    return EngineResult(
         deviation=deviation(run, reference),
         tolerance=case.tolerance,
         seconds=run.seconds,

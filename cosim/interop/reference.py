@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 from typing import Literal
 
 import numpy as np
 
-from cosim.component import Component
 from cosim.interop.case import Alone, Array, Together
+from cosim.slave import Component
 from cosim.wiring import Element, Wiring
 
 
@@ -86,8 +87,13 @@ class _System:
             self._cleanup = cleanup.pop_all()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._cleanup.close()
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._cleanup.__exit__(kind, error, trace)
 
     def run(self) -> dict[str, Array]:
         """Return the signals, one value more than there are steps."""

@@ -1,27 +1,30 @@
-"""The matrix of engines and cases for a terminal."""
+"""The matrix of engines and cases as a table."""
 
 from collections.abc import Iterator
 
-from rich.table import Table
-
 from cosim.interop.case import Together
-from cosim.interop.matrix import Cell, Matrix
+from cosim.interop.matrix import EngineMatrix, EngineResult
+from cosim.tables.table import ResultTable, TableRow
 
 
-def table(matrix: Matrix) -> Table:
+def table(matrix: EngineMatrix) -> ResultTable:
     """Return the deviations, engine by case."""
-    shown = Table(title="largest deviation, relative to the largest value of a signal")
-    shown.add_column("engine")
-    shown.add_column("version")
-    for case in matrix.cases:
-        shown.add_column(f"{case.name}\n({case.tolerance:g})", justify="right")
-    for row in matrix.rows:
-        cells = [_text(row.cells.get(case.name)) for case in matrix.cases]
-        shown.add_row(row.engine.name, row.version or "-", *cells)
-    return shown
+    names = [case.name for case in matrix.cases]
+    return ResultTable(
+        caption="largest deviation, relative to the largest value of a signal",
+        head=("engine", "version", *(f"{case.name} ({case.tolerance:g})" for case in matrix.cases)),
+        words=(1,),
+        rows=[
+            TableRow(
+                head=row.engine.name,
+                cells=(row.version or "-", *(_text(row.cells.get(name)) for name in names)),
+            )
+            for row in matrix.rows
+        ],
+    )
 
 
-def notes(matrix: Matrix) -> Iterator[str]:
+def notes(matrix: EngineMatrix) -> Iterator[str]:
     """Yield one line for each way of coupling, each cell without a number and each failure."""
     systems = [case.name for case in matrix.cases if isinstance(case, Together)]
     for row in matrix.rows:
@@ -43,7 +46,7 @@ def notes(matrix: Matrix) -> Iterator[str]:
                 yield f"{name}: {case} fails: {cell.failure or 'it gives something else'}."
 
 
-def _text(cell: Cell | None) -> str:
+def _text(cell: EngineResult | None) -> str:
     if cell is None or cell.skipped:
         return "-"
     if cell.failure:

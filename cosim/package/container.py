@@ -3,7 +3,8 @@
 The runtime comes with FMPy as a library. It reads container.json, steps all components together at
 the system's step, and then passes values on along the connections in their given order. That order
 is the one in which values become known, so an output with direct feedthrough is that of its newest
-inputs, while states move with the inputs of the step's beginning.
+inputs, while states move with the inputs of the step's beginning. It takes multiples of that step
+only; a library of ours stands before it that takes any step and holds the outputs in between.
 
 FMPy's own builder is not used: for FMI 2.0 it writes connections of type Real, which the runtime
 refuses; it counts value references from 0, where the runtime has the time; it puts the half-written
@@ -14,17 +15,21 @@ have no binary.
 import hashlib
 import json
 import re
-import zipfile
 from collections.abc import Iterator, Mapping
 from importlib.metadata import distribution
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from cosim.package.container_description import Exposed, exposed_variables, to_description
-from cosim.package.contents import Contents
+from cosim.package.contents import SystemContents
 from cosim.package.ssv import text_of
 from cosim.wiring import Element
-from fmu_src.package import write_archive
+from fmu_src.archive import Archive
+from fmu_src.exported import is_ours, remember
+from fmu_src.interface import literal
+from fmu_src.package import own_source, write_archive
+from fmu_src.toolchain import TARGETS, build
 from hesr_model.errors import ConfigError, ExportError
 
 _RUNTIMES = {
@@ -33,11 +38,12 @@ _RUNTIMES = {
 }
 """Folder and suffix of FMPy's runtime; its two for macOS cannot share FMI 2.0's one folder."""
 
+_RUNTIME = "container_fmu"
 _LICENSE = "documentation/licenses/fmpy.txt"
 _TYPES = {"Real": "Float64", "Integer": "Int32", "Enumeration": "Int32"}
 
 
-def write_container(contents: Contents, path: Path) -> Path:
+def write_container(contents: SystemContents, path: Path) -> Path:
     """Write a system as an FMU that holds all of its FMUs: the same bytes every time.
 
     Parameters
@@ -74,11 +80,15 @@ def write_container(contents: Contents, path: Path) -> Path:
         "resources/container.json": _configuration(contents, exposed, guid),
         **members,
     }
+    # Whose code is in it, the runtime's but for that of its components.
+    ours = [is_ours(component.fmu) for component in contents.spec.components]
     write_archive(members, path, contents.created)
+    if all(ours):
+        remember(path)
     return path
 
 
-def _require_one_step(contents: Contents) -> None:
+def _require_one_step(contents: SystemContents) -> None:
     spec = contents.spec
     for component in spec.components:
         if spec.every(component) > 1:
@@ -89,14 +99,17 @@ def _require_one_step(contents: Contents) -> None:
 
 
 def _members(fmu: Path) -> dict[str, bytes]:
-    with zipfile.ZipFile(fmu) as archive:
-        return {name: archive.read(name) for name in archive.namelist() if name[-1] != "/"}
+    with Archive(fmu) as archive:
+        return {name: archive.read(name) for name in archive.names}
 
 
 def _runtimes(
-    contents: Contents, nested: Mapping[str, Mapping[str, bytes]], identifier: str
+    contents: SystemContents, nested: Mapping[str, Mapping[str, bytes]], identifier: str
 ) -> dict[str, bytes]:
-    """Return the runtime for each platform of which all components have a binary, with licence."""
+    """Return the runtime for each platform of which all components have a binary, with licence.
+
+    It takes multiples of its own step only; before it stands a library of ours that takes any.
+    """
     found: dict[str, bytes] = {}
     for platform, (folder, suffix) in _RUNTIMES.items():
         if all(
@@ -104,7 +117,10 @@ def _runtimes(
             in files
             for n, files in nested.items()
         ):
-            found[f"binaries/{platform}/{identifier}{suffix}"] = _runtime(folder, suffix)
+            name = _RUNTIME + suffix
+            own = _holding(identifier, contents.spec.step, platform, name)
+            found[f"binaries/{platform}/{identifier}{suffix}"] = own
+            found[f"binaries/{platform}/{name}"] = _runtime(folder, name)
     if not found:
         raise ConfigError(
             f"{contents.path}: no platform of a container, {' or '.join(_RUNTIMES)}, has a binary "
@@ -115,8 +131,21 @@ def _runtimes(
     return found | {_LICENSE: terms[0].read_binary()}
 
 
-def _runtime(folder: str, suffix: str) -> bytes:
-    file = _container_fmu().parent / "binaries" / folder / f"container_fmu{suffix}"
+def _holding(identifier: str, step: float, platform: str, runtime: str) -> bytes:
+    """Return the library that holds outputs between the steps of a runtime beside it."""
+    texts = {name: own_source(name) for name in ("beside.h", "fmi2.h", "hold.c")}
+    texts["hold.h"] = (
+        f'#define RUNTIME_FILE "{runtime}"\n#define RUNTIME_STEP {literal(step)} /* [s] */\n'
+    )
+    with TemporaryDirectory(prefix="hesr-") as folder:
+        for name, text in texts.items():
+            Path(folder, name).write_text(text, encoding="utf-8")
+        flags = ("-ldl",) if platform == "linux64" else ()
+        return build(Path(folder, "hold.c"), identifier, TARGETS[platform], flags)
+
+
+def _runtime(folder: str, name: str) -> bytes:
+    file = _container_fmu().parent / "binaries" / folder / name
     try:
         return file.read_bytes()
     except OSError as error:
@@ -138,7 +167,7 @@ def _no_runtime() -> ExportError:
     )
 
 
-def _configuration(contents: Contents, exposed: list[Exposed], guid: str) -> bytes:
+def _configuration(contents: SystemContents, exposed: list[Exposed], guid: str) -> bytes:
     """Return container.json."""
     from fmpy.container_fmu import __version__
 
@@ -165,7 +194,9 @@ def _configuration(contents: Contents, exposed: list[Exposed], guid: str) -> byt
     return (json.dumps(data, indent=1) + "\n").encode()
 
 
-def _variable(contents: Contents, place: Mapping[str, int], variable: Exposed) -> dict[str, Any]:
+def _variable(
+    contents: SystemContents, place: Mapping[str, int], variable: Exposed
+) -> dict[str, Any]:
     name, own = variable.element
     described = contents.variables[name][own]
     data: dict[str, Any] = {
@@ -178,7 +209,7 @@ def _variable(contents: Contents, place: Mapping[str, int], variable: Exposed) -
     return data
 
 
-def _connections(contents: Contents, place: Mapping[str, int]) -> Iterator[dict[str, Any]]:
+def _connections(contents: SystemContents, place: Mapping[str, int]) -> Iterator[dict[str, Any]]:
     """Yield the connections between pairs of components, as soon as their values are known."""
     sources, variables = contents.wiring.sources, contents.variables
     waiting = [element for element in contents.wiring.order if element in sources]

@@ -7,7 +7,7 @@ from importlib.metadata import version as installed
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from cosim.package.contents import Contents, Unit
+from cosim.package.contents import SystemContents, Unit
 from cosim.package.markup import add_units, to_bytes
 from cosim.package.ssv import text_of
 from cosim.wiring import Element
@@ -34,7 +34,7 @@ class Exposed:
     start: float | str | None
 
 
-def exposed_variables(contents: Contents) -> Iterator[Exposed]:
+def exposed_variables(contents: SystemContents) -> Iterator[Exposed]:
     """Yield what a container shows.
 
     Outputs are the signals that the system observes, or those of all components where it observes
@@ -79,7 +79,9 @@ def _causality(
     return "output" if observed and not follows else "local"
 
 
-def to_description(contents: Contents, exposed: list[Exposed], identifier: str, guid: str) -> bytes:
+def to_description(
+    contents: SystemContents, exposed: list[Exposed], identifier: str, guid: str
+) -> bytes:
     """Return modelDescription.xml."""
     spec = contents.spec
     root = ET.Element(
@@ -98,7 +100,7 @@ def to_description(contents: Contents, exposed: list[Exposed], identifier: str, 
         "CoSimulation",
         modelIdentifier=identifier,
         needsExecutionTool="false",
-        canHandleVariableCommunicationStepSize="false",
+        canHandleVariableCommunicationStepSize="true",
         canBeInstantiatedOnlyOncePerProcess="false",
         canNotUseMemoryManagementFunctions="true",
         canGetAndSetFMUstate="false",
@@ -122,7 +124,7 @@ def _convention(exposed: list[Exposed]) -> str:
 
 
 def _scalar(
-    contents: Contents, shown: Exposed, reference: int, units: Mapping[str, Unit]
+    contents: SystemContents, shown: Exposed, reference: int, units: Mapping[str, Unit]
 ) -> ET.Element:
     component, name = shown.element
     variable = contents.variables[component][name]
@@ -168,7 +170,7 @@ def _own_start(variable: Any) -> float | str | None:
     return float(text)
 
 
-def _unknowns(structure: ET.Element, contents: Contents, exposed: list[Exposed]) -> None:
+def _unknowns(structure: ET.Element, contents: SystemContents, exposed: list[Exposed]) -> None:
     """Add what is calculated: outputs, and those of them that are unknown at the start."""
     index = {shown.element: i for i, shown in enumerate(exposed, start=1)}
     shown_as_output = [shown for shown in exposed if shown.causality == "output"]
@@ -190,7 +192,7 @@ def _unknowns(structure: ET.Element, contents: Contents, exposed: list[Exposed])
             )
 
 
-def _at_start(contents: Contents, component: str) -> dict[str, list[str]]:
+def _at_start(contents: SystemContents, component: str) -> dict[str, list[str]]:
     """Return for each initial unknown of a component what it depends on."""
     described = contents.descriptions[component]
     everything = [v.name for v in described.modelVariables if v.causality in ("input", "parameter")]
@@ -203,7 +205,7 @@ def _at_start(contents: Contents, component: str) -> dict[str, list[str]]:
 
 
 def _known(
-    contents: Contents, output: Element, needs: Mapping[str, Mapping[str, list[str]]]
+    contents: SystemContents, output: Element, needs: Mapping[str, Mapping[str, list[str]]]
 ) -> set[Element]:
     """Return the variables, none of them fed by another, on which a signal depends."""
     sources = contents.wiring.sources

@@ -20,7 +20,7 @@ Unit = tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Contents:
+class SystemContents:
     """A system and what its FMUs say of themselves.
 
     Attributes
@@ -78,7 +78,7 @@ class Contents:
         return "Integer" if kind == "Enumeration" else str(kind)
 
 
-def read_contents(spec: SystemSpec, path: Path) -> Contents:
+def read_contents(spec: SystemSpec, path: Path) -> SystemContents:
     """Read the descriptions of a system's FMUs and check the system against them.
 
     Parameters
@@ -96,7 +96,7 @@ def read_contents(spec: SystemSpec, path: Path) -> Contents:
         c.name: described(c.fmu, f"{path}: component '{c.name}'") for c in spec.components
     }
     variables = {c.name: Variables(c.fmu, descriptions[c.name]) for c in spec.components}
-    return Contents(
+    return SystemContents(
         spec=spec,
         path=path,
         descriptions=descriptions,
@@ -121,14 +121,14 @@ def described(fmu: Path, where: str) -> Any:
     SimulationError
         If it cannot be read.
     """
-    from fmpy.model_description import read_model_description  # slow to import
+    from cosim.description import described as read  # slow to import
 
     if not fmu.is_file():
         raise ConfigError(f"{where}: there is no FMU {fmu}.")
     try:
-        found = read_model_description(fmu, validate=False)
-    except Exception as error:  # FMPy raises bare exceptions
-        raise SimulationError(f"{where}: {fmu} is no readable FMU ({error}).") from error
+        found = read(fmu)
+    except SimulationError as error:
+        raise SimulationError(f"{where}: {error}") from error
     if found.fmiVersion != "2.0" or found.coSimulation is None:
         raise ConfigError(f"{where}: {fmu} is no FMU of FMI 2.0 for co-simulation.")
     return found

@@ -1,7 +1,6 @@
 """A system of FMUs as a user hands it over: a TOML file, or an SSP of any tool."""
 
 import re
-import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,8 +17,9 @@ from cosim.package.ssp import SSD
 from cosim.package.units import Quantity, differ, in_unit_of, read_units
 from cosim.system import SystemSpec
 from cosim.variables import Variables
-from hesr_model.config import validated
+from fmu_src.archive import MOST_BYTES, MOST_TEXT, Archive
 from hesr_model.errors import ConfigError, SimulationError
+from hesr_model.support.config import validated
 
 _PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
 # Each engine's annotation that gives the step; any namespace, since tools differ in it.
@@ -39,6 +39,8 @@ def opened_system(path: Path) -> Iterator[SystemSpec]:
 
     Raises
     ------
+    ArtifactError
+        If an SSP cannot be read, or is not safe to unpack.
     ConfigError
         Naming the file and what is wrong or cannot be read in it.
     SimulationError
@@ -47,13 +49,7 @@ def opened_system(path: Path) -> Iterator[SystemSpec]:
     if path.suffix.lower() != ".ssp":
         yield SystemSpec.read(path)
         return
-    try:
-        archive = zipfile.ZipFile(path)
-    except FileNotFoundError as error:
-        raise ConfigError(f"{path}: no such file.") from error
-    except (OSError, zipfile.BadZipFile) as error:
-        raise ConfigError(f"{path}: no readable SSP ({error}).") from error
-    with archive, TemporaryDirectory(prefix="hesr-") as folder:
+    with Archive(path, "SSP") as archive, TemporaryDirectory(prefix="hesr-") as folder:
         yield validated(path, SystemSpec, _Reader(path, archive, Path(folder)).system())
 
 
@@ -62,27 +58,25 @@ class _Reader:
     """An SSP that is being read."""
 
     path: Path
-    archive: zipfile.ZipFile
+    archive: Archive
     folder: Path
 
     def error(self, text: str) -> ConfigError:
         return ConfigError(f"{self.path}: {text}")
 
-    def member(self, name: str, where: str = "") -> bytes:
+    def member(self, name: str, where: str = "", most: int = MOST_BYTES) -> bytes:
         # Sources are URIs; some tools write plain names all the same.
-        names = self.archive.NameToInfo
-        member = next((n for n in (unquote(name), name) if str(PurePosixPath(n)) in names), name)
-        try:
-            return self.archive.read(str(PurePosixPath(member)))
-        except KeyError as error:
-            raise self.error(f"{where}there is no {name} in it.") from error
-        except (OSError, zipfile.BadZipFile, RuntimeError) as error:
-            raise self.error(f"{where}{name} cannot be read ({error}).") from error
+        names = self.archive.names
+        candidates = (str(PurePosixPath(n)) for n in (unquote(name), name))
+        member = next((n for n in candidates if n in names), None)
+        if member is None:
+            raise self.error(f"{where}there is no {name} in it.")
+        return self.archive.read(member, most)
 
     def parsed(self, name: str, where: str = "") -> ET.Element:
         try:
-            return ET.fromstring(self.member(name, where))
-        except ET.ParseError as error:
+            return ET.fromstring(self.member(name, where, MOST_TEXT))
+        except (ET.ParseError, LookupError, ValueError) as error:  # or no encoding that exists
             raise self.error(f"{where}{name} is no valid XML ({error}).") from error
 
     def attribute(self, node: ET.Element, name: str, where: str) -> str:

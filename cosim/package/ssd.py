@@ -8,7 +8,7 @@ be connected). Steps are no part of SSP, so they stand in annotations of the eng
 from importlib.metadata import version as installed
 from xml.etree import ElementTree as ET
 
-from cosim.package.contents import Contents, Unit
+from cosim.package.contents import SystemContents, Unit
 from cosim.package.markup import NAMESPACES, Version, add_units, to_bytes
 from cosim.system import ComponentSpec
 from cosim.wiring import Element
@@ -30,7 +30,7 @@ def resource(component: str, suffix: str) -> str:
     return f"resources/{component}{suffix}"
 
 
-def to_ssd(contents: Contents, version: Version) -> bytes:
+def to_ssd(contents: SystemContents, version: Version) -> bytes:
     """Return SystemStructure.ssd."""
     spec = contents.spec
     root = ET.Element(
@@ -79,7 +79,7 @@ def to_ssd(contents: Contents, version: Version) -> bytes:
 
 
 def _component(
-    contents: Contents,
+    contents: SystemContents,
     component: ComponentSpec,
     connectors: list[Element],
     units: dict[str, Unit],

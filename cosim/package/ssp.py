@@ -2,18 +2,18 @@
 
 from pathlib import Path
 
-from cosim.package.contents import Contents
+from cosim.package.contents import SystemContents
 from cosim.package.markup import Version
 from cosim.package.ssd import resource, to_ssd
 from cosim.package.ssv import to_ssv
 from fmu_src.package import zip_members
 from hesr_model.errors import ConfigError
-from hesr_model.files import written_whole
+from hesr_model.support.files import written_whole
 
 SSD = "SystemStructure.ssd"
 
 
-def write_ssp(contents: Contents, path: Path, *, version: Version = "1.0") -> Path:
+def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0") -> Path:
     """Write a system with its FMUs as an SSP: the same bytes every time.
 
     Parameters
@@ -46,13 +46,13 @@ def write_ssp(contents: Contents, path: Path, *, version: Version = "1.0") -> Pa
     return path
 
 
-def left_out(contents: Contents) -> str | None:
+def left_out(contents: SystemContents) -> str | None:
     """Return one sentence on what of a system its SSP has not, None if that is nothing.
 
     Connectors of inputs that nothing feeds, of parameters and of what is local would be refused by
     engines, so that an SSP observes outputs only.
     """
-    from fmu_src.check.report import listed  # slow to import
+    from hesr_model.support.text import listed
 
     used = set(contents.used)
     observed = [".".join(e) for e in contents.wiring.observed if e not in used]

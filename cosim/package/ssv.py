@@ -3,14 +3,14 @@
 from importlib.metadata import version as installed
 from xml.etree import ElementTree as ET
 
-from cosim.package.contents import Contents
+from cosim.package.contents import SystemContents
 from cosim.package.markup import NAMESPACES, Version, add_units, to_bytes
 
 PARAMETER_SET = "start"
 """Name of every component's set: libcosim and ecos apply sets of one name together."""
 
 
-def to_ssv(contents: Contents, component: str, version: Version) -> bytes:
+def to_ssv(contents: SystemContents, component: str, version: Version) -> bytes:
     """Return the start values of a component, with the units that its FMU defines."""
     start = contents.wiring.start[component]
     units = contents.units((component, variable) for variable in start)

@@ -23,8 +23,8 @@ from cosim.report.sections import (
 )
 from cosim.report.sections.summary import summary
 from cosim.report.zoom import library
-from hesr_model.files import written_whole
-from hesr_model.progress import Stages, counted, unheard
+from hesr_model.support.files import written_whole
+from hesr_model.support.progress import Stages, counted, unheard
 
 REPORT, FIGURES = "report.html", "figures"
 
@@ -84,7 +84,8 @@ def write_report(
     ]
     page = render(
         "report.html.j2",
-        run=results.run,
+        title=f"HESR report: {results.run.study}",
+        heading=f"Friction of {results.run.robot}: report of the study ‘{results.run.study}’",
         summary=head,
         sections=sections,
         zooms=pictures.zooms,

@@ -1,5 +1,7 @@
 """What the paper reports of its robot, a UFACTORY 850: Tables II and III."""
 
+from cosim.closed_loop import StandIn
+
 ROBOT = "uf850"
 
 TABLE_II = {
@@ -12,7 +14,7 @@ TABLE_II = {
 """RMSE of the predicted torque by law and joint [N.m]."""
 
 TABLE_III = {
-    "(rigid body only)": (0.0417, 0.0744, 0.0324),
+    StandIn.BODY_ONLY: (0.0417, 0.0744, 0.0324),
     "lugre": (0.0202, 0.0612, 0.0336),
     "rbfnn_h": (0.0204, 0.0477, 0.0267),
     "parfam_h": (0.0177, 0.0377, 0.0233),

@@ -1,29 +1,29 @@
 """The saved results of a run, read back."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import truediv
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.saved import RUN, TRACES, SavedLog, SavedRun, read_columns
 from cosim.scoring import ORACLE, Comparison
-from hesr_model.artifacts import read_model, read_rigid_body
+from cosim.tables.table import PAPERS, joints
+from hesr_model.artifacts import read_json, read_model, read_rigid_body
+from hesr_model.equations.over_log import Array
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.evaluate import Array
-from hesr_model.friction.laws import registry
+from hesr_model.friction.audit.properties import Properties, read_properties
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.properties import Properties, read_properties
-from hesr_model.rigid_body import RigidBody
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.support.typed_json import from_json
 from hesr_model.units import unit_of_joints
 
 if TYPE_CHECKING:
+    from cosim.closed_loop import Scheme
     from cosim.studies.traces import Trace
     from cosim.studies.whole_loop import LoopOutcome
 
-PAPERS = "parfam_h"
-"""The law of the paper."""
 _PAPERS_LAWS = (PAPERS, "lugre", "rbfnn_h", "stribeck", "parfam_v")
 
 
@@ -51,13 +51,13 @@ class Results:
     comparisons: Mapping[str, Comparison]
     properties: Mapping[str, Properties] = field(default_factory=dict)
     loop: "LoopOutcome | None" = None
-    paths: "Mapping[tuple[str, str], Trace]" = field(default_factory=dict)
+    paths: "Mapping[tuple[Scheme, str], Trace]" = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def joints(self) -> tuple[str, ...]:
         """Short names of the joints, as in tables."""
-        return tuple(f"J{k}" for k in range(1, len(self.run.joints) + 1))
+        return joints(len(self.run.joints))
 
     @property
     def sliding(self) -> tuple[bool, ...]:
@@ -85,7 +85,7 @@ class Results:
         """The law with the least error on the first test set, relative to the reference's."""
         scores = self.comparisons[self.tests[0]].laws
         relative = {
-            law: sum(s.rmse / r.rmse for s, r in zip(row, next(iter(scores.values())), strict=True))
+            law: sum(map(truediv, row.rmse, next(iter(scores.values())).rmse))
             for law, row in scores.items()
             if law != ORACLE
         }
@@ -105,13 +105,6 @@ class Results:
     def torques(self, log: SavedLog) -> dict[str, Array]:
         """Return the torques of a log over time; see `saved.write_torques`."""
         return read_columns(self.folder / TRACES / log.trace)
-
-    def title(self, law: str) -> str:
-        """Return what people call a law or variant."""
-        known = registry()
-        if law in known:
-            return known[law].title
-        return law[1:-1] if law.startswith("(") else law
 
     @classmethod
     def read(cls, folder: Path) -> "Results":
@@ -134,22 +127,19 @@ class Results:
             models={law: read_model(folder / "laws" / f"{law}.json") for law in run.inputs},
             comparisons=_comparisons(folder / "evaluation.json"),
             properties=read_properties(battery) if battery.is_file() and not run.quick else {},
-            provenance=json.loads(body_file.read_text("utf-8")).get("provenance", {}),
+            provenance=read_json(body_file).get("provenance", {}),
             **(_loop(folder) if run.controller else {}),
         )
 
 
 def _comparisons(path: Path) -> dict[str, Comparison]:
-    data = _json(path)
-    try:
-        found = {name: Comparison.from_json(scores) for name, scores in data.items()}
-        if not found:
-            raise KeyError("test")
-        return found
-    except KeyError as error:
-        raise ArtifactError(f"{path}: key {error} is missing.") from error
-    except (TypeError, AttributeError, ValueError) as error:
-        raise ArtifactError(f"{path}: not the scores of a run ({error}).") from error
+    scores = read_json(path)
+    if not isinstance(scores, dict) or not scores:
+        raise ArtifactError(f"{path}: not the scores of a run (there is no test set in it).")
+    return {
+        name: from_json(Comparison, of_test, path, f"the scores of a run on {name!r}")
+        for name, of_test in scores.items()
+    }
 
 
 def _loop(folder: Path) -> dict[str, Any]:
@@ -158,20 +148,5 @@ def _loop(folder: Path) -> dict[str, Any]:
     from cosim.studies.whole_loop import LoopOutcome
 
     path = folder / "closed_loop.json"
-    data = _json(path)
-    try:
-        loop = LoopOutcome.from_json(data)
-    except KeyError as error:
-        raise ArtifactError(f"{path}: key {error} is missing.") from error
-    except (TypeError, AttributeError, ValueError) as error:
-        raise ArtifactError(f"{path}: not the closed loop of a run ({error}).") from error
+    loop = from_json(LoopOutcome, read_json(path), path, "the closed loop of a run")
     return {"loop": loop, "paths": read_traces(folder / PATHS)}
-
-
-def _json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise ArtifactError(f"{path}: no such file.") from error
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ArtifactError(f"{path}: not a readable JSON file ({error}).") from error

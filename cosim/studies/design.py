@@ -7,20 +7,20 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from hesr_model.base_parameters import base_columns
-from hesr_model.config import read_toml
 from hesr_model.errors import ConfigError, HesrError
-from hesr_model.excitation import (
+from hesr_model.logs.tables import write_table
+from hesr_model.motions.excitation import (
     Excitation,
     ExcitationSettings,
     condition,
     random_motions,
 )
-from hesr_model.excitation import design as design_excitation
-from hesr_model.files import written_whole
-from hesr_model.progress import Progress, unheard
-from hesr_model.robot import RobotDescription, RobotModel
-from hesr_model.tables import write_table
+from hesr_model.motions.excitation import design as design_excitation
+from hesr_model.rigid_body.base_parameters import base_columns
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.config import read_toml
+from hesr_model.support.files import written_whole
+from hesr_model.support.progress import Progress, unheard
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ def design(
     output
         CSV or Parquet file.
     settings
-        TOML of `hesr_model.excitation.ExcitationSettings`; the defaults if left out.
+        TOML of `hesr_model.motions.excitation.ExcitationSettings`; the defaults if left out.
     progress
         Told how many descents are done.
 

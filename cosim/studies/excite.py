@@ -14,15 +14,17 @@ from cosim.arm import FmuArm
 from cosim.studies.motions import Motions, names_of
 from fmu_src.arm.plant import Arm, ArmOutput, Noise, Plant
 from hesr_model.errors import ConfigError
-from hesr_model.files import written_whole
-from hesr_model.noise import words
-from hesr_model.robot_log import RobotLog
-from hesr_model.tables import write_table
-from hesr_model.trajectories import Trajectory
+from hesr_model.logs.noise import words
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.tables import write_table
+from hesr_model.motions.trajectories import Trajectory
+from hesr_model.support.files import written_whole
 
 Array = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
+
+_MOST_SAMPLES = 10**8  # of a log
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -135,6 +137,11 @@ def record(
         the log begins.
     """
     rate = arm.plant.sample_rate
+    if not trajectory.duration * rate <= _MOST_SAMPLES:
+        raise ConfigError(
+            f"motion '{name}': lasts {trajectory.duration:g} s, which at {rate:g} Hz are "
+            f"{trajectory.duration * rate:.3g} samples; at most {_MOST_SAMPLES:g} can be logged."
+        )
     first, count = round(unlogged * rate), round(trajectory.duration * rate)
     if count - first < 2:
         raise ConfigError(

@@ -9,18 +9,16 @@ import numpy as np
 
 from cosim.closed_loop import (
     ARM,
-    BODY_ONLY,
-    ORACLE,
-    VELOCITY_ONLY,
     Compensation,
     Fmus,
     Scheme,
     Setting,
     Source,
+    StandIn,
     Tracking,
     system,
 )
-from cosim.studies.tracking import Motion, Row, Tracked, track
+from cosim.studies.tracking import LoopMotion, LoopRow, Tracked, track
 from cosim.system import SystemSpec
 from fmu_src import export_fmu
 from fmu_src.arm.plant import Plant
@@ -31,19 +29,19 @@ from fmu_src.blocks.velocity import velocity
 from fmu_src.package import write_fmu
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.progress import Stages
-from hesr_model.rigid_body import RigidBody
-from hesr_model.robot import RobotModel
-from hesr_model.trajectories import Fourier, random_fourier
+from hesr_model.motions.trajectories import Fourier, random_fourier
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support.progress import Stages
 
 _COMPENSATIONS: tuple[Compensation, ...] = ("torque_error", "servo_inversion")
 _MEASURED: tuple[Source, ...] = ("measured", "filtered")
 _MARGIN = 0.5  # [rad] beyond the joint limits, where a run has surely diverged
 
 
-def motions(tracking: Tracking, periods: int = 1) -> list[Motion]:
+def motions(tracking: Tracking, periods: int = 1) -> list[LoopMotion]:
     """Return the motions of a study as the FMUs take them, run a number of times each."""
-    return [Motion.of(_fourier(tracking, seed, periods)) for seed in tracking.seeds]
+    return [LoopMotion.of(_fourier(tracking, seed, periods)) for seed in tracking.seeds]
 
 
 def _fourier(tracking: Tracking, seed: int, periods: int = 1) -> Fourier:
@@ -84,7 +82,7 @@ def require_reachable(tracking: Tracking, robot: RobotModel) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Loop:
+class StudyLoop:
     """All that the rows of a study share.
 
     Attributes
@@ -109,11 +107,11 @@ class Loop:
     def setting(self, law: str, scheme: Scheme) -> Setting:
         """Return the loop of a law in a scheme."""
         fmus = self.fmus
-        if law == ORACLE:
+        if law == StandIn.ORACLE:
             fmus = replace(fmus, friction=self.oracle, body=self.true_body)
         elif law in self.friction:
             fmus = replace(fmus, friction=self.friction[law])
-        if law == BODY_ONLY:
+        if law == StandIn.BODY_ONLY:
             scheme = replace(scheme, friction_gain=0.0)
         return Setting(
             fmus=fmus,
@@ -123,15 +121,15 @@ class Loop:
             noise=self.noise,
         )
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[LoopRow]:
         """Yield the rows of the tables: every law in every scheme, beside what needs no law."""
         outer = self.tracking.Kx
         for Kx in (0.0, outer):
-            yield self.row(VELOCITY_ONLY, Scheme(compensation="none", Kx=Kx))
+            yield self.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none", Kx=Kx))
         for compensation in _COMPENSATIONS:
             for Kx in (0.0, outer):
                 scheme = Scheme(compensation=compensation, Kx=Kx)
-                for law in (BODY_ONLY, *self.friction, ORACLE):
+                for law in (StandIn.BODY_ONLY, *self.friction, StandIn.ORACLE):
                     yield self.row(law, scheme)
         for law in self.tracking.sources:
             for compensation in _COMPENSATIONS:
@@ -139,9 +137,9 @@ class Loop:
                     scheme = Scheme(compensation=compensation, source=source)
                     yield self.row(law, scheme)
 
-    def row(self, law: str, scheme: Scheme) -> Row:
+    def row(self, law: str, scheme: Scheme) -> LoopRow:
         """Return one row."""
-        return Row(scheme=scheme.name, law=law, setting=self.setting(law, scheme))
+        return LoopRow(scheme=scheme, law=law, setting=self.setting(law, scheme))
 
 
 _OWN = ("Trajectory", "Controller", "Velocity", "InverseDynamics", "TrueInverseDynamics")
@@ -174,10 +172,10 @@ def build(
 
 def assemble(
     folder: Path, *, tracking: Tracking, friction: Mapping[str, Path], plant: Plant
-) -> Loop:
+) -> StudyLoop:
     """Return the loop of the FMUs in a folder that `build` has filled, and of friction laws."""
     paths = {name: folder / f"{name}.fmu" for name in _OWN}
-    return Loop(
+    return StudyLoop(
         tracking=tracking,
         friction=friction,
         oracle=folder / "true_friction.fmu",
@@ -195,7 +193,7 @@ def assemble(
     )
 
 
-def whole(loop: Loop, robot: RobotModel) -> SystemSpec:
+def whole(loop: StudyLoop, robot: RobotModel) -> SystemSpec:
     """Return one loop as a system that needs nothing else: a law, a motion, where the arm begins.
 
     The law is the last one that the study looks at closely, in the scheme where models pay most.
@@ -219,7 +217,7 @@ def limits_of(robot: RobotModel) -> np.ndarray:
 
 
 def run_tracking(
-    loop: Loop, robot: RobotModel, *, kept: Path | None, progress: Stages
+    loop: StudyLoop, robot: RobotModel, *, kept: Path | None, progress: Stages
 ) -> tuple[list[Tracked], list[Tracked]]:
     """Run the tables' rows on all motions, and some on a long one; return both."""
     tracking, limits = loop.tracking, limits_of(robot)
@@ -243,10 +241,10 @@ def run_tracking(
     return tables, long
 
 
-def _drifting(loop: Loop) -> Iterator[Row]:
-    laws: Sequence[str] = (*loop.tracking.sources, ORACLE)
-    yield loop.row(VELOCITY_ONLY, Scheme(compensation="none"))
-    for law in (BODY_ONLY, *laws):
+def _drifting(loop: StudyLoop) -> Iterator[LoopRow]:
+    laws: Sequence[str] = (*loop.tracking.sources, StandIn.ORACLE)
+    yield loop.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none"))
+    for law in (StandIn.BODY_ONLY, *laws):
         yield loop.row(law, Scheme(compensation="torque_error"))
     for law in laws:
         yield loop.row(law, Scheme(compensation="servo_inversion"))

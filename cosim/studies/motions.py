@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from cosim.closed_loop import PerJoint
-from hesr_model.config import Config
-from hesr_model.trajectories import Sine, Sweep, Trajectory, chirp, random_fourier
+from hesr_model.motions.trajectories import Sine, Sweep, Trajectory, chirp, random_fourier
+from hesr_model.support.config import Config
 
 
 class _Motion(Config):
@@ -31,7 +31,7 @@ class _Motion(Config):
 
 
 class FourierMotion(_Motion):
-    """Fourier series drawn from a seed; see `hesr_model.trajectories.random_fourier`.
+    """Fourier series drawn from a seed; see `hesr_model.motions.trajectories.random_fourier`.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class FourierMotion(_Motion):
 
 
 class SineMotion(_Motion):
-    """Sine; see `hesr_model.trajectories.Sine`."""
+    """Sine; see `hesr_model.motions.trajectories.Sine`."""
 
     kind: Literal["sine"]
     frequency: float = Field(gt=0)
@@ -85,7 +85,7 @@ class SineMotion(_Motion):
 
 
 class ChirpMotion(_Motion):
-    """Chirp of constant peak velocity; see `hesr_model.trajectories.chirp`."""
+    """Chirp of constant peak velocity; see `hesr_model.motions.trajectories.chirp`."""
 
     kind: Literal["chirp"]
     first: float = Field(gt=0)
@@ -106,7 +106,7 @@ class ChirpMotion(_Motion):
 
 
 class SweepMotion(_Motion):
-    """Sweep whose amplitude swings; see `hesr_model.trajectories.Sweep`."""
+    """Sweep whose amplitude swings; see `hesr_model.motions.trajectories.Sweep`."""
 
     kind: Literal["sweep"]
     first: float = Field(gt=0)

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.closed_loop import BODY_ONLY, ORACLE, Scheme, Setting, Source
-from cosim.studies.loops import Loop, limits_of, motions
-from cosim.studies.tracking import Motion, Row, Tracked, track
+from cosim.closed_loop import NamedScheme, Scheme, Setting, Source, StandIn
+from cosim.studies.loops import StudyLoop, limits_of, motions
+from cosim.studies.tracking import LoopMotion, LoopRow, Tracked, track
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.package import write_fmu
-from hesr_model.progress import Stages
-from hesr_model.rigid_body import RigidBody
-from hesr_model.robot import RobotModel
-from hesr_model.trajectories import Sine
+from hesr_model.motions.trajectories import Sine
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support.progress import Stages
 
 PAYLOADS = (1.0, 2.5, 5.0)
 """Of which the loop knows nothing, and which are identified [kg]."""
@@ -48,12 +48,12 @@ class Overcompensation:
     """
 
     law: str
-    scheme: str
+    scheme: NamedScheme
     factor: float | None
 
 
 def run_sweeps(
-    loop: Loop,
+    loop: StudyLoop,
     robot: RobotModel,
     body: RigidBody,
     folder: Path,
@@ -82,7 +82,7 @@ def run_sweeps(
 
 
 def run_overcompensation(
-    loop: Loop, robot: RobotModel, *, kept: Path | None, progress: Stages
+    loop: StudyLoop, robot: RobotModel, *, kept: Path | None, progress: Stages
 ) -> list[Overcompensation]:
     """Find out how much too much friction compensation each loop bears."""
     sources: tuple[Source, ...] = ("desired", "measured", "filtered")
@@ -93,15 +93,15 @@ def run_overcompensation(
         for source in sources
     ]
     offset = np.array(loop.tracking.offset)
-    still = Motion.of(Sine(offset=offset, amplitude=np.zeros(len(offset)), frequency=1.0))
+    still = LoopMotion.of(Sine(offset=offset, amplitude=np.zeros(len(offset)), frequency=1.0))
     rows = [
-        Row(
-            scheme=f"{scheme.name}, factor {factor:g}",
+        LoopRow(
+            scheme=overdone,
             law=law,
-            setting=loop.setting(law, replace(scheme, friction_gain=factor)),
+            setting=loop.setting(law, overdone),
         )
         for law, scheme in cases
-        for factor in FACTORS
+        for overdone in [replace(scheme, friction_gain=factor) for factor in FACTORS]
     ]
     found = track(
         rows,
@@ -119,20 +119,20 @@ def run_overcompensation(
             for factor, error in zip(FACTORS, errors, strict=True)
             if not np.all(error < CYCLING)  # NaN of a failed run as well
         )
-        results.append(Overcompensation(law=law, scheme=scheme.name, factor=next(beyond, None)))
+        results.append(Overcompensation(law=law, scheme=scheme, factor=next(beyond, None)))
     return results
 
 
-def _rows(loop: Loop, payloads: Mapping[float, Path]) -> Iterator[Row]:
+def _rows(loop: StudyLoop, payloads: Mapping[float, Path]) -> Iterator[LoopRow]:
     schemes = (
         Scheme(compensation="torque_error"),
         Scheme(compensation="servo_inversion"),
         Scheme(compensation="servo_inversion", Kx=loop.tracking.Kx),
     )
     for scheme in schemes:
-        for law in (BODY_ONLY, *loop.tracking.sources, ORACLE):
+        for law in (StandIn.BODY_ONLY, *loop.tracking.sources, StandIn.ORACLE):
             for change, setting in _changed(loop.setting(law, scheme), payloads):
-                yield Row(scheme=f"{scheme.name}: {change}", law=law, setting=setting)
+                yield LoopRow(scheme=replace(scheme, change=change), law=law, setting=setting)
 
 
 def _changed(setting: Setting, payloads: Mapping[float, Path]) -> Iterator[tuple[str, Setting]]:

@@ -1,15 +1,16 @@
 """Positions over time of tracking runs: written by a study, drawn and shown later."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cosim.batch import Array
+from cosim.closed_loop import Scheme
 from hesr_model.errors import ArtifactError
-from hesr_model.files import written_whole
+from hesr_model.support.files import written_whole
+from hesr_model.support.typed_json import Numbers
 
 if TYPE_CHECKING:
     import pyarrow
@@ -29,21 +30,12 @@ class Trace:
     q : (N, n) true positions of the arm [rad].
     """
 
-    t: Array
-    q_d: Array
-    q: Array
-
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON data."""
-        return {"t": self.t.tolist(), "q_d": self.q_d.tolist(), "q": self.q.tolist()}
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> "Trace":
-        """Rebuild what `to_json` returned."""
-        return cls(**{name: np.array(data[name], dtype=float) for name in ("t", "q_d", "q")})
+    t: Numbers
+    q_d: Numbers
+    q: Numbers
 
 
-def write_traces(path: Path, traces: Iterable[tuple[str, str, Trace]]) -> None:
+def write_traces(path: Path, traces: Iterable[tuple[Scheme, str, Trace]]) -> None:
     """Write traces of (scheme, law) as one long Parquet table.
 
     Its columns are ``scheme, law, t, q_d1.., q1..``; names and desired positions, which repeat, are
@@ -59,7 +51,7 @@ def write_traces(path: Path, traces: Iterable[tuple[str, str, Trace]]) -> None:
 
     tables = [
         pyarrow.table(
-            {"scheme": [scheme] * len(trace.t), "law": [law] * len(trace.t), "t": trace.t}
+            {"scheme": [scheme.name] * len(trace.t), "law": [law] * len(trace.t), "t": trace.t}
             | {f"q_d{k + 1}": column for k, column in enumerate(trace.q_d.T.copy())}
             | {f"q{k + 1}": column for k, column in enumerate(trace.q.T.copy())}
         )
@@ -69,7 +61,7 @@ def write_traces(path: Path, traces: Iterable[tuple[str, str, Trace]]) -> None:
         pyarrow.parquet.write_table(pyarrow.concat_tables(tables), temporary, compression="zstd")
 
 
-def read_traces(path: Path) -> dict[tuple[str, str], Trace]:
+def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
     """Return the traces of a file by (scheme, law), in its order.
 
     Raises
@@ -87,13 +79,14 @@ def read_traces(path: Path) -> dict[tuple[str, str], Trace]:
         )
     try:
         table = pyarrow.parquet.read_table(path)
-        runs = list(zip(table["scheme"].to_pylist(), table["law"].to_pylist(), strict=True))
+        schemes = map(Scheme.of_name, table["scheme"].to_pylist())
+        runs = list(zip(schemes, table["law"].to_pylist(), strict=True))
         columns = [table[name].to_numpy() for name in ("t", *_of(table, "q_d"), *_of(table, "q"))]
-    except (pyarrow.ArrowInvalid, OSError, KeyError) as error:
+    except (pyarrow.ArrowInvalid, OSError, KeyError, ValueError) as error:
         raise ArtifactError(f"{path}: is not what a closed loop has written.") from error
     values = np.column_stack(columns)
     joints = (values.shape[1] - 1) // 2
-    rows: dict[tuple[str, str], list[int]] = {}
+    rows: dict[tuple[Scheme, str], list[int]] = {}
     for k, run in enumerate(runs):
         rows.setdefault(run, []).append(k)
     return {

@@ -6,24 +6,27 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from cosim.batch import Array
-from cosim.closed_loop import Setting, system
+from cosim.closed_loop import Law, NamedScheme, Scheme, Setting, system
 from cosim.master import Master, Result
 from cosim.studies.traces import Trace
 from cosim.system import Value
 from fmu_src.blocks.trajectory import start_values
-from hesr_model import parallel
-from hesr_model.files import sha256, written_whole
-from hesr_model.progress import Progress, unheard
-from hesr_model.trajectories import Trajectory
+from hesr_model.artifacts import read_json, write_json
+from hesr_model.motions.trajectories import Trajectory
+from hesr_model.support import parallel
+from hesr_model.support.files import sha256
+from hesr_model.support.progress import Progress, unheard
+from hesr_model.support.typed_json import NumbersWithGaps, from_json, to_json
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
+class LoopMotion:
     """A motion as the FMUs take it.
 
     Attributes
@@ -36,25 +39,25 @@ class Motion:
     q0: tuple[float, ...]
 
     @classmethod
-    def of(cls, trajectory: Trajectory) -> "Motion":
+    def of(cls, trajectory: Trajectory) -> "LoopMotion":
         """Return a motion in closed form as one for the FMUs."""
         q0 = trajectory.sample(np.zeros(1))[0][0]
         return cls(parameters=start_values(trajectory), q0=tuple(map(float, q0)))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class LoopRow:
     """One row of a table: a law in a scheme.
 
     Attributes
     ----------
-    scheme : name of the scheme.
+    scheme : how commands are made.
     law : name of the law, or what stands in its place.
     setting : the loop.
     """
 
-    scheme: str
-    law: str
+    scheme: Scheme
+    law: Law
     setting: Setting
 
 
@@ -71,12 +74,12 @@ class Tracked:
     trace : the run along the first motion, where that was asked for; not part of the JSON data.
     """
 
-    scheme: str
-    law: str
-    rmse: Array
-    last: Array
+    scheme: NamedScheme
+    law: Law
+    rmse: NumbersWithGaps
+    last: NumbersWithGaps
     failures: tuple[str, ...] = ()
-    trace: Trace | None = None
+    trace: Annotated[Trace | None, Field(exclude=True)] = None
 
     @property
     def mean(self) -> Array:
@@ -88,31 +91,18 @@ class Tracked:
         """Standard deviation over the motions, (n,) [rad]."""
         return np.asarray(self.rmse.std(axis=0))
 
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON data in rad; a run that failed has no numbers."""
-        return {
-            "scheme": self.scheme,
-            "law": self.law,
-            "rmse": _numbers(self.rmse),
-            "last": _numbers(self.last),
-            "failures": list(self.failures),
-        }
 
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> "Tracked":
-        """Rebuild what `to_json` returned."""
-        return cls(
-            scheme=data["scheme"],
-            law=data["law"],
-            rmse=np.array(data["rmse"], dtype=float),
-            last=np.array(data["last"], dtype=float),
-            failures=tuple(data["failures"]),
-        )
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Kept:
+    """A finished row as it is kept: `trace` is no part of the JSON data of `Tracked`."""
+
+    tracked: Tracked
+    trace: Trace | None
 
 
 def track(
-    rows: Sequence[Row],
-    motions: Sequence[Motion],
+    rows: Sequence[LoopRow],
+    motions: Sequence[LoopMotion],
     *,
     duration: float,
     limits: Array,
@@ -144,7 +134,8 @@ def track(
     for i, key in enumerate(keys):
         file = kept / f"{key}.json" if kept else None
         if file and file.is_file():
-            done[i] = _restored(json.loads(file.read_text(encoding="utf-8")))
+            found = from_json(_Kept, read_json(file), file, "a finished row")
+            done[i] = replace(found.tracked, trace=found.trace)
         else:
             left.append(i)
 
@@ -152,20 +143,20 @@ def track(
         done[i] = result
         if kept:
             kept.mkdir(parents=True, exist_ok=True)
-            with written_whole(kept / f"{keys[i]}.json") as temporary:
-                temporary.write_text(json.dumps(_whole(result)), encoding="utf-8")
+            row = _Kept(tracked=result, trace=result.trace)
+            write_json(kept / f"{keys[i]}.json", to_json(row))
         progress(len(done), len(rows))
 
     progress(len(done), len(rows))
     jobs = [partial(_tracked, rows[i], motions, duration, limits, traced) for i in left]
-    with parallel.begun(jobs, workers) as results:
+    with parallel.results_of(jobs, workers) as results:
         for i, result in zip(left, results, strict=True):
-            keep(i, result())
+            keep(i, result)
     return [done[i] for i in range(len(rows))]
 
 
 def _tracked(
-    row: Row, motions: Sequence[Motion], duration: float, limits: Array, traced: bool
+    row: LoopRow, motions: Sequence[LoopMotion], duration: float, limits: Array, traced: bool
 ) -> Tracked:
     spec = system(row.setting, duration=duration, limits=limits)
     rmse, last, failures = [], [], []
@@ -195,20 +186,9 @@ def _trace(result: Result) -> Trace:
     return Trace(t=result.t, q_d=result.vector("trajectory.q"), q=result.vector("arm.q_true"))
 
 
-def _whole(tracked: Tracked) -> dict[str, Any]:
-    """Return JSON data with the trace."""
-    return tracked.to_json() | {"trace": tracked.trace.to_json() if tracked.trace else None}
-
-
-def _restored(data: Mapping[str, Any]) -> Tracked:
-    """Rebuild what `_whole` returned."""
-    trace = Trace.from_json(data["trace"]) if data["trace"] else None
-    return replace(Tracked.from_json(data), trace=trace)
-
-
 def _keys(
-    rows: Sequence[Row],
-    motions: Sequence[Motion],
+    rows: Sequence[LoopRow],
+    motions: Sequence[LoopMotion],
     duration: float,
     limits: Array,
     traced: bool,
@@ -223,11 +203,7 @@ def _keys(
         hashes |= {path: sha256(path) for path in paths.values() if path not in hashes}
         files = {name: hashes[path] for name, path in paths.items()}
         run = (moved, duration, limits.tolist(), traced)
-        data = [row.scheme, row.law, setting | {"fmus": files}, *run]
+        data = [row.scheme.name, row.law, setting | {"fmus": files}, *run]
         text = json.dumps(data, default=list, sort_keys=True)
         keys.append(hashlib.sha256(text.encode()).hexdigest()[:24])
     return keys
-
-
-def _numbers(values: Array) -> list[list[float | None]]:
-    return [[float(x) if np.isfinite(x) else None for x in row] for row in values]

@@ -1,9 +1,8 @@
 """All that a study wants to know of a closed loop."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from cosim.closed_loop import Tracking
 from cosim.studies.loops import (
@@ -19,9 +18,9 @@ from cosim.studies.tracking import Tracked
 from cosim.system_file import write_system
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
-from hesr_model.progress import Stages
-from hesr_model.rigid_body import RigidBody
-from hesr_model.robot import RobotModel
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support.progress import Stages
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,41 +29,16 @@ class LoopOutcome:
 
     Attributes
     ----------
-    tables : every law in every scheme, on all motions.
+    tracking : every law in every scheme, on all motions.
     long : some of them on a long motion, which shows drift.
     sweeps : some of them with a changed arm or controller.
     overcompensation : how much too much friction is borne.
     """
 
-    tables: Sequence[Tracked]
+    tracking: Sequence[Tracked]
     long: Sequence[Tracked]
     sweeps: Sequence[Tracked]
     overcompensation: Sequence[Overcompensation]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON data in rad."""
-        return {
-            "tracking": [t.to_json() for t in self.tables],
-            "long": [t.to_json() for t in self.long],
-            "sweeps": [t.to_json() for t in self.sweeps],
-            "overcompensation": [asdict(o) for o in self.overcompensation],
-        }
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> "LoopOutcome":
-        """Rebuild what `to_json` returned.
-
-        Raises
-        ------
-        KeyError, TypeError
-            If a part of the data is missing, or not what it should be.
-        """
-        return cls(
-            tables=[Tracked.from_json(t) for t in data["tracking"]],
-            long=[Tracked.from_json(t) for t in data["long"]],
-            sweeps=[Tracked.from_json(t) for t in data["sweeps"]],
-            overcompensation=[Overcompensation(**o) for o in data["overcompensation"]],
-        )
 
 
 def run_loop(
@@ -104,7 +78,7 @@ def run_loop(
     runs = [(t.scheme, t.law, t.trace) for t in tables if t.trace]
     write_traces(folder / TRACES, runs)
     return LoopOutcome(
-        tables=tables,
+        tracking=tables,
         long=long,
         sweeps=run_sweeps(loop, robot, body, fmus, kept=kept, progress=progress),
         overcompensation=run_overcompensation(loop, robot, kept=kept, progress=progress),

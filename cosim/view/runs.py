@@ -1,15 +1,16 @@
 """Which runs of a closed loop are shown, from the results of a study alone."""
 
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
-from cosim.closed_loop import ARM, BODY_ONLY
+from cosim.closed_loop import ARM, StandIn
 from cosim.studies.traces import TRACES, Trace, read_traces
-from cosim.tables import title
+from cosim.tables.table import title
+from fmu_src.archive import Archive
 from hesr_model.artifacts import read_rigid_body
 from hesr_model.errors import ArtifactError, ConfigError
 
@@ -73,11 +74,11 @@ def choose(folder: Path, choice: Choice) -> Shown:
     if not folder.is_dir():
         raise ArtifactError(f"{folder}: no such folder; needed is what 'hesr run' has written.")
     traces = read_traces(folder / TRACES)
-    schemes = list(dict.fromkeys(scheme for scheme, _ in traces))
+    schemes = list(dict.fromkeys(scheme.name for scheme, _ in traces))
     scheme = choice.scheme or (_SCHEME if _SCHEME in schemes else schemes[-1])
     if scheme not in schemes:
         raise ConfigError(f"--scheme is '{scheme}'; there are {_listed(schemes)} in {folder}.")
-    of_scheme = {law: trace for (s, law), trace in traces.items() if s == scheme}
+    of_scheme = {law: trace for (s, law), trace in traces.items() if s.name == scheme}
     laws = list(choice.laws) or _telling(of_scheme)
     for law in laws:
         if law not in of_scheme:
@@ -97,9 +98,9 @@ def choose(folder: Path, choice: Choice) -> Shown:
 
 def _telling(runs: Mapping[str, Trace]) -> list[str]:
     """Return what shows best what a law is good for: none beside the best one."""
-    errors = {law: _error(trace) for law, trace in runs.items() if not law.startswith("(")}
+    errors = {law: _error(trace) for law, trace in runs.items() if law not in set(StandIn)}
     best = min(errors, key=lambda law: errors[law], default=None)
-    chosen = [law for law in (BODY_ONLY, best) if law in runs]
+    chosen = [law for law in (StandIn.BODY_ONLY, best) if law in runs]
     return [law for law in chosen if law is not None] or list(runs)[:1]
 
 
@@ -108,13 +109,18 @@ def _error(trace: Trace) -> float:
 
 
 def _mjcf(fmu: Path) -> str:
+    if not fmu.is_file():
+        raise ArtifactError(f"{fmu}: no such file; the arm cannot be shown without it.")
+    with Archive(fmu) as archive:
+        text = archive.read(_MODEL) if _MODEL in archive.names else b""
     try:
-        with zipfile.ZipFile(fmu) as archive:
-            return archive.read(_MODEL).decode("utf-8")
-    except FileNotFoundError as error:
-        raise ArtifactError(f"{fmu}: no such file; the arm cannot be shown without it.") from error
-    except (zipfile.BadZipFile, KeyError, UnicodeDecodeError) as error:
-        raise ArtifactError(f"{fmu}: holds no {_MODEL}, the arm that is to be shown.") from error
+        return text.decode("utf-8") or _none(fmu)
+    except UnicodeDecodeError:
+        return _none(fmu)
+
+
+def _none(fmu: Path) -> NoReturn:
+    raise ArtifactError(f"{fmu}: holds no {_MODEL}, the arm that is to be shown.")
 
 
 def _listed(names: Sequence[str] | Mapping[str, object]) -> str:

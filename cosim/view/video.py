@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from cosim.view.runs import Choice, Shown
 from cosim.view.stage import HEIGHT, WIDTH, Stage
 from hesr_model.errors import ArtifactError, ConfigError
-from hesr_model.files import written_whole
-from hesr_model.progress import Progress, counted, unheard
+from hesr_model.support.files import written_whole
+from hesr_model.support.progress import Progress, counted, unheard
 
 Image = NDArray[np.uint8]
 

@@ -10,18 +10,28 @@ from typing import Any
 
 import mujoco
 
+from fmu_src.arm.library import library
 from fmu_src.arm.parts import Signals
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.signals_h import to_h
 from fmu_src.arm.variables import variables
 from fmu_src.description import Description
 from fmu_src.interface import Interface
-from fmu_src.package import Binary, Content, check_request, own_source, write_fmu
+from fmu_src.package import Content, check_request, own_source, write_fmu
 from hesr_model.errors import ExportError
-from hesr_model.progress import Progress, unheard
+from hesr_model.support.progress import Progress, unheard
 
 CREATED = "1980-01-01T00:00:00Z"
-_SOURCES = ("mjcf.c", "mjcf_parameters.h", "guard.h", "noise.h", "resource.h")
+_OWN = 4  # numbers that mjcf.c remembers besides MuJoCo's state
+_SOURCES = (
+    "mjcf.c",
+    "mjcf_parameters.h",
+    "beside.h",
+    "guard.h",
+    "mujoco_library.h",
+    "noise.h",
+    "resource.h",
+)
 
 
 def export_mjcf(
@@ -40,7 +50,8 @@ def export_mjcf(
     path : the FMU to write, ending in .fmu.
     table : TOML file that names its signals, see `fmu_src.arm.table`; every control and every
         sensor where left out.
-    platforms : linux64 is the only one for which MuJoCo is there.
+    platforms : names of `toolchain.TARGETS`, or "all"; MuJoCo for others than this machine's comes
+        from the package registry.
     progress : told for how many of them it is built.
 
     Returns
@@ -52,19 +63,18 @@ def export_mjcf(
     ConfigError
         If the MJCF or the table is missing or not valid, or a name in the table is unknown.
     ExportError
-        If there is no MuJoCo for a platform, or the model needs more than the FMU carries.
+        If MuJoCo for a platform cannot be had, or the model needs more than the FMU carries.
     ArtifactError
         If `path` cannot be written.
     """
-    strange = [target.folder for target in check_request(path, platforms)
-               if target.folder != "linux64"]  # fmt: skip
-    if strange:
-        raise ExportError(
-            f"platform '{strange[0]}': the FMU of an MJCF carries MuJoCo, which is there for "
-            "linux64 only."
-        )
+    wanted = check_request(path, platforms)
     signals = signals_of(model, table)
-    content = arm(signals, name=model_name(signals.model, model), source=model.read_bytes())
+    content = arm(
+        signals,
+        name=model_name(signals.model, model),
+        source=model.read_bytes(),
+        platforms=[target.folder for target in wanted],
+    )
     return write_fmu(content, path, platforms=platforms, progress=progress)
 
 
@@ -79,7 +89,9 @@ def identifier_of(name: str) -> str:
     return re.sub(r"^(?=\d)", "_", re.sub(r"\W", "_", name, flags=re.ASCII))
 
 
-def arm(signals: Signals, *, name: str, source: bytes) -> Content:
+def arm(
+    signals: Signals, *, name: str, source: bytes, platforms: Sequence[str] = ("linux64",)
+) -> Content:
     """Return the FMU of a model.
 
     Parameters
@@ -87,11 +99,12 @@ def arm(signals: Signals, *, name: str, source: bytes) -> Content:
     signals : the compiled model and what of it is seen.
     name : of the model.
     source : the MJCF, which the FMU carries to be read; it loads the compiled model.
+    platforms : folders of the binaries.
 
     Raises
     ------
     ExportError
-        If the installed MuJoCo has no library for this platform, the model needs plugins, or names
+        If MuJoCo for a platform cannot be had, the model needs plugins, or names
         are not names in FMI.
     """
     model = signals.model
@@ -102,7 +115,7 @@ def arm(signals: Signals, *, name: str, source: bytes) -> Content:
     state = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
     table = Interface(
         variables=variables(signals),
-        own=2 + state,
+        own=_OWN + state,
         model_exchange=False,
         directional_derivatives=False,
     )
@@ -118,7 +131,7 @@ def arm(signals: Signals, *, name: str, source: bytes) -> Content:
             "resources/model.xml": source,
             **licences("mujoco"),
         },
-        binary=_library(),
+        libraries={platform: library(platform) for platform in platforms},
     )
 
 
@@ -152,14 +165,3 @@ def _binary(model: Any) -> bytes:
         file = Path(folder, "model.mjb")
         mujoco.mj_saveModel(model, str(file), None)
         return file.read_bytes()
-
-
-def _library() -> Binary:
-    """MuJoCo of the installed wheel, to compile against and to ship."""
-    folder = Path(mujoco.__file__).parent
-    found = sorted(folder.glob("libmujoco.so.*"))
-    if not found:
-        raise ExportError(
-            "the installed MuJoCo has no library for linux64, the only platform of native arms."
-        )
-    return Binary(library=found[-1], include=folder / "include")

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
 from fmu_src.arm.signals import compiled
-from hesr_model.config import Config, RelativePath
 from hesr_model.errors import ConfigError, SimulationError
-from hesr_model.noise import standard_normal
+from hesr_model.logs.noise import standard_normal
+from hesr_model.support.config import Config, RelativePath
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class Noise(Config):
     Attributes
     ----------
     seed
-        Of `hesr_model.noise`.
+        Of `hesr_model.logs.noise`.
     torque, encoder
         Standard deviations per joint [N.m], [rad].
     """

@@ -10,6 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from xml.etree import ElementTree as ET
 
+from fmu_src import exported
 from fmu_src.arm.native import CREATED, description, licences, model_name
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.variables import variables
@@ -63,6 +64,7 @@ def export_python_arm(path_of_mjcf: Path, table: Path | None, output: Path) -> P
             members = {name: archive.read(name) for name in sorted(archive.namelist())}
     members["modelDescription.xml"] = about["xml"].encode()  # PythonFMU's has its lines apart
     write_archive(members | licences("pythonfmu"), output, CREATED)
+    exported.remember(output)
     return output
 
 

@@ -10,8 +10,8 @@ import mujoco
 from fmu_src.arm.everything import SINGLE, everything
 from fmu_src.arm.parts import Input, Output, Signals, Start
 from fmu_src.arm.table import OutputTable, SignalTable, StartTable
-from hesr_model.config import read_toml
 from hesr_model.errors import ConfigError
+from hesr_model.support.config import read_toml
 
 
 def compiled(path: Path) -> Any:

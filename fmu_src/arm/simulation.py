@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from fmu_src.arm.parts import Signals
 from fmu_src.arm.variables import LATENCY, PAYLOAD, SCALE, SEED, noise_name, variables
 from hesr_model.errors import SimulationError
-from hesr_model.noise import standard_normal
+from hesr_model.logs.noise import standard_normal
 
 Array = NDArray[np.float64]
 
@@ -51,6 +51,11 @@ class Simulation:
         self._controls, self._driven = np.array(drives, dtype=int).reshape(-1, 2).T
         self._streams = np.array([signals.outputs[k].stream for k in self._noisy])
         self.reset()
+
+    @property
+    def timestep(self) -> float:
+        """Step of the simulation [s]; inputs are held for a multiple of it."""
+        return float(self.signals.model.opt.timestep)
 
     def reset(self, parameters: Mapping[str, float] | None = None) -> Array:
         """Begin with these parameters, others as in `defaults`; return the outputs, see `outputs`.
@@ -93,7 +98,7 @@ class Simulation:
             If `dt` is no such multiple, an input is too large, or the simulation diverges; the
             state is then what it was.
         """
-        own = float(self._model.opt.timestep)
+        own = self.timestep
         count = round(dt / own)
         if count < 1 or abs(dt - count * own) > 1e-6 * own:
             raise SimulationError(

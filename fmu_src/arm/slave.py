@@ -4,6 +4,7 @@ An FMU carries this file; everything else comes from HESR as the host's Python h
 """
 
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,9 @@ from fmu_src.arm.python_fmu import ABOUT, MODEL, TABLE
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.simulation import Simulation
 from hesr_model.errors import HesrError
+
+_ROUNDING = 1e-6
+"""By how much of the simulation's step times may be off."""
 
 
 class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
@@ -37,6 +41,9 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
         self._parameters = self._places("fixed")
         self._running = False
         self._stale = True
+        self._start = 0.0
+        self._made = 0
+        """Steps of the simulation since the start."""
 
     def _places(self, role: str) -> list[int]:
         return [k for k, variable in enumerate(self._variables) if variable.role == role]
@@ -57,19 +64,35 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
             self._values[k] = value
         self._stale = True
 
+    def setup_experiment(
+        self, start_time: float, stop_time: float | None, tolerance: float | None
+    ) -> None:
+        """Keep the time of the start [s]; the end and a tolerance mean nothing here."""
+        del stop_time, tolerance
+        self._start = start_time
+
     def exit_initialization_mode(self) -> None:
         """Put everything at its start."""
         self._begin()
         self._running = True
+        self._made = 0
 
-    def do_step(self, _time: float, step: float) -> bool:
-        """Hold the inputs for a step; say why if it cannot be done."""
+    def do_step(self, time: float, step: float) -> bool:
+        """Simulate to the last multiple of the simulation's own step; say why if it cannot be done.
+
+        Inputs are sampled and outputs held at these multiples, so that any step is right.
+        """
+        own = self._simulation.timestep
+        due = math.floor((time + step - self._start) / own + _ROUNDING) - self._made
+        if due < 1:
+            return True
         inputs = [self._values[k] for k in self._inputs]
         try:
-            outputs = self._simulation.step(inputs, step)
+            outputs = self._simulation.step(inputs, due * own)
         except HesrError as error:
             self.log(str(error), Fmi2Status.discard)
             return False
+        self._made += due
         self._show(outputs.tolist())
         return True
 
@@ -86,10 +109,13 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
         return {
             "values": list(self._values),
             "running": self._running,
+            "start": self._start,
+            "made": self._made,
             "simulation": self._simulation.state(),
         }
 
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
         self._values = list(state["values"])
         self._running, self._stale = state["running"], not state["running"]
+        self._start, self._made = state["start"], state["made"]
         self._simulation.restore(state["simulation"])

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from hesr_model.config import Config
+from hesr_model.support.config import Config
 
 Names = tuple[str, ...]
 Element = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")]

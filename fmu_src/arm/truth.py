@@ -9,8 +9,10 @@ import numpy as np
 import sympy
 
 from fmu_src.arm.signals import compiled
-from hesr_model.friction.functions import DQ, Q, absolute
-from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
+from hesr_model.equations.functions import absolute
+from hesr_model.equations.memory import Relaxation
+from hesr_model.friction.inputs import DQ, Q
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 
 _COEFFICIENTS = (
@@ -80,5 +82,5 @@ def _law(model: Any, actuators: Sequence[int]) -> FrictionLaw:
         )
         relaxations.append(element)
         torque += stiffness * element.state + damping * DQ - cogging * sympy.sin(poles * Q + phase)
-    form = LawForm(coefficients=tuple(coefficients), relaxations=tuple(relaxations), output=torque)
+    form = LawForm(coefficients=tuple(coefficients), memory=tuple(relaxations), output=torque)
     return FrictionLaw(name="true_friction", form=form, values=values)

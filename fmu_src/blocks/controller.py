@@ -1,13 +1,33 @@
-"""The Controller FMU: velocity commands from desired motion, models and measurements."""
+"""The controller of section V.D: velocity commands from desired motion, models and measurements.
 
-import numpy as np
+    dq_cmd = dq_d + dq_comp + Kx (q_d - q),   tau_d = tau_rb + friction_gain tau_f
 
-from fmu_src.blocks.table import content, places, scalar, vector
-from fmu_src.interface import Enumeration, Interface, Variable
+and dq_comp by one of three schemes. A command is held over a sample, so the inverse of the servo
+acts on it in the middle of the sample on average. The loop begins at rest, with the servo in
+equilibrium.
+"""
+
+from dataclasses import replace
+
+import sympy
+
+from fmu_src.blocks.block import block
 from fmu_src.package import Content
+from hesr_model.equations.component import (
+    Choice,
+    Component,
+    Equation,
+    Parameter,
+    Quantity,
+    Requirement,
+    previous,
+)
+from hesr_model.equations.functions import absolute
 
-COMPENSATION = Enumeration(
-    name="Compensation",
+COMPENSATION = Choice(
+    name="compensation",
+    description="scheme of the compensation",
+    start=1.0,
     items=(
         ("none", "dq_comp = 0"),
         ("torque_error", "dq_comp = exp(-lambda |dq_d|) (Kp e + Kd de/dt), e = tau_d - tau_meas"),
@@ -16,66 +36,79 @@ COMPENSATION = Enumeration(
 )
 
 _INPUTS = (
-    ("q_d", "rad", "desired position, for the outer loop"),
-    ("dq_d", "rad/s", "desired velocity"),
-    ("tau_rb", "N.m", "rigid-body torque of the desired motion"),
-    ("tau_f", "N.m", "friction torque of the desired motion"),
-    ("tau_g", "N.m", "gravity torque at the measured position"),
-    ("tau_meas", "N.m", "measured torque"),
-    ("q", "rad", "measured position"),
+    Quantity(name="q_d", unit="rad", description="desired position, for the outer loop"),
+    Quantity(name="dq_d", unit="rad/s", description="desired velocity"),
+    Quantity(name="tau_rb", unit="N.m", description="rigid-body torque of the desired motion"),
+    Quantity(name="tau_f", unit="N.m", description="friction torque of the desired motion"),
+    Quantity(name="tau_g", unit="N.m", description="gravity torque at the measured position"),
+    Quantity(name="tau_meas", unit="N.m", description="measured torque"),
+    Quantity(name="q", unit="rad", description="measured position"),
 )
 _GAINS = (
-    ("Kp", "rad/(s.N.m)", "gain of the torque error"),
-    ("Kd", "rad/(N.m)", "gain of its derivative"),
-    ("Kx", "1/s", "gain of the outer position loop"),
-    ("Kv", "N.m.s/rad", "proportional gain of the servo"),
-    ("Ki", "N.m/rad", "integral gain of the servo"),
+    Parameter(name="Kp", unit="rad/(s.N.m)", description="gain of the torque error"),
+    Parameter(name="Kd", unit="rad/(N.m)", description="gain of its derivative"),
+    Parameter(name="Kx", unit="1/s", description="gain of the outer position loop"),
+    Parameter(name="Kv", unit="N.m.s/rad", description="proportional gain of the servo"),
+    Parameter(name="Ki", unit="N.m/rad", description="integral gain of the servo"),
 )
+_SAMPLE_TIME = Parameter(
+    name="sample_time", unit="s", description="time between commands", tunable=False
+)
+_LAMBDA = Parameter(
+    name="lambda", unit="s/rad", description="decay of Kp and Kd with the velocity", start=4.0
+)
+_FRICTION_GAIN = Parameter(
+    name="friction_gain", unit="1", description="factor on the friction torque", start=1.0
+)
+
+
+def controller_equations(step: float) -> Component:
+    """Return the equations of one joint, with `step` [s] as the start of the sample time."""
+    q_d, dq_d, tau_rb, tau_f, tau_g, tau_meas, q = (i.symbol for i in _INPUTS)
+    kp, kd, kx, kv, ki = (gain.symbol for gain in _GAINS)
+    sample, decay, gain = _SAMPLE_TIME.symbol, _LAMBDA.symbol, _FRICTION_GAIN.symbol
+    tau_d = Quantity(name="tau_d", unit="N.m", description="desired torque").symbol
+    e, integral = sympy.symbols("e integral", real=True)
+    rate = (e - previous("e")) / sample
+    torque_error = sympy.exp(-decay * absolute(dq_d)) * (kp * e + kd * rate)
+    servo_inversion = (tau_d - tau_g - ki * integral) / (kv + ki * sample / 2)
+    inverting = sympy.Eq(COMPENSATION.symbol, 3)
+    return Component(
+        inputs=_INPUTS,
+        parameters=_GAINS,
+        shared=(COMPENSATION, replace(_SAMPLE_TIME, start=step), _LAMBDA, _FRICTION_GAIN),
+        equations=(
+            Equation(name="dq_cmd", unit="rad/s", description="commanded velocity", output=True,
+                     expression=dq_d + sympy.Symbol("dq_comp", real=True) + kx * (q_d - q)),
+            Equation(name="tau_d", unit="N.m", description="desired torque", output=True,
+                     expression=tau_rb + gain * tau_f),
+            Equation(name="dq_comp", unit="rad/s", description="compensation in the command",
+                     output=True, start=sympy.Integer(0),
+                     expression=COMPENSATION.case({"torque_error": torque_error,
+                                                   "servo_inversion": servo_inversion})),
+            Equation(name="e", unit="N.m", expression=tau_d - tau_meas, start=e),
+            # Of the command; at rest the servo's own integral holds the torque already.
+            Equation(name="integral", unit="rad",
+                     expression=previous("integral") + sample * previous("dq_comp"),
+                     start=sympy.Piecewise(((tau_d - tau_g) / ki, ki > 0), (0, True))),
+        ),
+        sample_time=_SAMPLE_TIME.name,
+        requirements=(
+            Requirement(name="sample_time", condition=sample > 0, text="be positive"),
+            Requirement(name="Kv", condition=sympy.Or(~inverting, kv > 0),
+                        text="be positive for servo_inversion"),
+            Requirement(name="Ki", condition=sympy.Or(~inverting, ki >= 0),
+                        text="not be negative for servo_inversion"),
+        ),
+    )  # fmt: skip
 
 
 def controller(joints: int, *, step: float = 0.005) -> Content:
     """Return the Controller FMU for a number of joints that samples every `step` [s]."""
-    zeros = np.zeros(joints)
-    gains = [f"{name}[{{}}]" for name, *_ in _GAINS]
-    models = ["tau_rb[{}]", "tau_f[{}]", "friction_gain"]
-    every = [f"{name}[{{}}]" for name, *_ in _INPUTS]
-    outputs = (
-        *vector("dq_cmd", "output", "rad/s", "commanded velocity", zeros,
-                [*every, *gains, "lambda", "friction_gain", "sample_time", "compensation"]),
-        *vector("tau_d", "output", "N.m", "desired torque", zeros, models),
-        *vector("dq_comp", "output", "rad/s", "compensation in the command", zeros,
-                [*models, "dq_d[{}]", "tau_g[{}]", "tau_meas[{}]", *gains, "lambda",
-                 "sample_time", "compensation"]),
-    )  # fmt: skip
-    table = Interface(
-        variables=(
-            *(v for n, unit, text in _INPUTS for v in vector(n, "input", unit, text, zeros)),
-            *outputs,
-            Variable(
-                name="compensation",
-                role="fixed",
-                description="scheme of the compensation",
-                enumeration=COMPENSATION,
-                start=1.0,
-            ),
-            scalar("sample_time", "fixed", "s", "time between commands", step),
-            scalar("lambda", "tunable", "s/rad", "decay of Kp and Kd with the velocity", 4.0),
-            scalar("friction_gain", "tunable", "1", "factor on the friction torque", 1.0),
-            *(v for n, unit, text in _GAINS for v in vector(n, "tunable", unit, text, zeros)),
-        ),
-        own=4 * joints + 1,  # what controller.c remembers
-        model_exchange=False,
-        directional_derivatives=False,
-    )
-    names = [name for name, *_ in (*_INPUTS, *_GAINS)] + ["dq_cmd", "tau_d", "dq_comp"]
-    first = {name.upper(): f"{name}[1]" for name in names}
-    first |= {n.upper(): n for n in ("compensation", "sample_time", "lambda", "friction_gain")}
-    schemes = {name.upper(): i for i, (name, _) in enumerate(COMPENSATION.items, start=1)}
-    return content(
-        table,
+    return block(
+        controller_equations(step),
+        joints,
         name="Controller",
         text="Velocity commands from desired motion, models and measurements.",
-        source="controller.c",
-        headers={"control.h": places(table, "CONTROL_H", first, JOINTS=joints, **schemes)},
         step=step,
     )

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fmu_src.blocks.table import content, places, scalar, vector
 from fmu_src.interface import Interface, literal
 from fmu_src.package import Content
-from hesr_model.robot import LINK_PARAMETERS, JointFrame, RobotModel
+from hesr_model.robots.robot import LINK_PARAMETERS, JointFrame, RobotModel
 
 _UNITS = ("kg", *["kg.m"] * 3, *["kg.m2"] * 6)
 

@@ -67,7 +67,14 @@ def content(
     headers : generated headers by name.
     step : preferred step [s].
     """
-    about = Description(
+    sources = {source: own_source(source)} | dict(headers)
+    about = described(name=name, text=text, step=step)
+    return Content(table=table, about=about, sources=sources, members={})
+
+
+def described(*, name: str, text: str, step: float) -> Description:
+    """Return what the description of a block says of it; the arguments are those of `content`."""
+    return Description(
         name=name,
         identifier=name.lower(),
         text=text,
@@ -76,5 +83,3 @@ def content(
         step=step,
         sources=("all.c",),
     )
-    sources = {source: own_source(source)} | dict(headers)
-    return Content(table=table, about=about, sources=sources, members={})

@@ -8,7 +8,7 @@ from fmu_src.blocks.table import content, places, scalar, vector
 from fmu_src.interface import Enumeration, Interface, Variable
 from fmu_src.package import Content
 from hesr_model.errors import ExportError
-from hesr_model.trajectories import Fourier, Sine, Sweep, Trajectory
+from hesr_model.motions.trajectories import Fourier, Sine, Sweep, Trajectory
 
 HARMONICS = 10
 """Most harmonics of a Fourier motion."""

@@ -5,9 +5,9 @@
  * copy of it. The glue (fmi2*.c) knows only what is declared here, and a component knows nothing of
  * FMI.
  *
- * The generated interface.h defines MODEL_GUID, how many VARIABLES, STATES and INDICATORS there
- * are, how many doubles the component remembers besides (OWN), whether it makes INNER_STEPS, and
- * the tables of these.
+ * The generated interface.h defines MODEL_GUID, the PREFERRED_STEP, how many VARIABLES, STATES and
+ * INDICATORS there are, how many doubles the component remembers besides (OWN), whether it makes
+ * INNER_STEPS, and the tables of these.
  */
 #ifndef COMPONENT_H
 #define COMPONENT_H

@@ -10,7 +10,8 @@
  * with the states x of the law relaxed over the step at that speed (implicit Euler). Of several
  * roots the one is taken that is reached first from dq in the direction in which R falls.
  *
- * The generated laws.h defines the functions of the laws and where the variables of a joint stand.
+ * The generated equations.h defines the functions of the laws and where the variables of a joint
+ * stand.
  */
 #include <math.h>
 #include <stdio.h>
@@ -18,7 +19,7 @@
 
 #include "component_alone.h"
 #include "component_plain.h"
-#include "laws.h"
+#include "equations.h"
 #include "root.h"
 
 /* What the component remembers besides its variables. */
@@ -30,18 +31,35 @@ enum { STARTED = 0 /* whether the initialisation has ended */ };
 /* By how much a number of steps may pass a whole one. */
 #define ROUNDING 1e-9
 
+/* Whether Euler's step was short enough for the rates of the law's states at a speed. */
+static bool can_relax(const Step *step, int i, const Motion *from, const Trial *at, Message *why) {
+    double u[MAX_INPUTS], rate[MAX_STATES];
+    memcpy(u, step->u, sizeof u);
+    u[0] = step->gear * at->v;
+    u[1] = step->gear * (from->q + step->h * at->v);
+    step->joint->rates(step->k, u, from->x, rate);
+    for (int j = 0; j < step->joint->states; j++) {
+        if (!(rate[j] * step->h < 1.0)) {
+            snprintf(why->text, sizeof why->text,
+                     "%s: Euler needs rate * step < 1 but found %g at %s = %g; take a smaller "
+                     "step or the exact discretisation.",
+                     variables[step->joint->first_state + j].name, rate[j] * step->h,
+                     variables[DQ + i].name, at->v);
+            return false;
+        }
+    }
+    return true;
+}
+
 /* One inner step of a joint. */
 static bool advance(const Step *step, int i, Motion *motion, Message *why) {
     const Joint *joint = step->joint;
     Trial trial;
-    if (!solve(step, motion, &trial, variables[DQ + i].name, why)) {
+    if (!solve(step, motion, &trial, variables[DQ + i].name, why) ||
+        (step->euler > 0.0 && !can_relax(step, i, motion, &trial, why))) {
         return false;
     }
     for (int j = 0; j < joint->states; j++) {
-        if (!can_relax(variables[joint->first_state + j].name, trial.rate[j], step->h, step->euler,
-                       variables[DQ + i].name, trial.v, why)) {
-            return false;
-        }
         motion->x[j] = trial.x[j];
         motion->dx[j] = trial.dx[j];
     }

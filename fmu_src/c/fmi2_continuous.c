@@ -72,12 +72,13 @@ FMI2_STATUS(fmi2SetTime)(fmi2Component c, fmi2Real time) {
     return fmi2OK;
 }
 
-/* The instance if it can give or take `n` numbers, of which the component has `own`. */
+/* The instance if it can give or take `n` numbers, of which the component has `own`. Hosts that
+ * need one where there is none make one up: it stands still. */
 static Instance *with_array(fmi2Component c, int modes, const char *function, const void *array,
                             size_t n, size_t own) {
     Instance *instance =
-        own > 0 ? entered_with(c, modes, function, array) : entered(c, modes, function);
-    if (instance && n != own) {
+        n > 0 ? entered_with(c, modes, function, array) : entered(c, modes, function);
+    if (instance && n != own && (own > 0 || n > 1)) {
         complain(instance, "%s: the array has %lu elements; needed are %lu.", function,
                  (unsigned long)n, (unsigned long)own);
         failed(instance);
@@ -111,8 +112,8 @@ FMI2_STATUS(fmi2GetDerivatives)(fmi2Component c, fmi2Real dx[], size_t n) {
         return fmi2Error;
     }
     const fmi2Status status = refreshed(instance);
-    for (int i = 0; status == fmi2OK && i < STATES; i++) {
-        dx[i] = instance->memory.component.v[derivatives[i]];
+    for (size_t i = 0; status == fmi2OK && i < n; i++) {
+        dx[i] = i < STATES ? instance->memory.component.v[derivatives[i]] : 0.0;
     }
     return status;
 }
@@ -123,14 +124,17 @@ FMI2_STATUS(fmi2GetEventIndicators)(fmi2Component c, fmi2Real indicator[], size_
     if (!instance) {
         return fmi2Error;
     }
+    if (n > INDICATORS) {
+        indicator[0] = 1.0;
+    }
     component_indicators(&instance->memory.component, REST, indicator);
     return fmi2OK;
 }
 
 FMI2_STATUS(fmi2GetContinuousStates)(fmi2Component c, fmi2Real x[], size_t n) {
     Instance *instance = with_array(c, MAY_GET_CONTINUOUS, "fmi2GetContinuousStates", x, n, STATES);
-    for (int i = 0; instance && i < STATES; i++) {
-        x[i] = instance->memory.component.v[states[i]];
+    for (size_t i = 0; instance && i < n; i++) {
+        x[i] = i < STATES ? instance->memory.component.v[states[i]] : 0.0;
     }
     return instance ? fmi2OK : fmi2Error;
 }
@@ -139,8 +143,8 @@ FMI2_STATUS(fmi2GetNominalsOfContinuousStates)
 (fmi2Component c, fmi2Real nominal[], size_t n) {
     Instance *instance =
         with_array(c, MAY_GET_NOMINALS, "fmi2GetNominalsOfContinuousStates", nominal, n, STATES);
-    for (int i = 0; instance && i < STATES; i++) {
-        nominal[i] = nominals[i];
+    for (size_t i = 0; instance && i < n; i++) {
+        nominal[i] = i < STATES ? nominals[i] : 1.0;
     }
     return instance ? fmi2OK : fmi2Error;
 }

@@ -1,11 +1,75 @@
 /* FMI 2.0: saving and restoring the whole state of an instance. */
+#include <stddef.h>
+#include <stdint.h>
+
 #include "fmi2_instance.h"
 
-/* A serialised state carries the GUID, so that it cannot be read into another model. */
+enum { STATE_VERSION = 1 };
+
+/* A serialised state carries the GUID, so that it cannot be read into another model, and a sum, by
+ * which it is seen whether these are the bytes that were written. */
 typedef struct {
     char guid[sizeof MODEL_GUID];
+    uint32_t version;
+    uint64_t sum; /* zero but in the serialised bytes */
     Memory memory;
 } Saved;
+
+/* FNV-1a over words: no two states that differ in one word have the same sum. */
+static uint64_t sum_of(const Saved *saved) {
+    const unsigned char *bytes = (const unsigned char *)saved;
+    uint64_t sum = 14695981039346656037u;
+    for (size_t i = 0; i + sizeof sum <= sizeof *saved; i += sizeof sum) {
+        uint64_t word;
+        memcpy(&word, bytes + i, sizeof word);
+        sum = (sum ^ word) * 1099511628211u;
+    }
+    return sum;
+}
+
+/* Whether an instance can be in a mode. */
+static bool is_mode(int mode, int type) {
+    const int own = type == fmi2ModelExchange ? AT_EVENT | CONTINUOUS : STEPPING;
+    const int known = INSTANTIATED | INITIALISING | TERMINATED | FAILED | own;
+    return mode > 0 && (mode & (mode - 1)) == 0 && (mode & known) != 0;
+}
+
+/* Whether what a host or a solver has set is what it could have set. */
+static bool in_range(const Component *component, Message *why) {
+    for (int i = 0; i < VARIABLES; i++) {
+        const double value = component->v[i], slope = component->slope[i];
+        const Role role = variables[i].role;
+        const bool whole =
+            variables[i].type == REAL ||
+            (value >= variables[i].low && value <= variables[i].high && value == floor(value));
+        const bool set = role == INPUT || role == STATE || role == FIXED || role == TUNABLE;
+        if (set && !(isfinite(value) && isfinite(slope) && whole)) {
+            snprintf(why->text, sizeof why->text, "%s is %g", variables[i].name, value);
+            return false;
+        }
+    }
+    for (int i = 0; i < OWN; i++) {
+        if (!isfinite(component->own[i])) {
+            snprintf(why->text, sizeof why->text, "what it remembers is %g", component->own[i]);
+            return false;
+        }
+    }
+    return true;
+}
+
+/* Whether an instance can have such a memory; after a failure there may be any numbers in it. */
+static bool is_possible(const Memory *memory, Message *why) {
+    const bool typed =
+        memory->type == fmi2CoSimulation || (memory->type == fmi2ModelExchange && MODEL_EXCHANGE);
+    if (!typed || !is_mode(memory->mode, memory->type) || memory->refusals < 0 ||
+        memory->refusals > MOST_REFUSALS + 1 || (memory->sloped | memory->stale) >> 1 != 0 ||
+        isnan(memory->stop) || !isfinite(memory->refused) || !isfinite(memory->component.time)) {
+        snprintf(why->text, sizeof why->text, "no instance can be in it");
+        return false;
+    }
+    return memory->mode == FAILED ||
+           (in_range(&memory->component, why) && (memory->stale || all_finite(memory, why)));
+}
 
 FMI2_STATUS(fmi2GetFMUstate)(fmi2Component c, fmi2FMUstate *state) {
     Instance *instance = entered_with(c, MAY_COPY_STATE, "fmi2GetFMUstate", state);
@@ -18,6 +82,7 @@ FMI2_STATUS(fmi2GetFMUstate)(fmi2Component c, fmi2FMUstate *state) {
         return fmi2Error;
     }
     memcpy(saved->guid, MODEL_GUID, sizeof saved->guid);
+    saved->version = STATE_VERSION;
     memcpy(&saved->memory, &instance->memory, sizeof saved->memory);
     *state = saved;
     return fmi2OK;
@@ -70,13 +135,32 @@ FMI2_STATUS(fmi2SerializeFMUstate)
                  (unsigned long)sizeof(Saved));
         return fmi2Error;
     }
+    const uint64_t sum = sum_of(state);
     memcpy(bytes, state, sizeof(Saved));
+    memcpy(bytes + offsetof(Saved, sum), &sum, sizeof sum);
     return fmi2OK;
+}
+
+/* Whether bytes are a state that was serialised; takes the sum out of it. */
+static bool is_sound(Saved *saved, Message *why) {
+    const uint64_t sum = saved->sum;
+    saved->sum = 0;
+    if (saved->version != STATE_VERSION) {
+        snprintf(why->text, sizeof why->text, "it is of version %lu, needed is %d",
+                 (unsigned long)saved->version, STATE_VERSION);
+        return false;
+    }
+    if (sum != sum_of(saved)) {
+        snprintf(why->text, sizeof why->text, "its checksum is wrong, so its bytes were changed");
+        return false;
+    }
+    return is_possible(&saved->memory, why);
 }
 
 FMI2_STATUS(fmi2DeSerializeFMUstate)
 (fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state) {
     static const char function[] = "fmi2DeSerializeFMUstate";
+    Message why;
     Instance *instance = entered_with(c, MAY_COPY_STATE, function, state ? bytes : NULL);
     if (!instance) {
         return fmi2Error;
@@ -86,12 +170,22 @@ FMI2_STATUS(fmi2DeSerializeFMUstate)
                  (unsigned long)size);
         return fmi2Error;
     }
-    Saved *saved = *state ? *state : calloc(1, sizeof *saved);
+    Saved *saved = malloc(sizeof *saved);
     if (!saved) {
         complain(instance, "%s: out of memory.", function);
         return fmi2Error;
     }
     memcpy(saved, bytes, sizeof *saved);
-    *state = saved;
+    if (!is_sound(saved, &why)) {
+        complain(instance, "%s: the state is refused: %s.", function, why.text);
+        free(saved);
+        return fmi2Error;
+    }
+    if (*state) {
+        memcpy(*state, saved, sizeof *saved);
+        free(saved);
+    } else {
+        *state = saved;
+    }
     return fmi2OK;
 }

@@ -2,19 +2,17 @@
  * on an error that and the end of the process.
  *
  * A handler of the calling thread takes what MuJoCo says, for as long as a call into it lasts, so
- * that neither other threads nor other users of the library notice. The header declares handlers of
- * the whole process only; MuJoCo's own compiler and bindings use this one. */
+ * that neither other threads nor other users of the library notice. MuJoCo's own compiler and
+ * bindings use this one, too. */
 #ifndef GUARD_H
 #define GUARD_H
 
-#include <mujoco/mujoco.h>
 #include <setjmp.h>
 #include <stdbool.h>
 #include <stdio.h>
 
 #include "component.h"
-
-mjfLogHandler _mjPRIVATE_setTlsLogHandler(mjfLogHandler handler);
+#include "mujoco_library.h"
 
 typedef struct {
     jmp_buf back;

@@ -4,7 +4,6 @@
  * generated signals.h says which. All that moves is kept in `own` as MuJoCo's integration state, so
  * a component is as easily copied as any other; model and scratch memory are the workspace. */
 #include <math.h>
-#include <mujoco/mujoco.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -13,12 +12,17 @@
 #include "component_plain.h"
 #include "guard.h"
 #include "mjcf_parameters.h"
+#include "mujoco_library.h"
 #include "noise.h"
 #include "resource.h"
 #include "signals.h"
 
-/* What is remembered. */
-enum { STARTED = 0, SAMPLES = 1, MUJOCO_STATE = 2 };
+/* What is remembered: whether the initialisation has ended, samples of noise that were drawn, the
+ * time of the start [s], steps of MuJoCo made since, and MuJoCo's state. */
+enum { STARTED = 0, SAMPLES = 1, ORIGIN = 2, MADE = 3, MUJOCO_STATE = 4 };
+
+/* By how much of MuJoCo's step times may be off by rounding, and the most of its steps in one. */
+static const double ROUNDING = 1e-6, MOST_STEPS = 1e6;
 
 typedef struct {
     mjModel *model;
@@ -33,7 +37,7 @@ typedef struct {
     Component *component;
     Workspace *workspace;
     Message *why;
-    double step;
+    double steps; /* of MuJoCo to make */
     const char *path;
 } Call;
 
@@ -58,6 +62,9 @@ static bool load(void *argument) {
 
 static void *component_open(const char *resources, Message *why) {
     char path[4096];
+    if (!library_is_there(why)) {
+        return NULL;
+    }
     if (mj_version() != mjVERSION_HEADER) {
         snprintf(why->text, sizeof why->text, "The host has loaded another MuJoCo, version %d.",
                  mj_version());
@@ -171,6 +178,8 @@ static bool component_initialise(Component *component, void *workspace, Message 
         return false;
     }
     component->own[STARTED] = 1.0;
+    component->own[ORIGIN] = component->time;
+    component->own[MADE] = 0.0;
     return true;
 }
 
@@ -232,12 +241,11 @@ static bool out_of_bounds(const mjModel *m, const mjData *data) {
 static bool advance(void *argument) {
     const Call *call = argument;
     Workspace *w = call->workspace;
-    const int count = (int)floor(call->step / w->model->opt.timestep + 0.5);
     restore(call->component, w);
     if (!drive(call->component, w, call->why)) {
         return false;
     }
-    for (int i = 0; i < count; i++) {
+    for (double i = 0.0; i < call->steps; i++) {
         mj_step(w->model, w->data);
         if (given_up(w->data, call->why)) {
             return false;
@@ -248,22 +256,29 @@ static bool advance(void *argument) {
         return false;
     }
     call->component->own[SAMPLES] += 1.0;
+    call->component->own[MADE] += call->steps;
     save(call->component, w);
     read_sensors(call->component, w);
     return true;
 }
 
+/* MuJoCo samples at multiples of its own step and holds its outputs between them, so that any step
+ * is right. */
 static bool component_step(Component *component, void *workspace, double step, Message *why) {
     Workspace *w = workspace;
-    const double own = w->model->opt.timestep, ratio = step / own;
-    if (!(ratio < 1e6) || ratio < 0.5 || fabs(ratio - floor(ratio + 0.5)) > 1e-6) {
+    const double passed = component->time + step - component->own[ORIGIN];
+    const double due = floor(passed / w->model->opt.timestep + ROUNDING) - component->own[MADE];
+    if (!(due <= MOST_STEPS)) {
         snprintf(why->text, sizeof why->text,
-                 "The step is %g s; a multiple of the simulation's own, %g s, is needed.", step,
-                 own);
+                 "A step of %g s would be %g of the simulation's own; at most %g are made.", step,
+                 due, MOST_STEPS);
         return false;
     }
+    if (due < 1.0) {
+        return true;
+    }
     const Component before = *component;
-    Call call = {.component = component, .workspace = workspace, .why = why, .step = step};
+    Call call = {.component = component, .workspace = workspace, .why = why, .steps = due};
     if (!guarded(advance, &call, why)) {
         mj_resetData(w->model, w->data);
         *component = before;

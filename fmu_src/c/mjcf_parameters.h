@@ -3,11 +3,11 @@
 #define MJCF_PARAMETERS_H
 
 #include <math.h>
-#include <mujoco/mujoco.h>
 #include <stdbool.h>
 #include <stdio.h>
 
 #include "component.h"
+#include "mujoco_library.h"
 #include "signals.h"
 
 /* Parameters that change the model. */

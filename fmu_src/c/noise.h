@@ -1,5 +1,5 @@
 /* Normal numbers that are a pure function of seed, stream and counter, by the definition that
- * hesr_model/noise.py gives. */
+ * hesr_model/logs/noise.py gives. */
 #ifndef NOISE_H
 #define NOISE_H
 

@@ -32,6 +32,12 @@ static bool path_of_resource(const char *uri, const char *name, char *path, size
             path[n++] = *from;
         }
     }
+#ifdef _WIN32
+    /* The path of file:///C:/x is C:/x. */
+    if (encoded && n > 2 && path[0] == '/' && path[2] == ':') {
+        memmove(path, path + 1, --n);
+    }
+#endif
     const int rest = snprintf(path + n, size - n, "/%s", name);
     return *from == '\0' && rest > 0 && (size_t)rest < size - n;
 }

@@ -1,8 +1,8 @@
 /* Component: a desired motion of all joints, now and a fixed time ahead.
  *
- * The same formulas as in hesr_model.trajectories. Fourier series and sines are closed forms; a
- * sweep's velocity is one too, and its position is that integrated by Gauss's rule, whose error on
- * so smooth a function is that of rounding.
+ * The same formulas as in hesr_model.motions.trajectories. Fourier series and sines are closed
+ * forms; a sweep's velocity is one too, and its position is that integrated by Gauss's rule, whose
+ * error on so smooth a function is that of rounding.
  *
  * The generated motion.h says where the variables stand. */
 #include <math.h>

@@ -10,8 +10,9 @@ from typing import Any
 from fmu_src.check import functions, libraries
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import KINDS, Description, Kind
-from fmu_src.check.process import FailedError, work
-from fmu_src.check.report import listed, plain, quoted
+from fmu_src.check.work import work
+from hesr_model.support.process import FailedError
+from hesr_model.support.text import listed, plain, quoted
 
 SECONDS = 30.0
 
@@ -53,7 +54,8 @@ def problems(about: Description, contents: Contents, folder: Path) -> Iterator[s
     """Yield what is wrong with the binaries; `folder` is for temporary files."""
     for platform, names in _by_platform(contents).items():
         expected = PLATFORMS.get(platform)
-        if expected is None:
+        # Folders in it may hold static libraries, for which there need be no shared one.
+        if expected is None or not any("/" not in name for name in names):
             continue
         for identifier in dict.fromkeys(kind.identifier for kind in about.kinds):
             kinds = [kind for kind in about.kinds if kind.identifier == identifier]
@@ -80,12 +82,13 @@ def skipped(contents: Contents) -> list[str]:
 
 
 def _by_platform(contents: Contents) -> dict[str, set[str]]:
-    """Names of the files directly in each folder under binaries/."""
+    """Names of the files in each folder under binaries/, and of those in folders in it."""
     found: dict[str, set[str]] = {}
     for name in contents.names:
-        parts = name.split("/")
-        if len(parts) == 3 and parts[0] == "binaries":
-            found.setdefault(parts[1], set()).add(parts[2])
+        first, _, rest = name.partition("/")
+        platform, _, file = rest.partition("/")
+        if first == "binaries" and file:
+            found.setdefault(platform, set()).add(file)
     return found
 
 
@@ -149,6 +152,14 @@ def _missing(kind: Kind, exports: set[str]) -> Iterator[str]:
         )
 
 
+def _place(name: str) -> str:
+    """Return where beside a library another one is looked for; Macs name folders, too."""
+    for start in ("@rpath/", "@loader_path/"):
+        if name.startswith(start):
+            return name.removeprefix(start)
+    return posixpath.basename(name)
+
+
 def _needs(part: Mapping[str, Any], expected: Platform, beside: set[str]) -> Iterator[str]:
     """Yield what has to be there for the library to be loaded and is not."""
     python = [name for name in part["imports"] if _PYTHON.fullmatch(name)]
@@ -160,7 +171,7 @@ def _needs(part: Mapping[str, Any], expected: Platform, beside: set[str]) -> Ite
             others.append(name)
     if python:
         yield f"it needs a Python interpreter in the host ({listed(python, 3)} undefined)."
-    names = {posixpath.basename(name) for name in others}
+    names = {_place(name) for name in others}
     if absent := sorted(names - beside):
         yield f"it needs {listed(absent)}, neither part of the system nor in the FMU."
     origin = any("$ORIGIN" in path or "${ORIGIN}" in path for path in part["run_paths"])

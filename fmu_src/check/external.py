@@ -10,8 +10,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from fmu_src.check.archive import Contents
-from fmu_src.check.process import FailedError, run, work
-from fmu_src.check.report import plain
+from fmu_src.check.work import work
+from hesr_model.support.process import FailedError, run
+from hesr_model.support.text import plain
 
 FMPY_SECONDS = 120.0
 VDMCHECK_SECONDS = 300.0

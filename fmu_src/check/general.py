@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from datetime import datetime
 
 from fmu_src.check.description import KINDS, Description, real
-from fmu_src.check.report import quoted
+from hesr_model.support.text import quoted
 
 _C_NAME = re.compile("[A-Za-z_][A-Za-z0-9_]*")
 _DATE = "%Y-%m-%dT%H:%M:%SZ"

@@ -7,8 +7,9 @@ from xml.parsers import expat
 
 from lxml import etree
 
-from fmu_src.check.process import FailedError, work
-from fmu_src.check.report import plain
+from fmu_src.check.work import work
+from hesr_model.support.process import FailedError
+from hesr_model.support.text import plain
 
 MOST_BYTES = 64 << 20
 MOST_NODES = 2_000_000

@@ -8,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 
 from fmu_src.check.archive import Contents
-from fmu_src.check.report import plain, quoted
+from hesr_model.support.text import plain, quoted
 
 MOST_PATHS = 100
 """Looked for in one file; the first and the number are told."""

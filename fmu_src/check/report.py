@@ -8,8 +8,6 @@ from typing import Any
 MOST_PROBLEMS = 1000
 """Of one check; an FMU with more has them for one and the same reason."""
 
-_LONGEST = 160  # characters of one name or message: a hostile one has millions
-
 
 @dataclass(frozen=True)
 class Problem:
@@ -68,27 +66,3 @@ def problems_of(check: str, texts: Iterable[str]) -> list[Problem]:
     if more:
         problems.append(Problem(check, f"{more} more problems of this check are not listed."))
     return problems
-
-
-def plain(text: str, longest: int = _LONGEST) -> str:
-    """Return text on one line that is safe to print, since it comes from a file of unknown origin.
-
-    Control characters and those that change the direction of text are written as escapes.
-    """
-    shown = text if len(text) <= longest else f"{text[:longest]}..."
-    return "".join(
-        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode()
-        for c in shown
-    )
-
-
-def quoted(name: str) -> str:
-    """Return a name from the FMU in quotes, safe to print."""
-    return f"'{plain(name)}'"
-
-
-def listed(names: Iterable[str], most: int = 5) -> str:
-    """Return names in quotes with commas, the last of many as their number."""
-    names = list(names)
-    text = ", ".join(map(quoted, names[:most]))
-    return f"{text} and {len(names) - most} more" if len(names) > most else text

@@ -16,6 +16,7 @@ from fmu_src.check import (
     binaries,
     external,
     general,
+    hostile,
     markup,
     paths,
     sources,
@@ -24,21 +25,23 @@ from fmu_src.check import (
 )
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import described
-from fmu_src.check.report import Problem, Report, plain, problems_of, quoted
+from fmu_src.check.report import Problem, Report, problems_of
 from hesr_model.errors import ConfigError
+from hesr_model.support.text import plain, quoted
 
 _MODEL = "modelDescription.xml"
 _OTHER_XML = ("terminalsAndIcons/terminalsAndIcons.xml", "sources/buildDescription.xml")
 _RULES = (*general.RULES, *variables.RULES, *structure.RULES)
 
 
-def check(path: Path, *, vdmcheck: Path | None = None) -> Report:
+def check(path: Path, *, vdmcheck: Path | None = None, hostile: bool = False) -> Report:
     """Check an FMU.
 
     Parameters
     ----------
     path : the FMU.
     vdmcheck : folder with VDMCheck2; by default `.tools/vdmcheck2`, where that is there.
+    hostile : whether the FMU is also run, by a master that does what masters do at their worst.
 
     Returns
     -------
@@ -57,7 +60,7 @@ def check(path: Path, *, vdmcheck: Path | None = None) -> Report:
         files, folder = Path(temporary, "files"), Path(temporary, "work")
         files.mkdir()
         folder.mkdir()
-        found = _Found(folder, vdmcheck)
+        found = _Found(folder, vdmcheck, hostile=hostile)
         found.check(archive.unpack(path, files))
     return Report(path=path, problems=tuple(found.problems), skipped=tuple(found.skipped))
 
@@ -65,9 +68,10 @@ def check(path: Path, *, vdmcheck: Path | None = None) -> Report:
 class _Found:
     """What a check has found so far."""
 
-    def __init__(self, folder: Path, vdmcheck: Path | None) -> None:
+    def __init__(self, folder: Path, vdmcheck: Path | None, *, hostile: bool) -> None:
         self._folder = folder
         self._vdmcheck = vdmcheck
+        self._hostile = hostile
         self.problems: list[Problem] = []
         self.skipped: list[str] = []
 
@@ -106,6 +110,18 @@ class _Found:
             )
         else:
             self._run_others(contents, version)
+        if self._hostile:
+            self._run_itself(root, contents, known, damaged=damaged)
+
+    def _run_itself(
+        self, root: etree._Element, contents: Contents, version: str, *, damaged: bool
+    ) -> None:
+        if version != "2.0" or damaged:
+            self.skipped.append("Hostile master: it runs FMUs of FMI 2.0 whose archive is right.")
+            return
+        texts, skipped = hostile.problems(described(root), contents, self._folder)
+        self._add("hostile", texts)
+        self.skipped += skipped
 
     def _check_2(self, root: etree._Element, contents: Contents) -> None:
         about = described(root)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import Description
-from fmu_src.check.report import plain, quoted
+from hesr_model.support.text import plain, quoted
 
 MOST_BYTES = 8 << 20
 """Of one source file; larger ones are tables of data."""

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 from fmu_src.check.description import STRUCTURE, Description, Unknown, Variable, integer
-from fmu_src.check.report import listed, quoted
+from hesr_model.support.text import listed, quoted
 
 
 def outputs(about: Description) -> Iterator[str]:

@@ -5,7 +5,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 
 from fmu_src.check.description import Description, Variable, integer, real
-from fmu_src.check.report import listed, plain, quoted
+from hesr_model.support.text import listed, plain, quoted
 
 # Allowed values of initial for each causality and variability; input and independent have none.
 _EXACT, _COMPUTED = {"exact"}, {"calculated", "approx"}

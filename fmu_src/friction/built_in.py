@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from hesr_model.files import models_folder
+from hesr_model.support.files import models_folder
 
 BUILT_IN: Mapping[str, str] = {"uf850-table1": "uf850/table1.json"}
 """Name of each model and its file in the folder of shipped models."""

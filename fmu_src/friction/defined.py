@@ -47,7 +47,7 @@ def _undefined(law: FrictionLaw) -> sympy.Expr | None:
     values = {c.symbol: sympy.Float(law.values[c.name]) for c in law.form.coefficients}
     known: dict[sympy.Basic, sympy.Basic] = {}
     form = law.form
-    for whole in (*(e for r in form.relaxations for e in (r.drive, r.rate)), form.output):
+    for whole in (*(part for m in form.memory for part in m.parts), form.output):
         # Parts before what they are parts of.
         for part in sympy.postorder_traversal(whole):
             if part not in known:

@@ -1,12 +1,12 @@
 """The friction model that an FMU of ours carries beside its code, for whoever wants to know it."""
 
-import json
-import zipfile
 from pathlib import Path
 
+from fmu_src.archive import MOST_TEXT, Archive
 from hesr_model.artifacts import model_from_json
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.model import FrictionModel
+from hesr_model.support.bounded import parse_json
 
 EMBEDDED_MODEL = "resources/friction_model.json"
 """Where the model stands in the archive; the FMU itself does not read it."""
@@ -20,13 +20,12 @@ def embedded_model(fmu: Path) -> FrictionModel | None:
     ArtifactError
         If the FMU cannot be read, or the model in it is damaged.
     """
+    with Archive(fmu) as archive:
+        if EMBEDDED_MODEL not in archive.names:
+            return None
+        text = archive.read(EMBEDDED_MODEL, MOST_TEXT)
     try:
-        with zipfile.ZipFile(fmu) as archive:
-            if EMBEDDED_MODEL not in archive.namelist():
-                return None
-            data = json.loads(archive.read(EMBEDDED_MODEL))
-    except FileNotFoundError as error:
-        raise ArtifactError(f"{fmu}: no such file.") from error
-    except (OSError, zipfile.BadZipFile, json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ArtifactError(f"{fmu}: not a readable FMU ({error}).") from error
+        data = parse_json(text)
+    except ValueError as error:
+        raise ArtifactError(f"{fmu}: its {EMBEDDED_MODEL} is damaged ({error}).") from error
     return model_from_json(fmu, data)

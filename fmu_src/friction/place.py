@@ -25,8 +25,8 @@ def exposed(law: FrictionLaw) -> bool:
 def place(law: FrictionLaw, joint: int) -> Place:
     """Return the names of a joint's variables; joints are counted from 1."""
     return Place(
-        states=tuple(f"{r.name}[{joint}]" for r in law.form.relaxations),
-        derivatives=tuple(f"der({r.name}[{joint}])" for r in law.form.relaxations),
+        states=tuple(f"{r.name}[{joint}]" for r in law.form.memory),
+        derivatives=tuple(f"der({r.name}[{joint}])" for r in law.form.memory),
         parameters=tuple(f"joint[{joint}].{name}" for name in law.values)
         if exposed(law)
         else (f"scale[{joint}]",),

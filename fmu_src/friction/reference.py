@@ -8,11 +8,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import cumulative_simpson
 
 from fmu_src.friction.settings import CONTINUOUS, Motion, torques
 from hesr_model.errors import SimulationError
-from hesr_model.friction.functions import INPUTS
+from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.units import unit_of_joint
@@ -92,6 +91,8 @@ def _of_joint(
     t: Array, trained: TrainedRange | None, rate: float, angle: float, lead_in: float
 ) -> tuple[Array, Array, Array]:
     """Return (dq, q, tau_load) of one joint; `rate` is in rad/s, `angle` at t = 0 in rad."""
+    from scipy.integrate import cumulative_simpson  # slow to import
+
     grown = 0.5 - 0.5 * np.cos(np.pi * np.minimum(t / lead_in, 1.0)) if lead_in else 1.0
     dq = trained_speed(trained) * grown * np.sin(rate * t + angle)
     q = cumulative_simpson(dq, x=t, initial=0.0)

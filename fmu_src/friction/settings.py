@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hesr_model.friction.evaluate import Array, predict
+from hesr_model.equations.over_log import Array
+from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
-from hesr_model.metrics import rmse
-from hesr_model.phases import near_reversals
+from hesr_model.logs.phases import near_reversals
 
 SETTINGS: Mapping[str, str] = {
     "hold": "inputs of the step's beginning, held",

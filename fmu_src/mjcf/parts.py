@@ -20,9 +20,11 @@ from typing import Self
 import sympy
 
 from fmu_src.friction.defined import shown
+from hesr_model.equations.functions import absolute
+from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ExportError
-from hesr_model.friction.functions import DQ, INPUTS, TAU_LOAD, Q, absolute
-from hesr_model.friction.law import FrictionLaw, Relaxation
+from hesr_model.friction.inputs import DQ, INPUTS, TAU_LOAD, Q
+from hesr_model.friction.law import FrictionLaw
 
 Values = Mapping[sympy.Symbol, float]
 
@@ -69,6 +71,10 @@ def parts_of(law: FrictionLaw) -> JointFriction:
         Naming what in the law none of MuJoCo's parts can be.
     """
     form = law.form
+    if form.stops:
+        raise NoCounterpartError(
+            f"its state '{form.stops[0].name}' is a stop, and MuJoCo's bristles relax"
+        )
     for relaxation, start in zip(form.relaxations, law.start, strict=True):
         if start:
             raise NoCounterpartError(

@@ -16,19 +16,21 @@ import sympy
 from threadpoolctl import threadpool_limits
 
 from fmu_src.friction.reference import trained_speed
+from hesr_model.equations.functions import absolute
+from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ExportError
-from hesr_model.friction.dahl import DEFLECTIONS
 from hesr_model.friction.evaluate import predict
-from hesr_model.friction.functions import DQ, Q, absolute
-from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
-from hesr_model.friction.lugre import STATIC_RATIO_BOUNDS
-from hesr_model.friction.samples import Samples
-from hesr_model.friction.separable import SearchSpace, Separable
-from hesr_model.friction.stribeck import SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
+from hesr_model.friction.fitting.samples import Samples
+from hesr_model.friction.fitting.separable import SearchSpace, Separable
+from hesr_model.friction.inputs import DQ, Q
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.laws.dahl import DEFLECTIONS
+from hesr_model.friction.laws.lugre import STATIC_RATIO_BOUNDS
+from hesr_model.friction.laws.stribeck import SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
+from hesr_model.friction.metrics import rmse
 from hesr_model.friction.trained import TrainedRange
-from hesr_model.metrics import rmse
-from hesr_model.residual import FrictionRecord
-from hesr_model.trajectories import Trajectory, random_fourier
+from hesr_model.motions.trajectories import Trajectory, random_fourier
+from hesr_model.rigid_body.residual import FrictionRecord
 
 RATIO = Coefficient(name="ratio", unit="1", description="static over Coulomb friction")
 TIME = Coefficient(name="T", unit="s", description="micro-damping over stiffness")
@@ -158,7 +160,7 @@ def _family(poles: list[float]) -> tuple[LawForm, SearchSpace]:
     )
     torque += SIGMA_2.symbol * DQ + TAU_0.symbol + sum(c.symbol * wave for c, wave in waves)
     linear = (*_FORCES, SIGMA_2, TAU_0, *(c for c, _ in waves))
-    form = LawForm(coefficients=(*linear, RATIO, V_S, TIME), relaxations=bristles, output=torque)
+    form = LawForm(coefficients=(*linear, RATIO, V_S, TIME), memory=bristles, output=torque)
     space = SearchSpace(
         bounds=(
             (RATIO.name, STATIC_RATIO_BOUNDS),

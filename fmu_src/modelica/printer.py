@@ -13,9 +13,10 @@ import sympy
 from sympy.printing.codeprinter import CodePrinter
 from sympy.printing.precedence import PRECEDENCE
 
-from fmu_src.friction.codegen import switches
+from hesr_model.equations.functions import absolute, sgn
+from hesr_model.equations.memory import Relaxation
+from hesr_model.equations.program import Jumps
 from hesr_model.errors import ExportError
-from hesr_model.friction.functions import absolute, sgn
 from hesr_model.friction.law import LawForm
 
 FUNCTIONS = (
@@ -60,6 +61,19 @@ class _Printer(CodePrinter):  # type: ignore[misc] # SymPy is not typed
             return f"1/{self.parenthesize(expr.base**-expr.exp, PRECEDENCE['Mul'])}"
         return f"{base}^{self.parenthesize(expr.exp, PRECEDENCE['Pow'])}"
 
+    # By magnitudes, which every tool has without an event.
+    def _print_positive(self, expr: sympy.Expr) -> str:
+        x = expr.args[0]
+        return f"({self._print(x + absolute(x))})/2"
+
+    def _print_larger(self, expr: sympy.Expr) -> str:
+        a, b = expr.args
+        return f"({self._print(a + b + absolute(a - b))})/2"
+
+    def _print_clip(self, expr: sympy.Expr) -> str:
+        x, b = expr.args
+        return f"({self._print(absolute(x + b) - absolute(x - b))})/2"
+
     def _print_sgn(self, expr: sympy.Expr) -> str:
         return f"sign({self._print(expr.args[0])})"
 
@@ -89,14 +103,14 @@ def equations(form: LawForm) -> Equations:
     ExportError
         If an expression has a function that Modelica does not have.
     """
-    bends = switches(form)
+    bends = Jumps(form.component, every=True).expressions
     signs = [
         sympy.Dummy(f"sign_{e.name if e.is_Symbol else i}", real=True)
         for i, e in enumerate(bends, start=1)
     ]
     held = {sgn(e): s for e, s in zip(bends, signs, strict=True)}
     held |= {absolute(e): s * e for e, s in zip(bends, signs, strict=True)}
-    printer = _Printer({r.derivative: f"der({r.name})" for r in form.relaxations})
+    printer = _Printer({m.derivative: f"der({m.name})" for m in form.memory})
 
     def text(expression: sympy.Expr, level: int = 0) -> str:
         try:
@@ -107,8 +121,10 @@ def equations(form: LawForm) -> Equations:
             ) from error
 
     lines = [
-        f"der({r.name}) = {text(r.drive)} - {text(r.rate, PRECEDENCE['Mul'])}*{r.name}"
-        for r in form.relaxations
+        f"der({m.name}) = {text(m.drive)} - {text(m.rate, PRECEDENCE['Mul'])}*{m.name}"
+        if isinstance(m, Relaxation)
+        else f"der({m.name}) = {text(m.continuous())}"
+        for m in form.memory
     ]
     return Equations(
         signs={s.name: _sign(text(e)) for e, s in zip(bends, signs, strict=True)},

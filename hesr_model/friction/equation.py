@@ -1,8 +1,9 @@
-"""A law with its numbers, as people write it (Table I of the paper)."""
+"""A law with its numbers, or without, as people write it (Table I of the paper)."""
 
 import sympy
 
-from hesr_model.friction.law import FrictionLaw
+from hesr_model.equations.memory import DT, Relaxation
+from hesr_model.friction.law import FrictionLaw, LawForm
 
 _DIGITS = 4
 
@@ -10,21 +11,29 @@ _DIGITS = 4
 def equations(law: FrictionLaw) -> list[str]:
     """Return the torque and the states of a law as lines of text, numbers to four digits.
 
-    A state's derivative dh is written h'.
+    A relaxation's derivative dx is written x', a stop after a step x+.
     """
-    numbers = {c.symbol: _rounded(law.values[c.name]) for c in law.form.coefficients}
-    names = {r.derivative: sympy.Symbol(f"{r.name}'") for r in law.form.relaxations}
+    return form_lines(
+        law.form, {c.symbol: _rounded(law.values[c.name]) for c in law.form.coefficients}
+    )
+
+
+def form_lines(form: LawForm, numbers: dict[sympy.Symbol, sympy.Expr] | None = None) -> list[str]:
+    """Return the same of a form, its coefficients by their names where they have no numbers."""
+    names = {m.derivative: sympy.Symbol(f"{m.name}'") for m in form.memory}
 
     def written(expression: sympy.Expr) -> str:
-        shown = expression.subs(numbers).subs(names)
+        shown = expression.subs(numbers or {}).subs(names)
         shown = shown.xreplace({n: sympy.Float(n, _DIGITS) for n in shown.atoms(sympy.Float)})
         return str(sympy.sstr(shown)).replace("absolute(", "abs(")
 
-    lines = [f"tau = {written(law.form.output)}"]
-    lines += [
-        f"{r.name}' = {written(r.drive)} - ({written(r.rate)})*{r.name}"
-        for r in law.form.relaxations
-    ]
+    lines = [f"tau = {written(form.output)}"]
+    for element in form.memory:
+        first, second = (written(part) for part in element.parts)
+        if isinstance(element, Relaxation):
+            lines.append(f"{element.name}' = {first} - ({second})*{element.name}")
+        else:
+            lines.append(f"{element.name}+ = clip({element.name} + ({first})*{DT}, {second})")
     return lines
 
 

@@ -9,87 +9,20 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.linalg.lapack import dtbtrs
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 
-from hesr_model.errors import SimulationError
-from hesr_model.friction.functions import INPUTS, lowered
-from hesr_model.friction.law import Discretisation, FrictionLaw, LawForm
-
-Array = NDArray[np.float64]
-
-# Below this the series of phi is exact to double precision and the quotient is not.
-_SERIES_BELOW = 1e-3
-
-
-def phi(z: Array) -> Array:
-    """Return (1 - exp(-z)) / z, continued by phi(0) = 1; z has any shape and no unit."""
-    small = np.abs(z) < _SERIES_BELOW
-    safe = np.where(small, 1.0, z)
-    series = 1.0 - z / 2.0 * (1.0 - z / 3.0 * (1.0 - z / 4.0 * (1.0 - z / 5.0)))
-    return np.asarray(np.where(small, series, -np.expm1(-safe) / safe))
-
-
-def recurrence(a: Array, c: Array, start: float) -> Array:
-    """Solve x[0] = start, x[k] = a[k] x[k-1] + c[k] for a whole log without a Python loop.
-
-    Parameters
-    ----------
-    a, c : (N,) factors and increments; those of k = 0 are not used.
-    start : value at k = 0.
-
-    Returns
-    -------
-    (N,) array: a unit lower bidiagonal system, solved by LAPACK's banded substitution.
-    """
-    bands = np.empty((2, len(a)), order="F")
-    bands[0] = 1.0
-    bands[1, :-1] = -a[1:]
-    bands[1, -1] = 0.0
-    right = np.array(c, dtype=float)
-    right[0] = start
-    solution, _ = dtbtrs(bands, right[:, None], uplo="L", diag="U")
-    return np.asarray(solution[:, 0])
-
-
-def step_coefficients(
-    b: Array, r: Array, dt: Array, discretisation: Discretisation
-) -> tuple[Array, Array]:
-    """Return (a, c) of one step x+ = a x + c of x' = b - r x with b and r held over dt.
-
-    Parameters
-    ----------
-    b, r, dt : (N,) drive [unit of x per s], rate [1/s] and step [s].
-    discretisation : exact, or explicit Euler (eq. 10).
-
-    Raises
-    ------
-    SimulationError
-        If r is negative, or r dt >= 1 for Euler.
-    """
-    z = r * dt
-    if discretisation == "exact":
-        if np.any(z < 0.0):
-            raise SimulationError("relaxation rate is negative, so the state would not decay.")
-        return np.exp(-z), b * dt * phi(z)
-    if np.any((z < 0.0) | (z >= 1.0)):
-        worst = float(z.flat[np.argmax(np.abs(z))])
-        raise SimulationError(
-            f"Euler needs 0 <= rate * step < 1, found {worst:.3g}; take a smaller step or the "
-            "'exact' discretisation."
-        )
-    return 1.0 - z, b * dt
+from hesr_model.equations.functions import lowered
+from hesr_model.equations.over_log import Array, StatesOverLog
+from hesr_model.friction.inputs import INPUTS
+from hesr_model.friction.law import FrictionLaw, LawForm
 
 
 @lru_cache(maxsize=256)
-def _functions(form: LawForm) -> tuple[Any, Any]:
-    coefficients = tuple(c.symbol for c in form.coefficients)
-    drives = lowered(
-        (*coefficients, *INPUTS), tuple(e for r in form.relaxations for e in (r.drive, r.rate))
-    )
-    states = tuple(s for r in form.relaxations for s in (r.state, r.derivative))
-    return drives, lowered((*coefficients, *INPUTS, *states), (form.output,))
+def _functions(form: LawForm) -> tuple[StatesOverLog, Any]:
+    arguments = (*(c.symbol for c in form.coefficients), *INPUTS)
+    states = tuple(s for m in form.memory for s in (m.state, m.derivative))
+    return StatesOverLog(form.memory, arguments), lowered((*arguments, *states), (form.output,))
 
 
 def numbers(law: FrictionLaw) -> tuple[np.float64, ...]:
@@ -133,16 +66,16 @@ def predict(
     time = np.asarray(t, dtype=float)
     zero = np.zeros_like(time)
     inputs = [zero if u is None else np.asarray(u, dtype=float) for u in (dq, q, tau_load)]
-    drives, output = _functions(law.form)
-    values = numbers(law)
-    dt = np.diff(time, prepend=time[0])
-    lowered_drives = [np.broadcast_to(e, time.shape) for e in drives(*values, *inputs)]
-    states: list[Array] = []
-    for i, x0 in enumerate(law.start if start is None else start):
-        b, r = lowered_drives[2 * i], lowered_drives[2 * i + 1]
-        x = recurrence(*step_coefficients(b, r, dt, law.discretisation), x0)
-        states += [x, b - r * x]
-    return np.array(np.broadcast_to(output(*values, *inputs, *states)[0], time.shape))
+    memory, output = _functions(law.form)
+    values = (*numbers(law), *inputs)
+    states = memory(
+        values,
+        np.diff(time, prepend=time[0]),
+        np.arange(len(time)) == 0,
+        law.start if start is None else start,
+        law.discretisation,
+    )
+    return np.array(np.broadcast_to(output(*values, *states)[0], time.shape))
 
 
 def estimated_start(
@@ -151,18 +84,20 @@ def estimated_start(
     """Return the start of the state that explains the first torques of a log best.
 
     Of `law.start_samples` rows; the state is searched between the limits that it can reach in the
-    log. A law without such samples, without a state or with several keeps its own start.
+    log. A law without such samples, whose memory is not one relaxation, or one whose parts see its
+    state, keeps its own start.
 
     Parameters
     ----------
     law : the law of one joint.
     t, dq, q, tau_load, tau : (N,) rows of the log [s, rad/s, rad, N.m, N.m]; tau is friction.
     """
-    if not law.start_samples or len(law.start) != 1:
+    if not law.start_samples or len(law.form.memory) != 1 or not law.form.relaxations:
         return law.start
-    b, r = (
-        np.broadcast_to(e, t.shape) for e in _functions(law.form)[0](*numbers(law), dq, q, tau_load)
-    )
+    parts = _functions(law.form)[0].parts((*numbers(law), dq, q, tau_load), t.shape)
+    if not parts:
+        return law.start
+    b, r = parts[0]
     moving = r > 1e-9 * max(float(r.max()), 1e-300)
     limit = float(np.max(np.abs(b[moving] / r[moving]), initial=0.0))
     first = slice(0, law.start_samples)
@@ -191,7 +126,7 @@ class Stepper:
 
     def __init__(self, law: FrictionLaw) -> None:
         self._law = law
-        self._drives, self._output = _functions(law.form)
+        self._memory, self._output = _functions(law.form)
         self._values = numbers(law)
         self.x: list[float] = list(law.start)
 
@@ -200,13 +135,11 @@ class Stepper:
 
         dt = 0 reads the torque without moving the states, as after initialisation.
         """
-        inputs = (dq, q, tau_load)
-        drives = self._drives(*self._values, *inputs)
-        states: list[float] = []
-        for i, x in enumerate(self.x):
-            # Scalars stand for the arrays of a log here: one row, the same arithmetic.
-            b, r = np.float64(drives[2 * i]), np.float64(drives[2 * i + 1])
-            a, c = step_coefficients(b, r, np.float64(dt), self._law.discretisation)  # type: ignore[arg-type]
-            self.x[i] = float(a * x + c)
-            states += [self.x[i], float(b - r * self.x[i])]
-        return float(self._output(*self._values, *inputs, *states)[0])
+        values = (*self._values, dq, q, tau_load)
+        # A log of two rows: where the states are, and where a step takes them.
+        rows = self._memory(
+            values, np.array([0.0, dt]), np.array([True, False]), self.x, self._law.discretisation
+        )
+        states = [float(row[1]) for row in rows]
+        self.x = states[::2]
+        return float(self._output(*values, *states)[0])

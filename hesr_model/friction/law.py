@@ -1,61 +1,46 @@
-"""What a friction law is: a few first-order relaxations and an output map, as SymPy expressions.
+"""What a friction law is: memory and an output map, as SymPy expressions.
 
-    x_i' = b_i(v, u) - r_i(v, u) x_i        drive b, rate r >= 0
+    x_i' = b_i - r_i x_i                    relaxations: drive b, rate r >= 0
+    x_i+ = clip(x_i + v dt / w_i, -s_i, s_i)    stops: deflection w, bound s >= 0
     tau  = f(v, x, x', u)
 
-v is the joint velocity, u are optional further inputs (`functions.INPUTS`). Everything that runs a
-law (NumPy over a log, Python or C step by step) and everything that shows it is lowered from this
-description; no law is written a second time.
+v is the joint velocity, u are optional further inputs (`inputs.INPUTS`). A form makes a component
+(`hesr_model.equations`), and everything that runs a law (NumPy over a log, Python or C step by
+step) and everything that shows it is lowered from that; no law is written a second time.
 """
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite
-from typing import Any, Literal
+from typing import Any
 
 import sympy
 
+from hesr_model.equations.component import (
+    Component,
+    Equation,
+    Quantity,
+    Relaxation,
+    Stop,
+    elements_of,
+)
+from hesr_model.equations.memory import Element
+from hesr_model.equations.over_log import Discretisation
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.functions import INPUTS
+from hesr_model.friction.inputs import DQ, QUANTITIES
 from hesr_model.units import unit_of_joint
 
-Discretisation = Literal["exact", "euler"]
+TORQUE = "tau"
+"""Name of a law's output."""
+
+_LARGEST = 1e100
+"""Of the numbers of a law, far from any friction: products of three are still numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Coefficient:
-    """A named constant of a law, with its SI unit in FMI's spelling ("1" if dimensionless)."""
-
-    name: str
-    unit: str
-    description: str
-
-    @property
-    def symbol(self) -> sympy.Symbol:
-        """SymPy symbol under which the law's expressions use it."""
-        return sympy.Symbol(self.name, real=True)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Relaxation:
-    """One state x' = drive - rate x, with rate >= 0 for every input."""
-
-    name: str
-    unit: str
-    drive: sympy.Expr
-    rate: sympy.Expr
-
-    @property
-    def state(self) -> sympy.Symbol:
-        """Symbol of the state x."""
-        return sympy.Symbol(self.name, real=True)
-
-    @property
-    def derivative(self) -> sympy.Symbol:
-        """Symbol of x' = drive - rate x, taken after the state was updated (as in eq. 10)."""
-        return sympy.Symbol(f"d{self.name}", real=True)
+class Coefficient(Quantity):
+    """A named constant of a law."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,33 +55,50 @@ class LawForm:
     """
 
     coefficients: tuple[Coefficient, ...]
-    relaxations: tuple[Relaxation, ...] = ()
+    memory: tuple[Element, ...] = ()
     output: sympy.Expr
 
     def __post_init__(self) -> None:
-        known = {*INPUTS, *(c.symbol for c in self.coefficients)}
-        states = [s for r in self.relaxations for s in (r.state, r.derivative)]
-        own = set(states)
-        names = Counter([*INPUTS, *(c.symbol for c in self.coefficients), *states])
-        if twice := [symbol for symbol, count in names.items() if count > 1]:
+        try:
+            self.component  # noqa: B018 - raises what is wrong
+        except ArtifactError as error:
             raise ArtifactError(
-                f"friction law: '{twice[0]}' stands twice among its inputs, coefficients and "
-                "states."
-            )
-        inner = {s for r in self.relaxations for e in (r.drive, r.rate) for s in e.free_symbols}
-        unknown = (inner - known) | (self.output.free_symbols - known - own)
-        if unknown:
-            raise ArtifactError(
-                f"friction law: symbol '{min(map(str, unknown))}' is neither an input, "
-                "a coefficient nor a state of the law."
-            )
+                f"friction law: {str(error).removeprefix('equations: ')}"
+            ) from error
+
+    @cached_property
+    def component(self) -> Component:
+        """The equations of a joint with this law."""
+        torque = Equation(
+            name=TORQUE,
+            unit="N.m",
+            description="friction torque of {}",
+            expression=sympy.S.Zero + self.output,
+            output=True,
+        )
+        return Component(
+            inputs=QUANTITIES,
+            parameters=self.coefficients,
+            memory=self.memory,
+            equations=(torque,),
+            reversing=(DQ,),
+        )
+
+    @property
+    def relaxations(self) -> tuple[Relaxation, ...]:
+        """The elements of memory that relax."""
+        return elements_of(self.memory, Relaxation)
+
+    @property
+    def stops(self) -> tuple[Stop, ...]:
+        """The elements of memory that are stops."""
+        return elements_of(self.memory, Stop)
 
     @cached_property
     def inputs(self) -> tuple[sympy.Symbol, ...]:
         """Those of `INPUTS` that the law really uses, in their order."""
-        expressions = [self.output, *(e for r in self.relaxations for e in (r.drive, r.rate))]
-        used = set().union(*(e.free_symbols for e in expressions))
-        return tuple(symbol for symbol in INPUTS if symbol in used)
+        parts = sympy.Tuple(self.output, *(part for m in self.memory for part in m.parts))
+        return tuple(q.symbol for q in QUANTITIES if q.symbol in parts.free_symbols)
 
     @cached_property
     def sliding(self) -> "LawForm":
@@ -111,9 +113,7 @@ class LawForm:
                 )
                 for c in self.coefficients
             ),
-            relaxations=tuple(
-                replace(r, unit=unit_of_joint(r.unit, slides=True)) for r in self.relaxations
-            ),
+            memory=tuple(replace(m, unit=unit_of_joint(m.unit, slides=True)) for m in self.memory),
         )
 
 
@@ -159,17 +159,21 @@ class FrictionLaw:
             )
         object.__setattr__(self, "values", {name: float(self.values[name]) for name in needed})
         for name, value in self.values.items():
-            if not isfinite(value):
-                raise ArtifactError(f"law '{self.name}': coefficient '{name}' is {value}.")
+            self._require_number(f"coefficient '{name}'", value)
         if not self.start:
-            object.__setattr__(self, "start", (0.0,) * len(self.form.relaxations))
-        if len(self.start) != len(self.form.relaxations):
+            object.__setattr__(self, "start", (0.0,) * len(self.form.memory))
+        if len(self.start) != len(self.form.memory):
             raise ArtifactError(
                 f"law '{self.name}': {len(self.start)} start values for "
-                f"{len(self.form.relaxations)} states."
+                f"{len(self.form.memory)} states."
             )
-        for relaxation, value in zip(self.form.relaxations, self.start, strict=True):
-            if not isfinite(value):
-                raise ArtifactError(
-                    f"law '{self.name}': start value of '{relaxation.name}' is {value}."
-                )
+        for element, value in zip(self.form.memory, self.start, strict=True):
+            self._require_number(f"start value of '{element.name}'", value)
+
+    def _require_number(self, what: str, value: float) -> None:
+        if not isfinite(value):
+            raise ArtifactError(f"law '{self.name}': {what} is {value}.")
+        if abs(value) > _LARGEST:
+            raise ArtifactError(
+                f"law '{self.name}': {what} is {value:g}; numbers up to {_LARGEST:g} can be used."
+            )

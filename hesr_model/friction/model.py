@@ -13,7 +13,8 @@ from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.trained import TrainedRange
-from hesr_model.residual import FrictionRecord
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.bounded import require_printable
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +55,11 @@ class FrictionModel:
             raise ArtifactError(
                 f"friction model '{self.law}': {len(self.laws)} laws for {len(self.joints)} joints."
             )
+        for name in self.joints:
+            try:
+                require_printable(name)
+            except ValueError as error:
+                raise ArtifactError(f"friction model '{self.law}': {error}.") from error
         if self.sliding and len(self.sliding) != len(self.joints):
             raise ArtifactError(
                 f"friction model '{self.law}': {len(self.sliding)} entries say which joints slide, "

@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from hesr_model.errors import ArtifactError
-from hesr_model.residual import FrictionRecord
+from hesr_model.rigid_body.residual import FrictionRecord
 
 Range = tuple[float, float]
 """Least and greatest value."""
@@ -62,28 +62,6 @@ class TrainedRange:
         }
         period = float(np.median(np.concatenate([np.diff(r.t) for r in records])))
         return cls(sample_time=round(period, 9), **ranges)
-
-    @classmethod
-    def from_json(cls, data: Any) -> Self:
-        """Rebuild what `to_json` returned.
-
-        Raises
-        ------
-        KeyError, TypeError, ValueError, ArtifactError
-            If a part of the data is missing, or not what it should be.
-        """
-        ranges: dict[str, Range] = {}
-        for name in (*INPUTS, "tau"):
-            low, high = data[name]
-            ranges[name] = (float(low), float(high))
-        return cls(sample_time=float(data["sample_time"]), **ranges)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON data in SI units."""
-        return {
-            "sample_time": self.sample_time,
-            **{name: list(getattr(self, name)) for name in (*INPUTS, "tau")},
-        }
 
     @property
     def speed(self) -> float:

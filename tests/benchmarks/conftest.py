@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from cosim.run import run_study
-from hesr_model.files import models_folder
-from hesr_model.residual import FrictionRecord, friction_records
-from hesr_model.robot import RobotDescription, RobotModel
-from hesr_model.robot_log import RobotLog
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import models_folder
 
 STUDY = """
 name = "sweep"

@@ -5,7 +5,7 @@ from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
 
 from fmu_src import model_file
 from hesr_model.artifacts import read_model
-from hesr_model.friction.functions import INPUTS
+from hesr_model.friction.inputs import INPUTS
 
 
 class LoweredFriction(Fmi2Slave):

@@ -12,7 +12,7 @@ from fmpy import read_model_description
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from fmu_src import model_file
-from fmu_src.drive.export import export_drive
+from fmu_src.drive.drive_fmu import export_drive
 from hesr_model.artifacts import read_model
 
 INERTIA = [3.0, 3.0, 0.6]

@@ -18,7 +18,7 @@ from cosim.interop.engines import ENGINES
 from cosim.master import Master
 from cosim.package.container import write_container
 from cosim.package.contents import read_contents
-from hesr_model.files import models_folder
+from hesr_model.support.files import models_folder
 
 sys.path.append(str(Path(__file__).parents[1] / "interop"))
 from cases import system

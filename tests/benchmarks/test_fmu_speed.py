@@ -16,8 +16,8 @@ from fmpy.fmi2 import FMU2Slave
 from pytest_benchmark.fixture import BenchmarkFixture
 from pythonfmu.builder import FmuBuilder
 
-from cosim.component import Component
 from cosim.replay import replay
+from cosim.slave import Component
 from fmu_src import export_fmu, model_file
 from hesr_model.artifacts import read_model
 from hesr_model.friction.model import FrictionModel
@@ -52,7 +52,7 @@ def test_step(any_fmu: Path, benchmark: BenchmarkFixture) -> None:
     benchmark.group = "doStep of three joints through FMPy"
     with Component(any_fmu) as component:
         component.initialise(start={"dq[1]": 0.3})
-        step, instance = component._slave.fmi2DoStep, component._slave.component
+        step, instance = component._instance._slave.fmi2DoStep, component._instance._slave.component
         counter = iter(range(10**9))
         benchmark(lambda: step(instance, next(counter) * STEP, STEP, True))
         assert component.get(["tau[1]"])[0] != 0.0

@@ -19,7 +19,7 @@ from cosim.system import SystemSpec
 from fmu_src import model_file
 from fmu_src.arm.python_fmu import export_python_arm
 from hesr_model.artifacts import read_model
-from hesr_model.files import models_folder
+from hesr_model.support.files import models_folder
 
 Tell = Callable[[str], None]
 

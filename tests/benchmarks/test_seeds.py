@@ -6,11 +6,11 @@ About a minute for each law, so it stands here and not among the tests.
 import numpy as np
 import pytest
 
-from hesr_model.friction.fit import fit_joint
+from hesr_model.friction.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.metrics import rmse
 from hesr_model.friction.records import predict_record
-from hesr_model.metrics import rmse
-from hesr_model.residual import FrictionRecord
+from hesr_model.rigid_body.residual import FrictionRecord
 
 SEEDS = range(10)
 Records = dict[str, list[FrictionRecord]]

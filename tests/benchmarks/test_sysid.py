@@ -29,13 +29,13 @@ from mujoco import sysid
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fit import fit_joint
+from hesr_model.friction.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws import estimator
-from hesr_model.friction.lugre import DEFLECTION_BOUNDS, STATIC_RATIO_BOUNDS
-from hesr_model.friction.stribeck import VELOCITY_BOUNDS
-from hesr_model.metrics import rmse
-from hesr_model.residual import FrictionRecord
+from hesr_model.friction.laws.lugre import DEFLECTION_BOUNDS, STATIC_RATIO_BOUNDS
+from hesr_model.friction.laws.stribeck import VELOCITY_BOUNDS
+from hesr_model.friction.metrics import rmse
+from hesr_model.friction.registry import estimator
+from hesr_model.rigid_body.residual import FrictionRecord
 
 if not hasattr(sysid, "optimize"):
     pytest.skip("mujoco.sysid needs the extra 'peer' of hesr", allow_module_level=True)

@@ -8,17 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from live_page import SAME, alive, error, expected, field, saved, slider
-from registry_models import models_of_registry
 
-from cosim.component import Component
-from fmu_src import export_fmu, model_file
-from fmu_src.friction.export import live_of
+from cosim.slave import Component
+from fmu_src import export_fmu
+from fmu_src.documentation.live.page import live_assets, live_section
+from fmu_src.friction.friction_fmu import live_of
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import Motion, torques
-from fmu_src.live.page import live_assets, live_section
-from hesr_model.artifacts import read_model
-from hesr_model.friction.laws import registry
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import registry
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -48,9 +46,10 @@ RUN = """async ([motion, joints, step]) => {
 
 
 @pytest.fixture(scope="module")
-def models() -> dict[str, FrictionModel]:
-    table1 = read_model(model_file("uf850-table1"))
-    return {"table1": table1} | {model.law: model for model in models_of_registry()}
+def models(
+    table1: FrictionModel, registry_models: dict[str, FrictionModel]
+) -> dict[str, FrictionModel]:
+    return {"table1": table1} | registry_models
 
 
 def in_browser(page: "Page", data: dict[str, Any], motion: Motion, step: float) -> np.ndarray:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from small_results import write_results
 
 from cosim.figures.style import SERIES, VARIABLES
 
@@ -19,8 +18,8 @@ TABLE = "trial & error: RMSE of the predicted torque [N.m] over all rows"
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_results(tmp_path_factory.mktemp("results"))
+def results(small_results: Path) -> Path:
+    return small_results
 
 
 @pytest.fixture

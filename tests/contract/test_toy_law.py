@@ -18,7 +18,7 @@ from documents import ROOT, block
 from small_twin import GAINS, MOTIONS
 
 from fmu_src.check.run import check
-from hesr_model.files import models_folder
+from hesr_model.support.files import models_folder
 
 LAW, TITLE = "smooth_coulomb", "Smooth Coulomb"
 
@@ -183,8 +183,8 @@ def test_the_contract_of_all_laws_is_put_to_it(site: Path) -> None:
             MODULE.replace('name = "smooth_coulomb"', 'name = "lugre"'),
             "lugre",
             "law 'lugre' of the package 'my-laws' cannot be loaded (ConfigError: law 'lugre' of "
-            "the module 'my_laws' has the name of one of 'hesr_model.friction.lugre'; names must "
-            "differ.); mend the package or uninstall it.",
+            "the module 'my_laws' has the name of one of 'hesr_model.friction.laws.lugre'; names "
+            "must differ.); mend the package or uninstall it.",
         ),
     ],
 )

@@ -5,32 +5,45 @@ from pathlib import Path
 
 import fakes as stand_ins
 import pytest
-from closed_loop import Bench, build
+from closed_loop import Bench, write_fmus
 from small_fmus import lag
+from small_study import Run
 
 from cosim.system import SystemSpec
-from fmu_src import export_fmu, model_file
-from hesr_model.artifacts import read_model
+from hesr_model.friction.model import FrictionModel
+
+Shared = Callable[[str, Callable[[Path], object]], Path]
 
 
 @pytest.fixture(scope="session")
-def friction_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def friction_fmu(table1_fmu: Path) -> Path:
     """Friction FMU of Table I."""
-    folder = tmp_path_factory.mktemp("friction")
-    return export_fmu(read_model(model_file("uf850-table1")), folder / "Friction.fmu")
+    return table1_fmu
 
 
 @pytest.fixture(scope="session")
-def lag_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def lag_fmu(shared: Shared) -> Path:
     """A first-order lag from u to y, which refuses steps past a time."""
-    return lag(tmp_path_factory.mktemp("lag"))
+    return shared("lag", lag) / "Lag.fmu"
 
 
 @pytest.fixture(scope="session")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+def bench(shared: Shared, table1: FrictionModel) -> Bench:
     """The closed loop of the UF850 with the friction of Table I."""
-    friction = read_model(model_file("uf850-table1"))
-    return build(tmp_path_factory.mktemp("loop"), friction)
+    return Bench.of(shared("loop", lambda folder: write_fmus(folder, table1)), table1)
+
+
+@pytest.fixture(scope="session")
+def study_run(shared: Shared) -> Run:
+    """A run of the small study as somebody types it, printed as into a pipe."""
+    return Run.of(shared("study", lambda folder: Run.make(folder, "-o", Run.of(folder).results)))
+
+
+@pytest.fixture(scope="session")
+def study_run_for_programs(shared: Shared) -> Run:
+    """The same once more, for programs and into a folder that is named from the current one."""
+    options = ("-o", "results", "--json", "-", "--verbose")
+    return Run.of(shared("study for programs", lambda folder: Run.make(folder, *options)))
 
 
 @pytest.fixture

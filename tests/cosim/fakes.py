@@ -142,6 +142,12 @@ class Gain(Fake):
         self.v["y"] = 2.0 * self.v["u"]
 
 
+class Hidden(Gain):
+    """A gain that says that its output depends on nothing, which may hold after the start only."""
+
+    about = description(variable("u", "input"), variable("y", "output"))
+
+
 class Pair(Gain):
     """Two gains in one, b = 2 a and d = 2 c."""
 
@@ -182,7 +188,7 @@ class Broken(Clock):
         self.v["y"] = math.nan if time > 0.15 else time + step
 
 
-KINDS = {kind.__name__.lower(): kind for kind in (Fake, Gain, Pair, Clock, Failing, Broken)}
+KINDS = {kind.__name__.lower(): kind for kind in (Fake, Gain, Hidden, Pair, Clock, Failing, Broken)}
 
 
 def install(monkeypatch: pytest.MonkeyPatch) -> None:

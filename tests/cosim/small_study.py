@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from small_twin import MOTIONS
 
-from hesr_model.files import models_folder
+from hesr_model.support.files import models_folder
 
 STUDY = """
 name = "small"
@@ -72,6 +72,53 @@ def hesr_in_a_process(*arguments: object, cwd: Path | None = None) -> Answer:
         env=os.environ | {"COLUMNS": "120"},
     )
     return Answer(code=result.returncode, out=result.stdout, err=result.stderr)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A run of the small study in a process of its own."""
+
+    study: Path
+    results: Path
+    answer: Answer
+
+    @classmethod
+    def make(cls, folder: Path, *options: object) -> None:
+        """Run it in a folder, from which `of` reads it."""
+        (folder / "study").mkdir()
+        study = write_study(folder / "study")
+        command = (sys.executable, "-c", "from cosim.cli import main; main()", "run", study)
+        said = subprocess.run(
+            [*map(str, command), *map(str, options)],
+            capture_output=True,
+            text=True,
+            cwd=study.parent,
+            env={name: value for name, value in os.environ.items() if name != "COLUMNS"},
+            check=False,
+        )
+        for name, text in (("out", said.stdout), ("err", said.stderr), ("code", said.returncode)):
+            (folder / name).write_text(str(text), encoding="utf-8")
+
+    @classmethod
+    def of(cls, folder: Path) -> "Run":
+        """What a run has left in a folder."""
+        said = {
+            name: (folder / name).read_text(encoding="utf-8") if (folder / name).exists() else ""
+            for name in ("out", "err", "code")
+        }
+        answer = Answer(code=int(said["code"] or -1), out=said["out"], err=said["err"])
+        study = folder / "study"
+        return cls(study=study / "study.toml", results=study / "results", answer=answer)
+
+    def log(self, name: str) -> Path:
+        return self.results / "logs" / f"{name}.csv"
+
+    def law(self, name: str) -> Path:
+        return self.results / "laws" / f"{name}.json"
+
+    @property
+    def rigid_body(self) -> Path:
+        return self.results / "rigid_body.json"
 
 
 Hesr = Callable[..., Answer]

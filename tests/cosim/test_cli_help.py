@@ -80,7 +80,7 @@ def test_the_overview_has_whole_sentences_in_the_order_of_work(
     listed = re.findall(r"^  ([a-z]+)  +(\S.*)$", text.partition("Commands:")[2], re.MULTILINE)
     assert {name for name, _ in listed} == set(COMMANDS)
     assert all(told.endswith(".") and not told.endswith("..") for _, told in listed), listed
-    assert [name for name, _ in listed][:2] == ["new", "run"]
+    assert [name for name, _ in listed][:2] == ["new", "inspect"]
 
 
 def test_exit_codes_are_documented(hesr: Hesr, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,16 +10,15 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from processes import started, wait_for
 from small_study import contents, uf850, write_study
 from small_twin import GAINS
 
-from hesr_model import interrupts
-from hesr_model.files import folder_written_whole
+from hesr_model.support import interrupts
+from hesr_model.support.files import folder_written_whole
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 
@@ -35,38 +34,6 @@ offset = [0.0, 0.3, -1.9]
 Kx = 5.0
 drift = 1.0
 """
-
-
-@contextmanager
-def started(*arguments: object, folder: Path) -> Iterator["subprocess.Popen[str]"]:
-    """Run a command in a group of its own, with temporary files of its own."""
-    temporary = folder / "tmp"
-    temporary.mkdir(exist_ok=True)
-    process = subprocess.Popen(
-        [sys.executable, "-c", "from cosim.cli import main; main()", *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        cwd=folder,
-        env=os.environ | {"TMPDIR": str(temporary)},
-    )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.communicate()
-
-
-def wait_for(happened: Callable[[], object], process: "subprocess.Popen[str]") -> None:
-    for _ in range(6000):
-        if happened():
-            return
-        if process.poll() is not None:
-            raise AssertionError(process.communicate())
-        time.sleep(0.02)
-    raise AssertionError("nothing happened for two minutes")
 
 
 def ended(process: "subprocess.Popen[str]", number: int, folder: Path) -> str:
@@ -89,7 +56,7 @@ def one_sentence(text: str, beginning: str) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("seconds", [0.2, 0.7, 1.5])
 def test_at_any_time_from_the_first_imports_on(
-    number: signal.Signals, seconds: float, tmp_path: Path
+    number: signal.Signals, seconds: float, tmp_path: Path, empty_cache: Path
 ) -> None:
     """The command runs for longer than that: it builds for all platforms."""
     output = tmp_path / "Friction.fmu"
@@ -111,7 +78,7 @@ def test_while_the_arm_runs(tmp_path: Path) -> None:
     study = write_study(tmp_path)
     before = contents(tmp_path)
     with started("run", study, "-o", "results", folder=tmp_path) as process:
-        wait_for(lambda: list(tmp_path.glob(".hesr-*/logs/*")), process)
+        wait_for(lambda: list(tmp_path.glob("results/.hesr-*/logs/*")), process)
         one_sentence(ended(process, signal.SIGINT, tmp_path), STOPPED)
     assert contents(tmp_path) == before
     assert not list(tmp_path.glob(".*"))

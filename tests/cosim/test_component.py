@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.component import Component
 from cosim.package.contents import read_contents
+from cosim.slave import Component
 from cosim.system import ComponentSpec, SystemSpec
 from hesr_model.errors import ConfigError, SimulationError
 
@@ -127,7 +127,7 @@ def test_nothing_stays_behind_after_an_error(friction_fmu, folder, error):
 def test_slaves_that_refuse_to_end_are_freed(friction_fmu, folder):
     with Component(friction_fmu) as friction:
         friction.initialise()
-        friction._slave.terminate()
+        friction._instance._slave.terminate()
     assert friction.messages == ["fmi2Terminate is not allowed in this state of the instance."]
     assert not list(folder.iterdir())
 
@@ -135,8 +135,8 @@ def test_slaves_that_refuse_to_end_are_freed(friction_fmu, folder):
 def test_files_that_are_no_fmu(tmp_path, folder):
     path = tmp_path / "X.fmu"
     path.write_text("not an archive")
-    for fmu in (path, tmp_path / "missing.fmu"):
-        with pytest.raises(SimulationError, match="not a readable FMU"), Component(fmu):
+    for fmu, said in ((path, "not a readable FMU"), (tmp_path / "missing.fmu", "no such file")):
+        with pytest.raises(SimulationError, match=said), Component(fmu):
             pass
     assert not list(folder.iterdir())
 
@@ -201,17 +201,17 @@ def test_many_components_of_one_file(friction_fmu, tmp_path):
 
 def test_fmus_may_take_memory_from_the_host(friction_fmu):
     with Component(friction_fmu) as friction:
-        callbacks = friction._slave.callbacks
+        callbacks = friction._instance._slave.callbacks
         assert callbacks.allocateMemory
         assert callbacks.freeMemory
 
 
 def test_a_message_of_an_earlier_call_is_no_reason(friction_fmu):
     with Component(friction_fmu) as friction:
-        friction._log(None, b"", 0, b"", b"all is well")
-        friction._log(None, b"", 1, b"", b"almost")
+        friction._log(0, "all is well")
+        friction._log(1, "almost")
         with pytest.raises(SimulationError, match=r"at t = 0 s: fmi2DoStep failed with status 3"):
-            friction._fail("fmi2DoStep", 3)
+            friction._instance._fail("fmi2DoStep", 3)
     assert friction.messages == ["all is well", "almost"]
 
 

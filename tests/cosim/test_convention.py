@@ -1,6 +1,5 @@
 """What each way of handing inputs over costs, measured on an FMU."""
 
-import json
 import zipfile
 from pathlib import Path
 
@@ -9,16 +8,18 @@ import pytest
 from rich.console import Console
 from small_study import Hesr, hesr_here
 
-from cosim import tables
 from cosim.convention import measure, run
 from cosim.replay import replay
+from cosim.tables.laws import convention
+from cosim.tables.terminal import Drawn
 from fmu_src import model_file
-from fmu_src.drive.export import export_drive
+from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.embedded import EMBEDDED_MODEL
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import SETTINGS, torques
 from hesr_model.artifacts import read_model
 from hesr_model.errors import HesrError, SimulationError
+from hesr_model.support.typed_json import to_json
 
 BEST_FIRST = ("direct", "linear", "hold")
 
@@ -117,12 +118,12 @@ def test_a_friction_fmu_whose_description_is_broken_is_checked_all_the_same(
 def test_results_as_a_table_and_as_json(friction_fmu: Path) -> None:
     found = measure(friction_fmu, periods=1.0)
     console = Console(width=80, record=True)
-    console.print(tables.convention("[x].fmu", found))
+    console.print(Drawn(convention("[x].fmu", found)))
     text = console.export_text()
     assert "[x].fmu" in text
     for setting, meaning in SETTINGS.items():
         assert f"{setting}: " in " ".join(text.split())
         assert meaning in " ".join(text.split())
     assert f"{found.replay['hold'][1].rmse:.3f}" in text
-    data = json.loads(json.dumps(found.to_json()))
+    data = to_json(found)
     assert data["replay"]["hold"][0]["rmse"] == found.replay["hold"][0].rmse

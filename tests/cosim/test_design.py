@@ -9,14 +9,14 @@ from cosim import figures
 from cosim.studies.design import design
 from cosim.studies.excite import record
 from fmu_src.arm.plant import Arm, Plant
-from hesr_model.base_parameters import base_columns
 from hesr_model.errors import ConfigError, FitError, RobotError
-from hesr_model.excitation import ExcitationSettings, condition, random_motions
-from hesr_model.files import models_folder
-from hesr_model.rigid_body import identify
-from hesr_model.robot import RobotDescription, RobotModel
-from hesr_model.tables import read_table
-from hesr_model.trajectories import random_fourier
+from hesr_model.logs.tables import read_table
+from hesr_model.motions.excitation import ExcitationSettings, condition, random_motions
+from hesr_model.motions.trajectories import random_fourier
+from hesr_model.rigid_body.base_parameters import base_columns
+from hesr_model.rigid_body.identification import identify
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import models_folder
 
 FOLDER = models_folder() / "uf850"
 ROBOT = FOLDER / "robot.toml"

@@ -9,10 +9,10 @@ from cosim.studies.motions import Motions
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Arm, Plant
 from hesr_model.errors import ConfigError
-from hesr_model.files import models_folder
-from hesr_model.robot import RobotDescription, RobotModel
-from hesr_model.robot_log import RobotLog
-from hesr_model.trajectories import Sine, random_fourier
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.motions.trajectories import Sine, random_fourier
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import models_folder
 
 FOLDER = models_folder()
 MOTIONS = FOLDER / "studies" / "uf850_motions.toml"

@@ -14,10 +14,12 @@ from cosim.master import Master, Result
 from cosim.monolithic import run_loop
 from cosim.system import SystemSpec
 from fmu_src import export_fmu
-from hesr_model.friction.functions import DQ, absolute
-from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
+from hesr_model.equations.functions import absolute
+from hesr_model.equations.memory import Relaxation
+from hesr_model.friction.inputs import DQ
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
-from hesr_model.trajectories import Sine, chirp
+from hesr_model.motions.trajectories import Sine, chirp
 
 
 def run(spec: SystemSpec) -> Result:
@@ -79,7 +81,7 @@ def lugre_bench(bench: Bench, tmp_path_factory: pytest.TempPathFactory) -> Bench
     sigma_0, sigma_1, level = (c.symbol for c in own)
     z = Relaxation(name="z", unit="rad", drive=DQ, rate=sigma_0 * absolute(DQ) / level)
     form = LawForm(
-        coefficients=own, relaxations=(z,), output=sigma_0 * z.state + sigma_1 * z.derivative + DQ
+        coefficients=own, memory=(z,), output=sigma_0 * z.state + sigma_1 * z.derivative + DQ
     )
     laws = tuple(
         FrictionLaw(name="lugre", form=form, values={"sigma_0": s, "sigma_1": 1.5, "F_c": f})

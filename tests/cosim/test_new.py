@@ -12,10 +12,10 @@ from cosim.starter import start
 from cosim.study import Study
 from hesr_model.artifacts import read_model
 from hesr_model.errors import ConfigError, RobotError
-from hesr_model.files import sha256
-from hesr_model.rigid_body import identify
-from hesr_model.robot import RobotDescription, RobotModel
-from hesr_model.robot_log import RobotLog
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import identify
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import sha256
 
 ROBOTS = Path(__file__).parents[2] / ".." / "shared"
 UR10E = ROBOTS / "data" / "ur10e"

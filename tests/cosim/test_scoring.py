@@ -1,6 +1,5 @@
 """Scores: what is compared, with which certainty, and that an FMU scores as its model does."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,6 @@ import pytest
 from cosim.scoring import (
     MEASURES,
     Comparison,
-    Ratio,
     by_joint,
     compare,
     inputs_of,
@@ -19,15 +17,17 @@ from cosim.scoring import (
     predict_model,
     within,
 )
-from cosim.tables import comparison, ratios
+from cosim.tables.scores import errors
+from cosim.tables.terminal import Drawn
 from fmu_src import export_fmu
 from hesr_model.errors import ArtifactError, ConfigError, SimulationError
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws import estimator
+from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
-from hesr_model.metrics import Score, rmse
-from hesr_model.residual import FrictionRecord
+from hesr_model.friction.registry import estimator
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.typed_json import from_json, to_json
 
 BRISTLE = {
     "linear": ["1", "dq", "h", "h_load"],
@@ -107,7 +107,7 @@ def test_the_interval_of_a_ratio_contains_the_truth() -> None:
     held, widths = [], []
     for seed in range(40):
         lugre, other = wrong_by(rows, 1.0, 2 * seed), wrong_by(rows, 0.7, 2 * seed + 1)
-        (found,) = compare(rows, {"lugre": lugre, "other": other}).ratios["other"]
+        (found,) = compare(rows, {"lugre": lugre, "other": other}).ratios.laws["other"]
         held.append(found.low <= 0.7 <= found.high)
         widths.append(found.high - found.low)
         assert found.low < found.value < found.high
@@ -121,15 +121,15 @@ def test_ratios_are_taken_to_lugre_or_else_to_the_first_law(
     wrong = {name: wrong_by(records, size, k) for k, (name, size) in
              enumerate({"stribeck": 2.0, "lugre": 1.0, "parfam_h": 0.8}.items())}  # fmt: skip
     scores = compare(records, wrong)
-    assert scores.reference == "lugre"
-    assert set(scores.ratios) == {"stribeck", "parfam_h"}
+    assert scores.ratios.reference == "lugre"
+    assert set(scores.ratios.laws) == {"stribeck", "parfam_h"}
     for joint in range(2):
-        for name, row in scores.ratios.items():
-            errors = [score[joint].rmse for score in (scores.laws[name], scores.laws["lugre"])]
+        for name, row in scores.ratios.laws.items():
+            errors = [scores.laws[law].rmse[joint] for law in (name, "lugre")]
             assert row[joint].value == pytest.approx(errors[0] / errors[1], rel=1e-12)
     del wrong["lugre"]
-    assert compare(records, wrong).reference == "stribeck"
-    assert compare(records, {"parfam_h": wrong["parfam_h"]}).ratios == {}
+    assert compare(records, wrong).ratios.reference == "stribeck"
+    assert compare(records, {"parfam_h": wrong["parfam_h"]}).ratios.laws == {}
 
 
 def test_scores_pool_the_logs_of_a_joint(records: list[list[FrictionRecord]]) -> None:
@@ -138,14 +138,14 @@ def test_scores_pool_the_logs_of_a_joint(records: list[list[FrictionRecord]]) ->
     assert scores.joints == ("j1", "j2")
     for joint, (of_joint, predicted) in enumerate(zip(records, wrong, strict=True)):
         pooled = np.concatenate([p - r.tau for r, p in zip(of_joint, predicted, strict=True)])
-        assert scores.laws["made"][joint].rmse == pytest.approx(rmse(pooled), rel=1e-12)
+        assert scores.laws["made"].rmse[joint] == pytest.approx(rmse(pooled), rel=1e-12)
 
 
 def test_a_comparison_is_json(records: list[list[FrictionRecord]]) -> None:
     scores = compare(
         records, {"lugre": wrong_by(records, 1.0, 0), "other": wrong_by(records, 0.5, 1)}
     )
-    data = json.loads(json.dumps(scores.to_json(), allow_nan=False))
+    data = to_json(scores)
     assert data["joints"] == ["j1", "j2"]
     assert set(data["laws"]) == {"lugre", "other"}
     for of_law in data["laws"].values():
@@ -154,9 +154,10 @@ def test_a_comparison_is_json(records: list[list[FrictionRecord]]) -> None:
     assert data["ratios"]["reference"] == "lugre"
     for entry in data["ratios"]["laws"]["other"]:
         assert entry["low"] < entry["value"] < entry["high"]
-    assert scores.to_json() == compare(
+    assert from_json(Comparison, data, Path("scores.json"), "scores") == scores
+    assert scores == compare(
         records, {"lugre": wrong_by(records, 1.0, 0), "other": wrong_by(records, 0.5, 1)}
-    ).to_json()  # fmt: skip
+    )
 
 
 def test_records_turn_from_logs_to_joints_and_back(records: list[list[FrictionRecord]]) -> None:
@@ -191,8 +192,9 @@ def test_a_band_is_scored_on_its_own_rows(records: list[list[FrictionRecord]]) -
     ]
     for band, expected in (((0.0, 2.0), 0.1), ((2.0, 1e9), 1.0)):
         rows, torques = within(records, wrong, *band)
-        for score in compare(rows, {"made": torques}).laws["made"]:
-            assert score.rmse == pytest.approx(expected, rel=1e-9)
+        assert compare(rows, {"made": torques}).laws["made"].rmse == pytest.approx(
+            [expected] * len(rows), rel=1e-9
+        )
 
 
 def test_a_log_that_ends_before_a_band_is_left_out_of_it(
@@ -203,7 +205,7 @@ def test_a_log_that_ends_before_a_band_is_left_out_of_it(
     cut = [[p, q[:200]] for p, q in wrong]
     rows, torques = within(short, cut, 3.0, 1e9)
     assert [len(of_joint) for of_joint in rows] == [len(p) for p in torques] == [1, 1]
-    assert compare(rows, {"lugre": torques, "other": torques}).ratios["other"][0].value == 1.0
+    assert compare(rows, {"lugre": torques, "other": torques}).ratios.laws["other"][0].value == 1.0
 
 
 def test_a_band_without_rows_is_refused(records: list[list[FrictionRecord]]) -> None:
@@ -238,23 +240,6 @@ def shown(table: object, width: int = 120) -> str:
     return out.getvalue()
 
 
-@pytest.mark.parametrize("joints", [6, 8])
-def test_intervals_of_many_joints_fit_80_columns_whole(joints: int) -> None:
-    ratio = Ratio(value=8.25, low=6.07, high=11.24)
-    score = Score(tau_std=1.0, rmse=1.0, rmse_reversal=None, rmse_moving=None, r2=None)
-    names = tuple(f"j{k}" for k in range(joints))
-    scores = Comparison(
-        joints=names,
-        laws=dict.fromkeys(("lugre", "parfam_hx"), (score,) * joints),
-        ratios={"parfam_hx": (ratio,) * joints},
-        reference="lugre",
-    )
-    text = shown(ratios("unseen", scores), 80)
-    assert "…" not in text
-    assert text.count("11.24") == joints
-    assert text.count("6.07-") == joints
-
-
 def test_tables_group_laws_of_equal_inputs_the_fewest_first(
     records: list[list[FrictionRecord]],
 ) -> None:
@@ -264,19 +249,15 @@ def test_tables_group_laws_of_equal_inputs_the_fewest_first(
     )
     classes = {"parfam_hx": "v, q, load, start", "lugre": "v", "hx_bare": "v",
                "lugre_load": "v, load"}  # fmt: skip
-    for text in (
-        shown(comparison("unseen", scores, "rmse", classes)),
-        shown(ratios("unseen", scores, classes)),
-    ):
-        lines = [line.strip() for line in text.splitlines()]
-        headings = [line for line in lines if line in set(classes.values())]
-        # In the ratios the reference itself has no row, and its class one law less.
-        assert headings == ["v", "v, load", "v, q, load, start"]
-        places = [
-            next(k for k, line in enumerate(lines) if line.startswith(row))
-            for row in ("hx_bare", "v, load", "LuGre+load", "v, q, load, start", "ParFam-HX")
-        ]
-        assert places == sorted(places)
+    text = shown(Drawn(errors("unseen", scores, inputs=classes)))
+    lines = [line.strip() for line in text.splitlines()]
+    headings = [line for line in lines if line.startswith("inputs")]
+    assert headings == ["inputs v", "inputs v, load", "inputs v, q, load, start"]
+    places = [
+        next(k for k, line in enumerate(lines) if line.startswith(row))
+        for row in ("hx_bare", headings[1], "LuGre+load", headings[2], "ParFam-HX")
+    ]
+    assert places == sorted(places)
 
 
 # --- FMUs -------------------------------------------------------------------------------------

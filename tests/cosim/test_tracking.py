@@ -6,15 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.closed_loop import Scheme
+from cosim.closed_loop import Scheme, StandIn
 from cosim.master import Master
 from cosim.studies import tracking
 from cosim.studies.excite import recordings
 from cosim.studies.loops import (
-    BODY_ONLY,
-    ORACLE,
-    VELOCITY_ONLY,
-    Loop,
+    StudyLoop,
     assemble,
     build,
     limits_of,
@@ -34,9 +31,10 @@ from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr_model.artifacts import read_model
 from hesr_model.errors import ConfigError
-from hesr_model.files import models_folder
-from hesr_model.rigid_body import RigidBody, identify
-from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.rigid_body.identification import RigidBody, identify
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import models_folder
+from hesr_model.support.typed_json import from_json, to_json
 
 UF850 = models_folder() / "uf850"
 WIDE = np.tile([-10.0, 10.0], (3, 1))
@@ -58,7 +56,7 @@ def body(robot: RobotModel) -> RigidBody:
 
 
 @pytest.fixture(scope="module")
-def loop(tmp_path_factory: pytest.TempPathFactory, robot: RobotModel, body: RigidBody) -> Loop:
+def loop(tmp_path_factory: pytest.TempPathFactory, robot: RobotModel, body: RigidBody) -> StudyLoop:
     """The default study's loop with Table I as its only law, on two short motions."""
     folder = tmp_path_factory.mktemp("loop")
     plant = Plant.read(UF850 / "plant.toml")
@@ -76,7 +74,7 @@ def loop(tmp_path_factory: pytest.TempPathFactory, robot: RobotModel, body: Rigi
 
 
 def by_name(rows: list[Tracked]) -> dict[tuple[str, str], Tracked]:
-    return {(row.scheme, row.law): row for row in rows}
+    return {(row.scheme.name, row.law): row for row in rows}
 
 
 @pytest.mark.parametrize(
@@ -91,44 +89,44 @@ def by_name(rows: list[Tracked]) -> dict[tuple[str, str], Tracked]:
     ],
 )
 def test_motions_that_the_arm_cannot_make_are_refused(
-    change: dict[str, tuple[float, ...]], sentence: str, loop: Loop, robot: RobotModel
+    change: dict[str, tuple[float, ...]], sentence: str, loop: StudyLoop, robot: RobotModel
 ) -> None:
     with pytest.raises(ConfigError, match=sentence):
         require_reachable(loop.tracking.model_copy(update=change), robot)
 
 
-def test_every_law_is_tracked_in_every_scheme(loop: Loop) -> None:
+def test_every_law_is_tracked_in_every_scheme(loop: StudyLoop) -> None:
     rows = list(loop.rows())
-    names = [(row.scheme, row.law) for row in rows]
+    names = [(row.scheme.name, row.law) for row in rows]
     assert len(set(names)) == len(names)
     for scheme in ("torque_error", "servo_inversion"):
         for more in ("", ", Kx = 5"):
-            for law in (BODY_ONLY, "parfam_h", ORACLE):
+            for law in (StandIn.BODY_ONLY, "parfam_h", StandIn.ORACLE):
                 assert (scheme + more, law) in names
         for source in ("measured", "filtered"):
             assert (f"{scheme}, friction of {source} velocity", "parfam_h") in names
-    assert ("none", VELOCITY_ONLY) in names
+    assert ("none", StandIn.VELOCITY_ONLY) in names
 
 
-def test_knowing_the_truth_tracks_best(loop: Loop) -> None:
+def test_knowing_the_truth_tracks_best(loop: StudyLoop) -> None:
     found = by_name(
         track(list(loop.rows()), motions(loop.tracking), duration=3.0, limits=WIDE, workers=2)
     )
     assert all(row.rmse.shape == (2, 3) and not row.failures for row in found.values())
-    oracle = found["servo_inversion", ORACLE].mean
-    assert np.all(oracle < 0.05 * found["servo_inversion", BODY_ONLY].mean)
+    oracle = found["servo_inversion", StandIn.ORACLE].mean
+    assert np.all(oracle < 0.05 * found["servo_inversion", StandIn.BODY_ONLY].mean)
     assert np.all(oracle < 0.5e-3)
-    outer = found["servo_inversion, Kx = 5", BODY_ONLY].mean
-    assert np.all(outer < found["servo_inversion", BODY_ONLY].mean)
+    outer = found["servo_inversion, Kx = 5", StandIn.BODY_ONLY].mean
+    assert np.all(outer < found["servo_inversion", StandIn.BODY_ONLY].mean)
 
 
-def test_the_result_does_not_depend_on_the_number_of_processes(loop: Loop) -> None:
+def test_the_result_does_not_depend_on_the_number_of_processes(loop: StudyLoop) -> None:
     rows = [loop.row("parfam_h", Scheme(compensation="servo_inversion"))]
     one, two = (
         track(rows * 2, motions(loop.tracking), duration=1.0, limits=WIDE, workers=n)
         for n in (1, 2)
     )
-    assert [t.to_json() for t in one] == [t.to_json() for t in two]
+    assert list(map(to_json, one)) == list(map(to_json, two))
 
 
 class InterruptedForTestError(Exception):
@@ -136,11 +134,11 @@ class InterruptedForTestError(Exception):
 
 
 def test_an_interrupted_study_goes_on_where_it_was(
-    loop: Loop, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    loop: StudyLoop, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows = [
         loop.row(law, Scheme(compensation="servo_inversion"))
-        for law in (BODY_ONLY, "parfam_h", ORACLE)
+        for law in (StandIn.BODY_ONLY, "parfam_h", StandIn.ORACLE)
     ]
 
     def interrupt(done: int, _all: int) -> None:
@@ -155,46 +153,46 @@ def test_an_interrupted_study_goes_on_where_it_was(
     run = tracking._tracked
     monkeypatch.setattr(tracking, "_tracked", lambda row, *a: ran.append(row.law) or run(row, *a))
     again = track(rows, motions(loop.tracking), **settings)
-    assert ran == [ORACLE]
-    assert [t.to_json() for t in again] == [t.to_json() for t in whole]
+    assert ran == [StandIn.ORACLE]
+    assert list(map(to_json, again)) == list(map(to_json, whole))
     # What was kept counts for the very same loop only.
     gains = rows[0].setting.gains.model_copy(update={"latency": 0.011})
     other = replace(rows[0], setting=replace(rows[0].setting, gains=gains))
     track([other], motions(loop.tracking), **settings)
-    assert ran == [ORACLE, BODY_ONLY]
+    assert ran == [StandIn.ORACLE, StandIn.BODY_ONLY]
 
 
-def test_a_loop_that_runs_away_is_a_result(loop: Loop) -> None:
+def test_a_loop_that_runs_away_is_a_result(loop: StudyLoop) -> None:
     row = loop.row("parfam_h", Scheme(compensation="servo_inversion", Kx=-20.0))
     near = np.array([[-1.0, 1.0], [-0.7, 1.3], [-2.9, -0.9]])
     (found,) = track([row], motions(loop.tracking), duration=3.0, limits=near, workers=1)
     assert np.all(np.isnan(found.mean))
     assert "outside its limits" in found.failures[0]
-    assert Tracked.from_json(found.to_json()).failures == found.failures
+    assert from_json(Tracked, to_json(found), Path("row.json"), "a row").failures == found.failures
 
 
 def test_sweeps_change_what_they_say(
-    loop: Loop, robot: RobotModel, body: RigidBody, tmp_path: Path
+    loop: StudyLoop, robot: RobotModel, body: RigidBody, tmp_path: Path
 ) -> None:
     short = replace(loop, tracking=loop.tracking.model_copy(update={"seeds": (11,)}))
     rows = by_name(run_sweeps(short, robot, body, tmp_path, kept=None, progress=lambda *_: None))
     scheme = "servo_inversion, Kx = 5"
-    plain = rows[f"{scheme}: as it is", ORACLE].mean
+    plain = rows[f"{scheme}: as it is", StandIn.ORACLE].mean
     assert np.all(plain < 0.5e-3)
-    loaded = rows[f"{scheme}: payload 5 kg", ORACLE].mean
-    known = rows[f"{scheme}: payload 5 kg, identified", ORACLE].mean
+    loaded = rows[f"{scheme}: payload 5 kg", StandIn.ORACLE].mean
+    known = rows[f"{scheme}: payload 5 kg, identified", StandIn.ORACLE].mean
     assert np.all(known[1:] < 0.3 * loaded[1:]), (known, loaded)
-    assert np.all(rows[f"{scheme}: friction x 2", ORACLE].mean > 2.0 * plain)
+    assert np.all(rows[f"{scheme}: friction x 2", StandIn.ORACLE].mean > 2.0 * plain)
     for latency in (0, 20, 40):  # known to the controller
-        assert np.all(rows[f"{scheme}: latency {latency} ms", ORACLE].mean < 1e-3)
+        assert np.all(rows[f"{scheme}: latency {latency} ms", StandIn.ORACLE].mean < 1e-3)
     assert not list(tmp_path.glob("*.xml"))
 
 
 def test_feed_forward_never_cycles_and_feedback_of_friction_does(
-    loop: Loop, robot: RobotModel
+    loop: StudyLoop, robot: RobotModel
 ) -> None:
     found = {
-        one.scheme: one.factor
+        one.scheme.name: one.factor
         for one in run_overcompensation(loop, robot, kept=None, progress=lambda *_: None)
     }
     assert found["servo_inversion"] is None
@@ -204,7 +202,7 @@ def test_feed_forward_never_cycles_and_feedback_of_friction_does(
 
 
 def test_one_loop_stands_in_a_file_of_its_own(
-    loop: Loop, robot: RobotModel, tmp_path: Path
+    loop: StudyLoop, robot: RobotModel, tmp_path: Path
 ) -> None:
     """The file gives what the study gives for the same law, scheme and motion."""
     path = write_system(whole(loop, robot), tmp_path / "closed_loop.toml")

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.closed_loop import StandIn
 from cosim.run import Outcome, run_study
 from cosim.scoring import ORACLE, Comparison
-from cosim.studies.loops import BODY_ONLY, assemble, limits_of, motions
-from cosim.studies.loops import ORACLE as TRUTH
+from cosim.studies.loops import assemble, limits_of, motions
 from cosim.studies.tracking import Tracked, track
 from cosim.study import Study
 from fmu_src.arm.plant import Plant
-from hesr_model.files import models_folder
-from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import models_folder
 
 STUDY = models_folder() / "studies" / "default.toml"
 
@@ -38,7 +38,7 @@ def fourier(outcome: Outcome) -> Comparison:
 
 
 def errors(scores: Comparison, law: str) -> np.ndarray:
-    return np.array([score.rmse for score in scores.laws[law]])
+    return np.array(scores.laws[law].rmse)
 
 
 @pytest.mark.parametrize("other", ["parfam_v", "stribeck"])
@@ -92,39 +92,39 @@ PAPER_BASELINE = np.array([0.0417, 0.0744, 0.0324])
 def tracked(rows: Sequence[Tracked], scheme: str) -> dict[str, np.ndarray]:
     """Mean tracking error of each law in a scheme [rad]."""
     assert not any(row.failures for row in rows)
-    return {row.law: row.mean for row in rows if row.scheme == scheme}
+    return {row.law: row.mean for row in rows if row.scheme.name == scheme}
 
 
 def assert_paper_scheme_pays(rows: Sequence[Tracked]) -> None:
     found = tracked(rows, "torque_error")
-    reduction = {law: 1.0 - error / found[BODY_ONLY] for law, error in found.items()}
-    assert np.all(reduction["parfam_h"] >= reduction[TRUTH] - 0.05), reduction
+    reduction = {law: 1.0 - error / found[StandIn.BODY_ONLY] for law, error in found.items()}
+    assert np.all(reduction["parfam_h"] >= reduction[StandIn.ORACLE] - 0.05), reduction
     assert reduction["parfam_h"][1] >= 0.493, reduction
 
 
 def assert_inversion_pays(rows: Sequence[Tracked]) -> None:
     plain, outer = (tracked(rows, f"servo_inversion{more}") for more in ("", ", Kx = 5"))
     for law in ("parfam_h", "parfam_hx"):
-        assert np.all(plain[law] <= 0.1 * plain[BODY_ONLY]), plain
+        assert np.all(plain[law] <= 0.1 * plain[StandIn.BODY_ONLY]), plain
         assert np.all(outer[law] <= 1.0e-3), outer
     # True friction and rigid body leave 0.1 to 0.3 mrad, of which no fitted law comes near.
-    assert np.all(plain["parfam_hx"] - plain[TRUTH] <= 0.6e-3), plain
+    assert np.all(plain["parfam_hx"] - plain[StandIn.ORACLE] <= 0.6e-3), plain
 
 
 def test_the_papers_scheme_has_the_papers_baseline(outcome: Outcome) -> None:
     assert outcome.loop
-    baseline = tracked(outcome.loop.tables, "torque_error")[BODY_ONLY]
+    baseline = tracked(outcome.loop.tracking, "torque_error")[StandIn.BODY_ONLY]
     assert np.all(np.abs(baseline / PAPER_BASELINE - 1.0) <= 0.25), baseline
 
 
 def test_the_papers_scheme_pays(outcome: Outcome) -> None:
     assert outcome.loop
-    assert_paper_scheme_pays(outcome.loop.tables)
+    assert_paper_scheme_pays(outcome.loop.tracking)
 
 
 def test_inverting_the_servo_pays(outcome: Outcome) -> None:
     assert outcome.loop
-    assert_inversion_pays(outcome.loop.tables)
+    assert_inversion_pays(outcome.loop.tracking)
 
 
 def test_both_pay_on_motions_that_nobody_has_tuned_on(outcome: Outcome, folder: Path) -> None:
@@ -140,7 +140,7 @@ def test_both_pay_on_motions_that_nobody_has_tuned_on(outcome: Outcome, folder: 
         plant=plant,
     )
     rows = track(
-        [row for row in loop.rows() if "velocity" not in row.scheme],
+        [row for row in loop.rows() if row.scheme.source == "desired"],
         motions(loop.tracking),
         duration=tracking.duration,
         limits=limits_of(robot),
@@ -151,6 +151,6 @@ def test_both_pay_on_motions_that_nobody_has_tuned_on(outcome: Outcome, folder: 
 
 def test_a_long_run_shows_drift_where_nothing_holds_the_position(outcome: Outcome) -> None:
     assert outcome.loop
-    last = {(row.scheme, row.law): np.abs(row.last[0]).max() for row in outcome.loop.long}
+    last = {(row.scheme.name, row.law): np.abs(row.last[0]).max() for row in outcome.loop.long}
     assert last["torque_error", "parfam_hx"] > 0.1
     assert last["servo_inversion, Kx = 5", "parfam_hx"] < 1e-3

@@ -8,11 +8,11 @@ import pytest
 from cosim.studies.excite import record
 from fmu_src.arm.plant import Arm, Plant
 from hesr_model.errors import FitError
-from hesr_model.files import models_folder
-from hesr_model.payload import identify_payload, loaded
-from hesr_model.rigid_body import identify
-from hesr_model.robot import RobotDescription, RobotModel
-from hesr_model.trajectories import random_fourier
+from hesr_model.motions.trajectories import random_fourier
+from hesr_model.rigid_body.identification import identify
+from hesr_model.rigid_body.payload import identify_payload, loaded
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import models_folder
 
 FOLDER = models_folder() / "uf850"
 LAST_LINK = '<inertial pos="0.000484 -0.000334 -0.014217"'

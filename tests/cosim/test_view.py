@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 from small_study import Hesr, hesr_here
 
-from cosim.closed_loop import Scheme
-from cosim.studies.loops import BODY_ONLY, ORACLE, VELOCITY_ONLY, assemble, build, motions
+from cosim.closed_loop import Scheme, StandIn
+from cosim.studies.loops import assemble, build, motions
 from cosim.studies.traces import TRACES, read_traces, write_traces
 from cosim.studies.tracking import Tracked, track
 from cosim.study import Study
@@ -33,10 +33,11 @@ from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr_model.artifacts import read_model, write_rigid_body
 from hesr_model.errors import ArtifactError, RobotError
-from hesr_model.files import models_folder
-from hesr_model.rigid_body import identify
-from hesr_model.robot import RobotDescription, RobotModel
-from hesr_model.robot_log import RobotLog
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import identify
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import models_folder
+from hesr_model.support.typed_json import to_json
 
 UF850 = models_folder() / "uf850"
 INVERSION = "servo_inversion"
@@ -79,8 +80,8 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     loop = assemble(fmus, tracking=settings, friction={"parfam_h": law}, plant=plant)
     inversion = Scheme(compensation="servo_inversion")
     rows = [
-        loop.row(VELOCITY_ONLY, Scheme(compensation="none")),
-        *(loop.row(name, inversion) for name in (BODY_ONLY, "parfam_h", ORACLE)),
+        loop.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none")),
+        *(loop.row(name, inversion) for name in (StandIn.BODY_ONLY, "parfam_h", StandIn.ORACLE)),
     ]
     wide = np.tile([-10.0, 10.0], (3, 1))
     arguments = {"duration": 1.0, "limits": wide, "traced": True, "workers": 1}
@@ -89,7 +90,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for one, other in zip(found, again, strict=True):  # what an interrupted run goes on from
         assert_same(one, other)
     write_traces(folder / TRACES, [(t.scheme, t.law, t.trace) for t in found if t.trace])
-    (folder / "rmse.json").write_text(json.dumps([t.to_json() for t in found]), encoding="utf-8")
+    (folder / "rmse.json").write_text(json.dumps(list(map(to_json, found))), encoding="utf-8")
     return folder
 
 
@@ -98,7 +99,7 @@ def assert_same(one: Tracked, other: Tracked) -> None:
     assert other.trace
     for name in ("t", "q_d", "q"):
         np.testing.assert_array_equal(getattr(one.trace, name), getattr(other.trace, name))
-    assert one.to_json() == other.to_json()
+    assert to_json(one) == to_json(other)
 
 
 def _excitation(robot: RobotModel) -> RobotLog:
@@ -117,9 +118,9 @@ def _excitation(robot: RobotModel) -> RobotLog:
 def test_traces_are_the_runs_that_were_scored(result: Path) -> None:
     traces = read_traces(result / TRACES)
     rows = json.loads((result / "rmse.json").read_text(encoding="utf-8"))
-    assert list(traces) == [(row["scheme"], row["law"]) for row in rows]
+    assert [(s.name, law) for s, law in traces] == [(row["scheme"], row["law"]) for row in rows]
     for row in rows:
-        trace = traces[row["scheme"], row["law"]]
+        trace = traces[Scheme.of_name(row["scheme"]), row["law"]]
         assert trace.t[0] == 0.0
         assert trace.t[-1] == pytest.approx(1.0)
         error = np.sqrt(np.mean((trace.q - trace.q_d) ** 2, axis=0))
@@ -146,14 +147,14 @@ def test_files_that_hold_no_traces(tmp_path: Path) -> None:
 def test_the_best_law_is_shown_beside_none(result: Path) -> None:
     shown = choose(result, Choice())
     assert shown.scheme == INVERSION
-    assert list(shown.runs) == [BODY_ONLY, "ParFam-H"]
+    assert list(shown.runs) == [StandIn.BODY_ONLY.words, "ParFam-H"]
     assert list(shown.joints) == ["joint1", "joint2", "joint3"]
 
 
 def test_laws_and_scheme_can_be_chosen(result: Path) -> None:
-    shown = choose(result, Choice(laws=[ORACLE, "parfam_h"]))
-    assert list(shown.runs) == [ORACLE, "ParFam-H"]
-    assert list(choose(result, Choice(scheme="none")).runs) == [VELOCITY_ONLY]
+    shown = choose(result, Choice(laws=[StandIn.ORACLE, "parfam_h"]))
+    assert list(shown.runs) == [StandIn.ORACLE.words, "ParFam-H"]
+    assert list(choose(result, Choice(scheme="none")).runs) == [StandIn.VELOCITY_ONLY.words]
 
 
 def test_what_cannot_be_shown_is_refused(result: Path, hesr: Hesr, tmp_path: Path) -> None:
@@ -199,7 +200,7 @@ def test_results_without_their_arm(result: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("magnify", [1.0, 20.0])
 def test_ghost_and_arm_stand_where_the_run_had_them(result: Path, magnify: float) -> None:
     """Beside MuJoCo's own kinematics of the shipped model."""
-    choice = Choice(laws=["parfam_h", BODY_ONLY], magnify=magnify)
+    choice = Choice(laws=["parfam_h", StandIn.BODY_ONLY], magnify=magnify)
     shown = choose(result, choice)
     stage = Stage(shown, choice)
     model = mujoco.MjModel.from_xml_path(str(UF850 / "uf850.xml"))
@@ -267,7 +268,7 @@ def test_models_that_cannot_be_shown() -> None:
 
 @draws
 def test_the_picture_shows_both_poses_and_changes(result: Path) -> None:
-    choice = Choice(laws=[BODY_ONLY], magnify=10.0)
+    choice = Choice(laws=[StandIn.BODY_ONLY], magnify=10.0)
     stage = Stage(choose(result, choice), choice)
     model = stage.model
     names = [model.body(body).name for body in model.geom_bodyid]
@@ -326,7 +327,7 @@ def test_an_interrupt_leaves_no_half_a_video(result: Path, tmp_path: Path) -> No
         if done == 2:
             raise KeyboardInterrupt
 
-    choice = Choice(laws=[ORACLE])
+    choice = Choice(laws=[StandIn.ORACLE])
     with pytest.raises(KeyboardInterrupt):
         write_video(path, choose(result, choice), choice, progress=interrupt)
     assert path.read_text(encoding="utf-8") == "old"
@@ -419,7 +420,7 @@ def test_an_encoder_that_dies_is_told(
     if LIBRARY is None:
         pytest.skip("nothing draws on this machine")
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", shutil.which("false") or "false")
-    choice = Choice(laws=[ORACLE])
+    choice = Choice(laws=[StandIn.ORACLE])
     path = tmp_path / "arm.mp4"
     with pytest.raises(ArtifactError) as told:
         write_video(path, choose(result, choice), choice)

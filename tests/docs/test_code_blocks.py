@@ -16,8 +16,8 @@ from documents import PAGES, ROOT, Block, blocks
 import hesr_model
 from fmu_src import export_fmu, model_file
 from hesr_model.artifacts import read_model
-from hesr_model.robot import RobotDescription
-from hesr_model.robot_log import RobotLog
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.robots.robot import RobotDescription
 
 
 @pytest.fixture

@@ -10,14 +10,15 @@ import pytest
 import sympy
 from binary import Binary
 
-from fmu_src import export_fmu, model_file
-from hesr_model.artifacts import read_model
-from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute, sgn
-from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
-from hesr_model.friction.laws import registry
+from hesr_model.artifacts import read_model, write_model
+from hesr_model.equations.functions import absolute, sgn
+from hesr_model.equations.memory import Relaxation
+from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.laws.parfam import family
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.parfam import family
-from hesr_model.residual import FrictionRecord
+from hesr_model.friction.registry import registry
+from hesr_model.rigid_body.residual import FrictionRecord
 
 FEATURES = ["1", "dq", "h", "dh"]
 
@@ -54,7 +55,7 @@ def lugre() -> FrictionLaw:
     level = f_c + (f_s - f_c) * sympy.exp(-((DQ / v_s) ** 2))
     z = Relaxation(name="z", unit="rad", drive=DQ, rate=sigma_0 * absolute(DQ) / level)
     output = sigma_0 * z.state + sigma_1 * z.derivative
-    form = LawForm(coefficients=own, relaxations=(z,), output=output)
+    form = LawForm(coefficients=own, memory=(z,), output=output)
     return law_of(form, (2.0e3, 1.5, 9.0, 12.0, 0.08))
 
 
@@ -68,7 +69,7 @@ def elements() -> FrictionLaw:
     ]
     form = LawForm(
         coefficients=own,
-        relaxations=tuple(x),
+        memory=tuple(x),
         output=c1 * x[0].state + c2 * x[1].state + sympy.pi * x[1].derivative / 1000,
     )
     return law_of(form, (60.0, 7.0, 3.0, 4.0), start=(0.3, -0.2))
@@ -133,31 +134,28 @@ def make_model() -> Callable[..., FrictionModel]:
 
 
 @pytest.fixture(scope="session")
-def fitted(make_motion) -> dict[str, FrictionLaw]:
+def fitted(make_motion, shared) -> dict[str, FrictionLaw]:
     """Every law of the registry, fitted to what a law made by hand says of a motion."""
     t, dq, q, load = (np.squeeze(x) for x in make_motion(1))
     tau = 5.0 * np.tanh(50.0 * dq) + 3.0 * dq + np.random.default_rng(1).normal(0, 0.1, t.shape)
     record = FrictionRecord(log="made", joint="axis", t=t, dq=dq, q=q, tau_load=load, tau=tau)
-    return {
-        name: estimator().fit([record], np.random.default_rng(0))
-        for name, estimator in registry().items()
-    }
+
+    def fit(folder: Path) -> None:
+        for name, estimator in registry().items():
+            law = estimator().fit([record], np.random.default_rng(0))
+            model = FrictionModel(
+                law=name, robot="bench", joints=("axis",), laws=(law,), sample_time=0.005
+            )
+            write_model(folder / f"{name}.json", model)
+
+    folder = shared("fitted", fit)
+    return {name: read_model(folder / f"{name}.json").laws[0] for name in registry()}
 
 
 @pytest.fixture(scope="session")
 def every_law(make_law, fitted) -> dict[str, FrictionLaw]:
     laws = {name: make_law(name) for name in HAND_MADE}
     return laws | {f"fitted_{name}": law for name, law in fitted.items()}
-
-
-@pytest.fixture(scope="session")
-def table1() -> FrictionModel:
-    return read_model(model_file("uf850-table1"))
-
-
-@pytest.fixture(scope="session")
-def table1_fmu(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return export_fmu(table1, tmp_path_factory.mktemp("table1") / "Friction.fmu")
 
 
 Motion = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]

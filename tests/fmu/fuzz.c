@@ -1,15 +1,22 @@
 /* A host that goes through thousands of random lives of an FMU's instances. It calls what the
  * standard allows, mostly, with right arguments, mostly. A sanitizer makes a failure of every error
- * of memory; the host itself one of an output that is not finite. */
+ * of memory; the host itself one of an output that is not finite.
+ *
+ *     fuzz [LIVES [FAIL_EVERY [RESOURCES [NAME=VALUE ..]]]]
+ *
+ * Every so many allocations of the FMU fail, where it is linked with --wrap=malloc,--wrap=calloc.
+ */
 #include <math.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "fmi2.h"
 #include "interface.h"
+#include "given.h"
 
-enum { LIVES = 10000, LONGEST = 120, CROWD = 1000, MOST = 5 };
+enum { LONGEST = 120, CROWD = 1000, MOST = 5 };
 
 /* Where an instance is, as far as the host can tell; FIRST is what follows the initialisation. */
 enum { START = 1, INITIAL = 2, STEPS = 4, EVENT = 8, CONTINUOUS = 16, END = 32, FAILED = 64 };
@@ -32,8 +39,31 @@ static size_t n;
 
 static uint64_t seed = 88172645463325252u;
 static unsigned long calls, steps, derived, crossings, restored, by_status[6], messages;
-static fmi2Byte bytes[1 << 16];
+static fmi2Byte bytes[1 << 20];
 static size_t size_of_state;
+
+static fmi2String resources;
+static unsigned long fail_every, failed_allocations;
+
+#ifdef WRAPPED
+void *__real_malloc(size_t size);
+void *__real_calloc(size_t n, size_t size);
+
+static int to_fail(void) {
+    static unsigned long allocations;
+    const int fails = fail_every > 0 && ++allocations % fail_every == 0;
+    failed_allocations += (unsigned long)fails;
+    return fails;
+}
+
+void *__wrap_malloc(size_t size) {
+    return to_fail() ? NULL : __real_malloc(size);
+}
+
+void *__wrap_calloc(size_t n_items, size_t size) {
+    return to_fail() ? NULL : __real_calloc(n_items, size);
+}
+#endif
 
 static unsigned below(unsigned limit) {
     seed ^= seed << 13;
@@ -88,9 +118,11 @@ static void logger(fmi2ComponentEnvironment environment, fmi2String instance, fm
 static const fmi2CallbackFunctions callbacks = {logger, NULL, NULL, NULL, NULL};
 
 static fmi2Component instantiate(fmi2Type type) {
-    return fmi2Instantiate(OR_NULL("host"), below(300) ? type : (fmi2Type)7,
-                           below(300) ? MODEL_GUID : "{}", NULL, OR_NULL(&callbacks), 0,
-                           (fmi2Boolean)below(2));
+    const fmi2Component c = fmi2Instantiate(OR_NULL("host"), below(300) ? type : (fmi2Type)7,
+                                            below(300) ? MODEL_GUID : "{}", resources,
+                                            OR_NULL(&callbacks), 0, (fmi2Boolean)below(2));
+    start(c);
+    return c;
 }
 
 /* The calls. */
@@ -101,7 +133,9 @@ static fmi2Status set_up(Host *h) {
 
 static fmi2Status reset(Host *h) {
     h->time = 0.0;
-    return fmi2Reset(h->c);
+    const fmi2Status status = fmi2Reset(h->c);
+    start(h->c);
+    return status;
 }
 
 static fmi2Status set_logging(Host *h) {
@@ -202,7 +236,7 @@ static fmi2Status derive(Host *h) {
 }
 
 static fmi2Status step(Host *h) {
-    const double length = below(200) ? 1e-4 * (1 + below(30)) : real[1];
+    const double length = below(200) ? 1e-4 * (below(2) ? 10 : 1 + below(30)) : real[1];
     const fmi2Status status = fmi2DoStep(h->c, below(200) ? h->time : real[0], length, fmi2True);
     h->time += status == fmi2OK ? length : 0.0;
     steps += status == fmi2OK;
@@ -334,34 +368,40 @@ static void live(void) {
 }
 
 /* Many instances at the same time. */
-static void live_together(void) {
+static void live_together(int many) {
     fmi2Component crowd[CROWD];
-    for (int i = 0; i < CROWD; i++) {
-        crowd[i] =
-            fmi2Instantiate("one of many", fmi2CoSimulation, MODEL_GUID, NULL, &callbacks, 0, 0);
+    for (int i = 0; i < many; i++) {
+        crowd[i] = fmi2Instantiate("one of many", fmi2CoSimulation, MODEL_GUID, resources,
+                                   &callbacks, 0, 0);
+        start(crowd[i]);
         fmi2SetupExperiment(crowd[i], 0, 0.0, 0.0, 0, 0.0);
         fmi2EnterInitializationMode(crowd[i]);
         fmi2ExitInitializationMode(crowd[i]);
     }
     for (int k = 0; k < 5; k++) {
-        for (int i = 0; i < CROWD; i++) {
+        for (int i = 0; i < many; i++) {
             steps += fmi2DoStep(crowd[i], 1e-3 * k, 1e-3, fmi2True) == fmi2OK;
         }
     }
-    for (int i = 0; i < CROWD; i++) {
+    for (int i = 0; i < many; i++) {
         fmi2FreeInstance(crowd[i]);
     }
 }
 
-int main(void) {
-    live_together();
-    for (int i = 0; i < LIVES; i++) {
+int main(int count, char **arguments) {
+    const long lives = count > 1 ? atol(arguments[1]) : 10000;
+    fail_every = count > 2 ? strtoul(arguments[2], NULL, 10) : 0;
+    resources = count > 3 ? arguments[3] : NULL;
+    given = count > 4 ? arguments + 4 : NULL;
+    live_together(lives < CROWD ? (int)lives : CROWD);
+    for (long i = 0; i < lives; i++) {
         live();
     }
     /* For the test to see that much has happened. */
     printf("{\"calls\": %lu, \"steps\": %lu, \"derivatives\": %lu, \"events\": %lu, "
-           "\"restored\": %lu, \"refusals\": %lu, \"errors\": %lu, \"messages\": %lu}\n",
+           "\"restored\": %lu, \"refusals\": %lu, \"errors\": %lu, \"messages\": %lu, "
+           "\"failed_allocations\": %lu}\n",
            calls, steps, derived, crossings, restored, by_status[fmi2Discard], by_status[fmi2Error],
-           messages);
+           messages, failed_allocations);
     return by_status[fmi2Fatal] > 0;
 }

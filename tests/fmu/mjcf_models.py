@@ -9,7 +9,7 @@ import fmpy
 import numpy as np
 from binary import CALLBACK, Binary, Callbacks
 
-from hesr_model.files import models_folder
+from hesr_model.support.files import models_folder
 
 UF850 = models_folder() / "uf850"
 HOME = {"q0[1]": 0.0, "q0[2]": 0.3, "q0[3]": -1.9}
@@ -136,3 +136,29 @@ class Unpacked(Binary):
 
     def instantiate(self, **_: Any) -> ctypes.c_void_p | None:
         return self.at(self.resources.as_uri())
+
+
+def assert_sampled_within_steps(fmu: Path) -> None:
+    """Steps of any length give what whole steps of the simulation's own have given so far."""
+    from cosim.slave import Component
+
+    own, time, made, changed = 0.001, 0.0, 0, 0
+    with Component(fmu) as hostile, Component(fmu, name="whole") as whole:
+        silent = {n: 0.0 for n in names(hostile, "parameter") if "_noise[" in n}
+        assert len(silent) == 6
+        for arm in (hostile, whole):
+            arm.initialise(start=HOME | silent)
+            arm.set({"dq_cmd[1]": 0.3, "dq_cmd[3]": -0.2})
+        outputs = hostile.batch(names(hostile, "output")), whole.batch(names(whole, "output"))
+        before = outputs[1].read().copy()
+        for step in (4e-4, 4e-4, 1e-14, 2e-4, 2**0.5 * 1e-3, 0.2e-3, 3e-3, 0.0173, 1e-5) * 20:
+            hostile.step(time, step)
+            time += step
+            while made + 1 <= time / own + 1e-6:
+                whole.step(made * own, own)
+                made += 1
+            now = outputs[0].read().copy()
+            np.testing.assert_array_equal(now, outputs[1].read())
+            changed += bool((now != before).any())
+            before = now
+    assert changed > 50

@@ -9,7 +9,7 @@ import pytest
 from c_hosts import build_host
 from mjcf_models import STEP, UF850, Unpacked, names
 
-from cosim.component import Component
+from cosim.slave import Component
 from fmu_src.arm.native import export_mjcf
 from fmu_src.check import check
 

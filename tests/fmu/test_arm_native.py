@@ -11,13 +11,22 @@ import mujoco
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from mjcf_models import HOME, STEP, UF850, Unpacked, command, names, run
+from mjcf_models import (
+    HOME,
+    STEP,
+    UF850,
+    Unpacked,
+    assert_sampled_within_steps,
+    command,
+    names,
+    run,
+)
 
-from cosim.component import Component
+from cosim.slave import Component
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Arm, Plant
 from hesr_model.errors import SimulationError
-from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot import RobotDescription, RobotModel
 
 MJCF, TABLE = UF850 / "uf850.xml", UF850 / "arm.toml"
 HOST = Path(__file__).with_name("mjcf_host.c")
@@ -150,6 +159,17 @@ def scaled_twin(scale, folder):
     return export_mjcf(mjcf, folder / "Scaled.fmu", table=table)
 
 
+def test_the_friction_scale_counts_for_the_damping_of_bristles(tmp_path, monkeypatch):
+    """Which the UF850 has none of."""
+    damped = tmp_path / "damped.xml"
+    damped.write_text(re.sub(r'(lugre="[^ ]+) 0 ', r"\1 40 ", MJCF.read_text()))
+    monkeypatch.setitem(globals(), "MJCF", damped)
+    fmu = export_mjcf(damped, tmp_path / "Arm.fmu", table=TABLE)
+    twin = simulated(scaled_twin(1.7, tmp_path), 300)
+    found = simulated(fmu, 300, HOME | {"friction_scale": 1.7})
+    np.testing.assert_allclose(found, twin, rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("scale", [0.5, 1.7])
 def test_the_friction_scale_is_that_of_all_friction_in_the_mjcf(scale, fmu, tmp_path):
     expected = simulated(scaled_twin(scale, tmp_path), 300)
@@ -212,12 +232,15 @@ def test_a_parameter_that_means_nothing_is_refused(start, sentence, fmu):
         arm.step(0.0, STEP)
 
 
-@pytest.mark.parametrize("step", [0.0004, 0.0055])
-def test_a_step_that_is_no_multiple_is_refused_and_the_next_one_done(step, fmu):
+def test_any_step_ends_at_the_last_multiple_of_mujocos_own(fmu):
+    assert_sampled_within_steps(fmu)
+
+
+def test_more_steps_than_anybody_waits_for_are_refused_and_the_next_one_done(fmu):
     with Component(fmu) as arm:
         arm.initialise()
-        with pytest.raises(SimulationError, match=r"a multiple of the simulation's own, 0\.001 s"):
-            arm.step(0.0, step)
+        with pytest.raises(SimulationError, match=r"at most 1e\+06 are made"):
+            arm.step(0.0, 1500.0)
         arm.step(0.0, STEP)
 
 
@@ -226,6 +249,11 @@ def test_an_input_that_mujoco_would_take_for_zero_is_refused(fmu):
         arm.initialise()
         arm.set({"dq_cmd[2]": 2e10})
         with pytest.raises(SimulationError, match=r"dq_cmd\[2\] is 2e\+10; the largest that"):
+            arm.step(0.0, STEP)
+    with Component(fmu) as arm:
+        arm.initialise()
+        arm.set({"dq_cmd[3]": -2e10})
+        with pytest.raises(SimulationError, match=r"dq_cmd\[3\] is -2e\+10; the largest that"):
             arm.step(0.0, STEP)
 
 

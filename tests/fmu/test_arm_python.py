@@ -6,9 +6,18 @@ import numpy as np
 import pytest
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
-from mjcf_models import HOME, PENDULUM, STEP, UF850, command, names, run
+from mjcf_models import (
+    HOME,
+    PENDULUM,
+    STEP,
+    UF850,
+    assert_sampled_within_steps,
+    command,
+    names,
+    run,
+)
 
-from cosim.component import Component
+from cosim.slave import Component
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Arm, Plant
 from fmu_src.arm.python_fmu import export_python_arm
@@ -155,15 +164,23 @@ def test_a_simulation_that_diverges_stays_where_it_was(tmp_path, monkeypatch, ca
 
 def listening(component):
     """PythonFMU tells nothing, not even of errors, unless it is asked to."""
-    component._slave.fmi2SetDebugLogging(component._slave.component, True, 0, None)
+    component._instance._slave.fmi2SetDebugLogging(
+        component._instance._slave.component, True, 0, None
+    )
     return component
+
+
+def test_any_step_ends_at_the_last_multiple_of_the_simulations_own(python):
+    assert_sampled_within_steps(python)
 
 
 def test_a_step_that_is_refused_says_why_and_can_be_done_again(python):
     with Component(python) as arm:
         listening(arm).initialise(start=HOME)
-        with pytest.raises(SimulationError, match=r"a multiple of the simulation's own, 0\.001 s"):
-            arm.step(0.0, 0.0055)
+        arm.set({"dq_cmd[1]": 2e10})
+        with pytest.raises(SimulationError, match=r"dq_cmd\[1\] is 2e\+10; the largest is 1e\+10"):
+            arm.step(0.0, STEP)
+        arm.set({"dq_cmd[1]": 0.0})
         arm.step(0.0, STEP)
 
 
@@ -178,14 +195,14 @@ def test_instances_and_a_saved_state(python):
         other.initialise(start=HOME)
         run(one, 20)
         run(other, 5)
-        slave, state = one._slave, ctypes.c_void_p()
+        slave, state = one._instance._slave, ctypes.c_void_p()
         slave.fmi2GetFMUstate(slave.component, ctypes.byref(state))
         first = run(one, 20, 20)
         slave.fmi2SetFMUstate(slave.component, state)
         np.testing.assert_array_equal(run(one, 20, 20), first)
         data = slave.serializeFMUState(state)
-        copy = other._slave.deSerializeFMUstate(data)
-        other._slave.setFMUState(copy)
+        copy = other._instance._slave.deSerializeFMUstate(data)
+        other._instance._slave.setFMUState(copy)
         np.testing.assert_array_equal(run(other, 20, 20), first)
         slave.fmi2FreeFMUstate(slave.component, ctypes.byref(state))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
-from cosim.component import Component
+from cosim.slave import Component
 from fmu_src.blocks.controller import controller
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import HARMONICS, start_values, trajectory
@@ -16,9 +16,9 @@ from fmu_src.blocks.velocity import velocity
 from fmu_src.check import check
 from fmu_src.package import write_fmu
 from hesr_model.errors import ExportError, SimulationError
-from hesr_model.files import models_folder
-from hesr_model.robot import RobotDescription, RobotModel
-from hesr_model.trajectories import Fourier, Reversed, Sine, Sweep, chirp, random_fourier
+from hesr_model.motions.trajectories import Fourier, Reversed, Sine, Sweep, chirp, random_fourier
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import models_folder
 
 UR10E = Path(__file__).parents[1] / "real" / "ur10e.toml"
 STEP = 0.005
@@ -123,6 +123,15 @@ def test_trajectories_at_uneven_steps_from_any_time(fmus: Mapping[str, Path], na
     q, dq, _ = MOTIONS[name].sample(t)
     np.testing.assert_allclose(found["q"], q, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found["dq"], dq, rtol=0, atol=1e-12)
+
+
+def test_fast_sweeps_at_steps_of_many_periods(fmus: Mapping[str, Path]) -> None:
+    """Up to 10 Hz; a position that is integrated must not depend on how far a step goes."""
+    sweep = chirp(start=OFFSET, amplitude=PEAK, first=0.5, last=10.0, length=6.0)
+    t = np.array([0.0, 0.5, 1.0, 2.3, 2.4, 4.0, 5.9, 6.0])
+    found = run(fmus["Trajectory"], ["q", "dq"], t=t, start=start_values(sweep))
+    for name, expected in zip(("q", "dq"), sweep.sample(t), strict=False):
+        np.testing.assert_allclose(found[name], expected, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", MOTIONS)
@@ -352,15 +361,74 @@ def test_the_first_command_is_known_while_the_controller_is_initialised(
             block.reset()
 
 
-def test_the_controller_samples_at_its_own_step(fmus: Mapping[str, Path]) -> None:
+@pytest.mark.parametrize("steps", [(2.0,), (0.4, 0.7), (0.2,), (1.1, 0.93, 3.4), (0.31830988618,)])
+def test_the_controller_samples_at_its_own_step(
+    fmus: Mapping[str, Path], steps: tuple[float, ...]
+) -> None:
+    """Whatever the host's steps: it samples at multiples of its own, and holds in between."""
+    names = [f"dq_cmd[{i}]" for i in range(1, N + 1)]
+    start = GAINS | {"compensation": "servo_inversion"}
+    rng = np.random.default_rng(5)
+
+    def given(k: int) -> dict[str, float]:
+        signals = [f"{name}[{i}]" for name in ("dq_d", "tau_f") for i in range(1, N + 1)]
+        values = np.random.default_rng(k).normal(size=len(signals))
+        return dict(zip(signals, values.tolist(), strict=True))
+
+    with Component(fmus["Controller"]) as free, Component(fmus["Controller"]) as own:
+        for block in (free, own):
+            block.initialise(start=block.variables.expanded(start))
+        time, samples, k = 0.0, 0, 0
+        while samples < 40:
+            step = STEP * steps[k % len(steps)]
+            # The same inputs reach both: what stood when a sample came.
+            values = given(int(rng.integers(1000)))
+            free.set(values)
+            if abs(time / STEP - round(time / STEP)) > 1e-6:  # between samples it holds
+                assert free.get(names) == pytest.approx(own.get(names), rel=1e-12)
+            free.step(time, step)
+            while STEP * (samples + 1) <= time + step + 1e-6 * STEP:
+                own.set(values)
+                own.step(STEP * samples, STEP)
+                samples += 1
+            time, k = time + step, k + 1
+            np.testing.assert_allclose(free.get(names), own.get(names), rtol=1e-12)
+
+
+@pytest.mark.parametrize("share", [0.92, 0.999, 1.01, 1.08, 1.9, 2.5])
+def test_steps_that_are_not_its_own_are_never_taken_for_samples(
+    fmus: Mapping[str, Path], share: float
+) -> None:
+    """They are refused, or the outputs are those of the last sample that there has been."""
+    start = {"Kv": 10.0, "Ki": 200.0, "tau_rb": 20.0, "compensation": "servo_inversion"}
     with Component(fmus["Controller"]) as block:
-        block.initialise()
-        with pytest.raises(SimulationError, match=r"at t = 0 s: The step is 0.01 s; the controller "
-                           r"samples every 0\.005 s\."):  # fmt: skip
-            block.step(0.0, 0.01)
-    with Component(fmus["Controller"]) as block:
-        block.initialise(start={"sample_time": 0.01})
-        block.step(0.0, 0.01 * (1 + 1e-9))
+        expanded = block.variables.expanded
+        command = block.batch(["dq_comp[1]"])
+
+        def commands(count: int, step: float) -> list[float]:
+            block.enter_initialisation(start=expanded(start | {"tau_rb": 0.0}))
+            block.exit_initialisation()
+            block.set(expanded({"tau_rb": 20.0}))
+            found = []
+            for k in range(count):
+                block.step(k * step, step)
+                found.append(float(command.read()[0]))
+            block.reset()
+            return found
+
+        samples = commands(150, STEP)
+        # 20 N.m of a servo that held none: the command fades as its integral takes over.
+        first, fading = 20.0 / (10.0 + 0.5 * STEP * 200.0), 1.0 - 200.0 * STEP / 10.5
+        np.testing.assert_allclose(samples, first * fading ** np.arange(150), rtol=1e-9)
+        count = int(149 / share)
+        try:
+            found = commands(count, share * STEP)
+        except SimulationError:
+            return
+    passed = share * np.arange(1, count + 1)
+    between = (np.abs(passed - np.round(passed)) > 1e-6) & (passed > 1.0)
+    expected = np.array(samples)[np.floor(passed[between]).astype(int) - 1]
+    np.testing.assert_allclose(np.array(found)[between], expected, rtol=1e-9)
 
 
 # --- Velocity ---------------------------------------------------------------------------------
@@ -395,9 +463,9 @@ def test_velocity_through_the_low_pass(fmus: Mapping[str, Path]) -> None:
         ("Trajectory", {"swing_period": 0.0}, "swing_period is 0; it must be positive."),
         ("Controller", {"sample_time": 0.0}, "sample_time is 0 s; it must be positive."),
         ("Controller", {"compensation": "servo_inversion"},
-         "Kv[1] is 0 and Ki[1] is 0; servo_inversion needs the servo's gains."),
+         "Kv[1] is 0 N.m.s/rad; it must be positive for servo_inversion."),
         ("Controller", {"compensation": "servo_inversion", "Kv": 1.0, "Ki": (1.0, -1.0, 1.0)},
-         "Kv[2] is 1 and Ki[2] is -1; servo_inversion needs the servo's gains."),
+         "Ki[2] is -1 N.m/rad; it must not be negative for servo_inversion."),
         ("Velocity", {"time_constant": -0.1},
          "time_constant is -0.1 s; it must not be negative."),
         ("Velocity", {"time_constant": float("nan")}, "time_constant is nan; a finite number is"),
@@ -444,11 +512,11 @@ def test_runs_are_identical_after_reset_and_restore(fmus: Mapping[str, Path], bl
 
         component.initialise(start=variables.expanded(start))
         begun = steps(0, 30)
-        saved = component._slave.getFMUState()
+        saved = component._instance._slave.getFMUState()
         ended = steps(30, 60)
-        component._slave.setFMUState(saved)
+        component._instance._slave.setFMUState(saved)
         np.testing.assert_array_equal(steps(30, 60), ended)
-        component._slave.freeFMUState(saved)
+        component._instance._slave.freeFMUState(saved)
         component.reset()
         component.initialise(start=variables.expanded(start))
         np.testing.assert_array_equal(steps(0, 60), begun + ended)

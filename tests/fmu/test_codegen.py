@@ -9,12 +9,15 @@ import sympy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmu_src.friction import component as friction
-from fmu_src.friction.codegen import law_functions, switches
+from fmu_src.equations.c_functions import Functions
+from fmu_src.friction import friction_component as friction
 from fmu_src.interface import Enumeration, Interface, Variable, literal, to_c
+from hesr_model.equations.functions import absolute, sgn
+from hesr_model.equations.memory import Relaxation, Stop
+from hesr_model.equations.program import Jumps
 from hesr_model.errors import ExportError
-from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute, sgn
-from hesr_model.friction.law import Coefficient, LawForm, Relaxation
+from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
+from hesr_model.friction.law import Coefficient, LawForm
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
@@ -30,106 +33,105 @@ def test_literals_are_not_fixed_point():
     assert literal(3.0) == "3.0"
 
 
-def test_form_becomes_five_functions():
+def own(form, *, tunable=True):
+    return Functions(form.component, "law", tunable=tunable)
+
+
+def test_a_step_is_straight_lines():
     h = Relaxation(name="h", unit="1", drive=2 * DQ, rate=absolute(DQ))
-    form = LawForm(coefficients=(), relaxations=(h,), output=sgn(DQ) * h.state + h.derivative)
-    assert law_functions(form, "law") == (
-        "static void law_switches(const double *k, const double *u, double *z)\n"
+    form = LawForm(coefficients=(), memory=(h,), output=sgn(DQ) * h.state + h.derivative)
+    assert own(form).step() == (
+        "static void law_step(const double *k, const double *u, const double *s, const double *p, "
+        "double dt, double euler, double *x, double *dx, double *y, double *r)\n"
         "{\n"
-        "    (void)k;\n"
-        "    const double u_dq = u[0];\n"
-        "    z[0] = u_dq;\n"
-        "}\n"
-        "\n"
-        "static void law_relaxations(const double *k, const double *u, const double *s, double "
-        "*drive, double *rate)\n"
-        "{\n"
-        "    (void)k;\n"
-        "    const double u_dq = u[0];\n"
-        "    const double s_1 = s[0];\n"
-        "    drive[0] = 2*u_dq;\n"
-        "    rate[0] = s_1*u_dq;\n"
-        "}\n"
-        "\n"
-        "static double law_torque(const double *k, const double *u, const double *s, const "
-        "double *x, const double *dx)\n"
-        "{\n"
-        "    (void)k, (void)u;\n"
-        "    const double s_1 = s[0];\n"
-        "    const double x_h = x[0];\n"
-        "    const double dx_dh = dx[0];\n"
-        "    return s_1*x_h + dx_dh;\n"
-        "}\n"
-        "\n"
-        "static void law_relaxations_tangent(const double *k, const double *u, const double "
-        "*s, const double *dk, const double *du, double *drive, double *rate)\n"
-        "{\n"
-        "    (void)k, (void)u, (void)dk;\n"
-        "    const double du_dq = du[0];\n"
-        "    const double s_1 = s[0];\n"
-        "    drive[0] = 2*du_dq;\n"
-        "    rate[0] = s_1*du_dq;\n"
-        "}\n"
-        "\n"
-        "static double law_torque_tangent(const double *k, const double *u, const double *s, "
-        "const double *x, const double *dx, const double *dk, const double *du, const double "
-        "*tx, const double *tdx)\n"
-        "{\n"
-        "    (void)k, (void)u, (void)x, (void)dx, (void)dk, (void)du;\n"
-        "    const double s_1 = s[0];\n"
-        "    const double tx_h = tx[0];\n"
-        "    const double tdx_dh = tdx[0];\n"
-        "    return s_1*tx_h + tdx_dh;\n"
+        "    (void)k, (void)p, (void)r;\n"
+        "    const double u_0 = u[0];\n"
+        "    const double s_0 = s[0];\n"
+        "    const double x_0 = x[0];\n"
+        "    const double t0 = positive(fabs(u_0));\n"
+        "    const double t1 = dt*t0;\n"
+        "    const double t2 = decay(t1, euler);\n"
+        "    const double t3 = 2*u_0;\n"
+        "    const double a_0 = dt*t3*share(t1, t2, euler) + x_0*(t2 + 1);\n"
+        "    const double a_1 = -a_0*t0 + t3;\n"
+        "    const double a_2 = a_1 + a_0*s_0;\n"
+        "    x[0] = a_0;\n"
+        "    dx[0] = a_1;\n"
+        "    y[0] = a_2;\n"
         "}\n"
     )
 
 
+def test_a_tangent_is_that_of_the_same_lines():
+    h = Relaxation(name="h", unit="1", drive=2 * DQ, rate=absolute(DQ))
+    form = LawForm(coefficients=(), memory=(h,), output=sgn(DQ) * h.state + h.derivative)
+    text = own(form).tangent()
+    assert "tdx[0] = " in text
+    assert "ty[0] = " in text
+    assert "dk[0]" not in text
+
+
+def test_a_stop_is_clipped():
+    x = Stop(name="x", unit="1", velocity=DQ, deflection=0.25, bound=TAU_LOAD)
+    text = own(LawForm(coefficients=(), memory=(x,), output=x.state)).step()
+    assert "const double t0 = 4.0*u_0;" in text
+    assert "const double t1 = positive(u_2);" in text
+    assert "const double a_0 = clip(dt*t0 + x_0, t1);" in text
+
+
 def test_numbers_have_every_digit():
     form = LawForm(coefficients=(), output=sympy.Float(0.1) * DQ + sympy.pi + sympy.E)
-    text = law_functions(form, "law")
-    assert "0.10000000000000001*u_dq" in text
+    text = own(form).read()
+    assert "0.10000000000000001*u_0" in text
     assert f"{math.pi:.17g}" in text
     assert f"{math.e:.17g}" in text
 
 
 def test_shared_parts_are_computed_once():
     bump = sympy.exp(-(DQ**2))
-    text = law_functions(LawForm(coefficients=(), output=bump + sympy.tanh(bump)), "law")
-    (torque,) = (part for part in text.split("static ") if part.startswith("double law_torque("))
-    assert torque.count("exp(") == 1
+    text = own(LawForm(coefficients=(), output=bump + sympy.tanh(bump))).read()
+    assert text.count("exp(") == 1
 
 
-def test_signs_of_inputs_are_held_and_those_of_states_are_not():
+def test_signs_of_inputs_are_held_and_magnitudes_are_not():
     a = Coefficient(name="a", unit="1", description="")
     h = Relaxation(name="h", unit="1", drive=DQ, rate=absolute(a.symbol * Q - DQ))
-    output = sgn(DQ) + absolute(h.state) + sgn(TAU_LOAD * h.state) + absolute(a.symbol)
-    form = LawForm(coefficients=(a,), relaxations=(h,), output=output)
-    assert set(switches(form)) == {DQ, a.symbol * Q - DQ}
-    text = law_functions(form, "law")
-    assert "fabs(x_h)" in text
-    assert "fabs(k_a)" in text
-    assert {"sgn(u_tau_load*x_h)", "sgn(x_h*u_tau_load)"} & set(re.findall(r"sgn\([^()]*\)", text))
-    assert "sgn(u_dq)" not in text
+    output = sgn(DQ) + absolute(h.state) + sgn(TAU_LOAD * h.state) + absolute(TAU_LOAD)
+    form = LawForm(coefficients=(a,), memory=(h,), output=output)
+    # The load's magnitude bends the torque, and so does that of a Q - dq: no event is made of it.
+    assert set(Jumps(form.component).expressions) == {DQ}
+    assert set(Jumps(form.component, every=True).expressions) == {DQ, a.symbol * Q - DQ, TAU_LOAD}
+    text = own(form).read()
+    assert {"fabs(x_0)", "fabs(u_2)"} <= set(re.findall(r"fabs\([^()]*\)", text))
+    assert {"sgn(u_2*x_0)", "sgn(x_0*u_2)"} & set(re.findall(r"sgn\([^()]*\)", text))
+    assert "sgn(u_0)" not in text
+
+
+def test_a_solver_is_asked_to_stop_where_the_velocity_reverses():
+    h = Relaxation(name="h", unit="1", drive=DQ, rate=absolute(DQ))
+    form = LawForm(coefficients=(), memory=(h,), output=h.state * absolute(TAU_LOAD))
+    assert Jumps(form.component).expressions == (DQ,)
+    assert "s[0]" not in own(form).read()  # but the magnitude follows the velocity itself
 
 
 def test_coefficients_that_cannot_change_have_no_tangents():
     a = Coefficient(name="a", unit="1", description="")
     form = LawForm(coefficients=(a,), output=a.symbol * DQ)
-    assert "dk[0]" in law_functions(form, "law")
-    assert "dk[0]" not in law_functions(form, "law", tunable=False)
+    assert "dk[0]" in own(form).tangent()
+    assert "dk[0]" not in own(form, tunable=False).tangent()
 
 
 def test_equal_forms_are_written_once(make_law, make_model):
     model = make_model(make_law("lugre"), make_law("parfam_sin"), make_law("lugre"))
-    text = friction.laws_to_c(model, friction.interface(model))
-    assert text.count("_torque(const") == 2
-    assert text.count(" law_1_torque,") == 2
+    text = friction.equations_to_c(model, friction.interface(model))
+    assert text.count("_step(const") == 2
+    assert text.count(" law_1_step,") == 2
 
 
 def test_functions_without_a_counterpart_in_c_are_refused():
     form = LawForm(coefficients=(), output=sympy.besselj(0, DQ))
     with pytest.raises(ExportError, match=r"besselj\(0, dq\)' has no counterpart in C\."):
-        law_functions(form, "law")
+        own(form).read()
 
 
 def test_table_of_variables():
@@ -144,7 +146,7 @@ def test_table_of_variables():
             ),
         )
     )
-    text = to_c(table, "{guid}")
+    text = to_c(table, "{guid}", 0.005)
     assert '{"u[1]", 0.10000000000000001, INPUT, REAL, 0, 0, 1},' in text
     assert '{"kind", 2.0, FIXED, INTEGER, 1, 2, 1},' in text
     assert '{"held", 0.0, INPUT, REAL, 0, 0, 0},' in text  # no output is older for it

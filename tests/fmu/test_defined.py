@@ -7,15 +7,17 @@ import pytest
 import sympy
 
 from fmu_src import export_fmu
-from fmu_src.drive.export import export_drive
+from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.defined import require_numbers
-from fmu_src.friction.export import export_bare, live_of
-from fmu_src.mjcf.export import export_mjcf_law
-from fmu_src.modelica.export import export_modelica
+from fmu_src.friction.friction_fmu import export_bare, live_of
+from fmu_src.mjcf.mjcf_file import export_mjcf_law
+from fmu_src.modelica.modelica_package import export_modelica
+from hesr_model.equations.functions import absolute
+from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ExportError
-from hesr_model.friction.functions import DQ, absolute
-from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
-from hesr_model.friction.lugre import LuGre
+from hesr_model.friction.inputs import DQ
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.laws.lugre import LuGre
 from hesr_model.friction.model import FrictionModel
 
 EXPORTS: dict[str, Callable[[FrictionModel, Path], object]] = {
@@ -66,7 +68,7 @@ UNDEFINED = {
 
 def by_hand(output: sympy.Expr, rate: sympy.Expr) -> FrictionLaw:
     state = Relaxation(name="x", unit="1", drive=DQ, rate=rate)
-    form = LawForm(coefficients=(A, B), relaxations=(state,), output=output + state.state)
+    form = LawForm(coefficients=(A, B), memory=(state,), output=output + state.state)
     return FrictionLaw(name="odd", form=form, values={"a": 0.0, "b": -2.0})
 
 

@@ -5,7 +5,7 @@ import ctypes
 import numpy as np
 import pytest
 
-from fmu_src import export_fmu
+from fmu_src.friction.friction_fmu import export_bare
 
 OK, ERROR = 0, 3
 STEP = 2e-4  # short enough for Euler with every law
@@ -15,7 +15,7 @@ STEP = 2e-4  # short enough for Euler with every law
 def fmu(every_law, make_model, load, tmp_path_factory):
     """One FMU of all laws, a joint for each."""
     folder = tmp_path_factory.mktemp("derivatives")
-    return load(export_fmu(make_model(*every_law.values()), folder / "F.fmu"))
+    return load(export_bare(make_model(*every_law.values()), folder / "F.fmu"))
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ from fmpy.validation import validate_fmu
 
 from fmu_src import export_fmu
 from fmu_src.description import si_exponents
+from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.errors import ExportError
 
 
@@ -25,18 +26,18 @@ def dependencies(unknown):
 
 
 def test_fmpy_finds_no_problem(law, make_model, tmp_path):
-    assert validate_fmu(str(export_fmu(make_model(law), tmp_path / "F.fmu"))) == []
+    assert validate_fmu(str(export_bare(make_model(law), tmp_path / "F.fmu"))) == []
 
 
 def test_fmpy_finds_no_problem_with_any_registered_law(fitted, table1_fmu, make_model, tmp_path):
     assert validate_fmu(str(table1_fmu)) == []
     for name, law in fitted.items():
-        fmu = export_fmu(make_model(law), tmp_path / f"{name}.fmu")
+        fmu = export_bare(make_model(law), tmp_path / f"{name}.fmu")
         assert validate_fmu(str(fmu)) == [], name
 
 
 def test_every_law_has_the_same_connectors(law, make_model, tmp_path):
-    about = described(export_fmu(make_model(law, law), tmp_path / "F.fmu"))
+    about = described(export_bare(make_model(law, law), tmp_path / "F.fmu"))
     connectors = [
         (v.name, v.causality, v.unit)
         for v in about.modelVariables

@@ -8,18 +8,17 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from registry_models import models_of_registry
 
 from fmu_src import export_fmu
 from fmu_src.description import Description
-from fmu_src.friction import component as friction
-from fmu_src.friction.datasheet import EULER, RK4, fastest, figure
-from fmu_src.friction.documentation import to_html
-from fmu_src.friction.mathml import equations
+from fmu_src.documentation.datasheet import EULER, RK4, fastest, figure
+from fmu_src.documentation.friction_page import to_html
+from fmu_src.documentation.mathml import equations
+from fmu_src.friction import friction_component as friction
 from fmu_src.html import TEMPLATES
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws import registry
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import registry
 from hesr_model.friction.trained import TrainedRange
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
@@ -71,9 +70,9 @@ def page_of(model: FrictionModel) -> str:
     return to_html(model, friction.interface(model), about)
 
 
-@pytest.fixture(scope="module")
-def fitted() -> dict[str, FrictionModel]:
-    return {model.law: model for model in models_of_registry()}
+@pytest.fixture(scope="session")
+def fitted(registry_models: dict[str, FrictionModel]) -> dict[str, FrictionModel]:
+    return registry_models
 
 
 def check(text: str, *, alive: bool = False) -> Page:
@@ -188,8 +187,8 @@ def test_what_cannot_be_measured_is_said(
     page = check(page_of(make_model(stiff, sample_time=0.1)))
     assert "There is no audit: Euler needs" in page.text
     assert "Not measured: Euler needs" in page.text
-    law = make_law("viscous")
-    wild = replace(law, values={**law.values, "sigma_2": 1.7e308})
+    law = make_law("parfam_exp")
+    wild = replace(law, values={**law.values, "theta1_dq": 1e6})
     assert "There is no audit" in check(page_of(make_model(wild))).text
 
 

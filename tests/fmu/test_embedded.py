@@ -12,8 +12,8 @@ from fmu_src import export_fmu
 from fmu_src.friction.embedded import EMBEDDED_MODEL, embedded_model
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws import estimator
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained import TrainedRange
 
 STRUCTURE = {
@@ -105,8 +105,8 @@ def without(key: str) -> Callable[[bytes], bytes]:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda data: data[:-20], "not a readable FMU"),
-        (lambda data: b"\xff\xfe" + data, "not a readable FMU"),
+        (lambda data: data[:-20], "friction_model.json is damaged"),
+        (lambda data: b"\xff\xfe" + data, "friction_model.json is damaged"),
         (lambda _: b"[]", "not a friction model"),
         (lambda _: b"null", "not a friction model"),
         (without("joints"), "'joints' is missing"),
@@ -135,7 +135,7 @@ def test_what_is_no_fmu_is_refused(fmu: Path, tmp_path: Path) -> None:
         (missing, "no such file"),
         (text, "not a readable FMU"),
         (cut, "not a readable FMU"),
-        (tmp_path, "not a readable FMU"),
+        (tmp_path, "is no file"),
     ):
         with pytest.raises(ArtifactError, match=said) as caught:
             embedded_model(file)

@@ -7,7 +7,8 @@ import pytest
 from fmpy import simulate_fmu
 from fmpy.fmi1 import FMICallException
 
-from fmu_src import export_fmu, model_file
+from fmu_src import model_file
+from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.artifacts import read_model
 
 OK, DISCARD, ERROR = 0, 2, 3
@@ -105,8 +106,16 @@ def test_a_step_that_is_refused_again_and_again(binary):
     assert_failed(binary, c, f"{text} This step has been asked for 11 times.")
 
 
+def test_a_step_that_is_taken_ends_the_count_of_refusals(binary):
+    c = binary.ready()
+    for _ in range(3):
+        for _ in range(6):
+            assert binary.step(c, 0.0, 0.1) == DISCARD
+        assert binary.step(c, 0.0, 0.005) == OK
+
+
 def test_fmpy_ends_where_every_step_is_refused(tmp_path):
-    fmu = export_fmu(read_model(model_file("uf850-table1")), tmp_path / "Friction.fmu")
+    fmu = export_bare(read_model(model_file("uf850-table1")), tmp_path / "Friction.fmu")
     told = []
     with pytest.raises(FMICallException):
         simulate_fmu(str(fmu), output_interval=0.1, stop_time=1.0, fmi_type="CoSimulation",
@@ -114,21 +123,21 @@ def test_fmpy_ends_where_every_step_is_refused(tmp_path):
     assert told[-1].endswith(b"This step has been asked for 11 times.")
 
 
-def test_a_rate_that_is_negative(binary):
+def test_a_rate_that_is_negative_counts_as_zero(binary):
     c = binary.ready()
-    alpha = binary.get(c, "joint[2].alpha")[0]
-    binary.set_all(c, {"joint[2].alpha": -3.0})
-    assert binary.step(c, 0.0, 0.005) == DISCARD
-    assert_refused(binary, "h[2]: the relaxation rate is -3 1/s at dq[2] = 0; it must not be "
-                   "negative.")  # fmt: skip
-    binary.set_all(c, {"joint[2].alpha": alpha})
+    binary.set_all(c, {"dq[2]": 0.4})
     assert binary.step(c, 0.0, 0.005) == OK
+    [before] = binary.get(c, "h[2]")
+    binary.set_all(c, {"joint[2].alpha": -3.0, "dq[2]": 0.0})
+    for k in range(1, 201):  # a rate of -3 would make it e^3 times as large
+        assert binary.step(c, 0.005 * k, 0.005) == OK
+    assert binary.get(c, "h[2]", "der(h[2])") == [before, 0.0]
 
 
 @pytest.fixture
 def exploding(make_law, make_model, load, tmp_path):
     """An FMU whose output can become infinite."""
-    return load(export_fmu(make_model(make_law("parfam_exp")), tmp_path / "F.fmu"))
+    return load(export_bare(make_model(make_law("parfam_exp")), tmp_path / "F.fmu"))
 
 
 def test_outputs_that_become_infinite_in_a_step(exploding):
@@ -174,7 +183,7 @@ def test_outputs_that_are_infinite_for_a_solver(exploding):
 @pytest.fixture
 def steep(make_law, make_model, load, tmp_path):
     """An FMU whose torque is finite where its slope is not: exp(-dq^2) dq is 0 times inf."""
-    return load(export_fmu(make_model(make_law("lugre")), tmp_path / "F.fmu"))
+    return load(export_bare(make_model(make_law("lugre")), tmp_path / "F.fmu"))
 
 
 def derivative(fmu, c, direction, unknown="tau[1]"):
@@ -310,6 +319,17 @@ def test_the_end_of_the_experiment(binary):
     assert binary.step(c, time, 0.05) == ERROR
     assert_failed(binary, c, "fmi2DoStep: the step from 0.30000000000000004 s to "
                   "0.35000000000000003 s passes the end, 0.29999999999999999 s.")  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("beyond", "status"), [(0.0009, OK), (0.0011, ERROR), (0.5, ERROR), (0.99, ERROR)]
+)
+def test_a_step_may_pass_the_end_by_a_thousandth_of_itself(binary, beyond, status):
+    c = binary.instantiate()
+    binary("SetupExperiment", c, 0, 0.0, 0.0, 1, 0.25)
+    binary("EnterInitializationMode", c)
+    binary("ExitInitializationMode", c)
+    assert binary.step(c, 0.245 + beyond * 0.005, 0.005) == status
 
 
 def test_an_experiment_that_ends_before_it_starts(binary):

@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from fmu_src import export_fmu
+from fmu_src.friction.friction_fmu import export_bare
 
 OK, DISCARD, ERROR = 0, 2, 3
 
@@ -31,7 +31,7 @@ SLAVE = COMMON | {
 @pytest.fixture(scope="module")
 def fmu_file(every_law, make_model, tmp_path_factory):
     """An FMU of all laws."""
-    return export_fmu(make_model(*every_law.values()), tmp_path_factory.mktemp("f") / "F.fmu")
+    return export_bare(make_model(*every_law.values()), tmp_path_factory.mktemp("f") / "F.fmu")
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.component import Component
 from cosim.replay import replay
-from fmu_src import export_fmu
+from cosim.slave import Component
+from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.friction.evaluate import Stepper, predict
 
 EXACT_ENOUGH = 1e-12
@@ -30,18 +30,18 @@ def test_each_law_equals_python(law, discretisation, make_model, make_motion, tm
     if discretisation == "euler" and {r.name for r in law.form.relaxations} - {"h"}:
         motion = (3.0 + 1e-3 * (motion[0] - 3.0), *motion[1:])  # Euler needs rate * step < 1
     model = make_model(law)
-    assert_equals_python(model, export_fmu(model, tmp_path / "F.fmu"), motion)
+    assert_equals_python(model, export_bare(model, tmp_path / "F.fmu"), motion)
 
 
 def test_laws_of_different_forms_share_an_fmu(make_law, make_model, make_motion, tmp_path):
     names = ["lugre", "parfam_tanh", "gaussians", "viscous", "parfam_tanh", "elements"]
     model = make_model(*map(make_law, names))
-    assert_equals_python(model, export_fmu(model, tmp_path / "F.fmu"), make_motion(6))
+    assert_equals_python(model, export_bare(model, tmp_path / "F.fmu"), make_motion(6))
 
 
 def test_every_registered_law_equals_python(fitted, make_model, make_motion, tmp_path):
     model = make_model(*fitted.values())
-    fmu = export_fmu(model, tmp_path / "F.fmu")
+    fmu = export_bare(model, tmp_path / "F.fmu")
     assert_equals_python(model, fmu, make_motion(len(fitted)))
 
 
@@ -157,7 +157,7 @@ def test_coefficients_are_tunable_while_it_runs(table1, binary):
 def test_large_laws_have_a_scale_instead_of_coefficients(
     make_law, make_model, make_motion, tmp_path
 ):
-    fmu = export_fmu(make_model(make_law("gaussians")), tmp_path / "F.fmu")
+    fmu = export_bare(make_model(make_law("gaussians")), tmp_path / "F.fmu")
     t, dq, *_ = make_motion(1)
     with Component(fmu) as component:
         names = {v.name for v in component.description.modelVariables}
@@ -204,7 +204,7 @@ def test_slopes_of_inputs_count_for_one_step(binary):
 
 
 def test_signs_are_those_at_the_end_of_a_ramp(make_law, make_model, load, tmp_path):
-    fmu = load(export_fmu(make_model(make_law("viscous")), tmp_path / "F.fmu"))
+    fmu = load(export_bare(make_model(make_law("viscous")), tmp_path / "F.fmu"))
     for start, end in ((0.1, -0.05), (0.05, -0.1), (-0.1, 0.05), (-0.1, 0.0)):
         c = fmu.ready()
         slope, one = (ctypes.c_double * 1)((end - start) / 0.125), (ctypes.c_int * 1)(1)

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from fmu_src import export_fmu
+from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.toolchain import compile_c
 
 FUZZ = Path(__file__).with_name("fuzz.c")
-FLAGS = ("-std=c99", "-g", "-I.", "-fno-sanitize-recover=all")
+FLAGS = ("-std=c99", "-g", "-I.", f"-I{FUZZ.parent}", "-fno-sanitize-recover=all")
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 
@@ -22,7 +22,7 @@ needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not i
 def mixed(make_law, make_model, tmp_path_factory):
     """An FMU with all that a friction FMU can have."""
     names = ("lugre", "viscous", "parfam_exp", "elements", "gaussians", "bare")
-    return export_fmu(make_model(*map(make_law, names)), tmp_path_factory.mktemp("m") / "F.fmu")
+    return export_bare(make_model(*map(make_law, names)), tmp_path_factory.mktemp("m") / "F.fmu")
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def go_through_random_lives(program):
     counts = json.loads(result.stdout)
     least = {"calls": 400000, "steps": 20000, "derivatives": 10000, "events": 1000,
              "restored": 10000, "refusals": 1000, "errors": 20000, "messages": 20000}  # fmt: skip
-    assert {name: n for name, n in counts.items() if n < least[name]} == {}
+    assert {name: n for name, n in counts.items() if n < least.get(name, 0)} == {}
 
 
 def test_any_sequence_of_calls_is_free_of_undefined_behaviour(sources):
@@ -62,11 +62,9 @@ def test_any_sequence_of_calls_is_free_of_memory_errors(sources):
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
 def test_nothing_is_read_that_was_not_written(sources):
     """What sanitizers do not see; fewer lives, since it takes fifty times as long."""
-    text = FUZZ.read_text().replace("LIVES = 10000", "LIVES = 500")
-    (sources / "few.c").write_text(text)
-    command = ["gcc", "-std=c99", "-g", "-O1", "-I.", "-o", "fuzz", "all.c", "few.c", "-lm"]
+    command = ["gcc", *FLAGS[:4], "-O1", "-o", "fuzz", "all.c", str(FUZZ), "-lm"]
     subprocess.run(command, cwd=sources, check=True)
-    command = ["valgrind", "--error-exitcode=9", "--leak-check=full", "-q", "./fuzz"]
+    command = ["valgrind", "--error-exitcode=9", "--leak-check=full", "-q", "./fuzz", "600"]
     result = subprocess.run(command, cwd=sources, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr[-4000:]
     assert json.loads(result.stdout)["steps"] > 5000

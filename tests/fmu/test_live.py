@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from fmu_src.friction.component import interface
-from fmu_src.friction.export import live_of
-from fmu_src.live.page import live_section
-from fmu_src.live.section import ends
+from fmu_src.documentation.live.page import live_section
+from fmu_src.documentation.live.section import ends
+from fmu_src.friction.friction_component import interface
+from fmu_src.friction.friction_fmu import live_of
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange

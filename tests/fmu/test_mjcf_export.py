@@ -6,10 +6,10 @@ import pytest
 from fmpy.validation import validate_fmu
 from mjcf_models import CART_POLE, CART_POLE_TABLE, PENDULUM, names
 
-from cosim.component import Component
+from cosim.slave import Component
 from fmu_src.arm.native import export_mjcf
 from hesr_model.errors import ConfigError, ExportError, SimulationError
-from hesr_model.noise import standard_normal
+from hesr_model.logs.noise import standard_normal
 
 DT = 0.01
 
@@ -203,11 +203,11 @@ def test_what_mujoco_cannot_go_on_with(
     with Component(fmu) as component:
         start = {"start_pivot": 0.1} if "start_pivot" in names(component, "parameter") else {}
         component.initialise(start=start)
-        state = component._slave.getFMUState()
+        state = component._instance._slave.getFMUState()
         first = go(component)
-        component._slave.setFMUState(state)
+        component._instance._slave.setFMUState(state)
         assert go(component) == first
-        component._slave.freeFMUState(state)
+        component._instance._slave.freeFMUState(state)
         component.reset()
         component.initialise(start=start)
         assert go(component) == first

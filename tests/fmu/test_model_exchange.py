@@ -9,10 +9,11 @@ import pytest
 from fmpy import simulate_fmu
 from scipy.integrate import DOP853, solve_ivp
 
-from fmu_src import export_fmu
-from hesr_model.friction.functions import INPUTS, lowered
+from fmu_src.friction.friction_fmu import export_bare
+from hesr_model.equations.functions import lowered
+from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws import estimator
+from hesr_model.friction.registry import estimator
 
 SPEED, OMEGA = 0.5, 2.0 * np.pi  # of a sine that reverses at 0.25 s, 0.75 s, ..
 END = 1.0
@@ -50,7 +51,7 @@ LAWS = ("parfam_tanh", "lugre", "elements", "parfam_hx")
 def chosen(request, make_law, make_model, load, tmp_path):
     """A law and its FMU."""
     law = parfam_hx() if request.param == "parfam_hx" else make_law(request.param)
-    return law, load(export_fmu(make_model(law), tmp_path / "F.fmu"))
+    return law, load(export_bare(make_model(law), tmp_path / "F.fmu"))
 
 
 def equations(law):
@@ -263,7 +264,7 @@ def test_laws_without_states_run_too(solver, make_law, make_model, tmp_path):
     moving, torque = equations(law)
     assert moving(0.0, 0.0, 0.0) == []
     result = simulate_fmu(
-        str(export_fmu(make_model(law), tmp_path / "F.fmu")),
+        str(export_bare(make_model(law), tmp_path / "F.fmu")),
         fmi_type="ModelExchange",
         solver=solver,
         stop_time=END,

@@ -12,10 +12,10 @@ from fmpy import read_model_description
 from fmu_src import export_fmu
 from fmu_src.arm.truth import true_friction
 from fmu_src.check import check
-from fmu_src.drive.export import export_drive
+from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.embedded import EMBEDDED_MODEL
-from fmu_src.mjcf.export import export_mjcf_law
-from fmu_src.modelica.export import export_modelica
+from fmu_src.mjcf.mjcf_file import export_mjcf_law
+from fmu_src.modelica.modelica_package import export_modelica
 from hesr_model.artifacts import model_to_json
 from hesr_model.errors import ExportError
 
@@ -78,9 +78,9 @@ def test_it_passes_every_check_and_carries_the_model(mixed, mixed_fmu):
 
 def test_the_code_of_a_law_is_there_once(mixed_fmu):
     with zipfile.ZipFile(mixed_fmu) as archive:
-        laws = archive.read("sources/laws.h").decode()
-    assert "law_1_torque" in laws
-    assert "law_2_torque" not in laws
+        laws = archive.read("sources/equations.h").decode()
+    assert "law_1_step" in laws
+    assert "law_2_step" not in laws
 
 
 def test_its_page_does_not_lie(mixed, mixed_fmu, make_law, make_model, tmp_path):

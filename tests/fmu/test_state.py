@@ -1,10 +1,12 @@
 """Saving and restoring brings back everything, so that a simulation goes on bit for bit."""
 
 import ctypes
+import random
+import struct
 
 import pytest
 
-from fmu_src import export_fmu
+from fmu_src.friction.friction_fmu import export_bare
 
 ERROR = 3
 
@@ -137,7 +139,7 @@ def test_slopes_of_inputs_are_part_of_a_state(binary):
 
 
 def test_held_signs_are_part_of_a_state(make_law, make_model, load, tmp_path):
-    fmu = load(export_fmu(make_model(make_law("viscous")), tmp_path / "F.fmu"))
+    fmu = load(export_bare(make_model(make_law("viscous")), tmp_path / "F.fmu"))
     c = fmu.continuous({"dq[1]": 0.5})
     state = saved(fmu, c)
     fmu.event(c, {"dq[1]": -0.5})
@@ -145,3 +147,139 @@ def test_held_signs_are_part_of_a_state(make_law, make_model, load, tmp_path):
     assert fmu("SetFMUstate", c, state) == 0
     fmu.set_all(c, {"dq[1]": -0.5})
     assert fmu.get(c, "tau[1]") == [pytest.approx(torque + 2.0 * 4.5)]
+
+
+def deserialised(binary, c, data):
+    """Status of reading bytes, and the state that then stands there."""
+    state = ctypes.c_void_p()
+    status = binary("DeSerializeFMUstate", c, data, len(data), ctypes.byref(state))
+    return status, state
+
+
+def refused(binary, c, data):
+    status, state = deserialised(binary, c, data)
+    return status == ERROR and state.value is None
+
+
+def test_a_state_of_which_one_byte_has_changed_is_refused(binary):
+    c = binary.ready()
+    run(binary, c, 0, 20)
+    data = serialised(binary, c, saved(binary, c))
+    chance = random.Random(17)
+    for place in range(len(data)):
+        other = bytes([data[place] ^ chance.randrange(1, 256)])
+        assert refused(binary, c, data[:place] + other + data[place + 1 :]), place
+    assert {m.text.partition(": ")[0] for m in binary.messages} == {"fmi2DeSerializeFMUstate"}
+    assert deserialised(binary, c, data)[0] == 0
+
+
+def test_ten_thousand_corrupted_states_are_refused(binary):
+    """Some bytes anew, pieces in another order, zeros, other sizes."""
+    c = binary.ready()
+    run(binary, c, 0, 20)
+    data = serialised(binary, c, saved(binary, c))
+    chance = random.Random(18)
+    for k in range(10_000):
+        changed = bytearray(data)
+        first, last = sorted(chance.randrange(len(data) + 1) for _ in range(2))
+        if k % 4 == 0:
+            changed[first:last] = chance.randbytes(last - first)
+        elif k % 4 == 1:
+            changed[first:last] = bytes(last - first)
+        elif k % 4 == 2:
+            changed[first:last] = changed[first:last][::-1]
+        else:
+            del changed[first:last]
+        if changed != data:
+            assert refused(binary, c, bytes(changed)), (k, first, last)
+
+
+def test_what_is_there_stays_where_bytes_are_refused(binary):
+    c = binary.ready()
+    run(binary, c, 0, 20)
+    state = saved(binary, c)
+    data = serialised(binary, c, state)
+    wrong = data[:-1] + bytes([data[-1] ^ 1])
+    assert binary("DeSerializeFMUstate", c, wrong, len(wrong), ctypes.byref(state)) == ERROR
+    assert binary.messages[-1].text == (
+        "fmi2DeSerializeFMUstate: the state is refused: its checksum is wrong, so its bytes were "
+        "changed."
+    )
+    assert serialised(binary, c, state) == data
+    run(binary, c, 20, 30)
+
+
+def forged(data, place, value):
+    """The bytes with a word of the memory changed, and a sum that fits them; as in fmi2_state.c."""
+    guid = data.index(b"\0") + 1
+    version = -(-guid // 4) * 4
+    sum_at = -(-(version + 4) // 8) * 8
+    memory = sum_at + 8
+    changed = bytearray(data)
+    changed[memory + place : memory + place + len(value)] = value
+    changed[sum_at:memory] = bytes(8)
+    total = 14695981039346656037
+    for (word,) in struct.iter_unpack("<Q", changed):
+        total = ((total ^ word) * 1099511628211) % 2**64
+    changed[sum_at:memory] = struct.pack("<Q", total)
+    return bytes(changed)
+
+
+def test_a_state_that_no_instance_can_have_is_refused(binary):
+    """With the right sum, as by somebody who knows how it is made."""
+    c = binary.ready()
+    run(binary, c, 0, 20)
+    data = serialised(binary, c, saved(binary, c))
+    assert forged(data, 0, b"") == data
+    nan = struct.pack("<d", float("nan"))
+    (velocity,) = binary.references(["dq[1]"])
+    (output,) = binary.references(["tau[1]"])
+    guid = data.index(b"\0") + 1
+    end = len(data) - (-(-(-(-guid // 4) * 4 + 4) // 8) * 8 + 8)  # the size of the memory
+    integers = end - 24  # refusals, type, mode, sloped, stale, and nothing
+    for place, value, said in (
+        (8 * velocity, nan, "dq[1] is nan"),
+        (8 * output, nan, "tau[1] became nan"),
+        (integers, struct.pack("<i", 99), "no instance can be in it"),
+        (integers + 4, struct.pack("<i", 7), "no instance can be in it"),
+        (integers + 8, struct.pack("<i", 0), "no instance can be in it"),
+        (integers + 8, struct.pack("<i", 6), "no instance can be in it"),
+        (integers + 8, struct.pack("<i", 8), "no instance can be in it"),
+        (integers + 12, struct.pack("<i", 2), "no instance can be in it"),
+        (integers + 16, struct.pack("<i", -1), "no instance can be in it"),
+        (end - 40, nan, "no instance can be in it"),  # the end of the experiment
+    ):
+        assert refused(binary, c, forged(data, place, value)), (place, said)
+        assert said in binary.messages[-1].text
+    assert deserialised(binary, c, forged(data, 8 * velocity, struct.pack("<d", 0.1)))[0] == 0
+
+
+def test_a_state_after_a_failure_can_be_carried_on_and_reset(binary):
+    c = binary.ready()
+    run(binary, c, 0, 20)
+    assert binary.step(c, 0.1, -1.0) == ERROR
+    data = serialised(binary, c, saved(binary, c))
+    other = binary.instantiate(name=b"other")
+    status, state = deserialised(binary, other, data)
+    assert status == 0
+    assert binary("SetFMUstate", other, state) == 0
+    assert binary.step(other, 0.1, 0.005) == ERROR
+    assert binary("Reset", other) == 0
+    assert binary("SetupExperiment", other, 0, 0.0, 0.0, 0, 0.0) == 0
+
+
+def test_reset_mends_whatever_mode_there_is(binary):
+    """Bytes of a state in memory that something else has written over."""
+    c = binary.ready()
+    state = saved(binary, c)
+    size = len(serialised(binary, c, state))
+    mode = ctypes.c_int.from_address(state.value + size - 16)
+    assert mode.value == 4  # stepping
+    mode.value = 4096
+    assert binary("SetFMUstate", c, state) == 0
+    assert binary.step(c, 0.0, 0.005) == ERROR
+    assert binary("Reset", c) == 0
+    assert binary("SetupExperiment", c, 0, 0.0, 0.0, 0, 0.0) == 0
+    assert binary("EnterInitializationMode", c) == 0
+    assert binary("ExitInitializationMode", c) == 0
+    assert binary.step(c, 0.0, 0.005) == 0

@@ -119,7 +119,7 @@ def test_sizes(table1_fmu):
     assert table1_fmu.stat().st_size <= 120 * 1024
 
 
-def test_the_same_model_gives_the_same_bytes(table1, table1_fmu, tmp_path):
+def test_the_same_model_gives_the_same_bytes(table1, table1_fmu, tmp_path, empty_cache):
     again = export_fmu(table1, tmp_path / "again" / "Other.fmu")
     assert again.read_bytes() == table1_fmu.read_bytes()
 
@@ -134,14 +134,18 @@ def percent(tmp_path, monkeypatch):
     return folder
 
 
-def test_a_folder_with_a_percent_sign_gives_the_same_bytes(percent, table1, table1_fmu, tmp_path):
+def test_a_folder_with_a_percent_sign_gives_the_same_bytes(
+    empty_cache, percent, table1, table1_fmu, tmp_path
+):
     again = export_fmu(table1, tmp_path / "F.fmu")
     assert again.read_bytes() == table1_fmu.read_bytes()
     assert not list(percent.iterdir())
 
 
 @pytest.mark.parametrize("folder", list(TARGETS))
-def test_every_target_is_built_in_a_folder_with_a_percent_sign(folder, percent, tmp_path):
+def test_every_target_is_built_in_a_folder_with_a_percent_sign(
+    folder, empty_cache, percent, tmp_path
+):
     data = []
     for place in (tmp_path / "plain", percent / "50%"):
         place.mkdir()
@@ -149,6 +153,7 @@ def test_every_target_is_built_in_a_folder_with_a_percent_sign(folder, percent, 
         shown = '__attribute__((visibility("default")))'
         (place / "all.c").write_text(f"{shown} int f(void);\nint f(void) {{ return 1; }}\n")
         data.append(build(place / "all.c", "some", TARGETS[folder]))
+        shutil.rmtree(empty_cache / "binaries")  # or the second one would be the first
         assert [file.name for file in place.iterdir()] == ["all.c"]
     assert data[0] == data[1]
     assert b"hesr-" not in data[0]
@@ -272,7 +277,7 @@ def test_fmpy_compiles_the_sources_to_an_fmu_that_gives_the_same(table1_fmu, mak
     np.testing.assert_array_equal(replay(fmu, t, dq, q, load), replay(table1_fmu, t, dq, q, load))
 
 
-def test_compilations_side_by_side_do_not_mix(tmp_path):
+def test_compilations_side_by_side_do_not_mix(tmp_path, empty_cache):
     common = tmp_path / "main.c"
     common.write_text('#include "number.h"\nint main(void) { return NUMBER; }\n')
 
@@ -286,3 +291,33 @@ def test_compilations_side_by_side_do_not_mix(tmp_path):
 
     with ThreadPoolExecutor(4) as pool:
         assert list(pool.map(compiled, range(10, 22))) == list(range(10, 22))
+
+
+def test_what_goes_into_a_binary_is_compiled_again_when_it_changes(tmp_path, empty_cache):
+    (tmp_path / "further").mkdir()
+    files = {
+        "main.c": '#include "near.h"\n'
+        "int other(void);\nint main(void) { return NEAR + other(); }\n",
+        "near.h": "#include <far.h>\n#define NEAR FAR\n",
+        "further/far.h": "#define FAR 1\n",
+        "other.c": "int other(void) { return ADDED; }\n",
+    }
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+
+    def result(added=0):
+        flags = ("-target", *TARGETS["linux64"].triples, "-Ifurther", f"-DADDED={added}")
+        compile_c(tmp_path / "main.c", flags, tmp_path / "main", ("other.c",))
+        return subprocess.run([tmp_path / "main"], check=False).returncode
+
+    def binaries():
+        return len([f for f in (empty_cache / "binaries").glob("*/*") if f.name != "lock"])
+
+    assert [result(), result()] == [1, 1]
+    assert binaries() == 1
+    assert result(added=10) == 11
+    (tmp_path / "further/far.h").write_text("#define FAR 2\n")
+    assert result() == 2
+    (tmp_path / "other.c").write_text("int other(void) { return ADDED + 5; }\n")
+    assert result() == 7
+    assert binaries() == 4

@@ -10,8 +10,8 @@ from cosim.interop.systems import opened_case
 from fmu_src import export_fmu, model_file
 from hesr_model.artifacts import read_model
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws import registry
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import registry
 
 NAMES = (
     "friction", "exact", "lugre", "trajectory", "body", "controller", "arm", "open", "closed",

@@ -10,16 +10,17 @@ from rich.console import Console
 from cosim.interop.case import Case
 from cosim.interop.engine import Engine, SkippedError, Tools
 from cosim.interop.engines import ENGINES
-from cosim.interop.matrix import Cell, Matrix, References, Row, run_cell
+from cosim.interop.matrix import EngineMatrix, EngineResult, EngineRow, References, run_cell
 from cosim.interop.table import notes, table
-from fmu_src.check.process import FailedError
+from cosim.tables.terminal import Drawn
+from hesr_model.support.process import FailedError
 
 _WIDTH = 132
 
 _cases: list[Case] = []
 _versions: dict[str, str] = {}
 _missing: dict[str, str] = {}
-_cells: dict[str, dict[str, Cell]] = {}
+_cells: dict[str, dict[str, EngineResult]] = {}
 
 
 @pytest.fixture(scope="session")
@@ -60,10 +61,10 @@ def cell(
     tools: Tools,
     references: References,
     request: pytest.FixtureRequest,
-) -> Callable[[Engine, str], Cell]:
+) -> Callable[[Engine, str], EngineResult]:
     """Run an engine that is there on a case, and keep it for the table."""
 
-    def run(engine: Engine, name: str) -> Cell:
+    def run(engine: Engine, name: str) -> EngineResult:
         case = request.getfixturevalue("cases")[name]
         found = run_cell(engine, case, tools, references)
         _cells.setdefault(engine.name, {})[name] = found
@@ -76,7 +77,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     if not _cells:
         return
     rows = [
-        Row(
+        EngineRow(
             engine=engine,
             version=_versions.get(engine.name, ""),
             missing=_missing.get(engine.name, ""),
@@ -84,10 +85,10 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         )
         for engine in ENGINES
     ]
-    matrix = Matrix(cases=_cases, rows=rows)
+    matrix = EngineMatrix(cases=_cases, rows=rows)
     terminalreporter.section("engines")
     console = Console(width=_WIDTH)
     with console.capture() as shown:
-        console.print(table(matrix))
+        console.print(Drawn(table(matrix)))
     for line in (*shown.get().splitlines(), *notes(matrix)):
         terminalreporter.write_line(line)

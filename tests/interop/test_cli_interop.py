@@ -9,7 +9,7 @@ from small_fmus import lag
 from cosim.cli import app
 from cosim.system import ComponentSpec, SystemSpec
 from cosim.system_file import write_system
-from hesr_model.errors import ConfigError, SimulationError
+from hesr_model.errors import HesrError
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def test_one_fmu(fmu: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert cell["deviation"] <= cell["tolerance"] == 1e-12
     assert found["FMPy"]["version"]
     assert found["Maestro"]["version"] is None
-    assert found["OMSimulator"]["missing"].startswith("not tested")
+    assert found["OMSimulator"]["missing"].startswith("there is no library")
 
 
 def test_a_system(fmu: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -55,10 +55,10 @@ def test_a_system(fmu: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 def test_what_cannot_be_read(tmp_path: Path) -> None:
-    for name, text in (("x.ssp", "no readable SSP"), ("x.toml", "x.toml")):
+    for name, text in (("x.ssp", "not a readable SSP"), ("x.toml", "x.toml")):
         (tmp_path / name).write_text("nothing")
-        with pytest.raises(ConfigError, match=text):
+        with pytest.raises(HesrError, match=text):
             hesr(tmp_path / name)
     (tmp_path / "x.fmu").write_text("nothing")
-    with pytest.raises(SimulationError, match=r"x\.fmu: not a readable FMU"):
+    with pytest.raises(HesrError, match=r"x\.fmu: not a readable FMU"):
         hesr(tmp_path / "x.fmu")

@@ -7,7 +7,7 @@ from cases import NAMES
 
 from cosim.interop.engine import Engine
 from cosim.interop.engines import ENGINES
-from cosim.interop.matrix import Cell
+from cosim.interop.matrix import EngineResult
 
 SYSTEMS = ("open", "closed")
 REASONS = (
@@ -25,7 +25,7 @@ def test_engine(
     engine: Engine,
     case: str,
     need: Callable[[Engine], None],
-    cell: Callable[[Engine, str], Cell],
+    cell: Callable[[Engine, str], EngineResult],
 ) -> None:
     need(engine)
     if (engine.together if case in SYSTEMS else engine.alone) is None:

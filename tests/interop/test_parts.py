@@ -21,10 +21,10 @@ from cosim.system import ComponentSpec, SystemSpec
 from cosim.system_file import write_system
 from fmu_src import export_fmu
 from fmu_src.blocks.trajectory import trajectory
-from fmu_src.check.process import FailedError
 from fmu_src.package import write_fmu
 from hesr_model.errors import SimulationError
 from hesr_model.friction.evaluate import predict
+from hesr_model.support.process import FailedError
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +138,7 @@ def test_an_engine_that_breaks_fails_and_one_that_skips_does_not(small: Alone) -
         "made up: lag fails: it ended with code 1.",
         "made up: lag not run: it does not like lags.",
     ]
-    assert table(matrix).row_count == 2
+    assert len(table(matrix).rows) == 2
 
 
 def test_systems_of_several_steps_are_left_out(small: Alone, tmp_path: Path) -> None:
@@ -168,9 +168,18 @@ def test_engines_that_are_not_there_say_so(small: Alone, tmp_path: Path) -> None
         f"FMI4j: not run: there is no {tmp_path}/none/fmi4j: make interop, with Maven and a JDK.",
         f"Maestro: not run: there is no {tmp_path}/none/maestro: make interop, with Maven and "
         "Java.",
-        "OMSimulator: not run: not tested: its package on PyPI fetches the program from its "
-        "project's server at installation, and no registry has it: from its project's pages.",
+        "OMSimulator: not run: there is no library OMSimulator: build it from its project's "
+        "sources; its library belongs into FOLDER/lib, or to where the system's loader looks.",
     ]
+
+
+def test_a_library_that_is_another_one_is_not_run(small: Alone, tmp_path: Path) -> None:
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib" / "libOMSimulator.so").write_bytes(b"no library")
+    chosen = [e for e in ENGINES if e.name == "OMSimulator"]
+    [row] = compare([small], Tools(folder=tmp_path), engines=chosen).rows
+    assert row.missing.startswith("it ended with code 1 and said '")
+    assert "libOMSimulator.so" in row.missing
 
 
 def test_every_engine_says_what_it_is_for_and_where_it_comes_from() -> None:

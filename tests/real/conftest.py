@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from hesr_model.robot import RobotDescription, RobotModel
-from hesr_model.robot_log import RobotLog
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.robots.robot import RobotDescription, RobotModel
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "ur10e"
 

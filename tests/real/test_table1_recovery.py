@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fit import fit_joint
-from hesr_model.residual import FrictionRecord
+from hesr_model.friction.fitting.fit import fit_joint
+from hesr_model.rigid_body.residual import FrictionRecord
 
 STEP, ROWS = 0.005, 4000
 NOISE = {"joint1": 1.5, "joint2": 1.5, "joint3": 0.6}

@@ -12,7 +12,7 @@ import pytest
 
 from cosim.run import Outcome, run_study
 from cosim.scoring import Comparison, inputs_of
-from hesr_model.friction.laws import registry
+from hesr_model.friction.registry import registry
 
 MOST = {
     "rmse": [2.54, 2.70, 1.57, 0.407, 0.515, 0.584],

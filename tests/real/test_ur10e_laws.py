@@ -14,12 +14,12 @@ from cosim.study import Study
 from fmu_src import export_fmu
 from hesr_model.artifacts import read_model
 from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fit import fit_models
-from hesr_model.friction.laws import registry
+from hesr_model.friction.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
-from hesr_model.residual import FrictionRecord, friction_records
-from hesr_model.robot import RobotModel
-from hesr_model.robot_log import RobotLog
+from hesr_model.friction.registry import registry
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.robots.robot import RobotModel
 
 EXACT_ENOUGH = 1e-12
 """Of the largest torque of a joint in a log."""

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from test_ur10e_rigid_body import static_errors
 
-from hesr_model.physical import pseudo_inertia
-from hesr_model.rigid_body import identify
-from hesr_model.robot import RobotModel
-from hesr_model.robot_log import RobotLog
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import identify
+from hesr_model.rigid_body.physical import pseudo_inertia
+from hesr_model.robots.robot import RobotModel
 
 
 def ratios(train: Sequence[RobotLog], test: Sequence[RobotLog], model: RobotModel) -> np.ndarray:

@@ -7,11 +7,11 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from hesr_model.metrics import rmse
-from hesr_model.residual import friction_records, require_reversals
-from hesr_model.rigid_body import RigidBody, base_columns, identify
-from hesr_model.robot import RobotDescription, RobotModel
-from hesr_model.robot_log import RobotLog
+from hesr_model.friction.metrics import rmse
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import RigidBody, base_columns, identify
+from hesr_model.rigid_body.residual import friction_records, require_reversals
+from hesr_model.robots.robot import RobotDescription, RobotModel
 
 
 def friction_of(

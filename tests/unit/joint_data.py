@@ -8,8 +8,8 @@ import numpy as np
 
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws import estimator
-from hesr_model.residual import FrictionRecord
+from hesr_model.friction.registry import estimator
+from hesr_model.rigid_body.residual import FrictionRecord
 
 GEAR_RATIO = 101.0
 

@@ -1,26 +1,31 @@
 """The audit against laws whose verdict is known, and against the published ones."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
 
 from hesr_model.artifacts import read_model
+from hesr_model.equations.functions import absolute, sgn
+from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ArtifactError, SimulationError
-from hesr_model.files import models_folder
-from hesr_model.friction import audit as module
-from hesr_model.friction.audit import audit, explodes
-from hesr_model.friction.cycles import ENCODER
+from hesr_model.friction.audit import audit as module
+from hesr_model.friction.audit import cycles
+from hesr_model.friction.audit.audit import Audit, audit, explodes
+from hesr_model.friction.audit.cycles import ENCODER
 from hesr_model.friction.evaluate import Stepper
-from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute, sgn
-from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
-from hesr_model.friction.lugre import LuGre
-from hesr_model.friction.stribeck import Stribeck
+from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.laws.lugre import LuGre
+from hesr_model.friction.laws.stribeck import Stribeck
 from hesr_model.friction.trained import TrainedRange, outside
-from hesr_model.residual import FrictionRecord
+from hesr_model.logs.noise import standard_normal
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.files import models_folder
+from hesr_model.support.typed_json import from_json, to_json
 
 TRAINED = TrainedRange(
     sample_time=0.005, dq=(-1.2, 1.2), q=(-0.8, 0.8), tau_load=(-20.0, 40.0), tau=(-25.0, 25.0)
@@ -38,7 +43,7 @@ def law(
     names = values or {}
     form = LawForm(
         coefficients=tuple(Coefficient(name=n, unit="1", description=n) for n in names),
-        relaxations=relaxations,
+        memory=relaxations,
         output=output,
     )
     return FrictionLaw(**({"name": "test", "form": form, "values": names} | more))
@@ -237,6 +242,16 @@ def test_a_jump_has_no_slope() -> None:
     assert found.chatter == pytest.approx(12.0, rel=0.05)
 
 
+@pytest.mark.parametrize("share", [0.4, 0.6])
+def test_a_jump_is_what_most_of_the_rise_over_rest_is(share: float) -> None:
+    """A law that jumps, and rises so steeply that little of the change at rest is the jump."""
+    found = audit(law(share * sgn(DQ) + (1.0 - share) * 1e6 * DQ), TRAINED)
+    if share < 0.5:
+        assert (found.jump, found.slope) == (0.0, pytest.approx(1e6))
+    else:
+        assert (found.jump, found.slope) == (pytest.approx(2.0 * share, rel=2e-3), None)
+
+
 def test_the_worst_load_counts_at_rest() -> None:
     found = audit(law(0.1 * absolute(TAU_LOAD) * DQ), TRAINED)
     assert found.slope == pytest.approx(4.0)
@@ -275,7 +290,7 @@ def test_what_explodes_outside_is_refused(output: sympy.Expr, refused: bool) -> 
     assert explodes(one, TRAINED) is refused
     found = audit(one, TRAINED)
     assert found.explodes is refused
-    json.dumps(found.to_json(), allow_nan=False)
+    to_json(found)
 
 
 def test_a_law_that_cannot_be_run_outside_explodes() -> None:
@@ -287,15 +302,18 @@ def test_a_law_that_cannot_be_run_outside_explodes() -> None:
     assert found.largest_outside is None
     assert found.explodes
     assert explodes(unstable, TRAINED)
-    growing = law(symbol("x"), first_order(1.5 - DQ))
-    assert explodes(growing, TRAINED)
+
+
+def test_a_rate_that_would_be_negative_is_guarded_and_does_not_explode() -> None:
+    # Without the guard the state would grow by e^12 in a cycle outside of the trained range.
+    guarded = law(symbol("x"), first_order(1.5 - DQ))
+    assert not explodes(guarded, TRAINED)
+    assert np.isfinite(audit(law(symbol("x"), first_order(0.5 - DQ)), TRAINED).largest)
 
 
 def test_what_fails_within_the_trained_range_cannot_be_audited() -> None:
     with pytest.raises(SimulationError, match=r"^law 'test': torque is not finite within"):
         audit(law(sympy.exp(2000 * DQ)), TRAINED)
-    with pytest.raises(SimulationError, match="rate"):
-        audit(law(symbol("x"), first_order(0.5 - DQ)), TRAINED)
 
 
 # --- results ----------------------------------------------------------------------------------
@@ -304,9 +322,7 @@ def test_what_fails_within_the_trained_range_cannot_be_audited() -> None:
 @pytest.mark.parametrize("audited", [stribeck(), lugre(), law(-DQ)])
 def test_an_audit_is_json_and_reproducible(audited: FrictionLaw) -> None:
     found = audit(audited, TRAINED)
-    data = found.to_json()
-    assert json.loads(json.dumps(data, allow_nan=False))["generated"] == found.generated
-    assert (data["lowest_frequency"], data["encoder"], data["reach"]) == (0.05, 2e-5, 1.5)
+    assert from_json(Audit, to_json(found), Path("audit.json"), "an audit") == found
     assert audit(audited, TRAINED) == found
 
 
@@ -345,7 +361,7 @@ def test_ranges_are_those_of_all_records() -> None:
     assert trained.tau == (-5.0, 7.0)
     assert trained.speed == 0.7
     assert trained.middle == pytest.approx(0.2)
-    assert TrainedRange.from_json(json.loads(json.dumps(trained.to_json()))) == trained
+    assert from_json(TrainedRange, to_json(trained), Path("x.json"), "a range") == trained
 
 
 @pytest.mark.parametrize(
@@ -364,11 +380,12 @@ def test_ranges_that_are_none_are_refused(change: dict[str, object], message: st
 
 @pytest.mark.parametrize("wrong", [{}, {"dq": [1.0]}, {"dq": 3}, {"dq": ["a", "b"]}])
 def test_range_data_that_are_none_are_refused(wrong: dict[str, object]) -> None:
-    data = TRAINED.to_json() | wrong
+    data = to_json(TRAINED) | wrong
     if not wrong:
         del data["tau"]
-    with pytest.raises((KeyError, TypeError, ValueError)):
-        TrainedRange.from_json(data)
+    said = "key 'dq|range of 'dq' is" if wrong else "key 'tau' is missing"
+    with pytest.raises(ArtifactError, match=said):
+        from_json(TrainedRange, data, Path("x.json"), "a range")
 
 
 def test_which_inputs_leave_the_trained_range_and_how_far() -> None:
@@ -381,3 +398,48 @@ def test_which_inputs_leave_the_trained_range_and_how_far() -> None:
     assert (found["dq"].below, found["dq"].above) == pytest.approx((0.4, 0.1))
     upwards = outside(wider, [record([0.0, 0.75])])
     assert (upwards["dq"].below, upwards["dq"].above) == (0.0, 0.25)
+
+
+# --- motions ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sample_time", [0.005, 0.0106, 0.4])
+def test_closed_motions_settle_and_pass_each_position_once_each_way(sample_time: float) -> None:
+    """Three seconds or more of whole half cycles, then a cycle of samples that lie in pairs."""
+    trained = replace(TRAINED, sample_time=sample_time, q=(0.2, 1.0))
+    amplitudes = np.array([0.5, 1.2])
+    found = cycles.closed_motions(trained, amplitudes, 0.25)
+    half = max(4, round(2.0 / sample_time))
+    assert found.rows == 2 * half
+    assert found.frequency == pytest.approx(0.5 / (half * sample_time))
+    before = found.dq.shape[1] - found.rows
+    assert (before % half, before // half) == (0, 2)  # of two seconds each
+    t = sample_time * (np.arange(found.dq.shape[1]) - before)
+    rate = 2.0 * np.pi * found.frequency
+    np.testing.assert_allclose(found.dq, amplitudes[:, None] * np.cos(rate * t), atol=1e-12)
+    q = 0.6 + amplitudes[:, None] / rate * np.sin(rate * t)
+    np.testing.assert_allclose(found.q, q, atol=1e-12)
+
+
+def test_work_is_power_over_the_settled_cycle() -> None:
+    """A damper of 2 N.m.s/rad takes amplitude^2 / f, all of it against the motion."""
+    motions = cycles.closed_motions(TRAINED, np.array([0.5, 1.0]), 0.5)
+    tau = 2.0 * motions.dq
+    tau[:, : -motions.rows] = 1e6  # before, nothing counts
+    for one, amplitude in zip(cycles.cycles(motions, 7.0, tau), (0.5, 1.0), strict=True):
+        assert (one.amplitude, one.frequency, one.tau_load) == (amplitude, 0.5, 7.0)
+        assert (one.work, one.share) == pytest.approx((amplitude**2 / 0.5, 1.0))
+    (still, _) = cycles.cycles(motions, 7.0, 0.0 * tau)
+    assert (still.work, still.share) == (0.0, 0.0)
+    (spring, _) = cycles.cycles(motions, 7.0, motions.q)
+    assert (spring.work, spring.share) == (0.0, 0.0)
+
+
+def test_noise_at_rest_is_that_of_the_encoder() -> None:
+    """Three seconds to settle, then 4000 rows; the velocity is the backward difference."""
+    trained = replace(TRAINED, sample_time=0.01, q=(0.2, 1.0))
+    dq, q, settling = cycles.encoder_noise(trained)
+    noise = ENCODER * standard_normal(0, 0, np.arange(4301))
+    assert settling == 300
+    np.testing.assert_allclose(q, 0.6 + noise[1:], rtol=1e-15)
+    np.testing.assert_allclose(dq, (noise[1:] - noise[:-1]) / 0.01, rtol=1e-9)

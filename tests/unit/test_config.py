@@ -7,8 +7,8 @@ from typing import Annotated, Literal, Self
 import pytest
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from hesr_model.config import Config, RelativePath, read_toml
 from hesr_model.errors import ConfigError
+from hesr_model.support.config import Config, RelativePath, read_toml
 
 
 class Inner(Config):

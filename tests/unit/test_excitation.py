@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from hesr_model.base_parameters import base_columns
-from hesr_model.config import read_toml
 from hesr_model.errors import ConfigError, FitError, RobotError
-from hesr_model.excitation import (
+from hesr_model.motions.excitation import (
     Excitation,
     ExcitationSettings,
     condition,
     design,
     random_motions,
 )
-from hesr_model.excitation_search import Search
-from hesr_model.files import models_folder
-from hesr_model.motion_limits import Limits, MotionLimits, peak_torque
-from hesr_model.robot import RobotDescription, RobotModel
-from hesr_model.trajectories import Fourier
+from hesr_model.motions.excitation_search import Search
+from hesr_model.motions.limits import Limits, MotionLimits, peak_torque
+from hesr_model.motions.trajectories import Fourier
+from hesr_model.rigid_body.base_parameters import base_columns
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.config import read_toml
+from hesr_model.support.files import models_folder
 
 QUICK = ExcitationSettings(harmonics=3, period=(5.0, 12.0), starts=1)
 

@@ -1,21 +1,14 @@
 """The functions from which laws are written: derivatives that friction needs, NumPy and LaTeX."""
 
+import mpmath
 import numpy as np
 import pytest
 import sympy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hesr_model.friction.functions import (
-    DQ,
-    INPUT_UNITS,
-    INPUTS,
-    TAU_LOAD,
-    Q,
-    absolute,
-    lowered,
-    sgn,
-)
+from hesr_model.equations.functions import NUMPY, absolute, larger, lowered, sgn
+from hesr_model.friction.inputs import DQ, INPUT_UNITS, INPUTS, TAU_LOAD, Q
 
 X = sympy.Symbol("x", real=True)
 numbers = st.floats(-1e6, 1e6)
@@ -75,3 +68,34 @@ def test_latex_is_what_is_printed_in_books() -> None:
     assert sympy.latex(absolute(X)) == r"\left|x\right|"
     assert sympy.latex(sgn(X) ** 2) == r"\operatorname{sgn}^{2}\left(x\right)"
     assert sympy.latex(absolute(X) ** 2) == r"\left|x\right|^{2}"
+
+
+@pytest.mark.parametrize("z", [1e-300, 1e-9, 0.99e-3, 1.01e-3, 0.02, 0.9, 7.0, 200.0])
+def test_what_a_relaxation_keeps_and_takes_over_a_step(z: float) -> None:
+    """exp(-z) - 1, (1 - exp(-z)) / z and its slope, to both sides of where they are series."""
+    with mpmath.workdps(700):
+        x = mpmath.mpf(z)
+        left = mpmath.exp(-x)
+        falls, taken = float(left - 1), float((1 - left) / x)
+        slope = float((left * (x + 1) - 1) / x**2)
+    e = NUMPY["decay"](z, 0.0)
+    assert e == pytest.approx(falls, rel=1e-15)
+    assert NUMPY["share"](z, e, 0.0) == pytest.approx(taken, rel=1e-15)
+    assert NUMPY["share_slope"](z, e, 0.0) == pytest.approx(slope, rel=2e-10)
+    by_euler = [NUMPY["decay"](z, 1.0), *(NUMPY[n](z, -z, 1.0) for n in ("share", "share_slope"))]
+    assert by_euler == [-z, 1.0, 0.0]
+
+
+def test_bounds_and_comparisons_of_arrays() -> None:
+    x = np.array([-3.0, -1.0, 0.0, 2.0, 9.0])
+    np.testing.assert_array_equal(NUMPY["clip"](x, 2.0), [-2.0, -1.0, 0.0, 2.0, 2.0])
+    np.testing.assert_array_equal(NUMPY["exceeds"](x, 2.0), [0.0, 0.0, 0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(NUMPY["positive"](np.append(x, np.nan)), [0, 0, 0, 2, 9, 0])
+    np.testing.assert_array_equal(NUMPY["larger"](x, 1.0), [1.0, 1.0, 1.0, 2.0, 9.0])
+
+
+@pytest.mark.parametrize(("x", "slope"), [(3.0, 6.0), (0.5, 1.0), (-2.0, -4.0)])
+def test_the_larger_of_two_rises_as_it_does_itself(x: float, slope: float) -> None:
+    for pair in (larger(X**2, X), larger(X, X**2)):
+        (found,) = lowered([X], [pair.diff(X)])(x)
+        assert found == slope

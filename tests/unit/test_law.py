@@ -5,9 +5,11 @@ from dataclasses import FrozenInstanceError
 import pytest
 import sympy
 
+from hesr_model.equations.functions import sgn
+from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.functions import DQ, TAU_LOAD, Q, sgn
-from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
+from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 
 A = Coefficient(name="a", unit="N.m", description="level")
@@ -18,7 +20,7 @@ X = Relaxation(name="x", unit="rad", drive=DQ, rate=R.symbol)
 def form() -> LawForm:
     return LawForm(
         coefficients=(A, R),
-        relaxations=(X,),
+        memory=(X,),
         output=A.symbol * X.state + A.symbol * X.derivative,
     )
 
@@ -43,7 +45,7 @@ def test_inputs_are_those_that_are_used_in_their_order() -> None:
     assert LawForm(coefficients=(A,), output=A.symbol * sympy.cos(Q)).inputs == (Q,)
     assert LawForm(coefficients=(A,), output=A.symbol).inputs == ()
     in_a_rate = Relaxation(name="x", unit="rad", drive=DQ, rate=R.symbol * TAU_LOAD**2)
-    used = LawForm(coefficients=(R,), relaxations=(in_a_rate,), output=in_a_rate.state)
+    used = LawForm(coefficients=(R,), memory=(in_a_rate,), output=in_a_rate.state)
     assert used.inputs == (DQ, TAU_LOAD)
 
 
@@ -67,11 +69,13 @@ def test_an_input_that_cancels_is_not_used() -> None:
 def test_a_symbol_that_nobody_defines_is_refused(
     relaxation: Relaxation | None, output: sympy.Expr, symbol: str
 ) -> None:
-    message = f"^friction law: symbol '{symbol}' is neither an input, a coefficient nor a state"
+    message = (
+        rf"^friction law: symbol '{symbol}' of '\w+' is neither an input, a coefficient nor a state"
+    )
     with pytest.raises(ArtifactError, match=message):
         LawForm(
             coefficients=(A, R),
-            relaxations=(relaxation,) if relaxation else (),
+            memory=(relaxation,) if relaxation else (),
             output=output,
         )
 
@@ -89,7 +93,7 @@ def test_two_things_of_one_name_are_refused(
     coefficients: tuple[Coefficient, ...], relaxations: tuple[Relaxation, ...], name: str
 ) -> None:
     with pytest.raises(ArtifactError, match=f"^friction law: '{name}' stands twice among"):
-        LawForm(coefficients=coefficients, relaxations=relaxations, output=X.state)
+        LawForm(coefficients=coefficients, memory=relaxations, output=X.state)
 
 
 # --- laws -------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hesr_model.least_squares import Block, solve
+from hesr_model.rigid_body.least_squares import Block, solve
 
 TRUTH = np.array([2.0, -1.0, 0.5])
 SCALE = np.array([1.0, 10.0, 0.1])
@@ -85,3 +85,44 @@ def test_a_target_of_zeros_gives_zeros() -> None:
     (block,) = blocks(0.0)
     still = Block(matrix=block.matrix, target=np.zeros_like(block.target))
     np.testing.assert_array_equal(solve([still, still], scale=SCALE, weighted=True).x, np.zeros(3))
+
+
+@pytest.mark.parametrize("weighted", [True, False])
+def test_weights_follow_from_the_residuals_twice(weighted: bool) -> None:
+    """The same by rows: each divided by its block's residual, twice in a row."""
+    given = blocks(3.0, 0.5, 0.1, rows=7)
+    matrix = np.concatenate([block.matrix for block in given])
+    target = np.concatenate([block.target for block in given])
+    weights = np.ones(len(target))
+    for _ in range(3 if weighted else 1):
+        x = np.linalg.lstsq(weights[:, None] * matrix, weights * target)[0]
+        rmse = np.sqrt(np.mean((target - matrix @ x).reshape(3, 7) ** 2, axis=1))
+        before, weights = weights, np.repeat(1.0 / rmse, 7)
+    found = solve(given, scale=SCALE, weighted=weighted)
+    np.testing.assert_allclose(found.x, x, rtol=1e-9)
+    np.testing.assert_allclose(found.rmse, rmse, rtol=1e-9)
+    rows = before[:, None] * matrix
+    variance = np.sum((before * (target - matrix @ x)) ** 2) / (21 - 3)
+    errors = np.sqrt(variance * np.diag(np.linalg.inv(rows.T @ rows)))
+    np.testing.assert_allclose(found.standard_errors, errors, rtol=1e-9)
+    singular = np.linalg.svd(rows / SCALE, compute_uv=False)
+    assert found.condition == pytest.approx(singular[0] / singular[-1], rel=1e-9)
+
+
+@pytest.mark.parametrize(("smallest", "ridge"), [(0.11, 0.0), (0.09, 3e-3)])
+def test_the_ridge_pulls_the_scaled_unknowns_by_its_share_of_the_largest_singular_value(
+    smallest: float, ridge: float
+) -> None:
+    """Columns that are orthogonal, with singular values 100, 1 and a thousandth, or less."""
+    scale, singular = np.array([1.0, 10.0, 0.1]), np.array([100.0, 1.0, smallest])
+    matrix = np.vstack([np.diag(singular * scale), np.zeros((2, 3))])
+    target = np.array([5.0, 3.0, 2.0, 0.7, -0.4])
+    found = solve([Block(matrix=matrix, target=target)], scale=scale, weighted=False)
+    pull = ridge * 100.0
+    x = singular / (singular**2 + pull**2) * target[:3] / scale
+    np.testing.assert_allclose(found.x, x, rtol=1e-12)
+    assert (found.ridge, found.condition) == (ridge, pytest.approx(100.0 / smallest))
+    squares = np.sum((target - matrix @ x) ** 2)
+    errors = np.sqrt(squares / 2 / (singular**2 + pull**2)) / scale
+    np.testing.assert_allclose(found.standard_errors, errors, rtol=1e-12)
+    np.testing.assert_allclose(found.rmse, np.sqrt(squares / 5), rtol=1e-12)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from hesr_model.errors import LogError
-from hesr_model.log_format import LogColumns, LogFormat, LogUnits
-from hesr_model.robot import RobotDescription
-from hesr_model.robot_log import RobotLog
+from hesr_model.logs.log_format import LogColumns, LogFormat, LogUnits
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.robots.robot import RobotDescription
 
 HEADER = ["t", "q1", "q2", "dq1", "dq2", "tau1", "tau2"]
 

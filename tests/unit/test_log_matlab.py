@@ -11,10 +11,10 @@ import scipy.io
 from scipy.io import savemat
 
 from hesr_model.errors import LogError
-from hesr_model.log_files.matlab import read_matlab
-from hesr_model.log_format import LogColumns, LogFormat
-from hesr_model.robot import RobotDescription
-from hesr_model.robot_log import RobotLog
+from hesr_model.logs.log_format import LogColumns, LogFormat
+from hesr_model.logs.readers.matlab import read_matlab
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.robots.robot import RobotDescription
 
 N = 40
 

@@ -6,8 +6,8 @@ import pytest
 from hesr_model.errors import ArtifactError, HesrError
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.lugre import LuGre
-from hesr_model.residual import FrictionRecord
+from hesr_model.friction.laws.lugre import LuGre
+from hesr_model.rigid_body.residual import FrictionRecord
 
 NAMES = ("sigma_0", "sigma_1", "sigma_2", "F_c", "F_s", "v_s", "tau_0")
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from joint_data import along, error_on, law, path, training, unseen, with_tau
 
-from hesr_model.friction.fit import fit_joint
-from hesr_model.friction.lugre import LuGre, LuGreLoad, LuGreLoadRipple
+from hesr_model.friction.fitting.fit import fit_joint
+from hesr_model.friction.laws.lugre import LuGre, LuGreLoad, LuGreLoadRipple
 from hesr_model.friction.records import predict_record
 
 CASES = [

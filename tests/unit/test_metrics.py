@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hesr_model.metrics import rmse, rmse_ratio_interval, score, time_band
-from hesr_model.phases import near_reversals, reversals
-from hesr_model.residual import FrictionRecord
+from hesr_model.friction.metrics import rmse, rmse_ratio_interval, score, time_band
+from hesr_model.logs.phases import near_reversals, reversals
+from hesr_model.rigid_body.residual import FrictionRecord
 
 
 def record(t: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> FrictionRecord:
@@ -94,6 +94,14 @@ def test_a_ratio_of_the_same_errors_is_certain() -> None:
     rng = np.random.default_rng(1)
     low, high = rmse_ratio_interval([2.0 * errors[0]], errors, block=100, rng=rng)
     assert (low, high) == (pytest.approx(2.0), pytest.approx(2.0))
+
+
+def test_logs_weigh_by_their_rows_whatever_their_blocks_add_up_to() -> None:
+    """Two blocks of 10 rows stand for a log of 11, and count as 11 rows, not as 20."""
+    ones = [np.ones(10), np.ones(11)]
+    errors = [np.full(10, 2.0), np.ones(11)]
+    found = rmse_ratio_interval(errors, ones, block=10, rng=np.random.default_rng(0), resamples=9)
+    assert found == pytest.approx([np.sqrt((10 * 4 + 11 * 1) / 21)] * 2, rel=1e-12)
 
 
 def test_an_interval_is_the_same_for_the_same_seed() -> None:

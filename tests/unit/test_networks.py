@@ -8,18 +8,18 @@ import pytest
 
 from hesr_model.errors import ArtifactError, FitError
 from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fit import fit_joint
+from hesr_model.friction.fitting.fit import fit_joint
+from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.networks import mlp, rbf
-from hesr_model.friction.networks.inputs import TRIED, Inputs, candidates, first_tame
-from hesr_model.friction.networks.mlp import MlpH
-from hesr_model.friction.networks.rbf import RbfnnH
-from hesr_model.friction.networks.training import Network, path
-from hesr_model.friction.parfam import family
-from hesr_model.friction.parfam.features import HysteresisFeatures
-from hesr_model.friction.samples import Samples
-from hesr_model.metrics import rmse
-from hesr_model.residual import FrictionRecord
+from hesr_model.friction.laws.networks import mlp, rbf
+from hesr_model.friction.laws.networks.inputs import TRIED, Inputs, candidates, first_tame
+from hesr_model.friction.laws.networks.mlp import MlpH
+from hesr_model.friction.laws.networks.rbf import RbfnnH
+from hesr_model.friction.laws.networks.training import Network, path
+from hesr_model.friction.laws.parfam import family
+from hesr_model.friction.laws.parfam.features import HysteresisFeatures
+from hesr_model.friction.metrics import rmse
+from hesr_model.rigid_body.residual import FrictionRecord
 
 ALPHA, BETA = 9.0, 30.0
 

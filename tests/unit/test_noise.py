@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import kstest
 
-from hesr_model.noise import standard_normal, words
+from hesr_model.logs.noise import standard_normal, words
 
 MASK = 2**64 - 1
 GAMMA = 0x9E3779B97F4A7C15

@@ -18,12 +18,12 @@ from joint_data import (
 
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fit import fit_joint
+from hesr_model.friction.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.lugre import LuGre
-from hesr_model.friction.parfam.extended import ParFamHX
+from hesr_model.friction.laws.lugre import LuGre
+from hesr_model.friction.laws.parfam.extended import ParFamHX
 from hesr_model.friction.records import predict_record
-from hesr_model.residual import FrictionRecord
+from hesr_model.rigid_body.residual import FrictionRecord
 
 NOISE = 0.2
 LINEAR = {"c_0": 0.4, "c_dq": 5.0, "c_h": 9.0, "c_dh": 0.02}

@@ -1,6 +1,5 @@
 """Physically consistent identification: parameters of bodies that can exist."""
 
-import json
 import logging
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,11 +9,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from hesr_model.base_parameters import dependence
-from hesr_model.physical import _Chart, link_parameters, pseudo_inertia
-from hesr_model.rigid_body import RigidBody, identify_motions
-from hesr_model.robot import RobotDescription, RobotModel
-from hesr_model.signals import Motion
+from hesr_model.logs.signals import Motion
+from hesr_model.rigid_body.base_parameters import dependence
+from hesr_model.rigid_body.identification import RigidBody, identify_motions
+from hesr_model.rigid_body.physical import _Chart, link_parameters, pseudo_inertia
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.typed_json import from_json, to_json
 
 MakeMotion = Callable[..., Motion]
 
@@ -174,8 +174,8 @@ def test_it_survives_json_and_repeats(arm_model: RobotModel, make_motion: MakeMo
     motion = noisy(make_motion(friction=3.0), 0.3, 0)
     body, again = (identify_motions([motion], arm_model, physical=True) for _ in range(2))
     np.testing.assert_array_equal(body.parameters, again.parameters)
-    back = RigidBody.from_dict(json.loads(json.dumps(body.to_dict(), allow_nan=False)))
+    back = from_json(RigidBody, to_json(body), Path("x.json"), "a rigid body")
     assert back.physical
     np.testing.assert_array_equal(back.parameters, body.parameters)
-    older = {key: value for key, value in body.to_dict().items() if key != "physical"}
-    assert not RigidBody.from_dict(older).physical
+    older = {key: value for key, value in to_json(body).items() if key != "physical"}
+    assert not from_json(RigidBody, older, Path("x.json"), "a rigid body").physical

@@ -8,7 +8,7 @@ from scipy.linalg import qr
 
 from fmu_src.arm.plant import Arm, Plant
 from hesr_model.errors import ConfigError, SimulationError
-from hesr_model.files import models_folder
+from hesr_model.support.files import models_folder
 
 FOLDER = models_folder() / "uf850"
 MJCF = FOLDER / "uf850.xml"

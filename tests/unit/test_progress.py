@@ -1,6 +1,6 @@
 from collections.abc import Iterator
 
-from hesr_model.progress import counted, unheard
+from hesr_model.support.progress import counted, unheard
 
 
 def test_items_are_counted_before_each_and_after_the_last() -> None:

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from hesr_model.errors import ArtifactError
-from hesr_model.friction import expectations
-from hesr_model.friction.expectations import EXPECTATIONS
-from hesr_model.friction.properties import (
+from hesr_model.friction.audit import expectations
+from hesr_model.friction.audit.expectations import EXPECTATIONS
+from hesr_model.friction.audit.properties import (
     FORMAT,
     Curve,
     Figure,
@@ -107,10 +107,14 @@ def _with(key: str, value: object) -> Change:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (_without("hold"), "key 'hold' is missing."),
+        (
+            _without("hold"),
+            "not findings of the property battery (key 'laws.a.joints.0.findings': "
+            "'hold' is missing).",
+        ),
         (
             _with("verdict", "maybe"),
-            "not findings of the property battery (verdict is 'maybe').",
+            "not findings of the property battery (key 'laws.a.joints.0.findings.hold.verdict': ",
         ),
         (_with("figures", [1]), "not findings of the property battery ("),
         (

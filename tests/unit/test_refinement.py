@@ -9,14 +9,14 @@ from joint_data import law as made
 
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fit import fit_models
+from hesr_model.friction.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
-from hesr_model.refinement import identify_again
-from hesr_model.residual import friction_records
-from hesr_model.rigid_body import RigidBody, identify
-from hesr_model.robot import RobotModel
-from hesr_model.robot_log import RobotLog
-from hesr_model.signals import Motion
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import Motion
+from hesr_model.rigid_body.identification import RigidBody, identify
+from hesr_model.rigid_body.refinement import identify_again
+from hesr_model.rigid_body.residual import friction_records
+from hesr_model.robots.robot import RobotModel
 
 MakeMotion = Callable[..., Motion]
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from hesr_model.errors import LogError
-from hesr_model.residual import friction_records, require_reversals
-from hesr_model.rigid_body import identify
-from hesr_model.robot import RobotModel
-from hesr_model.robot_log import RobotLog
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import identify
+from hesr_model.rigid_body.residual import friction_records, require_reversals
+from hesr_model.robots.robot import RobotModel
 
 
 def test_a_record_holds_what_the_rigid_body_leaves(

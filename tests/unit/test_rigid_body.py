@@ -1,4 +1,3 @@
-import json
 import logging
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,10 +7,11 @@ import numpy as np
 import pytest
 
 from hesr_model.errors import FitError, LogError, RobotError
-from hesr_model.rigid_body import RigidBody, base_columns, identify, identify_motions
-from hesr_model.robot import RobotDescription, RobotModel
-from hesr_model.robot_log import RobotLog
-from hesr_model.signals import Motion
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import Motion
+from hesr_model.rigid_body.identification import RigidBody, base_columns, identify, identify_motions
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.typed_json import from_json, to_json
 
 MakeMotion = Callable[..., Motion]
 
@@ -138,7 +138,7 @@ def test_a_poor_motion_is_regularised_and_said(
 
 def test_it_survives_json(arm_log: RobotLog, arm_model: RobotModel) -> None:
     rigid_body = identify([arm_log], arm_model)
-    back = RigidBody.from_dict(json.loads(json.dumps(rigid_body.to_dict(), allow_nan=False)))
+    back = from_json(RigidBody, to_json(rigid_body), Path("x.json"), "a rigid body")
     for name in RigidBody.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(back, name), getattr(rigid_body, name))
         assert type(getattr(back, name)) is type(getattr(rigid_body, name))

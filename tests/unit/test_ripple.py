@@ -1,19 +1,18 @@
 """Torque ripple: found where it is, with its orders and times, and nowhere else."""
 
-import json
-
 import numpy as np
 import pytest
 from joint_data import GEAR_RATIO, along, error_on, law, path, training, unseen
 
 from hesr_model.errors import ArtifactError
-from hesr_model.friction import ripple
 from hesr_model.friction.evaluate import predict
+from hesr_model.friction.fitting.samples import Samples
+from hesr_model.friction.fitting.separable import Separable
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.lugre import LuGreLoad, LuGreLoadRipple
-from hesr_model.friction.ripple import Ripple
-from hesr_model.friction.samples import Samples
-from hesr_model.friction.separable import Separable
+from hesr_model.friction.laws import ripple
+from hesr_model.friction.laws.lugre import LuGreLoad, LuGreLoadRipple
+from hesr_model.friction.laws.ripple import Ripple
+from hesr_model.support.typed_json import to_json
 
 LAG, SMOOTHING = 4e-3, 2e-3
 CORE = {"sigma_0": 3000.0, "sigma_1": 15.0, "sigma_2": 6.0, "F_c": 9.0, "F_s": 12.0, "v_s": 0.1,
@@ -155,7 +154,7 @@ def test_smoothing_keeps_slow_ripple_and_takes_fast_ripple_away() -> None:
 
 def test_a_ripple_survives_json() -> None:
     waves = Ripple(gear_ratio=GEAR_RATIO, orders=(8, 2))
-    assert Ripple.from_json(json.loads(json.dumps(waves.to_json()))) == waves
+    assert Ripple.of_structure(to_json(waves)) == waves
 
 
 @pytest.mark.parametrize(
@@ -174,6 +173,6 @@ def test_a_ripple_survives_json() -> None:
 )
 def test_what_is_no_ripple_is_refused(data: object) -> None:
     with pytest.raises(ArtifactError, match=r"^ripple .* needs a number 'gear_ratio'"):
-        Ripple.from_json(data)  # type: ignore[arg-type]
+        Ripple.of_structure(data)
     with pytest.raises(ArtifactError, match=r"^ripple"):
         LuGreLoadRipple.form({"ripple": data})

@@ -5,8 +5,8 @@ import pinocchio as pin
 import pytest
 
 from hesr_model.errors import ConfigError, RobotError
-from hesr_model.log_format import LogFormat, LogUnits
-from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.logs.log_format import LogFormat, LogUnits
+from hesr_model.robots.robot import RobotDescription, RobotModel
 
 ARM_TOML = """
 name = "arm"

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from hesr_model.errors import FitError, LogError
-from hesr_model.friction.samples import Samples, least_squares, non_negative_least_squares
-from hesr_model.residual import FrictionRecord
+from hesr_model.friction.fitting.samples import Samples, least_squares, non_negative_least_squares
+from hesr_model.rigid_body.residual import FrictionRecord
 
 
 def record(rows: int, *, log: str = "run", start: float = 0.0, seed: int = 0) -> FrictionRecord:
@@ -120,3 +120,17 @@ def test_a_column_of_zeros_gets_no_coefficient() -> None:
     solution, cost = non_negative_least_squares(columns, 2.0 * np.arange(6.0), non_negative=1)
     np.testing.assert_allclose(solution, [0.0, 2.0], atol=1e-12)
     assert cost == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_worst_coefficient_is_the_one_that_counts_most_not_the_largest_number() -> None:
+    """Two unit vectors at 120 degrees, the second in units a thousand times as fine.
+
+    Both coefficients are negative at first, -1.13 and -0.27 of the unit vectors. Without the first
+    one the second is 0.3; without the second one the first is -1, so that nothing would be left.
+    """
+    fine = 1e-3
+    columns = np.array([[1.0, -0.5 * fine], [0.0, np.sqrt(0.75) * fine]])
+    target = np.array([-1.0, -0.2 / np.sqrt(0.75)])
+    solution, cost = non_negative_least_squares(columns, target, non_negative=2)
+    np.testing.assert_allclose(solution, [0.0, 0.3 / fine], rtol=1e-12)
+    assert cost == pytest.approx(target @ target - 0.3**2, rel=1e-12)

@@ -8,16 +8,17 @@ import pytest
 import sympy
 from joint_data import along, law, path, training
 
-from hesr_model.friction.dahl import DahlBasisLoad
-from hesr_model.friction.described import OneForm
+from hesr_model.equations.memory import Relaxation
 from hesr_model.friction.evaluate import predict
-from hesr_model.friction.functions import DQ, TAU_LOAD
-from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
-from hesr_model.friction.lugre import LuGre, LuGreLoad
-from hesr_model.friction.samples import Samples
-from hesr_model.friction.separable import LEAST, SearchSpace, Separable, left_out_cost
-from hesr_model.friction.strain_wave import StrainWave
-from hesr_model.friction.stribeck import Stribeck
+from hesr_model.friction.fitting.described import OneForm
+from hesr_model.friction.fitting.samples import Samples
+from hesr_model.friction.fitting.separable import LEAST, SearchSpace, Separable, left_out_cost
+from hesr_model.friction.inputs import DQ, TAU_LOAD
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.laws.dahl import DahlBasisLoad
+from hesr_model.friction.laws.lugre import LuGre, LuGreLoad
+from hesr_model.friction.laws.strain_wave import StrainWave
+from hesr_model.friction.laws.stribeck import Stribeck
 
 LAWS: Mapping[str, tuple[type[OneForm], Mapping[str, float]]] = {
     "stribeck": (Stribeck, {"v_s": 0.1}),
@@ -121,7 +122,7 @@ def test_a_form_that_is_not_linear_is_refused(
 def test_an_unknown_inside_a_state_is_refused(samples: Samples) -> None:
     a = coefficient("a")
     state = Relaxation(name="x", unit="1", drive=a.symbol * DQ, rate=sympy.Integer(3))
-    form = LawForm(coefficients=(a,), relaxations=(state,), output=a.symbol * state.state)
+    form = LawForm(coefficients=(a,), memory=(state,), output=a.symbol * state.state)
     with pytest.raises(ValueError, match="not linear in"):
         Separable(form, SearchSpace(bounds=(), linear=("a",)), samples)
 

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hesr_model.errors import LogError
-from hesr_model.robot_log import RobotLog
-from hesr_model.signals import smooth
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import smooth
 
 
 def sine_log(t: np.ndarray, frequency: float, noise: float = 0.0) -> RobotLog:

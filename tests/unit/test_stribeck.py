@@ -6,8 +6,8 @@ import pytest
 from hesr_model.errors import ArtifactError, HesrError
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.stribeck import Stribeck
-from hesr_model.residual import FrictionRecord
+from hesr_model.friction.laws.stribeck import Stribeck
+from hesr_model.rigid_body.residual import FrictionRecord
 
 RNG_SEED = 0
 

@@ -10,7 +10,7 @@ from joint_data import HX_PAPER, along, law, path
 
 from hesr_model.artifacts import read_model, write_model
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.fit import fit_models
+from hesr_model.friction.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.trained import TrainedRange, outside
@@ -60,7 +60,7 @@ def test_a_file_without_ranges_gives_a_model_without(model: FrictionModel, tmp_p
     ("spoil", "said"),
     [
         (lambda d: d["joints"][0]["trained"].update(dq=[1.0, -1.0]), "'dq' is 1.0 to -1.0"),
-        (lambda d: d["joints"][0]["trained"].pop("tau"), "'tau' is missing"),
+        (lambda d: d["joints"][0]["trained"].pop("tau"), "'joints.0.trained.tau' is missing"),
         (lambda d: d["joints"][0]["trained"].update(q="wide"), "not a friction model"),
         (lambda d: d["joints"][1].pop("trained"), "1 trained ranges for 2 joints"),
         (lambda d: d["joints"][1].pop("training_rmse"), "1 training errors for 2 joints"),

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from hesr_model.errors import ConfigError
-from hesr_model.trajectories import Fourier, Sine, Sweep, chirp, random_fourier
+from hesr_model.motions.trajectories import Fourier, Sine, Sweep, chirp, random_fourier
 
 OFFSET = np.array([0.0, 0.3, -1.9])
 PEAK = np.array([1.3, 1.2, 0.7])
@@ -203,5 +203,15 @@ def test_sweep_keeps_within_its_envelope():
 
 
 def test_sweep_must_rise():
-    with pytest.raises(ConfigError, match=r"sweep from 0\.45 to 0\.1 Hz"):
+    with pytest.raises(
+        ConfigError, match=r"sweep from 0\.45 to 0\.1 Hz: the frequency must rise\.$"
+    ):
         sweep(first=0.45, last=0.1)
+
+
+def test_a_robot_that_rests_altogether_is_a_motion():
+    still = Fourier(offset=np.array([0.1, 0.2]), a=np.zeros((2, 2)), b=np.zeros((2, 2)), period=1.0)
+    q, dq, ddq = still.sample(np.linspace(0.0, 1.0, 5))
+    np.testing.assert_array_equal(q, [[0.1, 0.2]] * 5)
+    assert not dq.any()
+    assert not ddq.any()

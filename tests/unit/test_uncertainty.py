@@ -7,18 +7,18 @@ import pytest
 from joint_data import along, law, path, with_tau
 from scipy.signal import lfilter
 
-from hesr_model.friction.dahl import DahlBasis
-from hesr_model.friction.fit import fit_joint
-from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.samples import Samples
-from hesr_model.friction.separable import Separable
-from hesr_model.friction.strain_wave import StrainWave
-from hesr_model.friction.uncertainty import (
+from hesr_model.friction.fitting.fit import fit_joint
+from hesr_model.friction.fitting.samples import Samples
+from hesr_model.friction.fitting.separable import Separable
+from hesr_model.friction.fitting.uncertainty import (
     MOST_COEFFICIENTS,
     correlation_length,
     standard_errors,
     with_standard_errors,
 )
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws.dahl import DahlBasis
+from hesr_model.friction.laws.strain_wave import StrainWave
 
 TRUTH = law(
     "strain_wave", {}, x_0=4e-3, mu_avg=0.12, mu_dif=0.03, F_c=5.0, sigma_2=7.0, tau_0=0.5

@@ -4,9 +4,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cosim.component import Component
 from cosim.interop.case import Alone, Run
 from cosim.interop.engine import Engine, SkippedError, Tools, given_alone, host
+from cosim.slave import Component
 
 
 def _alone(tools: Tools, case: Alone, folder: Path) -> Run:

@@ -1,12 +1,12 @@
 """ecos, by its Python interface."""
 
-import zipfile
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from cosim.interop.case import Run, Together
 from cosim.interop.engine import Engine, SkippedError, Tools, given_together, host
 from cosim.interop.reference import Coupling
+from fmu_src.archive import MOST_TEXT, Archive
 
 _SET = "}ParameterSet"
 
@@ -22,10 +22,10 @@ def _together(tools: Tools, case: Together, folder: Path) -> Run:
 
 def parameter_sets(ssp: Path) -> set[str]:
     """Return the names of all parameter sets in an SSP."""
-    with zipfile.ZipFile(ssp) as archive:
+    with Archive(ssp, "SSP") as archive:
         roots = [
-            ET.fromstring(archive.read(name))
-            for name in archive.namelist()
+            ET.fromstring(archive.read(name, MOST_TEXT))
+            for name in archive.names
             if name.endswith((".ssd", ".ssv"))
         ]
     return {e.get("name", "") for root in roots for e in root.iter() if e.tag.endswith(_SET)}

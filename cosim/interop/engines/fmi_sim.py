@@ -13,7 +13,7 @@ from cosim.interop.engine import (
     require_success,
     write_inputs,
 )
-from fmu_src.check.process import FailedError, run
+from hesr_model.support.process import FailedError, run
 
 
 def _find(tools: Tools) -> str:

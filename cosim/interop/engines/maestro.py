@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from cosim.component import Component
 from cosim.interop.case import Run, Together
 from cosim.interop.engine import Engine, Tools, read_signals, require_success
+from cosim.slave import Component
 from cosim.wiring import Element, Wiring
 
 _NANOSECONDS = re.compile(r"Interpretation time: (\d+)")

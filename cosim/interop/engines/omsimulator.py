@@ -1,13 +1,48 @@
-"""OMSimulator, which no package registry has: named here so that nobody has to wonder."""
+"""OMSimulator, by the C interface of its library, which no package registry has."""
 
-from cosim.interop.engine import Engine, SkippedError, Tools
+import sys
+from ctypes.util import find_library
+from pathlib import Path
+
+from cosim.interop.case import Run, Together
+from cosim.interop.engine import (
+    HOSTS,
+    Engine,
+    SkippedError,
+    Tools,
+    given_together,
+    host,
+    require_success,
+)
+from cosim.interop.reference import Coupling
+
+_HOST = "run_omsimulator.py"
 
 
-def _find(_tools: Tools) -> str:
-    raise SkippedError(
-        "not tested: its package on PyPI fetches the program from its project's server at "
-        "installation, and no registry has it"
-    )
+def _library(tools: Tools) -> str:
+    own = tools.folder / "lib" / "libOMSimulator.so"
+    found = str(own.resolve()) if own.is_file() else find_library("OMSimulator")
+    if found is None:
+        raise SkippedError("there is no library OMSimulator")
+    return found
 
 
-OMSIMULATOR = Engine(name="OMSimulator", install="from its project's pages", find=_find)
+def _find(tools: Tools) -> str:
+    library = _library(tools)
+    command = (sys.executable, "-E", "-s", HOSTS / _HOST, "version", library)
+    return require_success(command, Path.cwd()).strip()
+
+
+def _together(tools: Tools, case: Together, folder: Path) -> Run:
+    given = given_together(case) | {"library": _library(tools), "system": case.spec.name}
+    return host(Path(sys.executable), _HOST, given, folder)
+
+
+OMSIMULATOR = Engine(
+    name="OMSimulator",
+    install="build it from its project's sources; its library belongs into FOLDER/lib, or to where "
+    "the system's loader looks",
+    find=_find,
+    together=_together,
+    coupling=Coupling(refreshed="all"),
+)

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from cosim.report.markup import Pictures, Row, Section, Table, joined, number, paragraph, table
+from cosim.report.markup import Pictures, Section, joined, paragraph, table
 from cosim.report.results import Results
-from hesr_model.metrics import Score
+from cosim.tables.table import ResultTable, TableRow, number, title
 
 _STEPS = (
     ("parfam_v", "parfam_h", "hysteresis state"),
@@ -34,11 +34,11 @@ def section(results: Results, pictures: Pictures) -> Section | None:
         )
         parts.append(
             table(
-                Table(
+                ResultTable(
                     caption=caption,
                     head=("variant", *results.joints),
                     rows=[
-                        Row(head=results.title(law), cells=[number(s.rmse) for s in laws[law]])
+                        TableRow(head=title(law), cells=[number(e) for e in laws[law].rmse])
                         for law in ladder
                     ],
                 )
@@ -48,14 +48,14 @@ def section(results: Results, pictures: Pictures) -> Section | None:
         caption = f"{test}: change of the RMSE when one thing is added; less is better"
         parts.append(
             table(
-                Table(
+                ResultTable(
                     caption=caption,
                     words=(1,),
                     head=("from, to", "adds", *results.joints),
                     rows=[
-                        Row(
-                            head=f"{results.title(a)} → {results.title(b)}",
-                            cells=(what, *_changes(laws[a], laws[b])),
+                        TableRow(
+                            head=f"{title(a)} → {title(b)}",
+                            cells=(what, *_changes(laws[a].rmse, laws[b].rmse)),
                         )
                         for a, b, what in steps
                     ],
@@ -75,7 +75,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     )
 
 
-def _changes(before: Sequence[Score], after: Sequence[Score]) -> list[str]:
-    changes = [100.0 * (b.rmse / a.rmse - 1.0) for a, b in zip(before, after, strict=True)]
+def _changes(before: Sequence[float], after: Sequence[float]) -> list[str]:
+    changes = [100.0 * (b / a - 1.0) for a, b in zip(before, after, strict=True)]
     # Zero has no sign.
     return [f"{c:+.0f} %".replace("-", "−") if round(c) else "0 %" for c in changes]

@@ -1,23 +1,13 @@
 """Passivity audit: whether a law brakes, and what it does at rest and outside of its training."""
 
-from cosim.report.markup import (
-    Cell,
-    Pictures,
-    Row,
-    Section,
-    Table,
-    details,
-    fixed,
-    joined,
-    number,
-    paragraph,
-    table,
-)
+from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
 from cosim.report.results import Results
-from fmu_src.friction.datasheet import audit_rows, audits
+from cosim.tables.laws import audit
+from cosim.tables.table import ResultTable, TableCell, TableRow, fixed, number, title
+from fmu_src.documentation.datasheet import audits
 from hesr_model.errors import SimulationError
-from hesr_model.friction.audit import Audit
-from hesr_model.friction.cycles import ENCODER
+from hesr_model.friction.audit.audit import Audit
+from hesr_model.friction.audit.cycles import ENCODER
 
 _ROUNDING = 1e-6  # [J]
 
@@ -56,7 +46,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                 "give energy are no friction of a simulated plant, whatever their RMSE."
             ),
             table(
-                Table(
+                ResultTable(
                     caption="Most energy that a law gives in a closed cycle [J], and the chatter "
                     "of "
                     f"its torque at rest [{results.unit('N.m')}]",
@@ -66,11 +56,11 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                         *(f"chatter {short}" for short in results.joints),
                     ),
                     rows=[
-                        Row(
-                            head=results.title(law),
+                        TableRow(
+                            head=title(law),
                             cells=[
                                 *(
-                                    Cell(text="none", value=0.0)
+                                    TableCell(text="none", value=0.0)
                                     if passive(a)
                                     else number(a.generated, 2)
                                     for a in of_law
@@ -84,19 +74,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
             ),
             details(
                 "All figures of every law",
-                *(
-                    table(
-                        Table(
-                            caption=f"Audit of {results.title(law)}",
-                            head=("", *results.joints),
-                            rows=[
-                                Row(head=label, cells=cells)
-                                for label, cells in audit_rows(of_law, results.sliding).items()
-                            ],
-                        )
-                    )
-                    for law, of_law in found.items()
-                ),
+                *(table(audit(law, found[law], results.sliding)) for law in found),
             ),
         ),
     )

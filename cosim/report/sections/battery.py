@@ -2,12 +2,13 @@
 
 from markupsafe import Markup
 
-from cosim.report.markup import Pictures, Row, Section, Table, details, joined, paragraph, table
-from cosim.report.results import PAPERS, Results
-from fmu_src.friction.properties_sheet import MARKS
-from fmu_src.friction.properties_sheet import section as sheet
-from hesr_model.friction.expectations import EXPECTATIONS
-from hesr_model.friction.properties import Properties
+from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
+from cosim.report.results import Results
+from cosim.tables.properties import properties
+from cosim.tables.table import PAPERS, title
+from fmu_src.documentation.properties_sheet import section as sheet
+from hesr_model.friction.audit.expectations import EXPECTATIONS
+from hesr_model.friction.audit.properties import Properties
 
 
 def section(results: Results, pictures: Pictures) -> Section | None:
@@ -27,19 +28,9 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                 "joint: "
                 "✓ as the field expects of friction, ✗ not, n/a where the question does not arise."
             ),
-            table(
-                Table(
-                    caption="Which law has which property, a mark for each joint",
-                    head=("law", *(e.title for e in EXPECTATIONS.values())),
-                    rows=[
-                        Row(head=results.title(law), cells=_marks(found))
-                        for law, found in results.properties.items()
-                    ],
-                    numeric=False,
-                )
-            ),
+            table(properties(results.properties, full=True)),
             *(
-                details(f"{results.title(law)}: figures, reasons and plots",
+                details(f"{title(law)}: figures, reasons and plots",
                         _sheet(results, law))
                 for law in shown
             ),
@@ -54,17 +45,6 @@ def passed(found: Properties) -> int:
         all(joint.findings[key].verdict in ("pass", "not applicable") for joint in found.joints)
         for key in EXPECTATIONS
     )
-
-
-def _marks(found: Properties) -> list[Markup]:
-    cells = []
-    for key in EXPECTATIONS:
-        verdicts = [joint.findings[key].verdict for joint in found.joints]
-        same = len(set(verdicts)) == 1 and verdicts[0] in ("not applicable", "not run")
-        shown = verdicts[:1] if same else verdicts
-        marks = (Markup('<span class="{}">{}</span>').format(v, MARKS[v]) for v in shown)
-        cells.append(Markup(" ").join(marks))
-    return cells
 
 
 def _sheet(results: Results, law: str) -> Markup:

@@ -2,21 +2,11 @@
 
 from markupsafe import Markup
 
-from cosim.report.markup import (
-    Pictures,
-    Row,
-    Section,
-    Table,
-    details,
-    joined,
-    number,
-    paragraph,
-    rounded,
-    table,
-)
+from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
 from cosim.report.results import Results
 from cosim.saved import SavedLog
-from hesr_model.rigid_body import RigidBody
+from cosim.tables.table import ResultTable, TableRow, number, rounded
+from hesr_model.rigid_body.identification import RigidBody
 
 _INTERVAL = 1.96
 
@@ -81,13 +71,13 @@ def _figure(results: Results, pictures: Pictures, log: SavedLog) -> Markup:
     )
 
 
-def _parameters(body: RigidBody) -> Table:
-    return Table(
+def _parameters(body: RigidBody) -> ResultTable:
+    return ResultTable(
         caption="Base parameters: m [kg], mx.. [kg.m], Ixx.. and rotor Ir [kg.m²]; each carries "
         "what depends on it",
         head=("parameter", "value", "± 95 %"),
         rows=[
-            Row(
+            TableRow(
                 head=body.names[k],
                 cells=(number(body.parameters[k], 4), number(_INTERVAL * error, 2)),
             )

@@ -1,7 +1,8 @@
 """The robot and its logs."""
 
-from cosim.report.markup import Pictures, Row, Section, Table, joined, number, paragraph, table
+from cosim.report.markup import Pictures, Section, joined, paragraph, table
 from cosim.report.results import Results
+from cosim.tables.table import ResultTable, TableRow, number
 
 
 def section(results: Results, pictures: Pictures) -> Section:
@@ -33,12 +34,12 @@ def section(results: Results, pictures: Pictures) -> Section:
             paragraph(f"Robot {run.robot}, model {run.model}, joints {joints}.{gears}"),
             paragraph(source),
             table(
-                Table(
+                ResultTable(
                     caption="Logs, and what they served for; no log of a test set was trained on",
                     words=(1,),
                     head=("log", "served for", "rows", "duration [s]", "rate [Hz]"),
                     rows=[
-                        Row(
+                        TableRow(
                             head=log.name,
                             cells=(
                                 _roles(log.roles),

@@ -3,21 +3,18 @@
 from markupsafe import Markup
 
 from cosim.report.markup import (
-    Cell,
     Pictures,
-    Row,
     Section,
-    Table,
     details,
     heading,
     joined,
-    number,
     paragraph,
     render,
     table,
 )
-from cosim.report.results import PAPERS, Results
-from fmu_src.friction.mathml import equations, symbol
+from cosim.report.results import Results
+from cosim.tables.table import PAPERS, ResultTable, TableCell, TableRow, number, title
+from fmu_src.documentation.mathml import equations, symbol
 from fmu_src.friction.place import exposed
 from hesr_model.friction.model import FrictionModel
 
@@ -41,9 +38,9 @@ def section(results: Results, pictures: Pictures) -> Section:
         )
     ]
     for law in first:
-        parts += [heading(results.title(law)), _law(results, results.models[law])]
+        parts += [heading(title(law)), _law(results, results.models[law])]
     others = [law for law in results.models if law not in first]
-    parts += [details(results.title(law), _law(results, results.models[law])) for law in others]
+    parts += [details(title(law), _law(results, results.models[law])) for law in others]
     return Section(key="equations", title="Equations", html=joined(*parts))
 
 
@@ -63,22 +60,22 @@ def _law(results: Results, model: FrictionModel) -> Markup:
     return joined(*parts)
 
 
-def _rows(results: Results, model: FrictionModel) -> Table:
+def _rows(results: Results, model: FrictionModel) -> ResultTable:
     coefficients = {c.name: c for law in model.laws for c in law.form.coefficients}
-    return Table(
-        caption=f"Coefficients of {results.title(model.law)}; ± 1.96 standard errors of linearised "
+    return ResultTable(
+        caption=f"Coefficients of {title(model.law)}; ± 1.96 standard errors of linearised "
         "least squares",
         words=(1,),
         head=("coefficient", "unit", *results.joints),
         rows=[
-            Row(
+            TableRow(
                 head=Markup("{} {}").format(Markup(symbol(name)), c.description),
                 cells=(
                     "–" if c.unit == "1" else c.unit,
                     *(
-                        number(law.values[name], 4, beside=_beside(law.standard_errors.get(name)))
+                        number(law.values[name], 4, notes=_notes(law.standard_errors.get(name)))
                         if name in law.values
-                        else Cell(text="–")
+                        else TableCell(text="–")
                         for law in model.laws
                     ),
                 ),
@@ -88,5 +85,5 @@ def _rows(results: Results, model: FrictionModel) -> Table:
     )
 
 
-def _beside(error: float | None) -> str:
-    return f"± {_INTERVAL * error:.2g}" if error is not None else ""
+def _notes(error: float | None) -> tuple[str, ...]:
+    return () if error is None else (f"± {_INTERVAL * error:.2g}",)

@@ -6,8 +6,10 @@ import numpy as np
 
 from cosim.figures.plots import Sheet, sheets
 from cosim.report.markup import Pictures, Section, joined, paragraph
-from cosim.report.results import PAPERS, Results
-from hesr_model.friction.evaluate import Array, predict
+from cosim.report.results import Results
+from cosim.tables.table import PAPERS
+from hesr_model.equations.over_log import Array
+from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
 
 _FREQUENCY = 0.25  # [Hz], of the paper's sine

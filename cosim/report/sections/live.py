@@ -2,15 +2,17 @@
 
 import json
 import re
-import zipfile
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
 from cosim.report.markup import Pictures, Section, joined, paragraph, render
-from cosim.report.results import PAPERS, Results
-from fmu_src.live.page import live_assets, live_section
+from cosim.report.results import Results
+from cosim.tables.table import PAPERS, title
+from fmu_src.archive import Archive
+from fmu_src.documentation.live.page import live_assets, live_section
+from hesr_model.errors import ArtifactError
 
 _PAGE = "documentation/index.html"
 _DATA = re.compile(r'<script type="application/json">(.*?)</script>', re.DOTALL)
@@ -22,7 +24,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     laws = [law for law in dict.fromkeys((results.best, PAPERS, "lugre")) if law in results.models]
     found = {law: live_data(results.folder / "fmus" / f"{law}.fmu") for law in laws}
     lives = [
-        (law, results.title(law), Markup(live_section(data, key=f"live-{law}")))
+        (law, title(law), Markup(live_section(data, key=f"live-{law}")))
         for law, data in found.items()
         if data is not None
     ]
@@ -42,9 +44,9 @@ def section(results: Results, pictures: Pictures) -> Section | None:
 def live_data(fmu: Path) -> dict[str, Any] | None:
     """Return the data of the live section in an FMU's documentation; None where it has none."""
     try:
-        with zipfile.ZipFile(fmu) as archive:
+        with Archive(fmu) as archive:
             page = archive.read(_PAGE).decode("utf-8")
-    except (OSError, KeyError, zipfile.BadZipFile, UnicodeDecodeError):
+    except (ArtifactError, UnicodeDecodeError):
         return None
     match = _DATA.search(page)
     return json.loads(match[1]) if match else None

@@ -4,6 +4,7 @@ from cosim.figures.plots import loops
 from cosim.report.markup import Pictures, Section, details, joined, paragraph
 from cosim.report.results import Results
 from cosim.scoring import ORACLE
+from cosim.tables.table import title
 
 _SPAN = 20.0  # [s] of the log that are drawn; more hide each other
 
@@ -23,7 +24,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
         dq = torques[f"dq{k}"][rows]
         measured = (torques[f"tau{k}"] - torques[f"tau_rb{k}"])[rows]
         laws = {
-            results.title(law): (dq, torques[f"{law}.tau_f{k}"][rows])
+            title(law): (dq, torques[f"{law}.tau_f{k}"][rows])
             for law in (*results.laws, ORACLE)
             if f"{law}.tau_f{k}" in torques
         }

@@ -4,8 +4,9 @@ from importlib.metadata import version
 
 from markupsafe import Markup
 
-from cosim.report.markup import Pictures, Row, Section, Table, details, joined, paragraph, table
+from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
 from cosim.report.results import Results
+from cosim.tables.table import ResultTable, TableRow
 
 
 def section(results: Results, pictures: Pictures) -> Section:
@@ -34,11 +35,11 @@ def section(results: Results, pictures: Pictures) -> Section:
             details(
                 "Hashes of the files",
                 table(
-                    Table(
+                    ResultTable(
                         caption="SHA-256 of what the results come from",
                         head=("file", "SHA-256"),
                         rows=[
-                            Row(head=name, cells=[Markup("<code>{}</code>").format(digest)])
+                            TableRow(head=name, cells=[Markup("<code>{}</code>").format(digest)])
                             for name, digest in files
                         ],
                         numeric=False,

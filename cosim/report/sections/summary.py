@@ -7,14 +7,17 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from cosim.closed_loop import Scheme, StandIn
 from cosim.figures.plots import Interval, ratios
-from cosim.report.markup import Pictures, decimals, joined, paragraph, render
-from cosim.report.results import PAPERS, Results
+from cosim.health import read_findings
+from cosim.report.markup import Pictures, joined, paragraph, render
+from cosim.report.results import Results
 from cosim.report.sections.audit import audited, passive
 from cosim.report.sections.battery import passed
 from cosim.report.sections.tracking import of_scheme, outer
 from cosim.scoring import ORACLE
-from hesr_model.friction.expectations import EXPECTATIONS
+from cosim.tables.table import PAPERS, decimals, title
+from hesr_model.friction.audit.expectations import EXPECTATIONS
 
 _FEW = 3  # joints whose figures stand side by side
 
@@ -34,6 +37,7 @@ def summary(results: Results, pictures: Pictures) -> Markup:
         t for t in (_error(results), _paper(results), _tracking(results), _physics(results)) if t
     ]
     return joined(
+        _warnings(results),
         paragraph(_done(results)),
         *(
             paragraph(f"The law {law} was left out: {why}")
@@ -44,6 +48,19 @@ def summary(results: Results, pictures: Pictures) -> Markup:
         Markup("<ul>{}</ul>").format(
             Markup("").join(Markup("<li>{}</li>").format(said) for said in _honest(results))
         ),
+    )
+
+
+def _warnings(results: Results) -> Markup:
+    """Say what the checks found, above all else."""
+    findings = read_findings(results.folder)
+    if not findings:
+        return Markup()
+    return Markup('<ul class="warnings">{}</ul>').format(
+        Markup("").join(
+            Markup('<li><strong class="fail">Warning.</strong> {}</li>').format(finding.sentence)
+            for finding in findings
+        )
     )
 
 
@@ -76,31 +93,31 @@ def _over(results: Results) -> str:
 
 def _error(results: Results) -> Tile:
     scores = results.comparisons[results.tests[0]].laws
-    best = [s.rmse for s in scores[results.best]]
-    text = f"error of {results.title(results.best)}, the best law on ‘{results.tests[0]}’"
+    best = scores[results.best].rmse
+    text = f"error of {title(results.best)}, the best law on ‘{results.tests[0]}’"
     if "stribeck" in scores and results.best != "stribeck":
-        text += f"; Stribeck {_listed([s.rmse for s in scores['stribeck']])}"
+        text += f"; Stribeck {_listed(scores['stribeck'].rmse)}"
     if ORACLE in scores:
-        text += f"; the true friction {_listed([s.rmse for s in scores[ORACLE]])}"
+        text += f"; the true friction {_listed(scores[ORACLE].rmse)}"
     return Tile(figure=_listed(best), unit=results.unit("N.m"), text=f"{text} ({_over(results)})")
 
 
 def _paper(results: Results) -> Tile | None:
-    scores = results.comparisons[results.tests[0]]
-    if PAPERS not in scores.ratios:
+    scores = results.comparisons[results.tests[0]].ratios
+    if PAPERS not in scores.laws:
         return None
-    found = scores.ratios[PAPERS]
+    found = scores.laws[PAPERS]
     return Tile(
         figure=_listed([r.value for r in found]),
-        unit=f"× {results.title(scores.reference)}",
-        text=f"error of the paper’s {results.title(PAPERS)} relative to a "
-        f"{results.title(scores.reference)} that is fitted with the same care: {_verdict(results)}",
+        unit=f"× {title(scores.reference)}",
+        text=f"error of the paper’s {title(PAPERS)} relative to a "
+        f"{title(scores.reference)} that is fitted with the same care: {_verdict(results)}",
     )
 
 
 def _verdict(results: Results) -> str:
     """Say on how many joints the paper's law is better or worse, by the intervals."""
-    found = results.comparisons[results.tests[0]].ratios[PAPERS]
+    found = results.comparisons[results.tests[0]].ratios.laws[PAPERS]
     better = [j for j, r in zip(results.joints, found, strict=True) if r.high < 1.0]
     worse = [j for j, r in zip(results.joints, found, strict=True) if r.low > 1.0]
     alike = [j for j in results.joints if j not in (*better, *worse)]
@@ -111,14 +128,14 @@ def _verdict(results: Results) -> str:
 def _tracking(results: Results) -> Tile | None:
     if results.loop is None:
         return None
-    rows = of_scheme(results, outer(results, "servo_inversion"))
+    rows = of_scheme(results, outer(results, Scheme(compensation="servo_inversion")))
     law = results.best if results.best in rows else next(iter(rows))
-    body = rows.get("(rigid body only)")
+    body = rows.get(StandIn.BODY_ONLY)
     beside = f"; with the rigid body alone {_listed(1e3 * body.mean, 2)}" if body else ""
     return Tile(
         figure=_listed(1e3 * rows[law].mean, 2),
         unit="mrad",
-        text=f"tracking error with {results.title(law)} through the servo’s inverse{beside}",
+        text=f"tracking error with {title(law)} through the servo’s inverse{beside}",
     )
 
 
@@ -129,20 +146,20 @@ def _physics(results: Results) -> Tile | None:
     good = [law for law, of_law in found.items() if all(map(passive, of_law))]
     text = "laws never give energy on the closed cycles that were tried"
     if PAPERS in found and PAPERS not in good:
-        text += f"; the paper’s {results.title(PAPERS)} does"
+        text += f"; the paper’s {title(PAPERS)} does"
     return Tile(figure=f"{len(good)} of {len(found)}", unit="", text=text)
 
 
 def _picture(results: Results, pictures: Pictures) -> Markup:
     test = results.tests[0]
-    scores = results.comparisons[test]
-    if not scores.ratios:
+    scores = results.comparisons[test].ratios
+    if not scores.laws:
         return Markup()
     laws = {
-        results.title(law): [Interval(value=r.value, low=r.low, high=r.high) for r in row]
-        for law, row in scores.ratios.items()
+        title(law): [Interval(value=r.value, low=r.low, high=r.high) for r in row]
+        for law, row in scores.laws.items()
     }
-    reference = results.title(scores.reference)
+    reference = title(scores.reference)
     return pictures.figure(
         "ratios",
         ratios(laws, results.joints, x=f"RMSE / RMSE of {reference}"),
@@ -162,19 +179,19 @@ def _honest(results: Results) -> list[str]:
             "so laws of that kind are at home on it; measured robots may rank the laws otherwise."
         )
     if ORACLE in scores.laws:
-        floor = [s.rmse for s in scores.laws[ORACLE]]
-        best = [s.rmse for s in scores.laws[results.best]]
+        floor = scores.laws[ORACLE].rmse
+        best = scores.laws[results.best].rmse
         above = 100.0 * float(np.mean(np.divide(best, floor)) - 1.0)
         said.append(
             f"Noise and the rigid body’s own error leave {_listed(floor)} {results.unit('N.m')} to "
-            f"any law; {results.title(results.best)} is {above:.0f}\u00a0% above that on average."
+            f"any law; {title(results.best)} is {above:.0f}\u00a0% above that on average."
         )
     if PAPERS in results.properties:
         counts = {law: passed(found) for law, found in results.properties.items()}
         most = max(counts, key=lambda law: counts[law])
         said.append(
             f"Of the {len(EXPECTATIONS)} properties of friction the paper’s law has "
-            f"{counts[PAPERS]} on all joints; the most are had by {results.title(most)}, "
+            f"{counts[PAPERS]} on all joints; the most are had by {title(most)}, "
             f"{counts[most]}. A small RMSE does not make a law friction."
         )
     if results.loop:

@@ -8,6 +8,7 @@ from cosim.figures.chart import Chart, Line, Panel
 from cosim.figures.style import MEASURED, strokes
 from cosim.report.results import Results
 from cosim.saved import SavedLog
+from cosim.tables.table import title
 
 
 def torque_chart(
@@ -36,7 +37,7 @@ def torque_chart(
                     lines=(
                         Line(name="measured", x=t, y=measured, stroke=MEASURED),
                         *(
-                            Line(name=results.title(law), x=t, y=tau, stroke=styles[law])
+                            Line(name=title(law), x=t, y=tau, stroke=styles[law])
                             for law, tau in predicted.items()
                         ),
                     ),
@@ -46,7 +47,7 @@ def torque_chart(
                     title="",
                     y=f"|error| [{results.unit('N.m', k - 1)}]",
                     lines=tuple(
-                        Line(name=results.title(law), x=t, y=np.abs(tau - measured),
+                        Line(name=title(law), x=t, y=np.abs(tau - measured),
                              stroke=styles[law])
                         for law, tau in predicted.items()
                     ),

@@ -1,40 +1,34 @@
 """The closed loop: controller (Fig. 6), Table III beside the paper's, traces (Fig. 7)."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from markupsafe import Markup
 
-from cosim.closed_loop import BODY_ONLY, ORACLE, VELOCITY_ONLY
+from cosim.closed_loop import Scheme, StandIn
 from cosim.report import paper
 from cosim.report.markup import (
-    Cell,
     Pictures,
-    Row,
     Section,
-    Table,
-    decimals,
     details,
-    fixed,
     heading,
     joined,
     paragraph,
     render,
     table,
 )
-from cosim.report.results import PAPERS, Results
+from cosim.report.results import Results
+from cosim.tables.loop import mrad, places, tracking
+from cosim.tables.table import ResultTable, TableCell, TableRow, named, title
 
 if TYPE_CHECKING:
+    from cosim.studies.traces import Trace
     from cosim.studies.tracking import Tracked
 
-_OWN = "torque_error"  # the paper's scheme
-_INVERSE = "servo_inversion"
-_NAMES = {
-    "none": "velocity command only",
-    _OWN: "torque error (the paper’s scheme)",
-    _INVERSE: "servo inversion",
-}
+_OWN, _INVERSE = Scheme(compensation="torque_error"), Scheme(compensation="servo_inversion")
+_NONE = Scheme(compensation="none")
 
 
 def section(results: Results, pictures: Pictures) -> Section | None:
@@ -46,7 +40,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
             "The arm itself as a co-simulation: trajectory, rigid body, friction, controller and "
             "the "
             "MuJoCo arm, each an FMU of native C. "
-            f"{results.loop.tables[0].rmse.shape[0]} random Fourier motions; errors are those of "
+            f"{results.loop.tracking[0].rmse.shape[0]} random Fourier motions; errors are those of "
             "the true position."
         ),
         _diagram(pictures),
@@ -71,28 +65,15 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     return Section(key="tracking", title="Tracking in closed loop", html=joined(*parts))
 
 
-def mrad(value: float, places: int, *, best: bool = False) -> Cell:
-    """Return the cell of an angle in mrad; a run that failed has none."""
-    if not np.isfinite(value):
-        return Cell(text="stopped")
-    return fixed(1e3 * value, places, best=best)
-
-
-def _places(rows: "Iterable[Tracked]") -> list[int]:
-    """Return the decimals of each column of angles."""
-    laws = [row.mean for row in rows if row.law != ORACLE]
-    return [decimals(1e3 * np.array(column), 2) for column in zip(*laws, strict=True)]
-
-
-def of_scheme(results: Results, scheme: str) -> "dict[str, Tracked]":
+def of_scheme(results: Results, scheme: Scheme) -> "dict[str, Tracked]":
     """Return the rows of a scheme by law."""
-    tables = results.loop.tables if results.loop else ()
-    return {row.law: row for row in tables if row.scheme == scheme}
+    rows = results.loop.tracking if results.loop else ()
+    return {row.law: row for row in rows if row.scheme == scheme}
 
 
-def outer(results: Results, scheme: str) -> str:
-    """Return the name of a scheme with the outer position loop."""
-    return f"{scheme}, Kx = {results.run.controller['Kx']:g}"
+def outer(results: Results, scheme: Scheme) -> Scheme:
+    """Return a scheme with the outer position loop."""
+    return replace(scheme, Kx=results.run.controller["Kx"])
 
 
 def _diagram(pictures: Pictures) -> Markup:
@@ -110,55 +91,48 @@ def _diagram(pictures: Pictures) -> Markup:
     )
 
 
-def _beside_paper(results: Results) -> Table:
-    rows = of_scheme(results, _OWN) | {
-        law: row for law, row in of_scheme(results, "none").items() if law == VELOCITY_ONLY
-    }
+def _beside_paper(results: Results) -> ResultTable:
+    rows = _with_command(results, _OWN, _NONE)
     with_paper = results.run.robot == paper.ROBOT
     best = _best(rows)
-    table_rows = []
-    for law in _ordered(rows):
-        own = [
-            Cell(text="") if v is None else mrad(v, 1)
-            for v in paper.TABLE_III.get(law, (None,) * 3)
-        ]
-        here = [mrad(v, 1, best=v == b) for v, b in zip(rows[law].mean, best, strict=True)]
-        table_rows.append(
-            Row(
-                head=named(results, law),
-                cells=[*(own if with_paper else ()), *here],
-                quiet=law in (ORACLE, VELOCITY_ONLY),
-            )
-        )
     beside = [f"paper {short}" for short in results.joints] if with_paper else []
-    return Table(
+    none = (None,) * len(beside)
+    return ResultTable(
         caption="Tracking: RMSE [mrad], mean over the motions, torque error scheme",
         head=("torque model", *beside, *results.joints),
-        rows=table_rows,
+        rows=[
+            TableRow(
+                head=named(law),
+                cells=[
+                    *(
+                        TableCell(text="") if v is None else mrad(v, 1)
+                        for v in (paper.TABLE_III.get(law, none) if with_paper else ())
+                    ),
+                    *(mrad(v, 1, best=v == b) for v, b in zip(rows[law].mean, best, strict=True)),
+                ],
+                quiet=law in _BOUNDS,
+            )
+            for law in _ordered(rows)
+        ],
     )
 
 
-def _inverse(results: Results) -> Table:
-    bare, looped = (
-        of_scheme(results, _INVERSE),
-        of_scheme(results, outer(results, _INVERSE)),
-    )
-    bare |= {k: v for k, v in of_scheme(results, "none").items() if k == VELOCITY_ONLY}
-    looped |= {k: v for k, v in of_scheme(results, outer(results, "none")).items()
-               if k == VELOCITY_ONLY}  # fmt: skip
-    columns = [(rows, _best(rows), _places(rows.values())) for rows in (bare, looped)]
-    return Table(
+def _inverse(results: Results) -> ResultTable:
+    bare = _with_command(results, _INVERSE, _NONE)
+    looped = _with_command(results, outer(results, _INVERSE), outer(results, _NONE))
+    columns = [(rows, _best(rows), places(rows.values())) for rows in (bare, looped)]
+    return ResultTable(
         caption="Tracking: RMSE [mrad], mean over the motions, servo inversion",
         head=("torque model", *results.joints, *(f"{j} with loop" for j in results.joints)),
         rows=[
-            Row(
-                head=named(results, law),
+            TableRow(
+                head=named(law),
                 cells=[
                     mrad(v, n, best=v == b)
-                    for rows, best, places in columns
-                    for v, b, n in zip(rows[law].mean, best, places, strict=True)
+                    for rows, best, digits in columns
+                    for v, b, n in zip(rows[law].mean, best, digits, strict=True)
                 ],
-                quiet=law in (ORACLE, VELOCITY_ONLY),
+                quiet=law in _BOUNDS,
             )
             for law in _ordered(bare)
             if law in looped
@@ -166,65 +140,63 @@ def _inverse(results: Results) -> Table:
     )
 
 
+def _with_command(results: Results, scheme: Scheme, none: Scheme) -> "dict[str, Tracked]":
+    """Return the rows of a scheme by law, and that of the velocity command alone."""
+    command = of_scheme(results, none)[StandIn.VELOCITY_ONLY]
+    return of_scheme(results, scheme) | {StandIn.VELOCITY_ONLY: command}
+
+
+_BOUNDS = (StandIn.ORACLE, StandIn.VELOCITY_ONLY)
+
+
 def _ordered(rows: "dict[str, Tracked]") -> list[str]:
     """Return laws between what needs none of them: the rigid body first, the truth last."""
-    last = (ORACLE, VELOCITY_ONLY)
-    laws = [law for law in rows if law not in (BODY_ONLY, *last)]
-    return [law for law in (BODY_ONLY, *laws, *last) if law in rows]
+    laws = [law for law in rows if law not in set(StandIn)]
+    return [law for law in (StandIn.BODY_ONLY, *laws, *_BOUNDS) if law in rows]
 
 
 def _best(rows: "dict[str, Tracked]") -> list[float]:
-    laws = [row.mean for law, row in rows.items() if not law.startswith("(")]
+    laws = [row.mean for law, row in rows.items() if law not in set(StandIn)]
     return list(np.nanmin(laws, axis=0)) if laws else []
 
 
-def named(results: Results, law: str) -> str:
-    """Return what stands in the place of a torque model in words."""
-    if law == PAPERS:
-        return f"{results.title(law)} (the paper’s)"
-    return "true friction and rigid body" if law == ORACLE else results.title(law)
-
-
-def scheme_name(name: str) -> str:
-    """Return the name of a scheme in words."""
-    first, *more = name.split(", ")
-    return ", ".join((_NAMES.get(first, first), *more))
-
-
-def _figure(results: Results, pictures: Pictures, scheme: str) -> Markup:
+def _figure(results: Results, pictures: Pictures, scheme: Scheme) -> Markup:
     from cosim.figures.chart import Chart, Line, Panel
     from cosim.figures.style import DESIRED, SOFT, Stroke, strokes
 
-    named = [BODY_ONLY, *(law for law in results.key_laws if law not in ("stribeck", "parfam_v"))]
-    paths = {law: results.paths[scheme, law] for law in named if (scheme, law) in results.paths}
+    key_laws = [law for law in results.key_laws if law not in ("stribeck", "parfam_v")]
+    paths = {
+        law: results.paths[scheme, law]
+        for law in (StandIn.BODY_ONLY, *key_laws)
+        if (scheme, law) in results.paths
+    }
     if not paths:
         return Markup()
-    styles = {BODY_ONLY: Stroke(colour=SOFT), **strokes(results.key_laws)}
+    styles = {StandIn.BODY_ONLY: Stroke(colour=SOFT), **strokes(results.key_laws)}
     first = next(iter(paths.values()))
+    whole = [(law, path) for law, path in paths.items() if len(path.t) == len(first.t)]
+
+    def lines(values: "Callable[[Trace], np.ndarray]", joint: int) -> list[Line]:
+        return [
+            Line(name=title(law), x=first.t, y=values(path)[:, joint], stroke=styles[law])
+            for law, path in whole
+        ]
+
     rows = []
     for k, short in enumerate(results.joints):
-        lines = [
-            Line(name=results.title(law), x=first.t, y=1e3 * np.abs(path.q - path.q_d)[:, k],
-                 stroke=styles[law])
-            for law, path in paths.items()
-            if len(path.t) == len(first.t)
-        ]  # fmt: skip
-        actual = [
-            Line(name=results.title(law), x=first.t, y=path.q[:, k], stroke=styles[law])
-            for law, path in paths.items()
-            if len(path.t) == len(first.t)
-        ]
         desired = Line(name="desired", x=first.t, y=first.q_d[:, k], stroke=DESIRED)
+        position = (*lines(lambda path: path.q, k), desired)
+        error = tuple(lines(lambda path: 1e3 * np.abs(path.q - path.q_d), k))
         rows.append(
             (
-                Panel(title=short, y="q [rad]", lines=(*actual, desired)),
-                Panel(title="", y="|error| [mrad]", lines=tuple(lines)),
+                Panel(title=short, y="q [rad]", lines=position),
+                Panel(title="", y="|error| [mrad]", lines=error),
             )
         )
     return pictures.chart(
-        f"tracking_{scheme}",
+        f"tracking_{scheme.name}",
         Chart(x="t [s]", rows=tuple(rows), height=1.4),
-        f"The first motion under {scheme_name(scheme)}: position (left) and absolute error "
+        f"The first motion under {scheme.title}: position (left) and absolute error "
         "(right), as Fig. 7 of the paper. On the scale of the motion most lines lie on each other; "
         "the error tells them apart.",
         alt="Position over time of each joint, desired and tracked, and beside it the absolute "
@@ -236,31 +208,12 @@ def _more(results: Results) -> list[Markup]:
     loop = results.loop
     if loop is None:
         return []
-    measured = [row for row in loop.tables if "friction of" in row.scheme]
+    measured = [row for row in loop.tracking if row.scheme.source != "desired"]
     parts = []
     if measured:
         caption = "RMSE [mrad] with friction evaluated on measured or filtered velocity"
-        parts.append(table(_plain(results, caption, measured, end=False)))
+        parts.append(table(tracking(caption, measured)))
     if loop.long:
         minutes = results.run.controller["drift"]
-        caption = f"One motion of {minutes:g} s: RMSE [mrad]; small: mean error of its last tenth"
-        parts.append(table(_plain(results, caption, loop.long, end=True)))
+        parts.append(table(tracking(f"One motion of {minutes:g} s: RMSE [mrad]", loop.long)))
     return parts
-
-
-def _plain(results: Results, caption: str, rows: "Sequence[Tracked]", *, end: bool) -> Table:
-    table_rows, places = [], _places(rows)
-    for scheme in dict.fromkeys(row.scheme for row in rows):
-        table_rows.append(Row(head=scheme_name(scheme)))
-        for row in rows:
-            if row.scheme == scheme:
-                cells = [mrad(v, n) for v, n in zip(row.mean, places, strict=True)]
-                if end:
-                    cells = [
-                        Cell(text=c.text, value=c.value, beside=f"({1e3 * e:.3g})")
-                        if c.value is not None
-                        else c
-                        for c, e in zip(cells, row.last[0], strict=True)
-                    ]
-                table_rows.append(Row(head=named(results, row.law), cells=cells))
-    return Table(caption=caption, head=("torque model", *results.joints), rows=table_rows)

@@ -23,17 +23,17 @@ from cosim.studies.properties.presliding import memory, presliding
 from cosim.studies.properties.scale import Scale, measure_scale
 from cosim.studies.properties.sliding import chatter, lag, work
 from cosim.studies.properties.stick_slip import stick_slip
-from fmu_src.drive.export import export_drive
-from fmu_src.friction.export import export_bare
+from fmu_src.drive.drive_fmu import export_drive
+from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.reference import UNKNOWN_SPEED
-from hesr_model import parallel
 from hesr_model.errors import ConfigError, SimulationError
-from hesr_model.friction.audit import loads_of
-from hesr_model.friction.expectations import EXPECTATIONS
+from hesr_model.friction.audit.audit import loads_of
+from hesr_model.friction.audit.expectations import EXPECTATIONS
+from hesr_model.friction.audit.properties import Figure, Finding, JointProperties, Properties
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.properties import Figure, Finding, JointProperties, Properties
 from hesr_model.friction.trained import TrainedRange
-from hesr_model.progress import Progress, counted, unheard
+from hesr_model.support import parallel
+from hesr_model.support.progress import Progress, counted, unheard
 
 _SAMPLE_TIME = 5e-3  # [s] of FMUs that do not say theirs
 _DRIVEN: Mapping[str, Callable[[DriveBench, Scale], list[Finding]]] = {
@@ -91,8 +91,8 @@ def run_battery(
     for subject in subjects:
         _require_inertia(subject)
     jobs = [partial(measure, subject, load=load) for subject in subjects]
-    with parallel.begun(jobs, workers) as results:
-        return [result() for result in counted(results, progress)]
+    with parallel.results_of(jobs, workers) as results:
+        return [next(results) for _ in counted(jobs, progress)]
 
 
 def measure(subject: Subject, *, load: float = 0.0) -> Properties:
@@ -168,7 +168,7 @@ def _moved(
     """Do all that needs a friction FMU only, and say why the rest is not done."""
     n = bench.joints
     laws = model.laws if model else (None,) * n
-    states = [None if law is None else len(law.form.relaxations) for law in laws]
+    states = [None if law is None else len(law.form.memory) for law in laws]
     loads = [
         (scale.load,) if law is None else loads_of(law, one)
         for law, one in zip(laws, seen, strict=True)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from cosim.batch import Array
-from cosim.component import Component
+from cosim.slave import Component
 from hesr_model.errors import SimulationError
-from hesr_model.friction.functions import INPUTS
+from hesr_model.friction.inputs import INPUTS
 
 DISCRETISATION = "discretisation"
 _EXACT = 1.0

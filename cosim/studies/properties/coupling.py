@@ -7,8 +7,8 @@ from cosim.studies.properties.bench import FrictionBench
 from cosim.studies.properties.curves import curve
 from cosim.studies.properties.scale import SLIDING, Scale
 from hesr_model.errors import SimulationError
-from hesr_model.friction.expectations import STEP
-from hesr_model.friction.properties import Figure, Finding, Plot
+from hesr_model.friction.audit.expectations import STEP
+from hesr_model.friction.audit.properties import Figure, Finding, Plot
 
 LEAST, MOST = 5e-5, 0.1
 """Steps between which the largest one is looked for [s]."""

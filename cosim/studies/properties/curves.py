@@ -3,7 +3,7 @@
 import numpy as np
 
 from cosim.batch import Array
-from hesr_model.friction.properties import Curve
+from hesr_model.friction.audit.properties import Curve
 
 
 def curve(label: str, x: Array, y: Array, *, closed: bool = False, most: int = 80) -> Curve:

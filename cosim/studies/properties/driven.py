@@ -6,8 +6,8 @@ from cosim.batch import Array
 from cosim.studies.properties.bench import DriveBench
 from cosim.studies.properties.curves import curve
 from cosim.studies.properties.scale import Scale
-from hesr_model.friction.expectations import FALLS, HELD
-from hesr_model.friction.properties import Figure, Finding, Plot
+from hesr_model.friction.audit.expectations import FALLS, HELD
+from hesr_model.friction.audit.properties import Figure, Finding, Plot
 
 RAMPS = (10.0, 3.0, 1.0, 0.3)
 """Times in which ramps of torque reach the friction level [s]."""

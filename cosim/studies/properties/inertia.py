@@ -6,8 +6,8 @@ import numpy as np
 
 from cosim.batch import Array
 from hesr_model.friction.model import FrictionModel
-from hesr_model.rigid_body import RigidBody
-from hesr_model.robot import RobotModel
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import RobotModel
 
 INERTIA: Mapping[str, tuple[float, ...]] = {"uf850": (3.0, 3.0, 0.6)}
 """Inertia of the joints of robots that come with HESR, the others at rest [kg.m2]."""

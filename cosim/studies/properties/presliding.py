@@ -8,8 +8,8 @@ from cosim.batch import Array
 from cosim.studies.properties.bench import FrictionBench
 from cosim.studies.properties.curves import curve
 from cosim.studies.properties.scale import Scale
-from hesr_model.friction.expectations import CLOSED, INNER, RATE, SMOOTH
-from hesr_model.friction.properties import Figure, Finding, Plot
+from hesr_model.friction.audit.expectations import CLOSED, INNER, RATE, SMOOTH
+from hesr_model.friction.audit.properties import Figure, Finding, Plot
 
 PERIOD, SLOW_PERIOD = 4.0, 40.0
 """Of the loops [s]."""

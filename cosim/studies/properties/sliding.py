@@ -6,7 +6,7 @@ from cosim.batch import Array
 from cosim.studies.properties.bench import FrictionBench
 from cosim.studies.properties.curves import curve
 from cosim.studies.properties.scale import Scale
-from hesr_model.friction.cycles import (
+from hesr_model.friction.audit.cycles import (
     AMPLITUDES,
     FREQUENCIES,
     ClosedMotions,
@@ -15,8 +15,8 @@ from hesr_model.friction.cycles import (
     cycles,
     encoder_noise,
 )
-from hesr_model.friction.expectations import PASSIVE, QUIET, WIDTH
-from hesr_model.friction.properties import Figure, Finding, Plot
+from hesr_model.friction.audit.expectations import PASSIVE, QUIET, WIDTH
+from hesr_model.friction.audit.properties import Figure, Finding, Plot
 from hesr_model.friction.trained import TrainedRange
 
 _SLOWEST, _FASTEST = 0.01, 0.11  # of the one-way motion, as shares of the trained speed

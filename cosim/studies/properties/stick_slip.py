@@ -6,8 +6,8 @@ from cosim.batch import Array
 from cosim.studies.properties.bench import DriveBench
 from cosim.studies.properties.curves import curve
 from cosim.studies.properties.scale import CREEP, Scale
-from hesr_model.friction.expectations import WEAKENING
-from hesr_model.friction.properties import Figure, Finding, Plot
+from hesr_model.friction.audit.expectations import WEAKENING
+from hesr_model.friction.audit.properties import Figure, Finding, Plot
 
 STRETCH = 0.2
 """Stretch of the spring under the friction level [rad]."""

@@ -9,7 +9,7 @@ from small_fmus import LAGS
 from small_study import Hesr, hesr_here
 
 from cosim.closed_loop import Scheme
-from cosim.package.contents import Contents, read_contents
+from cosim.package.contents import SystemContents, read_contents
 from cosim.system import ComponentSpec, SystemSpec
 from fmu_src.blocks.trajectory import start_values
 
@@ -38,14 +38,14 @@ def lags(tmp_path: Path, lag_fmu: Path) -> Write:
 
 
 @pytest.fixture(scope="session")
-def closed(bench: Bench) -> Contents:
+def closed(bench: Bench) -> SystemContents:
     """The whole loop with models fed forward through the servo's inverse."""
     spec = bench.system(bench.loop(Scheme(compensation="servo_inversion", Kx=5.0)))
     return read_contents(spec.model_copy(update={"name": "closed"}), Path("closed.toml"))
 
 
 @pytest.fixture(scope="session")
-def opened(bench: Bench) -> Contents:
+def opened(bench: Bench) -> SystemContents:
     """A motion that feeds friction."""
     spec = SystemSpec(
         name="open",
@@ -62,6 +62,6 @@ def opened(bench: Bench) -> Contents:
 
 
 @pytest.fixture(params=["opened", "closed"], ids=["open", "closed"])
-def either(request: pytest.FixtureRequest) -> Contents:
-    found: Contents = request.getfixturevalue(request.param)
+def either(request: pytest.FixtureRequest) -> SystemContents:
+    found: SystemContents = request.getfixturevalue(request.param)
     return found

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.component import Component
-from cosim.package.contents import Contents
+from cosim.package.contents import SystemContents
+from cosim.slave import Component
 from cosim.wiring import Element
 
 Array = NDArray[np.float64]
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 class Slaves:
     """The FMUs of a system, loaded."""
 
-    contents: Contents
+    contents: SystemContents
     slaves: dict[str, Component]
 
     def start(self, between: Callable[[], None] = lambda: None) -> None:
@@ -43,7 +43,7 @@ class Slaves:
 
 
 @contextmanager
-def loaded(contents: Contents) -> Iterator[Slaves]:
+def loaded(contents: SystemContents) -> Iterator[Slaves]:
     with ExitStack() as cleanup:
         slaves = {
             c.name: cleanup.enter_context(Component(c.fmu, name=c.name))
@@ -52,7 +52,7 @@ def loaded(contents: Contents) -> Iterator[Slaves]:
         yield Slaves(contents=contents, slaves=slaves)
 
 
-def refreshed(contents: Contents, observed: list[Element], steps: int) -> Array:
+def refreshed(contents: SystemContents, observed: list[Element], steps: int) -> Array:
     """Step all, then pass values on in the order in which they become known: FMPy's container.
 
     What a step gives is read only after all that is passed on before, so an output with direct
@@ -75,7 +75,7 @@ def refreshed(contents: Contents, observed: list[Element], steps: int) -> Array:
     return np.array(rows)
 
 
-def delayed(contents: Contents, observed: list[Element], steps: int) -> Array:
+def delayed(contents: SystemContents, observed: list[Element], steps: int) -> Array:
     """Inputs are the outputs of the step before, zero in the first step: FMPy's SSP runner.
 
     Nothing is passed on in the initialisation. Returns the observed values after each step.

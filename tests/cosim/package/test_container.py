@@ -11,9 +11,9 @@ import pytest
 from couplings import error, refreshed
 from fmpy.model_description import read_model_description
 
-from cosim.component import Component
 from cosim.package.container import write_container
-from cosim.package.contents import Contents, read_contents
+from cosim.package.contents import SystemContents, read_contents
+from cosim.slave import Component
 from cosim.system import SystemSpec
 from fmu_src.check import check
 from hesr_model.errors import ConfigError, ExportError, SimulationError
@@ -28,7 +28,7 @@ ENUMERATION = """<TypeDefinitions><SimpleType name="Kind"><Enumeration>
 
 @pytest.fixture(scope="session")
 def containers(
-    opened: Contents, closed: Contents, tmp_path_factory: pytest.TempPathFactory
+    opened: SystemContents, closed: SystemContents, tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("containers")
     return {
@@ -36,11 +36,11 @@ def containers(
     }
 
 
-def names(contents: Contents) -> list[str]:
+def names(contents: SystemContents) -> list[str]:
     return [".".join(element) for element in contents.wiring.observed]
 
 
-def run(fmu: Component, contents: Contents, steps: int = STEPS, **start: float) -> np.ndarray:
+def run(fmu: Component, contents: SystemContents, steps: int = STEPS, **start: float) -> np.ndarray:
     outputs, step = fmu.batch(names(contents)), contents.spec.step
     fmu.initialise(start={name.replace("__", "."): value for name, value in start.items()})
     rows = [outputs.read().copy()]
@@ -51,7 +51,7 @@ def run(fmu: Component, contents: Contents, steps: int = STEPS, **start: float) 
 
 
 def test_ten_seconds_are_those_of_its_coupling(
-    either: Contents, containers: dict[str, Path]
+    either: SystemContents, containers: dict[str, Path]
 ) -> None:
     expected = refreshed(either, either.wiring.observed, STEPS)
     with Component(containers[either.spec.name]) as fmu:
@@ -60,7 +60,7 @@ def test_ten_seconds_are_those_of_its_coupling(
     assert np.abs(np.diff(found, axis=0)).max() > 1e-3
 
 
-def test_the_arm_follows_its_motion(closed: Contents, containers: dict[str, Path]) -> None:
+def test_the_arm_follows_its_motion(closed: SystemContents, containers: dict[str, Path]) -> None:
     """The coupling loses nothing that matters: 7 mrad, as when the FMUs are stepped in order."""
     with Component(containers["closed"]) as fmu:
         rows = run(fmu, closed)
@@ -68,7 +68,9 @@ def test_the_arm_follows_its_motion(closed: Contents, containers: dict[str, Path
     assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.008
 
 
-def test_one_long_step_is_many_short_ones(closed: Contents, containers: dict[str, Path]) -> None:
+def test_one_long_step_is_many_short_ones(
+    closed: SystemContents, containers: dict[str, Path]
+) -> None:
     with Component(containers["closed"]) as fmu:
         expected = run(fmu, closed, 200)[-1]
         fmu.reset()
@@ -78,7 +80,7 @@ def test_one_long_step_is_many_short_ones(closed: Contents, containers: dict[str
 
 
 def test_a_reset_and_a_second_instance_begin_anew(
-    opened: Contents, containers: dict[str, Path]
+    opened: SystemContents, containers: dict[str, Path]
 ) -> None:
     with Component(containers["open"]) as fmu, Component(containers["open"]) as other:
         expected = run(fmu, opened, 100)
@@ -88,7 +90,7 @@ def test_a_reset_and_a_second_instance_begin_anew(
 
 
 def test_start_values_are_kept_and_can_be_changed(
-    opened: Contents, containers: dict[str, Path]
+    opened: SystemContents, containers: dict[str, Path]
 ) -> None:
     about = read_model_description(containers["open"])
     variables = {v.name: v for v in about.modelVariables}
@@ -109,7 +111,7 @@ def test_start_values_are_kept_and_can_be_changed(
     np.testing.assert_array_equal(found, refreshed(other, other.wiring.observed, 200))
 
 
-def test_what_it_shows(closed: Contents, containers: dict[str, Path]) -> None:
+def test_what_it_shows(closed: SystemContents, containers: dict[str, Path]) -> None:
     about = read_model_description(containers["closed"])
     shown = {causality: {v.name for v in about.modelVariables if v.causality == causality}
              for causality in ("input", "output", "parameter", "local")}  # fmt: skip
@@ -121,7 +123,7 @@ def test_what_it_shows(closed: Contents, containers: dict[str, Path]) -> None:
     assert about.defaultExperiment.stepSize == "0.005"
 
 
-def test_choices_are_integers_with_their_names(opened: Contents, tmp_path: Path) -> None:
+def test_choices_are_integers_with_their_names(opened: SystemContents, tmp_path: Path) -> None:
     """Of an FMU with an Enumeration, as those of other tools have them."""
     given = opened.spec.components[0].fmu
     changed = tmp_path / "trajectory.fmu"
@@ -153,7 +155,7 @@ def test_choices_are_integers_with_their_names(opened: Contents, tmp_path: Path)
 
 
 def test_outputs_say_on_which_inputs_they_depend(
-    opened: Contents, closed: Contents, containers: dict[str, Path]
+    opened: SystemContents, closed: SystemContents, containers: dict[str, Path]
 ) -> None:
     """The command depends on the gravity torque, so on what that depends on; positions do not."""
     about = read_model_description(containers["closed"])
@@ -167,7 +169,7 @@ def test_outputs_say_on_which_inputs_they_depend(
 
 
 def test_the_same_bytes_every_time(
-    opened: Contents, containers: dict[str, Path], tmp_path: Path
+    opened: SystemContents, containers: dict[str, Path], tmp_path: Path
 ) -> None:
     again = write_container(read_contents(opened.spec, opened.path), tmp_path / "open.fmu")
     assert again.read_bytes() == containers["open"].read_bytes()
@@ -184,11 +186,27 @@ def test_checks_find_nothing(containers: dict[str, Path]) -> None:
             f"paths in {name}: container_fmu{Path(name).suffix} of FMPy as it is distributed, "
             "built elsewhere."
             for name in own
+            if "container_fmu" in name
         ]
 
 
+def test_steps_between_multiples_hold_what_the_last_one_gave(
+    opened: SystemContents, containers: dict[str, Path]
+) -> None:
+    step = opened.spec.step
+    with Component(containers["open"]) as fmu:
+        expected = run(fmu, opened, 40)
+        fmu.reset()
+        fmu.initialise()
+        time = 0.0
+        for part in (0.2 * step, 1e-14, 0.5 * step, 2**0.5 * step, 3.0 * step) * 6:
+            fmu.step(time, part)
+            time += part
+            np.testing.assert_array_equal(fmu.get(names(opened)), expected[int(time / step + 1e-6)])
+
+
 def test_fmpy_simulates_it_from_another_folder(
-    opened: Contents, containers: dict[str, Path], tmp_path: Path
+    opened: SystemContents, containers: dict[str, Path], tmp_path: Path
 ) -> None:
     moved = tmp_path / "a folder" / "Moved.fmu"
     moved.parent.mkdir()
@@ -229,7 +247,7 @@ def test_a_step_of_its_own_is_refused(lags: Write, tmp_path: Path) -> None:
     assert not (tmp_path / "lags.fmu").exists()
 
 
-def test_a_platform_for_all_components_is_needed(opened: Contents, tmp_path: Path) -> None:
+def test_a_platform_for_all_components_is_needed(opened: SystemContents, tmp_path: Path) -> None:
     source, bare = opened.spec.components[0].fmu, tmp_path / "bare.fmu"
     with zipfile.ZipFile(source) as old, zipfile.ZipFile(bare, "w") as new:
         for name in old.namelist():
@@ -247,7 +265,7 @@ def test_a_platform_for_all_components_is_needed(opened: Contents, tmp_path: Pat
 
 
 def test_a_runtime_is_needed(
-    opened: Contents, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    opened: SystemContents, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As with an FMPy from before it had one."""
     from fmpy import container_fmu

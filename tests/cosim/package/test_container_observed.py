@@ -9,10 +9,10 @@ import fmpy
 import numpy as np
 from fmpy.model_description import read_model_description
 
-from cosim.component import Component
 from cosim.master import simulate
 from cosim.package.container import write_container
-from cosim.package.contents import Contents, read_contents
+from cosim.package.contents import SystemContents, read_contents
+from cosim.slave import Component
 from cosim.system import SystemSpec
 from fmu_src.check import check
 
@@ -39,7 +39,7 @@ def test_whatever_can_be_observed_is_shown(lags: Write, tmp_path: Path) -> None:
         np.testing.assert_allclose(found[name], expected.signals[name], rtol=1e-12)
 
 
-def test_an_observed_parameter_that_is_tunable(opened: Contents, tmp_path: Path) -> None:
+def test_an_observed_parameter_that_is_tunable(opened: SystemContents, tmp_path: Path) -> None:
     spec = opened.spec.model_copy(
         update={"observe": (*opened.spec.observe, "friction.joint[1].alpha")}
     )
@@ -54,7 +54,7 @@ def test_an_observed_parameter_that_is_tunable(opened: Contents, tmp_path: Path)
 
 
 def test_what_a_component_calculates_of_its_parameters_is_local(
-    opened: Contents, tmp_path: Path
+    opened: SystemContents, tmp_path: Path
 ) -> None:
     """It cannot be an output; of an FMU whose parameter is made one that is calculated."""
     given, changed = opened.spec.components[1].fmu, tmp_path / "friction.fmu"

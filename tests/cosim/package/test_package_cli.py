@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from small_study import Hesr, contents
 
-from cosim.package.contents import Contents
+from cosim.package.contents import SystemContents
 from cosim.package.ssp import write_ssp
 from cosim.system_file import write_system
 
@@ -17,7 +17,7 @@ Edit = Callable[..., Path]
 
 
 @pytest.fixture
-def edited(opened: Contents, tmp_path: Path) -> Edit:
+def edited(opened: SystemContents, tmp_path: Path) -> Edit:
     """Write the open system as an SSP with texts in a member replaced, or without a member."""
 
     def file(*changes: tuple[str, str], member: str = SSD, without: str = "") -> Path:
@@ -39,7 +39,7 @@ def edited(opened: Contents, tmp_path: Path) -> Edit:
 
 @pytest.mark.parametrize("kind", ["ssp", "fmu"])
 def test_an_ssp_and_a_container_are_written(
-    opened: Contents, tmp_path: Path, hesr: Hesr, kind: str
+    opened: SystemContents, tmp_path: Path, hesr: Hesr, kind: str
 ) -> None:
     system = write_system(opened.spec, tmp_path / "open.toml")
     output = tmp_path / "made" / f"open.{kind}"
@@ -70,7 +70,7 @@ def test_an_ssp_and_a_container_are_written(
 def test_what_cannot_be_asked_for(
     arguments: list[str],
     sentence: str,
-    opened: Contents,
+    opened: SystemContents,
     tmp_path: Path,
     hesr: Hesr,
     monkeypatch: pytest.MonkeyPatch,
@@ -86,7 +86,7 @@ TOML = [
     ('fmu = "Friction.fmu"', 'fmu = "Gone.fmu"',
      "component 'friction': there is no FMU {folder}/Gone.fmu."),
     ('fmu = "Friction.fmu"', 'fmu = "open.toml"',
-     "component 'friction': {folder}/open.toml is no readable FMU (File is not a zip file)."),
+     "component 'friction': {folder}/open.toml: not a readable FMU (File is not a zip file)."),
     ('"friction.q" = ', '"friktion.q" = ',
      "connection 'friktion.q' = 'trajectory.q': there is no component 'friktion'; did you mean "
      "friction?"),
@@ -105,7 +105,7 @@ def test_a_system_that_does_not_fit(
     new: str,
     sentence: str,
     more: tuple[str, ...],
-    opened: Contents,
+    opened: SystemContents,
     tmp_path: Path,
     hesr: Hesr,
 ) -> None:
@@ -127,7 +127,7 @@ def test_a_system_that_does_not_fit(
     assert contents(tmp_path) == before
 
 
-def test_a_cyclic_connection(closed: Contents, tmp_path: Path, hesr: Hesr) -> None:
+def test_a_cyclic_connection(closed: SystemContents, tmp_path: Path, hesr: Hesr) -> None:
     """The controller's command, fed back to the desired velocity on which it depends directly."""
     spec = closed.spec
     connections = dict(spec.connections) | {"controller.dq_d": "controller.dq_cmd"}
@@ -162,7 +162,7 @@ def test_an_ssp_that_is_none(tmp_path: Path, hesr: Hesr) -> None:
     path = tmp_path / "text.ssp"
     path.write_text("no archive", encoding="utf-8")
     answer = hesr("simulate", path, "-o", tmp_path / "x.csv")
-    assert answer.err == f"hesr: {path}: no readable SSP (File is not a zip file).\n"
+    assert answer.err == f"hesr: {path}: not a readable SSP (File is not a zip file).\n"
 
 
 SSP: list[tuple[dict[str, Any], str]] = [

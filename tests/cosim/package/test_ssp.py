@@ -15,7 +15,7 @@ from lxml import etree
 from small_study import Hesr
 
 from cosim.master import simulate
-from cosim.package.contents import Contents, read_contents
+from cosim.package.contents import SystemContents, read_contents
 from cosim.package.markup import Version
 from cosim.package.read import opened_system
 from cosim.package.ssp import write_ssp
@@ -59,7 +59,7 @@ def start_values(path: Path) -> ParameterSet:
 
 
 @pytest.mark.parametrize("version", SCHEMAS)
-def test_its_files_are_valid(version: Version, either: Contents, tmp_path: Path) -> None:
+def test_its_files_are_valid(version: Version, either: SystemContents, tmp_path: Path) -> None:
     path = write_ssp(either, tmp_path / "system.ssp", version=version)
     schemas = {
         ".ssd": etree.XMLSchema(file=SCHEMAS[version] / "SystemStructureDescription.xsd"),
@@ -72,7 +72,7 @@ def test_its_files_are_valid(version: Version, either: Contents, tmp_path: Path)
         schemas[Path(name).suffix].assertValid(parsed(path, name))
 
 
-def test_what_is_in_it(closed: Contents, tmp_path: Path) -> None:
+def test_what_is_in_it(closed: SystemContents, tmp_path: Path) -> None:
     path = write_ssp(closed, tmp_path / "closed.ssp")
     names = ["arm", "trajectory", "body", "friction", "gravity", "controller"]
     fmus = {f"resources/{name}.fmu" for name in names}
@@ -99,7 +99,7 @@ def test_what_is_in_it(closed: Contents, tmp_path: Path) -> None:
     assert root.find(".//osp:StepSizeHint", NAMES) is None
 
 
-def test_every_connector_is_connected_or_observed(either: Contents, tmp_path: Path) -> None:
+def test_every_connector_is_connected_or_observed(either: SystemContents, tmp_path: Path) -> None:
     """FMPy's runner takes a connection that is another's for an input that has none."""
     root = parsed(write_ssp(either, tmp_path / "system.ssp"))
     connectors = {
@@ -115,7 +115,7 @@ def test_every_connector_is_connected_or_observed(either: Contents, tmp_path: Pa
     }
 
 
-def test_units_are_those_of_the_fmus(closed: Contents, tmp_path: Path) -> None:
+def test_units_are_those_of_the_fmus(closed: SystemContents, tmp_path: Path) -> None:
     path = write_ssp(closed, tmp_path / "closed.ssp")
     for name in ("SystemStructure.ssd", "resources/controller.ssv"):
         root = parsed(path, name)
@@ -127,7 +127,7 @@ def test_units_are_those_of_the_fmus(closed: Contents, tmp_path: Path) -> None:
     assert defined["N.m.s/rad"] == {"kg": "1", "m": "2", "s": "-1", "rad": "-1"}
 
 
-def test_a_choice_is_an_integer(closed: Contents, tmp_path: Path) -> None:
+def test_a_choice_is_an_integer(closed: SystemContents, tmp_path: Path) -> None:
     root = parsed(write_ssp(closed, tmp_path / "closed.ssp"), "resources/controller.ssv")
     assert root.find(".//*[@name='compensation']/ssv:Integer", NAMES).get("value") == "3"
 
@@ -144,7 +144,7 @@ def test_a_step_of_its_own_is_a_hint(lags: Write, tmp_path: Path) -> None:
     assert hints == {"b": "0.2"}
 
 
-def test_the_same_bytes_every_time(closed: Contents, tmp_path: Path) -> None:
+def test_the_same_bytes_every_time(closed: SystemContents, tmp_path: Path) -> None:
     again = read_contents(closed.spec, closed.path)
     one, other = (
         write_ssp(contents, tmp_path / f"{i}.ssp") for i, contents in enumerate((closed, again))
@@ -156,7 +156,7 @@ def test_the_same_bytes_every_time(closed: Contents, tmp_path: Path) -> None:
     assert parsed(one).get("generationDateAndTime") == newest
 
 
-def test_fmpy_runs_it(either: Contents, tmp_path: Path) -> None:
+def test_fmpy_runs_it(either: SystemContents, tmp_path: Path) -> None:
     """FMPy adds up its steps, so its times are off by rounding; a motion carries that on."""
     path = write_ssp(either, tmp_path / "system.ssp")
     step = either.spec.step
@@ -169,7 +169,7 @@ def test_fmpy_runs_it(either: Contents, tmp_path: Path) -> None:
     assert error(found, delayed(either, observed, len(got))) <= 1e-9
 
 
-def test_an_ssp_is_read_back(either: Contents, tmp_path: Path) -> None:
+def test_an_ssp_is_read_back(either: SystemContents, tmp_path: Path) -> None:
     path = write_ssp(either, tmp_path / "system.ssp")
     with opened_system(path) as spec:
         back = read_contents(spec, path)

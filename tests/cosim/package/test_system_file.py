@@ -5,13 +5,13 @@ from pathlib import Path
 import pytest
 
 from cosim.master import Master
-from cosim.package.contents import Contents
+from cosim.package.contents import SystemContents
 from cosim.system import ComponentSpec, SystemSpec
 from cosim.system_file import write_system
 from hesr_model.errors import ArtifactError
 
 
-def test_a_system_is_read_back(either: Contents, tmp_path: Path) -> None:
+def test_a_system_is_read_back(either: SystemContents, tmp_path: Path) -> None:
     path = write_system(either.spec, tmp_path / "new" / "system.toml")
     assert SystemSpec.read(path) == either.spec
 
@@ -40,7 +40,7 @@ def test_everything_that_a_system_can_say(tmp_path: Path) -> None:
     assert 'fmu = "fmus/A b.fmu"' in path.read_text(encoding="utf-8")
 
 
-def test_the_folder_can_be_moved(opened: Contents, tmp_path: Path) -> None:
+def test_the_folder_can_be_moved(opened: SystemContents, tmp_path: Path) -> None:
     here, there = tmp_path / "here", tmp_path / "there"
     here.mkdir()
     components = []
@@ -57,7 +57,7 @@ def test_the_folder_can_be_moved(opened: Contents, tmp_path: Path) -> None:
         master.run().require_success()
 
 
-def test_a_file_that_cannot_be_written(opened: Contents, tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written(opened: SystemContents, tmp_path: Path) -> None:
     path = tmp_path / "folder"
     path.mkdir()
     with pytest.raises(ArtifactError, match=r"folder: cannot be written there \(Is a directory\)"):

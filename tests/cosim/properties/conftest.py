@@ -8,8 +8,8 @@ from subjects import INERTIA, bristle, law, model, slip
 from cosim.studies.properties.battery import Subject, measure
 from fmu_src import model_file
 from hesr_model.artifacts import read_model
+from hesr_model.friction.audit.properties import Properties
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.properties import Properties
 
 
 def put_to_test(name: str, *laws: FrictionLaw) -> Properties:

@@ -6,8 +6,8 @@ from fmu_src.description import Description
 from fmu_src.interface import Interface, Variable
 from fmu_src.package import Content, write_fmu
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws import estimator
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained import TrainedRange
 
 SLIP = Path(__file__).with_name("slip.c")

@@ -6,15 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy
 from subjects import INERTIA, SPEED, bristle, law, model
 
 from cosim.studies.properties.battery import Subject, measure, run_battery
 from fmu_src import export_fmu, model_file
 from hesr_model.artifacts import read_model
 from hesr_model.errors import ConfigError
-from hesr_model.friction.audit import audit
-from hesr_model.friction.expectations import EXPECTATIONS
-from hesr_model.friction.properties import Finding, Properties
+from hesr_model.friction.audit.audit import audit
+from hesr_model.friction.audit.expectations import EXPECTATIONS
+from hesr_model.friction.audit.properties import Finding, Properties
+from hesr_model.friction.inputs import DQ
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.trained import TrainedRange
 
 LEVEL, STIFFNESS = 8.0, 8000.0  # of `bristle()`
@@ -252,7 +255,10 @@ def test_what_an_fmu_without_a_law_cannot_be_asked_is_said(slip_fmu: Path) -> No
 
 def test_an_fmu_that_gives_up_has_not_the_property_and_says_why() -> None:
     """Its torque is too large to be a number at the trained speed."""
-    wild = law("stribeck", F_c=1e308, F_s=1e308, sigma_2=1e308, v_s=0.1)
+    steep = Coefficient(name="steep", unit="s/rad", description="far too steep")
+    torque = sympy.exp(steep.symbol * DQ) - sympy.exp(-steep.symbol * DQ)
+    form = LawForm(coefficients=(steep,), output=torque)
+    wild = FrictionLaw(name="wild", form=form, values={"steep": 1e6})
     found = measure(Subject(name="wild", model=model(wild), inertia=(1.0,)))
     for key in EXPECTATIONS:
         assert finding(found, key).verdict == "fail"

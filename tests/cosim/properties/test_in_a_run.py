@@ -7,21 +7,22 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 import pytest
-from registry_models import models_of_registry
-from small_study import write_study
+from small_study import Run
 
-from cosim.run import run_study
 from cosim.studies.properties.battery import Subject, run_battery
 from cosim.studies.properties.inertia import INERTIA, standing_inertia
-from hesr_model.files import models_folder
-from hesr_model.friction.expectations import EXPECTATIONS
-from hesr_model.friction.properties import read_properties, write_properties
-from hesr_model.rigid_body import RigidBody
-from hesr_model.robot import RobotDescription, RobotModel
+from hesr_model.friction.audit.expectations import EXPECTATIONS
+from hesr_model.friction.audit.properties import read_properties, write_properties
+from hesr_model.friction.model import FrictionModel
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import models_folder
 
 
-def test_every_law_of_the_registry_is_put_to_the_test(tmp_path: Path) -> None:
-    models = {model.law: model for model in models_of_registry()}
+def test_every_law_of_the_registry_is_put_to_the_test(
+    tmp_path: Path, registry_models: dict[str, FrictionModel]
+) -> None:
+    models = registry_models
     subjects = [Subject(name=law, model=model, inertia=(0.5,)) for law, model in models.items()]
     found = dict(zip(models, run_battery(subjects), strict=True))
     for law, of_law in found.items():
@@ -34,16 +35,15 @@ def test_every_law_of_the_registry_is_put_to_the_test(tmp_path: Path) -> None:
     assert read_properties(tmp_path / "found.json") == found
 
 
-def test_a_run_writes_what_it_finds_into_its_folder_and_into_the_fmus(tmp_path: Path) -> None:
-    study = write_study(tmp_path)
-    text = study.read_text(encoding="utf-8")
-    study.write_text(text.replace('["stribeck", "parfam_h"]', '["stribeck"]'), encoding="utf-8")
-    told: list[str] = []
-    outcome = run_study(study, tmp_path / "out", progress=lambda what, *_: told.append(what))
-    assert "testing the laws" in told
-    assert read_properties(tmp_path / "out" / "properties.json") == outcome.properties
-    assert [j.inertia for j in outcome.properties["stribeck"].joints] == list(INERTIA["uf850"])
-    with zipfile.ZipFile(outcome.fmus["stribeck"]) as archive:
+def test_a_run_writes_what_it_finds_into_its_folder_and_into_the_fmus(
+    study_run_for_programs: Run,
+) -> None:
+    results = study_run_for_programs.results
+    assert "testing the laws: " in study_run_for_programs.answer.err
+    found = read_properties(results / "properties.json")
+    assert list(found) == ["stribeck", "parfam_h"]
+    assert [j.inertia for j in found["stribeck"].joints] == list(INERTIA["uf850"])
+    with zipfile.ZipFile(results / "fmus" / "stribeck.fmu") as archive:
         assert 'id="property-hold"' in archive.read("documentation/index.html").decode()
 
 
@@ -68,9 +68,11 @@ def body_of(model: RobotModel, robot: str) -> RigidBody:
     )
 
 
-def test_the_inertia_of_another_robot_is_that_of_its_identified_mass_matrix() -> None:
+def test_the_inertia_of_another_robot_is_that_of_its_identified_mass_matrix(
+    registry_models: dict[str, FrictionModel],
+) -> None:
     model = RobotModel(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
-    law = next(models_of_registry())
+    law = registry_models["stribeck"]
     places = (0.2, -0.6, -1.4)
     trained = tuple(replace(law.trained[0], q=(q - 0.1, q + 0.1)) for q in places)
     three = replace(law, joints=("a", "b", "c"), laws=law.laws * 3, trained=trained)

@@ -8,8 +8,8 @@ from subjects import bristle, model
 
 from cosim.studies.properties.battery import Subject, measure
 from fmu_src import export_fmu
-from hesr_model.friction.expectations import EXPECTATIONS
-from hesr_model.friction.properties import Properties
+from hesr_model.friction.audit.expectations import EXPECTATIONS
+from hesr_model.friction.audit.properties import Properties
 
 PAGE = "documentation/index.html"
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from small_results import write_results
 from small_study import Hesr, hesr_here
 
 from cosim.report import write_report
@@ -61,8 +60,8 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="session")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_results(tmp_path_factory.mktemp("results"))
+def results(small_results: Path) -> Path:
+    return small_results
 
 
 @pytest.fixture
@@ -244,7 +243,11 @@ def test_a_damaged_file_is_named(copied: Path, name: str, said: str) -> None:
         ("run.json", lambda d: d.update(format="x"), "'format' is 'x', needed is 'hesr-run-1'."),
         ("run.json", lambda d: d.pop("logs"), "key 'logs' is missing."),
         ("run.json", lambda d: d.update(more=1), "not the description of a run"),
-        ("evaluation.json", lambda d: d.clear(), "key 'test' is missing."),
+        (
+            "evaluation.json",
+            lambda d: d.clear(),
+            "not the scores of a run (there is no test set in it).",
+        ),
         ("evaluation.json", lambda d: d["trial & error"].pop("laws"), "key 'laws' is missing."),
         ("evaluation.json", lambda d: d.update({"trial & error": 1}), "not the scores of a run"),
         ("closed_loop.json", lambda d: d.pop("long"), "key 'long' is missing."),

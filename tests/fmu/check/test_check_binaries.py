@@ -220,7 +220,7 @@ def test_a_library_that_takes_forever(of, monkeypatch, table1_fmu):
 
 def test_a_reader_that_crashes(of, monkeypatch, table1_fmu, tmp_path):
     worker = tmp_path / "worker.py"
-    monkeypatch.setattr("fmu_src.check.process._WORKER", worker)
+    monkeypatch.setattr("fmu_src.check.work._WORKER", worker)
     worker.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
     start = f"{BINARY}: its content could not be read: "
     assert of(members(table1_fmu)[BINARY]) == [f"{start}it crashed with signal 11."]

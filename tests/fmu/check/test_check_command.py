@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import pytest
 from fmu_files import changed
 
+from fmu_src import export_fmu
+
 
 @dataclass
 class Answer:
@@ -91,3 +93,10 @@ def test_a_folder_that_lacks_vdmcheck2(source_fmu):
 
 def test_an_fmu_has_to_be_given():
     assert hesr("check").code == 2
+
+
+def test_a_master_at_its_worst(make_law, make_model, tmp_path):
+    fmu = export_fmu(make_model(make_law("lugre")), tmp_path / "F.fmu")
+    found = hesr("check", fmu, "--hostile", "--json", tmp_path / "o.json")
+    assert found == Answer(0, [f"{fmu}: {NO_VDMCHECK}", f"{fmu}: no problem found."], "")
+    assert json.loads((tmp_path / "o.json").read_text(encoding="utf-8"))[0]["problems"] == []

@@ -8,7 +8,8 @@ from fmu_files import MODEL, members
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fmu_src.check import Report, check, process, run
+from fmu_src.check import Report, check, run
+from hesr_model.support.process import FailedError
 
 QUIET = settings(
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
@@ -20,7 +21,7 @@ def alone(monkeypatch):
     """Without other processes, whose work does not depend on the archive's bytes."""
 
     def work(job, file, folder, seconds):
-        raise process.FailedError("it was not run")
+        raise FailedError("it was not run")
 
     for module in (run.markup, run.binaries, run.external):
         monkeypatch.setattr(module, "work", work)

@@ -8,9 +8,9 @@ import pytest
 
 from fmu_src import export_fmu
 from fmu_src.check import check
-from hesr_model.friction.laws import registry
 from hesr_model.friction.model import FrictionModel
-from hesr_model.residual import FrictionRecord
+from hesr_model.friction.registry import registry
+from hesr_model.rigid_body.residual import FrictionRecord
 
 VDMCHECK2 = Path(__file__).parents[3] / ".tools" / "vdmcheck2"
 HAS_VDMCHECK2 = VDMCHECK2.is_dir() and shutil.which("java") is not None

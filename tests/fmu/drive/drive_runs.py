@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.component import Component
-from fmu_src.drive.export import content
+from cosim.slave import Component
+from fmu_src.drive.drive_fmu import content
 from fmu_src.package import write_fmu
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel

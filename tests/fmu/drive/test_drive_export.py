@@ -13,18 +13,20 @@ from c_hosts import build_host
 from drive_runs import model_of
 from fmpy import read_model_description
 
-from cosim.component import Component
 from cosim.master import simulate
+from cosim.slave import Component
 from cosim.system import SystemSpec
 from fmu_src.blocks.controller import controller
 from fmu_src.check import check
-from fmu_src.drive.export import export_drive
+from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.embedded import embedded_model
 from fmu_src.package import write_fmu
-from hesr_model.config import read_toml
-from hesr_model.friction.functions import DQ, TAU_LOAD, absolute
-from hesr_model.friction.law import FrictionLaw, LawForm, Relaxation
+from hesr_model.equations.functions import absolute
+from hesr_model.equations.memory import Relaxation
+from hesr_model.friction.inputs import DQ, TAU_LOAD
+from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
+from hesr_model.support.config import read_toml
 
 VDMCHECK2 = Path(__file__).parents[3] / ".tools" / "vdmcheck2"
 WINE = shutil.which("wine") or shutil.which("wine64")
@@ -68,7 +70,7 @@ def bristle_with_load() -> FrictionLaw:
     rate = 20.0 * absolute(DQ) / (1.0 + 0.1 * absolute(TAU_LOAD))
     z = Relaxation(name="z", unit="rad", drive=DQ, rate=rate)
     output = 20.0 * z.state + 0.5 * z.derivative
-    form = LawForm(coefficients=(), relaxations=(z,), output=output)
+    form = LawForm(coefficients=(), memory=(z,), output=output)
     return FrictionLaw(name="by_hand", form=form, values={})
 
 

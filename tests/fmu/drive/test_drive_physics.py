@@ -14,16 +14,16 @@ import pytest
 from drive_runs import Run, drive, reversals
 from scipy.integrate import cumulative_simpson, solve_ivp
 
-from fmu_src.drive.documentation import holding_torque, stopping_torque
-from fmu_src.friction.datasheet import EULER
-from hesr_model.friction.audit import audit
-from hesr_model.friction.dahl import DEFLECTIONS
+from fmu_src.documentation.datasheet import EULER
+from fmu_src.documentation.drive_page import holding_torque, stopping_torque
+from hesr_model.friction.audit.audit import audit
 from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fit import fit_joint
+from hesr_model.friction.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws import estimator, registry
+from hesr_model.friction.laws.dahl import DEFLECTIONS
+from hesr_model.friction.registry import estimator, registry
 from hesr_model.friction.trained import TrainedRange
-from hesr_model.residual import FrictionRecord
+from hesr_model.rigid_body.residual import FrictionRecord
 
 INERTIA = (3.0, 0.6)  # [kg.m2], both for every law
 STEPS = (1e-4, 1e-3, 5e-3, 1e-2)  # [s]

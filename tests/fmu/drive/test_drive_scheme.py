@@ -12,9 +12,11 @@ import scipy.linalg
 from drive_runs import Run, drive, reversals
 from scipy.optimize import brentq
 
-from cosim.component import Component
-from hesr_model.friction.evaluate import Stepper, step_coefficients
-from hesr_model.friction.functions import INPUTS, lowered
+from cosim.slave import Component
+from hesr_model.equations.functions import lowered
+from hesr_model.equations.over_log import step_coefficients
+from hesr_model.friction.evaluate import Stepper
+from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw, LawForm
 
 AGREEMENT = 1e-9

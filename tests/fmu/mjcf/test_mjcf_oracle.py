@@ -8,17 +8,19 @@ import pytest
 import sympy
 from mujoco_joints import Joints, reference
 
-from cosim.component import Component
+from cosim.slave import Component
 from fmu_src import export_fmu
 from fmu_src.arm.truth import true_friction
 from fmu_src.friction.reference import reference_motion
-from fmu_src.mjcf.export import export_mjcf_law
-from hesr_model.files import models_folder
-from hesr_model.friction.dahl import DEFLECTIONS
+from fmu_src.mjcf.mjcf_file import export_mjcf_law
+from hesr_model.equations.functions import absolute
+from hesr_model.equations.memory import Relaxation
 from hesr_model.friction.evaluate import Stepper, predict
-from hesr_model.friction.functions import DQ, absolute
-from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
-from hesr_model.friction.laws import estimator
+from hesr_model.friction.inputs import DQ
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.laws.dahl import DEFLECTIONS
+from hesr_model.friction.registry import estimator
+from hesr_model.support.files import models_folder
 
 UF850 = models_folder() / "uf850" / "uf850.xml"
 UF850_JOINTS = ("joint1", "joint2", "joint3")
@@ -51,7 +53,7 @@ def damped_dahl():
     k, force, c = (o.symbol for o in own)
     x = Relaxation(name="x", unit="1", drive=k * DQ, rate=k * absolute(DQ))
     torque = force * x.state + c * x.derivative + sympy.Rational(5, 2) * DQ
-    form = LawForm(coefficients=tuple(own), relaxations=(x,), output=torque)
+    form = LawForm(coefficients=tuple(own), memory=(x,), output=torque)
     return FrictionLaw(name="by_hand", form=form, values={"k": 250.0, "F": 6.0, "c": 0.01})
 
 

@@ -9,18 +9,18 @@ from mujoco_joints import Joints
 
 from fmu_src import model_file
 from fmu_src.friction.reference import UNKNOWN_SPEED
-from fmu_src.mjcf.export import export_mjcf_law
+from fmu_src.mjcf.mjcf_file import export_mjcf_law
 from fmu_src.mjcf.parts import parts_of
 from fmu_src.mjcf.projection import projected
 from hesr_model.artifacts import read_model
 from hesr_model.errors import ExportError
-from hesr_model.friction import dahl
 from hesr_model.friction.evaluate import predict
-from hesr_model.friction.functions import DQ
+from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.laws import estimator
+from hesr_model.friction.laws import dahl
+from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained import TrainedRange
-from hesr_model.trajectories import random_fourier
+from hesr_model.motions.trajectories import random_fourier
 
 STEP = 0.005
 TRAINED = TrainedRange(

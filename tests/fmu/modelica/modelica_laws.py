@@ -4,9 +4,11 @@ from pathlib import Path
 
 import sympy
 
-from hesr_model.friction.functions import DQ, TAU_LOAD, Q, absolute, sgn
-from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm, Relaxation
-from hesr_model.friction.laws import registry
+from hesr_model.equations.functions import absolute, sgn
+from hesr_model.equations.memory import Relaxation
+from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.registry import registry
 
 LIBRARY = Path(__file__).parent / "library"
 """Folder of the stand-in for the Modelica Standard Library."""
@@ -40,7 +42,7 @@ def shapes() -> FrictionLaw:
         absolute(x) * sgn(x - 100) - sgn(x + dx - 1000) ** 2,
         sgn(b * DQ) * absolute(TAU_LOAD),
     )
-    form = LawForm(coefficients=own, relaxations=(h,), output=sympy.Add(*terms))
+    form = LawForm(coefficients=own, memory=(h,), output=sympy.Add(*terms))
     return FrictionLaw(
         name="real", form=form, values={"a": -0.7, "b": 1e-05 + 3.0, "c": 1.9, "n": 2.5}
     )

@@ -8,7 +8,8 @@ import ctypes
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from hesr_model.friction.functions import INPUTS, lowered
+from hesr_model.equations.functions import lowered
+from hesr_model.friction.inputs import INPUTS
 
 SPEED, OMEGA, PHASE = 0.5, 2.0 * np.pi, 0.35
 REVERSAL = (np.pi / 2 - PHASE) / OMEGA

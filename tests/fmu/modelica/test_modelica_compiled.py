@@ -1,8 +1,12 @@
 """Compilers of others read an exported package, and one simulates it: it is the law.
 
 The Modelica Standard Library is in no registry; for the bearings and the examples a stand-in is
-used (library/Modelica.mo), which has the names and equations of the real one's few classes.
+used (library/Modelica.mo), which has the names and equations of the real one's few classes, and
+the real one where MODELICAPATH, as Modelica's tools use it, names a folder that has it.
 """
+
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,9 +21,10 @@ from modelica_truth import (
     relative,
 )
 
-from fmu_src import export_fmu
-from fmu_src.modelica.export import export_modelica
-from hesr_model.friction.functions import TAU_LOAD, sgn
+from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.modelica.modelica_package import export_modelica
+from hesr_model.equations.functions import sgn
+from hesr_model.friction.inputs import TAU_LOAD
 
 
 @pytest.fixture(params=EVERY)
@@ -40,10 +45,29 @@ def block(package, rumoca):
     return lambda name: session.load(str(package), model=f"Every.{name}")
 
 
+def real_library():
+    """Folder with the sources of the Modelica Standard Library, None where there is none."""
+    places = os.environ.get("MODELICAPATH", "").split(os.pathsep)
+    found = [f for p in places if p for f in sorted(Path(p).glob("Modelica [4-9]*/package.mo"))]
+    found += [f for p in places if p for f in Path(p).glob("Modelica/package.mo")]
+    return str(found[-1].parent.parent) if found else None
+
+
+@pytest.fixture(scope="session", params=["stand-in", "real"])
+def library(request):
+    """Folder of a Modelica Standard Library."""
+    if request.param == "stand-in":
+        return str(LIBRARY)
+    real = real_library()
+    if real is None:
+        pytest.skip("MODELICAPATH names no folder with the Modelica Standard Library")
+    return real
+
+
 @pytest.fixture(scope="session")
-def coupled(package, rumoca):
+def coupled(package, rumoca, library):
     """Compile a class of the package that uses the Modelica Standard Library."""
-    session = rumoca.Session(roots=[str(LIBRARY)])
+    session = rumoca.Session(roots=[library])
     return lambda name: session.load(str(package), model=f"Every.{name}")
 
 
@@ -63,7 +87,7 @@ def simulated(rumoca):
 
 @pytest.fixture(scope="session")
 def fmu(laws, load, tmp_path_factory):
-    return load(export_fmu(laws, tmp_path_factory.mktemp("every") / "Every.fmu"))
+    return load(export_bare(laws, tmp_path_factory.mktemp("every") / "Every.fmu"))
 
 
 def test_blocks_compile_without_any_library(joint, law, block):
@@ -165,10 +189,12 @@ end Turning;
 """
 
 
-def test_a_bearing_brakes_its_shaft_and_takes_its_housing_along(package, rumoca, simulated):
+def test_a_bearing_brakes_its_shaft_and_takes_its_housing_along(
+    package, rumoca, simulated, library
+):
     text = package.read_text(encoding="utf-8")
     text += TWO_INERTIAS.format(joint=EVERY.index("dahl") + 1)
-    model = rumoca.Session(roots=[str(LIBRARY)]).loads(text, model="Turning")
+    model = rumoca.Session(roots=[library]).loads(text, model="Turning")
     found = simulated(model, np.linspace(0.0, 0.05, 51))
     shaft, housing = found["shaft.w"], found["housing.w"]
     assert np.abs(0.5 * shaft + 2.0 * housing - 1.0).max() <= 1e-9  # momentum

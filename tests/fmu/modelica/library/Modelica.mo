@@ -11,7 +11,6 @@ package Modelica
       type Torque = Real(final quantity="Torque", final unit="N.m");
       type Inertia = Real(final quantity="MomentOfInertia", final unit="kg.m2");
       type Power = Real(final quantity="Power", final unit="W");
-      type Frequency = Real(final quantity="Frequency", final unit="Hz");
     end SI;
   end Units;
 
@@ -22,14 +21,6 @@ package Modelica
     end Interfaces;
 
     package Sources
-      block Sine
-        parameter Real amplitude = 1;
-        parameter Units.SI.Frequency f;
-        Interfaces.RealOutput y;
-      equation
-        y = amplitude*sin(2*3.141592653589793*f*time);
-      end Sine;
-
       block Constant
         parameter Real k;
         Interfaces.RealOutput y;

@@ -1,0 +1,242 @@
+"""What commands print: tables, progress, logs, answers for programs, and what Ctrl-C ends with."""
+
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, redirect_stdout
+from contextvars import ContextVar
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, TextIO
+
+import typer
+
+from hesr_model.errors import ConfigError, HesrError
+from hesr_model.support.files import written_whole
+from hesr_model.support.progress import Stages
+
+INTERRUPTED = 130
+"""Exit code, as shells give it: 128 and the number of the signal."""
+
+_STANDARD_OUTPUT = Path("-")
+_AGAIN = 2.0  # [s] a second Ctrl-C sooner than that does not disturb the tidying after the first
+_PACKAGES = ("hesr_model", "fmu_src", "cosim")
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Output:
+    """What was asked for."""
+
+    quiet: bool = False
+    verbose: bool = False
+    answer: TextIO | None = None
+
+
+_USUAL = _Output()
+_output: ContextVar[_Output] = ContextVar("_output", default=_USUAL)
+
+
+class Interrupted(KeyboardInterrupt):
+    """An interrupt that leaves something to go on from.
+
+    Parameters
+    ----------
+    kept : what is kept, and how to go on; the end of a sentence.
+    interrupt : what came.
+    """
+
+    def __init__(self, kept: str, interrupt: KeyboardInterrupt) -> None:
+        super().__init__(kept)
+        self.kept, self.interrupt = kept, interrupt
+
+
+class _Ended(KeyboardInterrupt):
+    """Another program wants this one to end (SIGTERM)."""
+
+
+@contextmanager
+def command_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Iterator[None]:
+    """Run a command's block as loud as its user wants it.
+
+    Parameters
+    ----------
+    quiet : print errors only.
+    verbose : log everything to standard error.
+    json_file : of the command; where it is ``-``, standard output holds nothing else.
+
+    Raises
+    ------
+    ConfigError
+        If both are wanted.
+    typer.Exit
+        On an interrupt, once a sentence has said so.
+    """
+    if quiet and verbose:
+        raise ConfigError("--quiet does not go with --verbose; give one of them.")
+    with ExitStack() as cleanup:
+        token = _output.set(_Output(quiet=quiet, verbose=verbose, answer=sys.stdout))
+        cleanup.callback(_output.reset, token)
+        cleanup.enter_context(_logging(quiet=quiet, verbose=verbose))
+        if quiet or json_file == _STANDARD_OUTPUT:
+            nowhere = cleanup.enter_context(Path(os.devnull).open("w", encoding="utf-8"))
+            cleanup.enter_context(redirect_stdout(nowhere))
+        try:
+            yield
+        except HesrError:
+            _log.debug("This is where it was found out:", exc_info=True)
+            raise
+        except KeyboardInterrupt as interrupt:
+            kept, cause = "", interrupt
+            if isinstance(interrupt, Interrupted):
+                kept, cause = f", and {interrupt.kept}", interrupt.interrupt
+            ended = isinstance(cause, _Ended)
+            who = "ended by another program" if ended else "interrupted"
+            typer.echo(f"hesr: {who}; no file is half-written{kept}.", err=True)
+            raise typer.Exit(128 + signal.SIGTERM if ended else INTERRUPTED) from interrupt
+
+
+@contextmanager
+def _logging(*, quiet: bool, verbose: bool) -> Iterator[None]:
+    """Log to standard error: warnings, everything, or errors."""
+    handler = logging.StreamHandler()
+    before = {name: logging.getLogger(name).level for name in _PACKAGES}
+    if verbose:
+        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    else:
+        handler.setFormatter(logging.Formatter("hesr: %(message)s"))
+        handler.setLevel(logging.ERROR if quiet else logging.WARNING)
+    for name in _PACKAGES:
+        logging.getLogger(name).addHandler(handler)
+        if verbose:
+            logging.getLogger(name).setLevel(logging.DEBUG)
+    try:
+        yield
+    finally:
+        for name, level in before.items():
+            logging.getLogger(name).removeHandler(handler)
+            logging.getLogger(name).setLevel(level)
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """Raise KeyboardInterrupt on Ctrl-C, and on SIGTERM too, so that temporary files go."""
+    wanted = [signal.SIGINT, signal.SIGTERM]
+    if threading.current_thread() is not threading.main_thread():
+        wanted = []
+    last = -_AGAIN
+
+    def end(number: int, _frame: object) -> None:
+        nonlocal last
+        if (now := time.monotonic()) - last >= _AGAIN:
+            last = now
+            raise KeyboardInterrupt if number == signal.SIGINT else _Ended
+
+    # A command that a script starts in the background may have to ignore Ctrl-C.
+    heeded = [s for s in wanted if signal.getsignal(s) is not signal.SIG_IGN]
+    before = {s: signal.signal(s, end) for s in heeded}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def shown_progress() -> Iterator[Stages]:
+    """Show on standard error how far the work is and how long it still takes.
+
+    It is drawn where that is a terminal, logged with --verbose, and left out with --quiet.
+    """
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskID,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    tasks: dict[str, TaskID] = {}
+    console, wanted = Console(stderr=True), _output.get()
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(20),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left:"),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=wanted.quiet or wanted.verbose or not console.is_terminal,
+    ) as shown:
+
+        def tell(what: str, done: int, total: int) -> None:
+            _log.info("%s: %d of %d", what, done, total)
+            if what not in tasks:
+                tasks[what] = shown.add_task(what, total=total)
+            shown.update(tasks[what], completed=done)
+
+        yield tell
+
+
+@contextmanager
+def working(what: str) -> Iterator[None]:
+    """Show on standard error that work goes on, where nobody knows how much there is."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    console, wanted = Console(stderr=True), _output.get()
+    _log.info("%s", what)
+    with Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+        disable=wanted.quiet or wanted.verbose or not console.is_terminal,
+    ) as shown:
+        shown.add_task(what, total=None)
+        yield
+
+
+@contextmanager
+def answer_file(json_file: Path | None) -> Iterator[Path | None]:
+    """Yield the file into which a program's answer goes, if one is wanted.
+
+    Whether it can be written is found out before the block runs; what is written for ``-`` goes to
+    standard output when the block has succeeded.
+
+    Raises
+    ------
+    ArtifactError
+        If the file cannot be written.
+    """
+    if json_file is None:
+        yield None
+    elif json_file == _STANDARD_OUTPUT:
+        with TemporaryDirectory(prefix="hesr-") as folder:
+            file = Path(folder) / "answer.json"
+            yield file
+            if not _output.get().quiet:
+                typer.echo(file.read_text(encoding="utf-8"), nl=False, file=_output.get().answer)
+    else:
+        with written_whole(json_file) as temporary:
+            yield temporary
+
+
+def answer(json_file: Path | None, data: Mapping[str, Any] | list[Any]) -> None:
+    """Write a program's answer as JSON, if one is wanted; ``-`` is standard output."""
+    import json
+
+    with answer_file(json_file) as file:
+        if file:
+            text = json.dumps(data, indent=2, allow_nan=False)
+            file.write_text(f"{text}\n", encoding="utf-8")

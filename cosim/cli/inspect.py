@@ -1,0 +1,125 @@
+"""The command that looks at logs before anything is learned from them: inspect."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cosim.cli.app import Json, Logs, app
+from cosim.cli.console import answer, working
+
+if TYPE_CHECKING:
+    from hesr_model.health.proposal import Proposal
+    from hesr_model.robots.robot import RobotDescription
+
+
+@app.command()
+def inspect(
+    logs: Logs,
+    robot: Annotated[
+        Path | None,
+        typer.Option(
+            "--robot", metavar="ROBOT", help="Robot file (.toml), or the robot's URDF or MJCF."
+        ),
+    ] = None,
+    page: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="PAGE.html", help="Page to write.")
+    ] = None,
+    write: Annotated[
+        Path | None,
+        typer.Option("--write", metavar="ROBOT.toml", help="Robot file to write as proposed."),
+    ] = None,
+    json_file: Json = None,
+) -> None:
+    """Say what is wrong or odd in logs.
+
+    A page shows them; a robot file that reads them is proposed, with a reason for each line.
+
+    Example: hesr inspect log.csv --robot my_arm.urdf --write robot.toml -o page.html
+    """
+    from hesr_model.errors import ConfigError
+    from hesr_model.health.proposal import propose, robot_file
+    from hesr_model.support.files import written_whole
+
+    if write and not robot:
+        raise ConfigError("--write needs --robot: a robot file names the robot's model.")
+    with working("looking at the logs"):
+        known = _described(logs, robot)
+        proposal = propose(logs, known, known=robot is not None)
+        if page:
+            from cosim.report.inspection import write_inspection
+
+            write_inspection(page, proposal)
+        if write:
+            with written_whole(write) as temporary:
+                temporary.write_text(robot_file(proposal, write), encoding="utf-8")
+    answer(
+        json_file,
+        {
+            "given": [finding.to_json() for finding in proposal.first],
+            "proposed": [finding.to_json() for finding in proposal.examination.findings],
+            "reasons": dict(proposal.reasons),
+        },
+    )
+    _print(proposal)
+    for path in filter(None, (page, write)):
+        typer.echo(f"written: {path}")
+
+
+def _described(logs: list[Path], robot: Path | None) -> "RobotDescription":
+    """Return what is known: a robot file, a model with all its joints, or the columns alone."""
+    from hesr_model.health.proposal import open_table
+    from hesr_model.logs.guess import guess
+    from hesr_model.robots.model_file import driven_joints
+    from hesr_model.robots.robot import RobotDescription
+
+    if robot and robot.suffix.lower() == ".toml":
+        return RobotDescription.read(robot)
+    if robot:
+        joints = tuple(joint.name for joint in driven_joints(robot))
+        return RobotDescription(name=robot.stem, model=robot.resolve(), joints=joints)
+    table = open_table(logs[0], "t")
+    count = len(guess(table).columns["q"]) if table else 1
+    names = tuple(f"joint{k}" for k in range(1, count + 1))
+    return RobotDescription(name="robot", model=Path("unknown"), joints=names)
+
+
+def _print(proposal: "Proposal") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from hesr_model.health.proposal import HEAD, summary_rows
+
+    console = Console()
+    for log in proposal.logs:
+        gaps = f", {len(log.gaps)} gaps" if len(log.gaps) else ""
+        dropped = f", {log.dropped} rows left out" if log.dropped else ""
+        console.print(
+            f"{log.name}: {len(log.t)} rows, {log.t[-1] - log.t[0]:.1f} s, {log.rate:.4g} Hz, "
+            f"jitter {100 * log.jitter:.0f} %{gaps}{dropped}",
+            highlight=False,
+        )
+    by_log: dict[str, list[tuple[str, ...]]] = {}
+    for name, *cells in summary_rows(proposal):
+        by_log.setdefault(name, []).append(tuple(cells))
+    for name, rows in by_log.items():
+        table = Table(*HEAD[1:], title=name, title_justify="left", box=None, padding=(0, 1))
+        for row in rows:
+            table.add_row(*row)
+        console.print(table)
+    told = {
+        "As given": proposal.first,
+        "With the proposed robot file": proposal.examination.findings if proposal.reasons else (),
+    }
+    for heading, findings in told.items():
+        if findings:
+            console.print(f"{heading}:")
+        for finding in findings:
+            mark = "WRONG" if finding.severity == "refusal" else "odd"
+            console.print(
+                f"  {mark}: {finding.sentence}", highlight=False, soft_wrap=True, markup=False
+            )
+    if not proposal.first:
+        console.print("Nothing wrong or odd was found.")
+    for key, reason in proposal.reasons.items():
+        console.print(f"  proposed: {key}: {reason}", highlight=False, soft_wrap=True, markup=False)

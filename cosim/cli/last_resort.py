@@ -1,0 +1,78 @@
+"""What every command does at its very end: say what went wrong, also where text is not UTF-8."""
+
+import codecs
+import os
+import sys
+import unicodedata
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import NoReturn
+
+import typer
+
+from hesr_model.errors import HesrError
+
+_REFUSED = 2
+_UNREAD = 1
+"""Exit code where whoever reads the output has gone, as of Click."""
+
+_PLAIN = str.maketrans("✓✗–—‘’“”→·×µμ", "+x--''\"\">.xuu")
+"""What stands for marks where an output has only some of all characters; each is as wide."""
+
+
+@contextmanager
+def errors_said() -> Iterator[None]:
+    """Say every error in one sentence and exit with 2, other ones than bugs.
+
+    What a file or the data in it is to blame for is found out where it is read. This is for what
+    may happen everywhere: a disk that is full, memory that does not suffice.
+    """
+    try:
+        try:
+            yield
+        finally:
+            sys.stdout.flush()
+    except HesrError as error:
+        _refuse(str(error))
+    except BrokenPipeError:
+        _give_up_output()
+        sys.exit(_UNREAD)
+    except OSError as error:
+        where = f"{error.filename}: " if isinstance(error.filename, str) else ""
+        reason = " ".join((error.strerror or str(error)).split()).rstrip(".")
+        _give_up_output()
+        _refuse(f"{where}the system reports an error ({reason}).")
+    except MemoryError:
+        _refuse("memory does not suffice for this; give less data at once, or a machine with more.")
+    except RecursionError:
+        _refuse("a file that was read is nested too deeply.")
+
+
+def _refuse(sentence: str) -> NoReturn:
+    typer.echo(f"hesr: {sentence}", err=True)
+    sys.exit(_REFUSED)
+
+
+def _give_up_output() -> None:
+    """Send what could not be written to nowhere, or Python tries again when it ends."""
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+    with suppress(OSError, ValueError):  # an output that is no file of the system
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+
+
+def plain_where_needed() -> None:
+    """Let standard output and error take any text, in ASCII where their encoding has no more."""
+    codecs.register_error("hesr.plain", _plainly)
+    for stream in (sys.stdout, sys.stderr):
+        if reconfigure := getattr(stream, "reconfigure", None):
+            reconfigure(errors="hesr.plain")
+
+
+def _plainly(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    text = unicodedata.normalize("NFKD", error.object[error.start : error.end]).translate(_PLAIN)
+    return "".join(c if c.isascii() else "?" for c in text), error.end

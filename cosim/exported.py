@@ -1,0 +1,67 @@
+"""FMUs that have been exported before: the same file with the same options is a copy."""
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import entry_points, requires, version
+from pathlib import Path
+from re import match
+
+import fmu_src
+import hesr_model
+from hesr_model.support.bounded import read_text
+from hesr_model.support.cache import kept
+from hesr_model.support.files import written_whole
+
+
+def exported(
+    model: Path, options: Mapping[str, object], output: Path, write: Callable[[], None]
+) -> None:
+    """Write an FMU to `output` by `write`, or copy the one that it has written before.
+
+    Parameters
+    ----------
+    model : file of the friction model.
+    options : what else makes the FMU what it is.
+    output : where `write` puts it.
+    write : reads the model and writes the FMU; what it raises is raised here.
+
+    Raises
+    ------
+    ArtifactError
+        If `output` cannot be written.
+    """
+    try:
+        text = read_text(model)
+    except (OSError, ValueError):  # which `write` says in its own words
+        text = None
+    # Laws of other packages can change while the package says that it is the same.
+    if text is None or entry_points(group="hesr.laws"):
+        write()
+        return
+
+    def make() -> bytes:
+        write()
+        return output.read_bytes()
+
+    date = os.environ.get("SOURCE_DATE_EPOCH", "")
+    inputs = (text, json.dumps(options, sort_keys=True), output.suffix, date, *_software())
+    data = kept("fmus", inputs, make)
+    with written_whole(output) as temporary:
+        temporary.write_bytes(data)
+
+
+def _software() -> Iterator[str | bytes]:
+    """Yield all of ours that exports a model, and the versions of what it is built upon."""
+    yield sys.version
+    for requirement in requires("hesr") or ():
+        name = match(r"[\w.-]+", requirement)
+        if name and "extra ==" not in requirement:
+            yield f"{name[0]} {version(name[0])}"
+    for package in (hesr_model, fmu_src):
+        home = Path(str(package.__file__)).parent
+        for file in sorted(home.rglob("*")):
+            if file.is_file() and file.suffix != ".pyc":
+                yield file.relative_to(home).as_posix()
+                yield file.read_bytes()

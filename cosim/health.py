@@ -1,0 +1,45 @@
+"""What the checks of a run found, saved beside its results so that the report says it again."""
+
+import logging
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from hesr_model.artifacts import read_json, write_json
+from hesr_model.errors import ArtifactError
+from hesr_model.health.findings import Finding
+
+HEALTH, HEALTH_FORMAT = "health.json", "hesr-health-1"
+
+
+_log = logging.getLogger(__name__)
+
+
+def told(findings: Iterable[Finding]) -> list[Finding]:
+    """Log findings as the warnings that they are, and return them."""
+    listed = list(findings)
+    for finding in listed:
+        _log.warning("warning: %s [%s]", finding.sentence, finding.check)
+    return listed
+
+
+def write_findings(folder: Path, findings: Sequence[Finding]) -> None:
+    """Write findings into a folder of results."""
+    listed = [finding.to_json() for finding in findings]
+    write_json(folder / HEALTH, {"format": HEALTH_FORMAT, "findings": listed})
+
+
+def read_findings(folder: Path) -> list[Finding]:
+    """Read them back; results of earlier versions have none.
+
+    Raises
+    ------
+    ArtifactError
+        If the file is damaged.
+    """
+    path = folder / HEALTH
+    if not path.is_file():
+        return []
+    try:
+        return [Finding.from_json(entry) for entry in read_json(path, HEALTH_FORMAT)["findings"]]
+    except (KeyError, TypeError) as error:
+        raise ArtifactError(f"{path}: not what checks found ({error}).") from error

@@ -1,0 +1,337 @@
+"""The steps of a study, from its logs to its closed loop."""
+
+import logging
+import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from inspect import signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cosim.closed_loop import ARM
+from cosim.describe import Predictions
+from cosim.scoring import ORACLE, Comparison, by_joint, compare, predict_fmu, within
+from cosim.study import Study
+from hesr_model.artifacts import write_json
+from hesr_model.equations.over_log import Array
+from hesr_model.errors import ConfigError, FitError, HesrError, LogError
+from hesr_model.friction.fitting.fit import fit_models
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import estimator, registry
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.tables import read_table
+from hesr_model.rigid_body.identification import RigidBody, identify
+from hesr_model.rigid_body.refinement import identify_again
+from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.progress import Stages, counted
+from hesr_model.support.typed_json import to_json
+
+if TYPE_CHECKING:
+    from cosim.studies.whole_loop import LoopOutcome
+    from fmu_src.arm.plant import Plant
+    from hesr_model.friction.audit.properties import Properties
+
+
+_log = logging.getLogger(__name__)
+
+
+LogRecords = Mapping[str, Sequence[Sequence[FrictionRecord]]]
+"""Records of every log, by its name, [part][joint]: a log with gaps has several parts."""
+
+
+def records_of(names: Iterable[str], records: LogRecords) -> list[list[FrictionRecord]]:
+    """Return the records of some logs, [joint][part]."""
+    return by_joint([part for name in names for part in records[name]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """The steps of a study."""
+
+    study: Study
+    path: Path
+    progress: Stages
+
+    def __post_init__(self) -> None:
+        study = self.study
+        for law in study.laws:
+            self._require_law("laws", law, {})
+        for law, options in study.options.items():
+            self._require_law(f"options.{law}", law, options)
+        for name, variant in study.variants.items():
+            if name in registry():
+                raise ConfigError(
+                    f"{self.path}: key 'variants.{name}' has the name of a law; give it one of its "
+                    "own."
+                )
+            self._require_law(f"variants.{name}.law", variant.law, {})
+            self._require_law(f"variants.{name}.options", variant.law, variant.options)
+        if study.refinement:
+            self._require_law("refinement.law", study.refinement.law, {})
+        for law in study.tracking.sources if study.tracking else ():
+            if law not in self.laws:
+                raise ConfigError(
+                    f"{self.path}: key 'tracking.sources': law '{law}' is none of the study's, "
+                    f"{', '.join(self.laws)}."
+                )
+
+    def _require_law(self, key: str, law: str, options: Mapping[str, Any]) -> None:
+        """Check that there is the law and that it takes the options."""
+        if law not in registry():
+            raise ConfigError(
+                f"{self.path}: key '{key}': law '{law}' is unknown; known are "
+                f"{', '.join(registry())}."
+            )
+        allowed = signature(estimator(law)).parameters
+        if unknown := [name for name in options if name not in allowed]:
+            raise ConfigError(
+                f"{self.path}: unknown key '{key}.{unknown[0]}'; allowed here: "
+                f"{', '.join(allowed) or 'none'}."
+            )
+        try:
+            estimator(law)(**options)
+        except (HesrError, TypeError) as error:
+            raise ConfigError(f"{self.path}: table '{key}': {str(error).rstrip('.')}.") from error
+
+    @cached_property
+    def robot(self) -> RobotDescription:
+        """The robot of the study, as its file describes it."""
+        return RobotDescription.read(self.study.robot)
+
+    @cached_property
+    def laws(self) -> tuple[str, ...]:
+        """Laws and variants of the study: where it names none, all that the robot file allows."""
+        possible = (
+            name
+            for name, law in registry().items()
+            if all(getattr(self.robot, need) is not None for need in law.needs)
+        )
+        return (*(self.study.laws or possible), *self.study.variants)
+
+    @property
+    def trained_on(self) -> list[str]:
+        """Names of the logs from which anything is estimated."""
+        logs = self.study.logs
+        return list(dict.fromkeys((*logs.identification, *logs.reversed, *logs.training)))
+
+    def log_files(self, folder: Path) -> dict[str, Path]:
+        """Return the file of every log of the study; the twin's are made now.
+
+        Raises
+        ------
+        ConfigError
+            If the study names a log that is no motion of the twin.
+        """
+        tested = (name for logs in self.study.logs.test.values() for name in logs)
+        names = dict.fromkeys((*self.trained_on, *tested))
+        if self.study.twin is None:
+            parts = self.study.logs.parts
+            files = {name: parts[name].log if name in parts else name for name in names}
+            return {name: self.path.parent / file for name, file in files.items()}
+        # MuJoCo is loaded for a twin only, not for measured logs.
+        from cosim.studies.excite import excite
+        from cosim.studies.motions import Motions
+        from fmu_src.arm.plant import Plant
+
+        self.progress("running the arm", 0, 1)
+        motions = self.study.twin.motions
+        plant = Plant.read(self.study.twin.plant)
+        arm = self._arm(plant, folder)
+        made = excite(Motions.read(motions), plant, folder / "logs", fmu=arm)
+        self.progress("running the arm", 1, 1)
+        for name in names:
+            if name not in made:
+                raise ConfigError(
+                    f"{self.path}: key 'logs' names '{name}', which is no motion of {motions}; "
+                    f"its motions give {', '.join(made)}."
+                )
+        return {name: made[name] for name in names}
+
+    def read(self, name: str, file: Path) -> RobotLog:
+        """Read a log of the study, or the part of one that bears a name.
+
+        Raises
+        ------
+        LogError
+            As `RobotLog.read`, or if there are no rows in the part.
+        """
+        log = RobotLog.read(file, self.robot)
+        part = self.study.logs.parts.get(name)
+        if part is None:
+            return log
+        since = log.t - log.t[0]
+        rows = np.flatnonzero((since >= part.start) & (since < part.stop))
+        if len(rows) < 2:
+            raise LogError(
+                f"{file}: has no rows from {part.start:g} to {part.stop:g} s, the part '{name}' of "
+                f"the study; it is {since[-1]:.4g} s long."
+            )
+        return replace(log.rows(rows), name=name)
+
+    def _arm(self, plant: "Plant", folder: Path) -> Path | None:
+        """Write the twin's arm as an FMU, where the study names its signals."""
+        if self.study.twin is None or self.study.twin.signals is None:
+            return None
+        from fmu_src.arm.native import export_mjcf
+
+        path = folder / "fmus" / ARM
+        path.parent.mkdir(exist_ok=True)
+        return export_mjcf(plant.model, path, table=self.study.twin.signals)
+
+    def properties(
+        self,
+        robot: RobotModel,
+        body: RigidBody,
+        models: Mapping[str, FrictionModel],
+        folder: Path,
+    ) -> "dict[str, Properties]":
+        """Put all laws to the property battery and write what it finds."""
+        from cosim.studies.properties.battery import Subject, run_battery
+        from cosim.studies.properties.inertia import standing_inertia
+        from hesr_model.friction.audit.properties import write_properties
+
+        subjects = [
+            Subject(name=law, model=fitted, inertia=standing_inertia(robot, body, fitted))
+            for law, fitted in models.items()
+        ]
+        listed = run_battery(subjects, progress=partial(self.progress, "testing the laws"))
+        found = dict(zip(models, listed, strict=True))
+        write_properties(folder / "properties.json", found)
+        return found
+
+    def closed_loop(
+        self,
+        robot: RobotModel,
+        body: RigidBody,
+        folder: Path,
+        models: Mapping[str, FrictionModel],
+        *,
+        kept: Path,
+    ) -> "LoopOutcome | None":
+        """Run the loop of the study; what is done of it survives an interrupt in `kept`."""
+        if self.study.tracking is None or self.study.twin is None:
+            return None
+        from cosim.studies.whole_loop import run_loop
+        from fmu_src.arm.plant import Plant
+
+        plant = Plant.read(self.study.twin.plant)
+        laws = {law: folder / "fmus" / f"{law}.fmu" for law in models}
+        outcome = run_loop(
+            self.study.tracking,
+            plant,
+            robot,
+            body,
+            folder,
+            friction=laws,
+            kept=kept,
+            progress=self.progress,
+        )
+        write_json(folder / "closed_loop.json", to_json(outcome))
+        shutil.rmtree(kept, ignore_errors=True)
+        return outcome
+
+    def rigid_body(self, logs: Mapping[str, RobotLog], model: RobotModel) -> RigidBody:
+        """Identify the rigid body, again once friction is known where the study wants that."""
+        forward = [logs[name] for name in self.study.logs.identification]
+        backward = [logs[name] for name in self.study.logs.reversed]
+        self.progress("identifying the rigid body", 0, 1)
+        found = identify(forward, model, reversed_logs=backward, physical=self.study.physical)
+        self.progress("identifying the rigid body", 1, 1)
+        refinement = self.study.refinement
+        for _ in range(refinement.rounds if refinement else 0):
+            names = self.study.logs.training
+            records = {
+                name: [friction_records(part, model, found) for part in logs[name].parts()]
+                for name in names
+            }
+            law = refinement.law if refinement else ""
+            friction = self.fit(records, (law,), "refining the rigid body", {})[law]
+            found = identify_again(forward, model, found, friction, reversed_logs=backward)
+        return found
+
+    def fit(
+        self,
+        records: LogRecords,
+        laws: Sequence[str],
+        what: str,
+        source: Mapping[str, Any],
+        *,
+        left_out: Callable[[str, FitError], None] | None = None,
+    ) -> dict[str, FrictionModel]:
+        """Fit laws to the training logs; see `fit_models`."""
+        study = self.study
+        variants = study.variants
+        return fit_models(
+            laws,
+            records_of(study.logs.training, records),
+            robot=self.robot.name,
+            seed=study.seed,
+            options={**study.options, **{name: v.options for name, v in variants.items()}},
+            variants={name: v.law for name, v in variants.items()},
+            provenance=source,
+            progress=partial(self.progress, what),
+            left_out=left_out,
+        )
+
+    def fit_all(
+        self, records: LogRecords, source: Mapping[str, Any]
+    ) -> tuple[dict[str, FrictionModel], dict[str, str]]:
+        """Fit all laws, but for those that the training logs do not determine.
+
+        Returns the models, and why each of the others was left out. Laws that the closed loop
+        needs are not left out.
+        """
+        reasons: dict[str, str] = {}
+
+        def leave_out(law: str, error: FitError) -> None:
+            if self.study.tracking and law in self.study.tracking.sources:
+                raise error
+            reasons[law] = str(error)
+            _log.warning("law '%s' is left out: %s", law, error)
+
+        models = self.fit(records, self.laws, "fitting laws", source, left_out=leave_out)
+        return models, reasons
+
+    def compare(
+        self,
+        laws: Iterable[str],
+        records: LogRecords,
+        files: Mapping[str, Path],
+        fmus: Path,
+    ) -> tuple[dict[str, Comparison], Predictions]:
+        """Score the FMUs on every test set and on its bands; of a twin the truth as well.
+
+        Returns the scores, and the torques on the test sets.
+        """
+        comparisons, predictions = {}, {}
+        tests = self.study.logs.test
+        for name, logs in counted(tests.items(), partial(self.progress, "replaying the FMUs")):
+            tested = records_of(logs, records)
+            predicted = {law: predict_fmu(fmus / f"{law}.fmu", tested) for law in laws}
+            if self.study.twin:
+                predicted[ORACLE] = self._true_friction([files[log] for log in logs])
+            comparisons[name], predictions[name] = compare(tested, predicted), predicted
+            for band in self.study.bands:
+                if band.test == name:
+                    parts = {
+                        law: within(tested, whole, band.start, band.stop)
+                        for law, whole in predicted.items()
+                    }
+                    rows = next(iter(parts.values()))[0]
+                    comparisons[band.name] = compare(
+                        rows, {law: p for law, (_, p) in parts.items()}
+                    )
+        return comparisons, predictions
+
+    def _true_friction(self, logs: Sequence[Path]) -> list[list[Array]]:
+        """Return the true friction [joint][log] of the twin's logs [N.m]."""
+        from cosim.studies.excite import truth_of
+
+        joints = len(self.robot.joints)
+        names = [f"tau_f{k}" for k in range(1, joints + 1)]
+        truths = [read_table(truth_of(log)).numbers(names) for log in logs]
+        return [[truth[:, joint] for truth in truths] for joint in range(joints)]

@@ -1,0 +1,166 @@
+"""The page of `hesr inspect`: what logs are like, joint by joint, and what is wrong or odd."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from markupsafe import Markup
+
+from cosim.figures.chart import Line
+from cosim.figures.coverage import JointView, joints
+from cosim.figures.style import MEASURED, SERIES, VARIABLES, Stroke, svg
+from cosim.report.markup import Pictures, Section, joined, paragraph, render, table
+from cosim.tables.table import ResultTable, TableRow
+from hesr_model.health.evidence import Motionwise
+from hesr_model.health.examine import Examination
+from hesr_model.health.findings import Finding
+from hesr_model.health.proposal import HEAD, Proposal, robot_file, summary_rows
+from hesr_model.support.files import written_whole
+
+_POINTS = 1500
+"""Of a line; more are not seen."""
+
+
+def write_inspection(path: Path, proposal: Proposal) -> None:
+    """Write the page.
+
+    Raises
+    ------
+    ArtifactError
+        If it cannot be written.
+    """
+    pictures = Pictures(folder=path.parent)  # its figures stand in the page only
+    sections = [
+        Section(key="joints", title="Joints", html=_joints(proposal)),
+        Section(key="pictures", title="Motion and torque", html=_drawn(proposal, pictures)),
+        Section(key="robot", title="Proposed robot file", html=_file(proposal, path)),
+    ]
+    page = render(
+        "report.html.j2",
+        title=f"HESR: logs of {proposal.robot.name}",
+        heading=f"Logs of {proposal.robot.name}",
+        summary=_summary(proposal),
+        sections=sections,
+        zooms={},
+        library="",
+        palette=VARIABLES,
+    )
+    with written_whole(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _summary(proposal: Proposal) -> Markup:
+    first = proposal.first
+    after = proposal.examination.findings
+    refused = sum(f.severity == "refusal" for f in first)
+    said = (
+        f"{refused} things cannot be right and {len(first) - refused} are odd."
+        if first
+        else "Nothing wrong or odd was found."
+    )
+    parts = [paragraph(said), _listed(first)]
+    if first and proposal.reasons:
+        left = "what is left is" if after else "nothing of it is left."
+        parts += [paragraph(f"With the robot file that is proposed below {left}"), _listed(after)]
+    rows = [
+        TableRow(
+            head=log.name,
+            cells=(
+                str(len(log.t)), f"{log.t[-1] - log.t[0]:.1f}", f"{log.rate:.4g}",
+                f"{100 * log.jitter:.0f}", str(len(log.gaps)), str(log.dropped),
+            ),
+        )
+        for log in proposal.logs
+    ]  # fmt: skip
+    head = ("log", "rows", "length in s", "rate in Hz", "jitter in %", "gaps", "rows left out")
+    return joined(*parts, table(ResultTable(caption="Logs", head=head, rows=rows)))
+
+
+def _listed(findings: Sequence[Finding]) -> Markup:
+    items = [
+        Markup('<li><strong class="{}">{}.</strong> {}</li>').format(
+            "fail" if f.severity == "refusal" else "pass",
+            "Wrong" if f.severity == "refusal" else "Odd",
+            f.sentence,
+        )
+        for f in findings
+    ]
+    return Markup("<ul>{}</ul>").format(Markup("").join(items)) if items else Markup()
+
+
+def _joints(proposal: Proposal) -> Markup:
+    rows = [
+        TableRow(head=f"{log}: {joint}", cells=cells)
+        for log, joint, *cells in summary_rows(proposal)
+    ]
+    caption = (
+        "Joints that move, with the proposed robot file: ‘dq slope’ is velocity from the position "
+        "over the logged one, ‘gravity / model’ the measured gravity torque over that of the "
+        "model, "
+        "‘friction’ the torque that goes with the velocity, in N.m, and how many standard "
+        "errors it "
+        "is from zero"
+    )
+    return table(ResultTable(caption=caption, head=("log: joint", *HEAD[2:]), rows=rows))
+
+
+def _drawn(proposal: Proposal, pictures: Pictures) -> Markup:
+    """Draw the longest part of the logs, and what all of them cover."""
+    examination = proposal.examination
+    if not examination.parts:
+        return paragraph("The stamps do not allow a picture.")
+    k = max(range(len(examination.parts)), key=lambda k: np.ptp(examination.parts[k].t))
+    part = examination.parts[k]
+    views = [
+        JointView(
+            name=proposal.robot.joints[j],
+            unit="rad/s; m/s",
+            velocities=_velocities(part, int(j)),
+            friction=_friction(examination, k, int(j)),
+            covered=np.concatenate([each.v[:, j] for each in examination.parts]),
+        )
+        for j in np.flatnonzero(part.moves)
+    ]
+    if not views:
+        return paragraph("No joint moves.")
+    return pictures.drawing(
+        "joints", Markup(svg(joints(views), "joints")),
+        f"Log {part.log.name}, joint by joint: velocity as logged and as it follows from the "
+        "smoothed position; torque that the model does not explain over velocity, which is "
+        "friction "
+        "and rises from left to right; and how many rows of all logs there are at each velocity, "
+        "since friction is learned only where there are rows.",
+        alt="For each joint velocity over time, friction over velocity, and a histogram.",
+    )  # fmt: skip
+
+
+def _velocities(part: Motionwise, j: int) -> tuple[Line, ...]:
+    raw = part.log
+    own = Line(
+        name="from the position", x=part.t, y=part.v[:, j],
+        stroke=Stroke(colour=SERIES[1], width=0.9),
+    )  # fmt: skip
+    if raw.dq is None:
+        return (own,)
+    return (Line(name="logged", x=raw.t, y=raw.dq[:, j], stroke=MEASURED), own)
+
+
+def _friction(examination: Examination, k: int, j: int) -> Line | None:
+    if not examination.torques or j not in examination.explained[k]:
+        return None
+    part, of_model, fit = examination.parts[k], examination.torques[k], examination.explained[k][j]
+    left = part.tau[:, j].copy()
+    for estimate, torque in ((fit.gravity, of_model.gravity), (fit.inertia, of_model.inertial)):
+        if np.isfinite(estimate.error):
+            left -= estimate.value * torque[:, j]
+    step = -(-len(left) // _POINTS)
+    return Line(
+        name="friction", x=part.v[::step, j], y=(left - left.mean())[::step],
+        stroke=Stroke(colour=SERIES[0], width=0.6),
+    )  # fmt: skip
+
+
+def _file(proposal: Proposal, path: Path) -> Markup:
+    if not proposal.robot.model.is_file():
+        return paragraph("Without the robot's model (--robot) there is no robot file to propose.")
+    return Markup("<pre>{}</pre>").format(robot_file(proposal, path))

@@ -1,0 +1,1 @@
+"""What is shown of results: each table is described once, and drawn for a terminal or a page."""

@@ -1,0 +1,261 @@
+"""FMUs and SSPs as archives: whoever made them, nothing of them is trusted before it is checked.
+
+Everybody who opens one does it here. `hesr check` lists what is wrong with an archive
+(`fmu_src.check.archive`); everything else refuses such an archive as a whole.
+"""
+
+import hashlib
+import re
+import stat
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from io import BufferedReader
+from pathlib import Path
+from typing import IO, Self
+
+from hesr_model.errors import ArtifactError
+from hesr_model.support.text import plain, quoted
+
+MOST_ENTRIES = 20_000
+MOST_BYTES = 512 << 20
+"""Unpacked size of one entry."""
+
+MOST_BYTES_IN_ALL = 1 << 30
+MOST_DIRECTORY = 16 << 20
+"""Size of the archive's table of contents, which has to be held in memory."""
+
+MOST_RATIO = 200
+"""Of the unpacked to the packed size of a large entry; text has 5 to 20, a zip bomb 1000."""
+
+MOST_TEXT = 32 << 20
+"""Size of XML and JSON, of which a parser makes twenty times as much."""
+
+_LARGE = 10 << 20
+_CHUNK = 1 << 20
+_DRIVE = re.compile(r"[A-Za-z]:")
+_METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
+
+DAMAGED = (
+    zipfile.BadZipFile,
+    zlib.error,
+    ArithmeticError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    NotImplementedError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+"""What the standard library raises for archives that are damaged on purpose or by accident."""
+
+
+class _Bounded:
+    """A file that refuses to be read in one huge piece."""
+
+    def __init__(self, file: BufferedReader, size: int) -> None:
+        self._file = file
+        self._size = size
+        self.seek, self.tell, self.seekable = file.seek, file.tell, file.seekable
+
+    def read(self, size: int = -1) -> bytes:
+        wanted = self._size - self._file.tell() if size < 0 else size
+        if wanted > MOST_DIRECTORY:
+            raise zipfile.BadZipFile(f"its table of contents has {wanted} bytes")
+        return self._file.read(wanted)
+
+
+def opened(path: Path) -> BufferedReader:
+    """Open a file for reading.
+
+    Raises
+    ------
+    ArtifactError
+        If there is none or the operating system does not let it be opened.
+    """
+    try:
+        # Before it is opened: opening a pipe waits for its other end.
+        if path.exists() and not path.is_file():
+            raise ArtifactError(f"{path}: is no file.")
+        return path.open("rb")
+    except FileNotFoundError as error:
+        raise ArtifactError(f"{path}: no such file.") from error
+    except OSError as error:
+        raise ArtifactError(f"{path}: cannot be opened ({error.strerror}).") from error
+
+
+def entries(file: BufferedReader) -> zipfile.ZipFile:
+    """Return the archive in an open file; any of `DAMAGED` if it is none."""
+    return zipfile.ZipFile(_Bounded(file, file.seek(0, 2)))
+
+
+class Archive:
+    """An FMU or SSP that is read; a context manager, which refuses what is not safe to unpack.
+
+    Names that lead out of a folder, links and special files, encryption, and more entries or bytes
+    than an FMU has are refused for the whole archive, whichever entries are wanted.
+
+    Parameters
+    ----------
+    path : the file.
+    kind : what it is for messages: "FMU" or "SSP".
+
+    Raises
+    ------
+    ArtifactError
+        By every method: naming the file, the entry and what is wrong with it.
+    """
+
+    def __init__(self, path: Path, kind: str = "FMU") -> None:
+        self.path, self._kind = path, kind
+        self._cleanup = ExitStack()
+
+    def __enter__(self) -> Self:
+        """Open it and check its table of contents."""
+        with ExitStack() as cleanup:
+            self._file = cleanup.enter_context(opened(self.path))
+            try:
+                self._archive = cleanup.enter_context(entries(self._file))
+                found = self._archive.infolist()
+            except DAMAGED as error:
+                raise self._refusal(said(error)) from error
+            if len(found) > MOST_ENTRIES:
+                raise self._refusal(f"it has {len(found)} entries; at most {MOST_ENTRIES} are read")
+            for entry in found:
+                for text in hazards(entry):
+                    raise self._refusal(text)
+            size = sum(entry.file_size for entry in found)
+            if size > MOST_BYTES_IN_ALL:
+                raise self._refusal(
+                    f"it claims {size} bytes unpacked; at most {MOST_BYTES_IN_ALL} are read"
+                )
+            self._entries = {entry.filename: entry for entry in found if not is_folder(entry)}
+            self._cleanup = cleanup.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self._cleanup.close()
+
+    @property
+    def names(self) -> list[str]:
+        """Names of its files, with '/' between folders."""
+        return list(self._entries)
+
+    def digest(self) -> str:
+        """Return the SHA-256 of the open file, whatever stands at its path by now."""
+        self._file.seek(0)
+        return hashlib.file_digest(self._file, "sha256").hexdigest()
+
+    def read(self, name: str, most: int = MOST_BYTES) -> bytes:
+        """Return the content of a file.
+
+        Raises
+        ------
+        ArtifactError
+            If there is none of this name, it is damaged, or has more bytes than may be.
+        """
+        entry = self._entries.get(name)
+        if entry is None:
+            raise self._refusal(f"there is no {plain(name)} in it")
+        if entry.file_size > most:
+            raise self._refusal(
+                f"its {plain(name)} has {entry.file_size} bytes; at most {most} are read"
+            )
+        try:
+            return b"".join(_pieces(self._archive, entry))
+        except DAMAGED as error:
+            raise self._damaged(entry, error) from error
+
+    def unpack(self, folder: Path, wanted: Callable[[str], bool] = lambda _: True) -> None:
+        """Write files into a folder, those of the wanted names only.
+
+        Raises
+        ------
+        ArtifactError
+            If one of them is damaged, or cannot be written.
+        """
+        for name, entry in self._entries.items():
+            if not wanted(name):
+                continue
+            try:
+                target = folder / name
+                target.parent.mkdir(parents=True, exist_ok=True)
+                copy_entry(self._archive, entry, target)
+            except DAMAGED as error:
+                raise self._damaged(entry, error) from error
+
+    def _damaged(self, entry: zipfile.ZipInfo, error: BaseException) -> ArtifactError:
+        return self._refusal(f"its {plain(entry.filename)} cannot be read: {said(error)}")
+
+    def _refusal(self, why: str) -> ArtifactError:
+        return ArtifactError(f"{self.path}: not a readable {self._kind} ({why.rstrip('.')}).")
+
+
+def copy_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: Path) -> None:
+    """Unpack one entry; any of `DAMAGED` if it is not what the archive says of it."""
+    with target.open("wb") as copy:
+        for piece in _pieces(archive, entry):
+            copy.write(piece)
+
+
+def _pieces(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Iterator[bytes]:
+    """Yield the content of an entry; the archive's checksum is verified at its end."""
+    found = 0
+    source: IO[bytes]
+    with archive.open(entry) as source:
+        while piece := source.read(_CHUNK):
+            found += len(piece)
+            yield piece
+    if found != entry.file_size:
+        raise EOFError(f"it claims {entry.file_size} bytes and has {found}")
+
+
+def is_folder(entry: zipfile.ZipInfo) -> bool:
+    """Whether an entry is a folder."""
+    return entry.filename.endswith("/")
+
+
+def hazards(entry: zipfile.ZipInfo) -> Iterator[str]:
+    """Yield sentences on what makes an entry unsafe to unpack: its name, its kind, its size."""
+    name, shown = entry.filename, quoted(entry.filename)
+    parts = name.replace("\\", "/").split("/")
+    if not name:
+        yield "an entry has no name."
+    elif parts[0] == "" or _DRIVE.match(name) or ".." in parts:
+        yield (
+            f"the entry {shown} leads out of the folder that the archive is unpacked to; needed "
+            "are relative names without '..'."
+        )
+    if not name.isprintable() or entry.orig_filename.rstrip("\0") != name:
+        yield f"the entry {quoted(entry.orig_filename)} has control characters in its name."
+    if reason := unreadable(entry):
+        yield f"the entry {shown} {reason}"
+
+
+def unreadable(entry: zipfile.ZipInfo) -> str | None:
+    """Why an entry is not read, if so."""
+    kind = stat.S_IFMT(entry.external_attr >> 16)
+    if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+        what = "a symbolic link" if kind == stat.S_IFLNK else "a special file"
+        return f"is {what}; an FMU holds ordinary files only."
+    if entry.flag_bits & 0x1:
+        return "is encrypted, so that no importer can read it."
+    if entry.compress_type not in _METHODS:
+        return f"is compressed by method {entry.compress_type}; FMI uses 8 (deflate) or 0 (none)."
+    if entry.file_size > MOST_BYTES:
+        return f"claims {entry.file_size} bytes; more than {MOST_BYTES} are not read."
+    if entry.file_size > max(_LARGE, MOST_RATIO * entry.compress_size):
+        return (
+            f"claims to unpack {entry.compress_size} bytes to {entry.file_size}, as in a zip bomb;"
+            " it is not read."
+        )
+    return None
+
+
+def said(error: BaseException) -> str:
+    """Return what an error says, without full stop, safe to print."""
+    return plain(str(error).rstrip(".") or type(error).__name__)

@@ -1,0 +1,131 @@
+"""MuJoCo's library for each platform, of the installed version's wheel."""
+
+import subprocess
+import sys
+import zipfile
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from platform import machine
+from tempfile import TemporaryDirectory
+
+import mujoco
+
+from fmu_src.package import Binary
+from hesr_model.errors import ExportError
+
+_PACKAGE = "mujoco-core"
+_SECONDS = 600.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Wheel:
+    """Where a platform's library is had from.
+
+    Attributes
+    ----------
+    tags : names of the platform in the package registry.
+    pattern : of the library's file in the wheel.
+    place : folder beside the FMU's binary in which its loader looks for it.
+    flags : by which it is linked; it is looked up by the component itself where there are none.
+    """
+
+    tags: tuple[str, ...]
+    pattern: str
+    place: str = ""
+    flags: tuple[str, ...] = ()
+
+
+_BESIDE = ("-Wl,-rpath,$ORIGIN",)
+_WHEELS = {
+    "linux64": _Wheel(
+        tags=("manylinux_2_27_x86_64", "manylinux_2_28_x86_64"),
+        pattern="libmujoco.so.*",
+        flags=_BESIDE,
+    ),
+    "win64": _Wheel(tags=("win_amd64",), pattern="mujoco.dll"),
+    "darwin64": _Wheel(
+        tags=("macosx_11_0_arm64",),  # which holds that for Intel's processors, too
+        pattern="libmujoco.*.dylib",
+        place="mujoco.framework/Versions/A/",  # as it calls itself
+        flags=("-Wl,-rpath,@loader_path",),
+    ),
+    "aarch64-linux": _Wheel(
+        tags=("manylinux_2_27_aarch64", "manylinux_2_28_aarch64"),
+        pattern="libmujoco.so.*",
+        flags=_BESIDE,
+    ),
+}
+
+
+def library(platform: str) -> Binary:
+    """Return MuJoCo of the installed version for a platform, to compile against and to ship.
+
+    Parameters
+    ----------
+    platform : a folder of binaries in an FMU.
+
+    Raises
+    ------
+    ExportError
+        If the package registry cannot be asked, or has no such wheel.
+    """
+    wheel = _WHEELS[platform]
+    own = Path(mujoco.__file__).parent
+    installed = sorted(own.glob(wheel.pattern)) if platform == _own_platform() else []
+    if installed:
+        name, content = installed[-1].name, installed[-1].read_bytes()
+    else:
+        name, content = _downloaded(platform, wheel)
+    return Binary(
+        name=wheel.place + name,
+        content=content,
+        flags=(f"-isystem{own / 'include'}",),
+        link=wheel.flags,
+    )
+
+
+def _own_platform() -> str:
+    """Return the folder of this machine's binaries, empty where FMUs have none."""
+    own = f"{sys.platform} {machine()}"
+    return {
+        "linux x86_64": "linux64",
+        "linux aarch64": "aarch64-linux",
+        "win32 AMD64": "win64",
+        "darwin x86_64": "darwin64",
+        "darwin arm64": "darwin64",
+    }.get(own, "")
+
+
+def _downloaded(platform: str, wheel: _Wheel) -> tuple[str, bytes]:
+    """Return name and content of the library in a wheel of the registry."""
+    wanted = f"{_PACKAGE}=={version(_PACKAGE)}"
+    options = [option for tag in wheel.tags for option in ("--platform", tag)]
+    with TemporaryDirectory(prefix="hesr-") as folder:
+        command = [
+            sys.executable, "-m", "pip", "download", wanted, "--no-deps", "--only-binary", ":all:",
+            "--disable-pip-version-check", "--quiet", "--dest", folder, *options,
+        ]  # fmt: skip
+        try:
+            ended = subprocess.run(
+                command, capture_output=True, text=True, check=False, timeout=_SECONDS
+            )
+        except subprocess.TimeoutExpired as error:
+            raise _missing(platform, wanted, f"no answer within {_SECONDS:g} s") from error
+        if ended.returncode:
+            lines = ended.stderr.strip().splitlines() or ["no message"]
+            raise _missing(platform, wanted, lines[-1].rstrip("."))
+        [file] = Path(folder).glob("*.whl")
+        with zipfile.ZipFile(file) as archive:
+            for name in archive.namelist():
+                path = Path(name)
+                if path.parent.name == "mujoco" and path.match(wheel.pattern):
+                    return path.name, archive.read(name)
+    raise _missing(platform, wanted, f"the wheel holds no {wheel.pattern}")
+
+
+def _missing(platform: str, wanted: str, why: str) -> ExportError:
+    return ExportError(
+        f"platform '{platform}': MuJoCo for it is in the wheel of {wanted}, which pip could not "
+        f"get ({why})."
+    )

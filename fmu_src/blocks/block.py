@@ -1,0 +1,92 @@
+"""An FMU whose joints all have the same equations."""
+
+from collections.abc import Collection, Iterator
+
+from fmu_src.blocks.table import described
+from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, own_size
+from fmu_src.interface import Enumeration, Interface, Variable
+from fmu_src.package import Content, own_source
+from hesr_model.equations.component import Choice, Component, Parameter, Quantity
+
+
+def block(component: Component, joints: int, *, name: str, text: str, step: float) -> Content:
+    """Return the FMU of a component for a number of joints.
+
+    Parameters
+    ----------
+    component : equations of one joint.
+    joints : how many; their signals are called `name[1]` and so on, shared parameters `name`.
+    name : of the model; in lower case that of the binaries.
+    text : one sentence of description.
+    step : preferred step [s].
+    """
+    own = [Joint(component=component, names=_names(component, i)) for i in range(1, joints + 1)]
+    # What was at the last sample is no state of a solver.
+    free = not (component.remembered or component.sample_time)
+    table = Interface(
+        variables=tuple(_variables(component, own)),
+        own=own_size(own),
+        model_exchange=free,
+        directional_derivatives=free,
+    )
+    return Content(
+        table=table,
+        about=described(name=name, text=text, step=step),
+        sources={
+            **{source: own_source(source) for source in ("equations.c", "law_math.h")},
+            "equations.h": equations_header(own, table, Needs(functions=FRICTION)),
+        },
+        members={},
+    )
+
+
+def _names(component: Component, joint: int) -> dict[str, str]:
+    of_joint = (*component.inputs, *component.parameters, *component.outputs)
+    return {q.name: f"{q.name}[{joint}]" for q in of_joint} | {
+        q.name: q.name for q in component.shared
+    }
+
+
+def _variables(component: Component, joints: list[Joint]) -> Iterator[Variable]:
+    for quantity in component.inputs:
+        for i, joint in enumerate(joints, start=1):
+            yield Variable(name=joint.names[quantity.name], role="input", unit=quantity.unit,
+                           description=f"{quantity.description}, joint {i}")  # fmt: skip
+    for equation in component.outputs:
+        at_once = frozenset() if component.holds else component.sources(equation.symbol)
+        initial = component.sources(equation.symbol, starting=True)
+        for i, joint in enumerate(joints, start=1):
+            yield Variable(
+                name=joint.names[equation.name],
+                role="output",
+                unit=equation.unit,
+                description=f"{equation.description}, joint {i}",
+                dependencies=_named(component, joint, at_once),
+                initial_dependencies=_named(component, joint, initial),
+            )
+    for parameter in component.shared:
+        yield _parameter(parameter, parameter.name, parameter.description)
+    for parameter in component.parameters:
+        for i, joint in enumerate(joints, start=1):
+            name = joint.names[parameter.name]
+            yield _parameter(parameter, name, f"{parameter.description}, joint {i}")
+
+
+def _named(component: Component, joint: Joint, used: Collection[object]) -> tuple[str, ...]:
+    return tuple(joint.names[q.name] for q in component.given if q.symbol in used)
+
+
+def _parameter(parameter: Quantity, name: str, text: str) -> Variable:
+    if not isinstance(parameter, Parameter):
+        raise TypeError(f"'{parameter.name}' is no parameter with a start value")
+    choice = None
+    if isinstance(parameter, Choice):
+        choice = Enumeration(name=parameter.name.capitalize(), items=parameter.items)
+    return Variable(
+        name=name,
+        role="tunable" if parameter.tunable else "fixed",
+        description=text,
+        unit=None if choice else parameter.unit,
+        enumeration=choice,
+        start=parameter.start,
+    )

@@ -1,0 +1,77 @@
+/* Libraries that stand beside this one, wherever a host has loaded it from. */
+#ifndef BESIDE_H
+#define BESIDE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <string.h>
+
+static const char here = 0; /* an address within this library */
+
+#ifdef _WIN32
+
+/* Much of Windows has names that are used elsewhere. */
+#define WIN32_LEAN_AND_MEAN
+#define NOGDI
+#define NOUSER
+#include <windows.h>
+
+/* Load a library by its full name, so that Windows finds what it needs in turn beside it. */
+static void *beside(const char *name) {
+    wchar_t path[4096];
+    HMODULE own = NULL;
+    const size_t room = sizeof path / sizeof path[0];
+    const DWORD how =
+        GET_MODULE_HANDLE_EX_FLAG_FROM_ADDRESS | GET_MODULE_HANDLE_EX_FLAG_UNCHANGED_REFCOUNT;
+    if (!GetModuleHandleExW(how, (const wchar_t *)&here, &own)) {
+        return NULL;
+    }
+    const size_t length = GetModuleFileNameW(own, path, (DWORD)room);
+    wchar_t *end = length < room ? wcsrchr(path, L'\\') : NULL;
+    if (!end || (size_t)(end - path) + strlen(name) + 2 > room) {
+        return NULL;
+    }
+    do {
+        *++end = (wchar_t)*name; /* names of libraries are plain ASCII */
+    } while (*name++);
+    return LoadLibraryExW(path, NULL, LOAD_WITH_ALTERED_SEARCH_PATH);
+}
+
+/* Put the address of a function into a pointer; false if the library does not have it. */
+static bool look_up(void *library, const char *name, void *pointer) {
+    const FARPROC found = GetProcAddress(library, name);
+    memcpy(pointer, &found, sizeof found);
+    return found != NULL;
+}
+
+#else
+
+#include <dlfcn.h>
+
+static void *beside(const char *name) {
+    char path[4096];
+    Dl_info own;
+    if (!dladdr(&here, &own)) {
+        return NULL;
+    }
+    size_t folder = strlen(own.dli_fname);
+    while (folder > 0 && own.dli_fname[folder - 1] != '/') {
+        folder--;
+    }
+    if (folder + strlen(name) + 1 > sizeof path) {
+        return NULL;
+    }
+    memcpy(path, own.dli_fname, folder);
+    strcpy(path + folder, name);
+    return dlopen(path, RTLD_NOW | RTLD_LOCAL);
+}
+
+static bool look_up(void *library, const char *name, void *pointer) {
+    void *const found = dlsym(library, name);
+    memcpy(pointer, &found, sizeof found);
+    return found != NULL;
+}
+
+#endif
+
+#endif

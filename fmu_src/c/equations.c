@@ -1,0 +1,288 @@
+/* Component: equations, the same for every joint or others for each.
+ *
+ *     memory moves over a step with the inputs held; then what is read of it is computed
+ *
+ * The generated equations.h defines the functions and the table `joints`; it says where the inputs,
+ * states, parameters and outputs of a joint stand among the variables. Signs of inputs, at which
+ * some equations jump, are held between events. Equations with previous values take a sample at
+ * each step, or at multiples of their sample time where they have one, and hold in between.
+ */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "component_alone.h"
+#include "equations.h"
+
+/* What the component remembers besides its variables. */
+enum {
+    STARTED = 0,                             /* whether the initialisation has ended */
+    LAST_STEP = 1,                           /* length of the last step [s], 0 before the first */
+    BEGIN = 2,                               /* time at which it started [s] */
+    TICKS = 3,                               /* samples since then; negative where outputs hold */
+    USED = OWN_FIXED,                        /* the inputs that were held over the last step */
+    BEFORE = USED + JOINTS * MAX_INPUTS,     /* the states before it */
+    PREVIOUS = BEFORE + JOINTS * MAX_STATES, /* values at the last sample but one */
+    LATEST = PREVIOUS + JOINTS * MAX_REMEMBERED, /* and at the last */
+    HELD = LATEST + JOINTS * MAX_REMEMBERED,
+};
+
+/* By how much of a sample time a sum of steps may miss a sample. */
+#define ROUNDING 1e-6
+
+/* Samples in one step; more take longer than anybody waits. */
+#define MOST_SAMPLES 1e7
+
+/* All that equations are evaluated at. */
+typedef struct {
+    const Joint *joint;
+    const double *k; /* parameters */
+    const double *s; /* signs */
+    double u[MAX_INPUTS];
+} Place;
+
+static Place place_of(const Component *component, int i) {
+    const Joint *joint = &joints[i];
+    const double *v = component->v;
+    Place at = {
+        .joint = joint,
+        .k = joint->constants ? joint->constants : &v[joint->first_parameter],
+        .s = &component->own[HELD + joint->first_switch],
+    };
+    for (int j = 0; j < joint->inputs; j++) {
+        at.u[j] = v[joint->input[j]];
+    }
+    return at;
+}
+
+static double *states_of(Component *component, int i) {
+    return &component->v[joints[i].first_state];
+}
+
+static double *previous_of(Component *component, int i) {
+    return &component->own[PREVIOUS + i * MAX_REMEMBERED];
+}
+
+static double *latest_of(Component *component, int i) {
+    return &component->own[LATEST + i * MAX_REMEMBERED];
+}
+
+static void put(Component *component, const Joint *joint, const double *y) {
+    for (int j = 0; j < joint->outputs; j++) {
+        component->v[joint->output[j]] = y[j];
+    }
+}
+
+/* Before the first step previous values are the starts. */
+static void start(Component *component, int i) {
+    const Place at = place_of(component, i);
+    const Joint *joint = at.joint;
+    double y[MAX_OUTPUTS], *x = states_of(component, i), *dx = x + joint->states;
+    if (joint->start) {
+        joint->start(at.k, at.u, at.s, x, previous_of(component, i), dx, y,
+                     latest_of(component, i));
+    } else {
+        joint->read(at.k, at.u, at.s, x, NULL, 0.0, dx, y, NULL);
+    }
+    put(component, joint, y);
+}
+
+static bool component_initialise(Component *component, void *workspace, Message *why) {
+    (void)workspace;
+    for (int i = 0; i < JOINTS; i++) {
+        const Place at = place_of(component, i);
+        const char *needed;
+        const int bad = at.joint->refused ? at.joint->refused(at.u, &needed) : -1;
+        if (bad >= 0) {
+            const int place = at.joint->input[bad];
+            snprintf(why->text, sizeof why->text, "%s is %g%s", variables[place].name,
+                     component->v[place], needed);
+            return false;
+        }
+    }
+    for (int i = 0; i < JOINTS; i++) {
+        start(component, i);
+    }
+    component->own[STARTED] = 1.0;
+    component->own[BEGIN] = component->time;
+    return true;
+}
+
+static bool component_output(Component *component, void *workspace, Message *why) {
+    (void)workspace, (void)why; /* the glue itself looks for infinite outputs */
+    const bool started = component->own[STARTED] > 0.0;
+    if (started && (HOLDS || component->own[TICKS] < 0.0)) {
+        return true;
+    }
+    for (int i = 0; i < JOINTS; i++) {
+        if (!started) {
+            start(component, i);
+            continue;
+        }
+        const Place at = place_of(component, i);
+        double y[MAX_OUTPUTS], r[MAX_REMEMBERED + 1], *x = states_of(component, i);
+        at.joint->read(at.k, at.u, at.s, x, previous_of(component, i), component->own[LAST_STEP],
+                       x + at.joint->states, y, r);
+        put(component, at.joint, y);
+    }
+    return true;
+}
+
+/* Euler's steps are stable for short ones only; the message says at which speed they are not. */
+static bool can_relax(const Component *component, double step, Message *why) {
+    for (int i = 0; i < JOINTS; i++) {
+        const Place at = place_of(component, i);
+        double rate[MAX_STATES];
+        at.joint->rates(at.k, at.u, &component->v[at.joint->first_state], rate);
+        for (int j = 0; j < at.joint->states; j++) {
+            if (!(rate[j] * step < 1.0)) {
+                snprintf(why->text, sizeof why->text,
+                         "%s: Euler needs rate * step < 1 but found %g at %s = %g; take a smaller "
+                         "step or the exact discretisation.",
+                         variables[at.joint->first_state + j].name, rate[j] * step,
+                         variables[at.joint->input[0]].name, at.u[0]);
+                return false;
+            }
+        }
+    }
+    return true;
+}
+
+/* Move the memory of all joints, and compute what is read of it. */
+static void sample(Component *component, double step) {
+    const double euler = DISCRETISATION >= 0 && component->v[DISCRETISATION] == EULER;
+    component->own[LAST_STEP] = step;
+    for (int i = 0; i < JOINTS; i++) {
+        const Place at = place_of(component, i);
+        const Joint *joint = at.joint;
+        double y[MAX_OUTPUTS], *x = states_of(component, i);
+        memcpy(previous_of(component, i), latest_of(component, i),
+               (size_t)joint->remembered * sizeof(double));
+        memcpy(&component->own[USED + i * MAX_INPUTS], at.u,
+               (size_t)joint->inputs * sizeof at.u[0]);
+        memcpy(&component->own[BEFORE + i * MAX_STATES], x, (size_t)joint->states * sizeof *x);
+        joint->step(at.k, at.u, at.s, previous_of(component, i), step, euler, x, x + joint->states,
+                    y, latest_of(component, i));
+        put(component, joint, y);
+    }
+}
+
+/* Take the samples between the beginning of a step and its end. */
+static bool samples(Component *component, double step, Message *why) {
+    double *own = component->own;
+    const double time = component->v[SAMPLE_TIME_PLACE];
+    const double at = (component->time + step - own[BEGIN]) / time;
+    const double whole = floor(at + ROUNDING), done = floor(fabs(own[TICKS]));
+    if (!(whole - done <= MOST_SAMPLES)) {
+        snprintf(why->text, sizeof why->text,
+                 "A step of %g s would be %g samples of %g s; at most %g are taken.", step,
+                 whole - done, time, MOST_SAMPLES);
+        return false;
+    }
+    for (double n = done; n < whole; n++) {
+        sample(component, time);
+    }
+    /* Half a sample more says "between two". */
+    own[TICKS] = at - whole <= ROUNDING ? whole : -(whole + 0.5);
+    return true;
+}
+
+static bool component_step(Component *component, void *workspace, double step, Message *why) {
+    (void)workspace;
+    if (SAMPLED) {
+        return samples(component, step, why);
+    }
+    if (DISCRETISATION >= 0 && component->v[DISCRETISATION] == EULER &&
+        !can_relax(component, step, why)) {
+        return false;
+    }
+    sample(component, step);
+    return true;
+}
+
+/* Direction along which no parameter changes. */
+static const double no_change[MAX_PARAMETERS] = {0.0};
+
+/* The slope of a joint's first output over its first input, with the states following as they did
+ * in the last step. */
+static double slope_of_step(const Component *component, int i) {
+    const Place at = place_of(component, i);
+    const Joint *joint = at.joint;
+    const double step = component->own[LAST_STEP], *x = &component->v[joint->first_state];
+    const double euler = DISCRETISATION >= 0 && component->v[DISCRETISATION] == EULER;
+    const double du[MAX_INPUTS] = {1.0};
+    double tx[MAX_STATES] = {0.0}, tdx[MAX_STATES], ty[MAX_OUTPUTS], s[MAX_SWITCHES];
+    if (step > 0.0) {
+        /* Where inputs had slopes, a sign may since have changed. */
+        const double *used = &component->own[USED + i * MAX_INPUTS];
+        joint->switches(at.k, used, s);
+        for (int j = 0; j < joint->switches_of_joint; j++) {
+            s[j] = sgn(s[j]);
+        }
+        joint->follow(at.k, used, s, &component->own[BEFORE + i * MAX_STATES], step, euler, du, tx);
+    }
+    joint->tangent(at.k, at.u, at.s, x, NULL, step, no_change, du, tx, tdx, ty);
+    return ty[0];
+}
+
+static void component_demand(Component *component) {
+    for (int i = 0; i < JOINTS; i++) {
+        if (joints[i].slope >= 0) {
+            component->v[joints[i].slope] = slope_of_step(component, i);
+        }
+    }
+}
+
+static bool component_event(Component *component, double rest, Message *what) {
+    bool changed = false;
+    for (int i = 0; i < JOINTS; i++) {
+        const Joint *joint = &joints[i];
+        double z[MAX_SWITCHES];
+        if (joint->switches_of_joint == 0) {
+            continue;
+        }
+        const Place at = place_of(component, i);
+        double *held = &component->own[HELD + joint->first_switch];
+        joint->switches(at.k, at.u, z);
+        for (int j = 0; j < joint->switches_of_joint; j++) {
+            const double sign = fabs(z[j]) < rest ? 0.0 : sgn(z[j]);
+            if (what && sign != held[j]) {
+                snprintf(what->text, sizeof what->text, "The sign of %s of joint %d becomes %g.",
+                         joint->names[j], i + 1, sign);
+            }
+            changed = changed || sign != held[j];
+            held[j] = sign;
+        }
+    }
+    return changed;
+}
+
+static void component_indicators(const Component *component, double rest, double *indicator) {
+    for (int i = 0; i < JOINTS; i++) {
+        double z[MAX_SWITCHES];
+        const Place at = place_of(component, i);
+        at.joint->switches(at.k, at.u, z);
+        for (int j = 0; j < at.joint->switches_of_joint; j++) {
+            *indicator++ = at.s[j] != 0.0 ? at.s[j] * z[j] : rest - fabs(z[j]);
+        }
+    }
+}
+
+static void component_tangent(const Component *component, const double *seed, double *tangent) {
+    for (int i = 0; i < JOINTS; i++) {
+        const Place at = place_of(component, i);
+        const Joint *joint = at.joint;
+        const int state = joint->first_state;
+        const double *dk = joint->constants ? no_change : &seed[joint->first_parameter];
+        double du[MAX_INPUTS], ty[MAX_OUTPUTS];
+        for (int j = 0; j < joint->inputs; j++) {
+            du[j] = seed[joint->input[j]];
+        }
+        joint->tangent(at.k, at.u, at.s, &component->v[state],
+                       &component->own[PREVIOUS + i * MAX_REMEMBERED], component->own[LAST_STEP],
+                       dk, du, &seed[state], &tangent[state + joint->states], ty);
+        for (int j = 0; j < joint->outputs; j++) {
+            tangent[joint->output[j]] = ty[j];
+        }
+    }
+}

@@ -1,0 +1,315 @@
+"""What an FMU makes of masters at their worst: steps of odd lengths, calls that others leave out.
+
+Reference is the same FMU at an eighth of its preferred step, and at half of it with inputs held for
+twice that step, as masters may hold them. An output jumps where it leaves the range that these have
+around its time by several times what it does at the preferred step, outputs that follow new inputs
+before the step included: that is the step error that the FMU has anyway.
+"""
+
+import json
+import math
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu_src.check.archive import Contents
+from fmu_src.check.description import Description, Kind, Variable, integer, real
+from hesr_model.support.process import FailedError, run
+from hesr_model.support.text import plain, quoted
+
+Array = NDArray[np.float64]
+
+SECONDS = 300.0
+"""Longest run of all scenarios."""
+
+STEPS = 200
+"""Of the nominal run."""
+
+_WORKER = Path(__file__).with_name("hostile_worker.py")
+_STEP = 0.01  # [s], where the FMU prefers none
+_ERRORS = 5.0  # as many step errors of the nominal run are no jump
+_LEAST = 0.02  # nor is this much of the range of an output
+_SAME = 1e-9  # of it, where runs must be the same
+
+_FREE = {
+    "fifth": "steps of a fifth of the preferred one",
+    "double": "steps of twice the preferred one",
+    "irrational": "steps of irrational lengths",
+    "tiny": "steps of rounding size between others",
+}
+"""Scenarios for FMUs whose communication step may vary."""
+
+_NAMES = _FREE | {
+    "nominal": "the preferred step",
+    "dense": "steps of an eighth of the preferred one",
+    "held": "steps of half the preferred one",
+    "summed": "a last step of rounding size, as summed times leave it",
+    "refreshed": "reading outputs between fmi2SetReal and fmi2DoStep",
+    "repeated": "steps that are taken back by fmi2SetFMUstate",
+    "exchange": "model exchange with inputs held over each step of the solver",
+    "late": "model exchange with inputs set after events only",
+    "sizes": "fmi2SetContinuousStates with one state too many",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Run:
+    """Outcome of a scenario: (N,) times [s] and steps before them, (N, outputs) values.
+
+    `fresh` are those that were read before the steps, where they were.
+    """
+
+    times: Array
+    steps: Array
+    rows: Array
+    fresh: Array
+    refused: str
+
+
+def problems(about: Description, contents: Contents, folder: Path) -> tuple[list[str], list[str]]:
+    """Return what a hostile master finds, and what it could not try.
+
+    Parameters
+    ----------
+    about : of an FMU of FMI 2.0.
+    contents : its files.
+    folder : for files of the run; the FMU's binary is executed.
+    """
+    import fmpy
+
+    place = folder / "hostile"
+    kinds = {kind.element: kind for kind in about.kinds}
+    own = f"binaries/{fmpy.platform}/"
+    present = {
+        name: kind
+        for name, kind in kinds.items()
+        if f"{own}{kind.identifier}{fmpy.sharedLibraryExtension}" in contents.files
+    }
+    if not present:
+        return [], [f"Hostile master: there is no binary for this platform, {fmpy.platform}."]
+    for name, file in contents.files.items():
+        if name.startswith((own, "resources/")):
+            target = place / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(file.read_bytes())
+    master = _Master(about, present, place, folder)
+    return list(master.findings()), master.skipped
+
+
+class _Master:
+    """The scenarios of one FMU and what is said of them."""
+
+    def __init__(
+        self, about: Description, kinds: Mapping[str, Kind], place: Path, folder: Path
+    ) -> None:
+        self._folder = folder
+        self._outputs = [v for v in about.variables if v.causality == "output" and _is_real(v)]
+        self._simulation = kinds.get("CoSimulation")
+        self._exchange = kinds.get("ModelExchange")
+        self._step = _preferred_step(about)
+        self.skipped: list[str] = []
+        self._plan = {
+            "folder": str(place),
+            "guid": about.attributes.get("guid", ""),
+            "simulation": self._simulation and self._simulation.identifier,
+            "exchange": self._exchange and self._exchange.identifier,
+            "step": self._step,
+            "steps": STEPS,
+            "variable": self._varies,
+            "states": len(about.structure["Derivatives"]),
+            "indicators": integer(about.attributes.get("numberOfEventIndicators")) or 0,
+            "inputs": [
+                _excitation(v) for v in about.variables if v.causality == "input" and _is_real(v)
+            ],
+            "outputs": [v.reference for v in self._outputs],
+        }
+
+    @property
+    def _varies(self) -> bool:
+        kind = self._simulation
+        return kind is not None and kind.can("canHandleVariableCommunicationStepSize")
+
+    def _scenarios(self) -> list[str]:
+        chosen: list[str] = []
+        if self._simulation is None:
+            self.skipped.append("Hostile steps: it is not for co-simulation here.")
+        else:
+            chosen += ["nominal", "summed", "refreshed"]
+            if self._varies:
+                chosen += ["dense", "held", *_FREE]
+            else:
+                self.skipped.append(
+                    "Hostile steps: canHandleVariableCommunicationStepSize is false, so that "
+                    f"steps of {self._step:g} s were tried only."
+                )
+            if self._simulation.can("canGetAndSetFMUstate"):
+                chosen.append("repeated")
+        if self._exchange is not None:
+            chosen += ["exchange", "late", "sizes"]
+        return chosen
+
+    def findings(self) -> Iterator[str]:
+        """Run all scenarios and yield a sentence for each thing that is wrong."""
+        outcomes = self._outcomes(self._scenarios())
+        for name, outcome in outcomes.items():
+            if refused := outcome.get("refused"):
+                claim = "; canHandleVariableCommunicationStepSize is true" if name in _FREE else ""
+                yield f"{_NAMES[name]}: {plain(refused.rstrip('.'), 400)}{claim}."
+            if name == "sizes" and outcome.get("taken") and self._plan["states"]:
+                yield f"{_NAMES[name]}: it is taken without an error."
+            if name == "sizes" and not outcome.get("taken", True) and not self._plan["states"]:
+                yield (
+                    "fmi2SetContinuousStates with one state where there is none is refused; "
+                    "solvers that need one make it up."
+                )
+        if self._outputs:
+            count = len(self._outputs)
+            yield from self._jumps(
+                {name: _run(one, count) for name, one in outcomes.items() if "times" in one}
+            )
+
+    def _outcomes(self, scenarios: Sequence[str]) -> dict[str, dict[str, Any]]:
+        """Run scenarios; one that ends the process is told of, and the others are run without."""
+        left, found = list(scenarios), dict[str, dict[str, Any]]()
+        plan, answer = self._folder / "plan.json", self._folder / "answer.jsonl"
+        while left:
+            plan.write_text(json.dumps(self._plan | {"scenarios": left}), encoding="utf-8")
+            answer.write_text("", encoding="utf-8")
+            command = (sys.executable, "-P", str(_WORKER), str(plan), str(answer))
+            try:
+                ended = run(command, self._folder, SECONDS)
+                lines = ended.text.strip().splitlines() or ["no message"]
+                fault = (
+                    f"the FMU crashes with signal {-ended.code}"
+                    if ended.code < 0
+                    else f"the FMU ends its host with '{plain(lines[-1])}'"
+                )
+            except FailedError as error:
+                fault = f"the FMU does not come to an end, {error}"
+            for line in answer.read_text(encoding="utf-8").splitlines():
+                outcome = json.loads(line)
+                found[outcome["scenario"]] = outcome
+            left = [name for name in left if name not in found]
+            if left:
+                found[left[0]] = {"refused": fault}
+                left = left[1:]
+        return found
+
+    # --- jumps --------------------------------------------------------------------------------
+
+    def _jumps(self, runs: Mapping[str, _Run]) -> Iterator[str]:
+        nominal = runs.get("nominal")
+        if nominal is None or nominal.refused:
+            return
+        small = [runs[n] for n in ("dense", "held") if n in runs and not runs[n].refused]
+        reference = small or [nominal]
+        scale = _scale(np.concatenate([one.rows for one in reference]))
+        own = np.zeros(len(self._outputs))
+        for own_run in (nominal, *_fresh(runs)):
+            around = _around(own_run, reference, self._step)
+            own = np.maximum(own, _excess(own_run, around).max(axis=0))
+        # Where those that are discrete jump is a matter of the step.
+        free = np.array([np.inf if v.variability == "discrete" else 0.0 for v in self._outputs])
+        for name in ("summed", *_FREE):
+            if name in runs:
+                longer = max(1.0, float(runs[name].steps.max(initial=0.0)) / self._step)
+                around = _around(runs[name], reference, self._step)
+                least = _ERRORS * longer * own + _LEAST * scale + free
+                over = _excess(runs[name], around) - least
+                yield from self._worst(name, runs[name], over / scale, around)
+        for name in ("refreshed", "repeated"):
+            if name in runs:
+                same = nominal.rows[: len(runs[name].rows)]
+                over = _excess(runs[name], (same, same)) - _SAME * scale
+                yield from self._worst(name, runs[name], over / scale, (same, same))
+
+    def _worst(
+        self, name: str, run: _Run, over: Array, around: tuple[Array, Array]
+    ) -> Iterator[str]:
+        """Say of the output that is furthest off, for its range, where that is."""
+        bad = ~(over <= 0.0)  # NaN is bad
+        if not bad.any():
+            return
+        sizes = np.where(np.isnan(over), np.inf, over)
+        at = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+        more = int(bad.any(axis=0).sum()) - 1
+        others = f" (and {more} more output{'s' if more > 1 else ''})" if more else ""
+        low, high = around[0][at], around[1][at]
+        right = f"{low:.9g}" if low == high else f"from {low:.6g} to {high:.6g}"
+        yield (
+            f"{_NAMES[name]}: {quoted(self._outputs[at[1]].name)}{others} is {run.rows[at]:.9g} at "
+            f"{run.times[at[0]]:.6g} s after a step of {run.steps[at[0]]:.6g} s, where steps of "
+            f"{self._step:g} s and less give {right}."
+        )
+
+
+def _is_real(variable: Variable) -> bool:
+    return variable.kind == "Real" and variable.reference is not None
+
+
+def _preferred_step(about: Description) -> float:
+    step = real(about.experiment.get("stepSize"))
+    return step if step is not None and math.isfinite(step) and step > 0.0 else _STEP
+
+
+def _excitation(variable: Variable) -> dict[str, Any]:
+    """Return around which value and how far an input swings, within its limits."""
+    start, low, high = (real(variable.get(name)) for name in ("start", "min", "max"))
+    centre = start if start is not None and math.isfinite(start) else 0.0
+    amplitude = 0.5 * (real(variable.get("nominal")) or 1.0)
+    if low is not None and high is not None and math.isfinite(high - low):
+        centre, amplitude = 0.5 * (low + high), min(amplitude, 0.4 * (high - low))
+    elif low is not None:
+        centre = max(centre, low + amplitude)
+    elif high is not None:
+        centre = min(centre, high - amplitude)
+    return {"reference": variable.reference, "centre": centre, "amplitude": amplitude}
+
+
+def _run(outcome: Mapping[str, Any], outputs: int) -> _Run:
+    return _Run(
+        times=np.array(outcome["times"], dtype=float),
+        steps=np.array(outcome["steps"], dtype=float),
+        rows=np.array(outcome["rows"], dtype=float).reshape(-1, outputs),
+        fresh=np.array(outcome.get("fresh", []), dtype=float).reshape(-1, outputs),
+        refused=outcome.get("refused", ""),
+    )
+
+
+def _fresh(runs: Mapping[str, _Run]) -> Iterator[_Run]:
+    """Yield the outputs that follow new inputs before the step that these are for."""
+    run = runs.get("refreshed")
+    if run is not None and not run.refused:
+        yield replace(run, times=run.times[:-1], steps=run.steps[1:], rows=run.fresh)
+
+
+def _scale(rows: Array) -> Array:
+    """Return the range (outputs,) of each output, for one that stands still its rounding."""
+    finite = np.where(np.isfinite(rows), rows, 0.0)
+    rounding = np.maximum(1e-9 * np.abs(finite).max(axis=0), 1e-12)
+    scale: Array = np.maximum(np.ptp(finite, axis=0), rounding)
+    return scale
+
+
+def _around(run: _Run, references: Sequence[_Run], step: float) -> tuple[Array, Array]:
+    """Return the least and the most (N, outputs) that references have around the times of a run."""
+    low, high = np.full_like(run.rows, np.inf), np.full_like(run.rows, -np.inf)
+    for k, (time, last) in enumerate(zip(run.times, run.steps, strict=True)):
+        reach = 1.01 * (step + max(step, float(last)))
+        for one in references:
+            first, end = np.searchsorted(one.times, (time - reach, time + reach))
+            rows = one.rows[min(first, len(one.rows) - 1) : max(end, first + 1)]
+            low[k] = np.minimum(low[k], rows.min(axis=0))
+            high[k] = np.maximum(high[k], rows.max(axis=0))
+    return low, high
+
+
+def _excess(run: _Run, around: tuple[Array, Array]) -> Array:
+    """Return by how much (N, outputs) a run leaves a range."""
+    over: Array = np.maximum(np.maximum(around[0] - run.rows, run.rows - around[1]), 0.0)
+    return over

@@ -1,0 +1,1 @@
+"""What an FMU says of itself to people: data sheet, picture, live page."""

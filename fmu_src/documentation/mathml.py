@@ -1,0 +1,195 @@
+"""The equations of a law as MathML, which browsers typeset by themselves.
+
+A formula comes as several `math` elements, one for each term of a sum, so that a narrow page can
+break the line between them.
+"""
+
+from collections.abc import Mapping
+from html import escape
+from typing import Any
+
+import sympy
+from sympy.printing.mathml import MathMLPresentationPrinter
+
+from hesr_model.equations.memory import Stop
+from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
+from hesr_model.friction.law import FrictionLaw, LawForm
+
+MOST_TERMS = 12
+"""Longer sums, as of networks, are shown by their first terms and their last one."""
+
+_DIGITS = 4
+
+_GREEK = {
+    "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "kappa": "κ", "lambda": "λ", "mu": "μ",
+    "sigma": "σ", "tau": "τ", "theta": "θ",
+}  # fmt: skip
+_DERIVATIVES = {"dq": "q", "dh": "h", "dz": "z"}
+_TIMES = '<mo lspace="0" rspace="0.17em">&#8290;</mo>'
+"""The invisible operator, with some space: names may have several letters."""
+_EQUALS, _PLUS, _MINUS = (f'<mo form="infix">{sign}</mo>' for sign in "=+−")
+_FIRST_MINUS = "<mo>−</mo>"
+_EXP = sympy.Function("exp")
+_BETTER = {
+    "<mo>&InvisibleTimes;</mo>": _TIMES,
+    "<mo>-</mo>": "<mo>−</mo>",
+    "<mn>-": "<mo>−</mo><mn>",
+}
+
+
+def equations(law: FrictionLaw, *, numbers: bool = False) -> list[str]:
+    """Return the torque and then each state's derivative as MathML, and the bound of a stop.
+
+    Parameters
+    ----------
+    law : whose equations.
+    numbers : whether coefficients are shown by their values, to four digits, not by their names.
+    """
+    printer = _Printer(law.form, law.values if numbers else {})
+    lines = [[f"{_name('tau')}{_EQUALS}", *printer.terms(law.form.output)]]
+    for m in law.form.memory:
+        state, rate = _name(m.name), printer.text(m.parts[1])
+        if isinstance(m, Stop):
+            lines.append([f"{_dotted(state)}{_EQUALS}", *printer.terms(m.parts[0])])
+            lines.append([f"<mo>|</mo>{state}<mo>|</mo><mo>≤</mo>{rate}"])
+            continue
+        if isinstance(m.rate, sympy.Add):
+            rate = f"<mrow><mo>(</mo>{rate}<mo>)</mo></mrow>"
+        lines.append(
+            [
+                f"{_dotted(state)}{_EQUALS}",
+                *printer.terms(m.drive),
+                f"{_MINUS}{rate}{_TIMES}{state}",
+            ]
+        )
+    return [" ".join(f'<math displaystyle="true">{part}</math>' for part in line) for line in lines]
+
+
+def symbol(name: str) -> str:
+    """Return the name of a coefficient as MathML."""
+    return f"<math>{_name(name)}</math>"
+
+
+class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not typed
+    """Prints the symbols of a law as they are read, and our own functions.
+
+    Symbols are replaced by others that sort as formulas are written: coefficients, then states,
+    then inputs.
+    """
+
+    def __init__(self, form: LawForm, values: Mapping[str, float]) -> None:
+        super().__init__()
+        self._values = {
+            c.symbol: sympy.Float(f"{values[c.name]:.{_DIGITS}g}")
+            for c in form.coefficients
+            if c.name in values
+        }
+        written = {c.symbol: _name(c.name) for c in form.coefficients}
+        for m in form.memory:
+            written |= {m.derivative: _dotted(_name(m.name)), m.state: _name(m.name)}
+        written |= {Q: _name("q"), DQ: _name("dq"), TAU_LOAD: _name("tau_load")}
+        self._replaced = {old: sympy.Symbol(f"{i:04d}", real=True) for i, old in enumerate(written)}
+        self._written = dict(zip(self._replaced.values(), written.values(), strict=True))
+
+    def terms(self, expression: sympy.Expr) -> list[str]:
+        """Return the terms of a sum, each with its sign but a first plus."""
+        whole = self._readable(expression)
+        terms = self._as_ordered_terms(whole) if isinstance(whole, sympy.Add) else [whole]
+        parts = []
+        for i, term in enumerate(terms):
+            minus = term.could_extract_minus_sign()
+            sign = _FIRST_MINUS if minus and not i else _MINUS if minus else _PLUS if i else ""
+            parts.append(sign + self._text(-term if minus else term))
+        if len(parts) > MOST_TERMS:
+            parts = [*parts[: MOST_TERMS // 2], f"{_PLUS}<mo>⋯</mo>", parts[-1]]
+        return parts
+
+    def text(self, expression: sympy.Expr) -> str:
+        """Return an expression as MathML."""
+        return self._text(self._readable(expression))
+
+    def _readable(self, expression: sympy.Expr) -> sympy.Expr:
+        # A function of another class is not moved below the fraction line where it falls.
+        shown = expression.xreplace(self._values).xreplace(self._replaced)
+        return shown.replace(sympy.exp, _EXP)
+
+    def _text(self, expression: sympy.Expr) -> str:
+        written: str = self._print(expression).toxml()
+        # The printer leaves symbols as their stand-ins, which XML cannot mistake for anything.
+        for stand_in, text in self._written.items():
+            written = written.replace(f"<mi>{stand_in.name}</mi>", text)
+        for found, better in _BETTER.items():
+            written = written.replace(found, better)
+        return written
+
+    def _print_Symbol(self, sym: sympy.Symbol, style: str = "plain") -> Any:
+        del style
+        return self._element("mi", sym.name)
+
+    def _print_Float(self, expr: sympy.Float) -> Any:
+        # Numbers that SymPy has multiplied have more digits than were put in.
+        text = f"{float(expr):.{_DIGITS if self._values else 12}g}"
+        if "e" not in text:
+            return self._element("mn", text)
+        mantissa, exponent = text.split("e")
+        power = self.dom.createElement("msup")
+        power.appendChild(self._element("mn", "10"))
+        power.appendChild(self._element("mn", str(int(exponent)).replace("-", "−")))
+        if mantissa == "1":
+            return power
+        return self._row(self._element("mn", mantissa), self._element("mo", "×"), power)
+
+    def _print_sgn(self, expr: sympy.Expr) -> Any:
+        return self._applied("sgn", expr)
+
+    def _print_positive(self, expr: sympy.Expr) -> Any:
+        return self._applied("max", expr, sympy.Integer(0))
+
+    def _print_larger(self, expr: sympy.Expr) -> Any:
+        return self._applied("max", expr)
+
+    def _print_clip(self, expr: sympy.Expr) -> Any:
+        return self._applied("clip", expr)
+
+    def _print_absolute(self, expr: sympy.Expr) -> Any:
+        bars = (self._element("mo", "|") for _ in range(2))
+        return self._row(next(bars), self._print(expr.args[0]), next(bars))
+
+    def _applied(self, name: str, expr: sympy.Expr, *more: sympy.Expr) -> Any:
+        inner = []
+        for argument in (*expr.args, *more):
+            inner += [self._element("mo", ","), self._print(argument)]
+        brackets = (self._element("mo", "("), *inner[1:], self._element("mo", ")"))
+        return self._row(self._element("mi", name), self._row(*brackets))
+
+    def _row(self, *children: Any) -> Any:
+        row = self.dom.createElement("mrow")
+        for child in children:
+            row.appendChild(child)
+        return row
+
+    def _element(self, tag: str, text: str) -> Any:
+        element = self.dom.createElement(tag)
+        element.appendChild(self.dom.createTextNode(text))
+        return element
+
+
+def _name(name: str) -> str:
+    """Return a name with Greek letters and subscripts: `theta1_dq` is theta of 1 and dq/dt."""
+    first, *parts = name.split("_")
+    letters = first.rstrip("0123456789")
+    below = [_part(part) for part in (first[len(letters) :], *parts) if part]
+    if not below:
+        return _part(letters)
+    return f"<msub>{_part(letters)}<mrow>{'<mo>,</mo>'.join(below)}</mrow></msub>"
+
+
+def _part(text: str) -> str:
+    if text in _DERIVATIVES:
+        return _dotted(_part(_DERIVATIVES[text]))
+    tag = "mn" if text.isdigit() else "mi"
+    return f"<{tag}>{_GREEK.get(text, escape(text))}</{tag}>"
+
+
+def _dotted(written: str) -> str:
+    return f'<mover>{written}<mo class="dot">˙</mo></mover>'

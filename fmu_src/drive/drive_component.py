@@ -1,0 +1,204 @@
+"""The drive component: its interface and its generated C, from a friction model and its motors."""
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite
+
+import sympy
+
+from fmu_src.blocks.table import scalar, vector
+from fmu_src.equations.header import SOLVER, Joint, Needs, equations_header
+from fmu_src.friction.friction_component import (
+    dependencies,
+    discretisation,
+    joints_of,
+    law_variables,
+)
+from fmu_src.interface import Interface, Variable
+from hesr_model.errors import ExportError
+from hesr_model.friction.law import TORQUE
+from hesr_model.friction.model import FrictionModel
+
+SUBSTEP = 1e-3
+"""Longest inner step [s] unless set otherwise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motors:
+    """The motor and the gear of each joint.
+
+    Attributes
+    ----------
+    inertia : (n,) of the rotor and all that turns with it [kg.m2], positive.
+    stiffness : (n,) of the flexspline [N.m/rad], on the joint's side of the gear; 0 for none.
+    damping : (n,) of the flexspline [N.m.s/rad].
+    ratio : (n,) turns of the motor for one of the joint; not 0.
+
+    Raises
+    ------
+    ExportError
+        If a list is not as long as the others, or a number is not what it must be.
+    """
+
+    inertia: tuple[float, ...]
+    stiffness: tuple[float, ...]
+    damping: tuple[float, ...]
+    ratio: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for name, (unit, text, sound) in _NEEDED.items():
+            values = getattr(self, name)
+            if len(values) != len(self.inertia):
+                raise ExportError(
+                    f"drive: '{name}' has {len(values)} values; needed are {len(self.inertia)}, "
+                    "one for each joint."
+                )
+            for joint, value in enumerate(values, start=1):
+                if not (isfinite(value) and sound(value)):
+                    raise ExportError(
+                        f"drive: '{name}' of joint {joint} is {value:g} {unit}; needed is {text}."
+                    )
+
+
+_NEEDED: dict[str, tuple[str, str, Callable[[float], bool]]] = {
+    "inertia": ("kg.m2", "a positive number", lambda value: value > 0.0),
+    "stiffness": ("N.m/rad", "a number that is not negative", lambda value: value >= 0.0),
+    "damping": ("N.m.s/rad", "a number that is not negative", lambda value: value >= 0.0),
+    "ratio": ("turns", "a number other than zero", lambda value: value != 0.0),
+}
+
+
+def motors(
+    joints: int,
+    *,
+    inertia: Sequence[float],
+    stiffness: Sequence[float] | None = None,
+    damping: Sequence[float] | None = None,
+    ratio: Sequence[float] | None = None,
+) -> Motors:
+    """Return the motors of a number of joints, rigid and without a gear where nothing is given.
+
+    Raises
+    ------
+    ExportError
+        If there are not as many values as joints, or one is not what it must be.
+    """
+    if len(inertia) != joints:
+        raise ExportError(
+            f"drive: 'inertia' has {len(inertia)} values; needed are {joints}, one for each joint."
+        )
+    zeros, ones = (0.0,) * joints, (1.0,) * joints
+    return Motors(
+        inertia=tuple(map(float, inertia)),
+        stiffness=zeros if stiffness is None else tuple(map(float, stiffness)),
+        damping=zeros if damping is None else tuple(map(float, damping)),
+        ratio=ones if ratio is None else tuple(map(float, ratio)),
+    )
+
+
+_INPUTS = (
+    ("tau_motor", "N.m", "motor torque"),
+    ("q_link", "rad", "angle of the link, for the flexspline"),
+    ("dq_link", "rad/s", "speed of the link, for the flexspline"),
+    ("tau_load", "N.m", "load torque, for friction that depends on it"),
+)
+_FLEXSPLINE = ("stiffness[{}]", "damping[{}]", "ratio[{}]")
+_OUTPUTS = (
+    ("q", "rad", "motor angle", ("q_start[{}]",)),
+    ("dq", "rad/s", "motor speed", ("dq_start[{}]",)),
+    ("tau_link", "N.m", "torque on the link at the end of the last step",
+     ("q_link[{}]", "dq_link[{}]", "q_start[{}]", "dq_start[{}]", *_FLEXSPLINE)),
+    ("ddq", "rad/s2", "motor acceleration over the last inner step; 0 before the first", ()),
+)  # fmt: skip
+
+
+def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) -> Interface:
+    """Return the variables of a drive FMU.
+
+    Parameters
+    ----------
+    model : the friction law of each joint.
+    own : the motor of each joint.
+    substep : start value of the longest inner step [s].
+
+    Raises
+    ------
+    ExportError
+        If the laws' names are not names in FMI, or their discretisations differ.
+    """
+    zeros = (0.0,) * len(model.laws)
+    laws = _joints(model)
+    friction = [
+        Variable(
+            name=f"tau_f[{joint}]",
+            role="output",
+            description=f"friction torque of {model.joints[joint - 1]} over the last inner step, "
+            "on its side of the gear",
+            unit="N.m",
+            dependencies=dependencies(
+                laws[joint - 1], sympy.Symbol(TORQUE, real=True), _sources(joint)
+            ),
+        )
+        for joint, _ in enumerate(model.laws, start=1)
+    ]
+    choice = discretisation(model, "how the states of the friction are relaxed over an inner step")
+    variables = (
+        *(v for n, unit, text in _INPUTS for v in vector(n, "input", unit, text, zeros)),
+        *(v for n, unit, text, deps in _OUTPUTS
+          for v in vector(n, "output", unit, text, zeros, deps)),
+        *friction,
+        *_parameters(own, zeros),
+        scalar("substep", "fixed", "s", "longest inner step", substep),
+        choice,
+        *(v for joint, law in enumerate(model.laws, start=1)
+          for v in law_variables(law, joint, laws[joint - 1], _sources(joint))),
+    )  # fmt: skip
+    inputs = {v.name for v in variables if v.role == "input"}
+    return Interface(
+        variables=tuple(_of_the_last_step(v, inputs) for v in variables),
+        own=1,  # STARTED of drive.c
+        model_exchange=False,
+        directional_derivatives=False,
+        inner_steps=True,
+    )
+
+
+def _of_the_last_step(variable: Variable, inputs: Collection[str]) -> Variable:
+    """Return a variable on which inputs act at the start and by steps only."""
+    at_once = tuple(name for name in variable.dependencies if name in inputs)
+    others = tuple(name for name in variable.dependencies if name not in inputs)
+    return replace(variable, dependencies=others, initial_dependencies=at_once)
+
+
+def _parameters(own: Motors, zeros: Sequence[float]) -> Iterator[Variable]:
+    yield from vector("inertia", "fixed", "kg.m2", "inertia at the motor", own.inertia)
+    yield from vector(
+        "stiffness", "fixed", "N.m/rad", "stiffness of the flexspline; 0: none", own.stiffness
+    )
+    yield from vector("damping", "fixed", "N.m.s/rad", "damping of the flexspline", own.damping)
+    yield from vector(
+        "ratio", "fixed", "1", "turns of the motor for one turn of the joint", own.ratio
+    )
+    yield from vector("q_start", "fixed", "rad", "angle at which the motor starts", zeros)
+    yield from vector("dq_start", "fixed", "rad/s", "speed at which the motor starts", zeros)
+
+
+def _sources(joint: int) -> dict[str, tuple[str, ...]]:
+    """Return what the inputs of laws are computed from, before the first step."""
+    return {
+        "dq": (f"dq_start[{joint}]", f"ratio[{joint}]"),
+        "q": (f"q_start[{joint}]", f"ratio[{joint}]"),
+        "tau_load": (f"tau_load[{joint}]",),
+    }
+
+
+def _joints(model: FrictionModel) -> tuple[Joint, ...]:
+    return joints_of(model, names={TORQUE: "tau_f"})
+
+
+def equations_to_c(model: FrictionModel, table: Interface) -> str:
+    """Return equations.h: functions of each distinct law and where the joints' variables stand."""
+    vectors = [*(n for n, *_ in (*_INPUTS, *_OUTPUTS)), "tau_f", *_NEEDED, "q_start", "dq_start"]
+    places = {name.upper(): f"{name}[1]" for name in vectors}
+    places |= {name.upper(): name for name in ("substep", "discretisation")}
+    return equations_header(_joints(model), table, Needs(functions=SOLVER, places=places))

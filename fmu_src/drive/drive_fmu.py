@@ -1,0 +1,105 @@
+"""A friction model and its motors in, an FMU out: torque in, speed and angle out."""
+
+import json
+import re
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+from fmu_src.description import Description
+from fmu_src.documentation.drive_page import to_html
+from fmu_src.drive.drive_component import SUBSTEP, equations_to_c, interface, motors
+from fmu_src.friction.defined import require_numbers
+from fmu_src.friction.embedded import EMBEDDED_MODEL
+from fmu_src.friction.friction_fmu import date_of
+from fmu_src.package import Content, check_request, own_source, write_fmu
+from hesr_model.artifacts import model_to_json
+from hesr_model.errors import ExportError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.support.progress import Progress, unheard
+
+
+def export_drive(
+    model: FrictionModel,
+    path: Path,
+    *,
+    inertia: Sequence[float],
+    stiffness: Sequence[float] | None = None,
+    damping: Sequence[float] | None = None,
+    ratio: Sequence[float] | None = None,
+    platforms: Sequence[str] = ("linux64",),
+    progress: Progress = unheard,
+) -> Path:
+    """Write a friction model with the motors of its joints as an FMI 2.0 FMU for co-simulation.
+
+    The same arguments give the same bytes; dates are those of `friction.export.export_fmu`.
+
+    Parameters
+    ----------
+    model : the friction law of each joint, in the joint's coordinates.
+    path : the FMU to write, ending in .fmu.
+    inertia : (n,) of the rotor and all that turns with it [kg.m2], positive.
+    stiffness : (n,) of the flexspline towards the link [N.m/rad]; none where not given.
+    damping : (n,) of the flexspline [N.m.s/rad].
+    ratio : (n,) turns of the motor for one of the joint; 1 where not given.
+    platforms : names of `toolchain.TARGETS`, or "all".
+    progress : told for how many of them it is built.
+
+    Returns
+    -------
+    `path`.
+
+    Raises
+    ------
+    ExportError
+        If a joint slides, a number is not what it must be, the model cannot be expressed in C or
+        FMI, or a binary cannot be built.
+    ArtifactError
+        If `path` cannot be written.
+    """
+    check_request(path, platforms)
+    own = content(model, inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio)
+    return write_fmu(own, path, platforms=platforms, progress=progress)
+
+
+def content(
+    model: FrictionModel,
+    *,
+    inertia: Sequence[float],
+    stiffness: Sequence[float] | None = None,
+    damping: Sequence[float] | None = None,
+    ratio: Sequence[float] | None = None,
+) -> Content:
+    """Return the FMU of a drive, before it is compiled; arguments are those of `export_drive`."""
+    for joint, slides in zip(model.joints, model.slides, strict=True):
+        if slides:
+            raise ExportError(
+                f"drive: joint '{joint}' slides, and a drive turns; export its law as a friction "
+                "FMU (--format fmu), which knows both kinds."
+            )
+    require_numbers(model)
+    own = motors(
+        len(model.laws), inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio
+    )
+    table = interface(model, own)
+    about = Description(
+        name=f"Drive of {model.robot} with {model.law}",
+        identifier=re.sub(r"\W", "_", f"drive_{model.law}", flags=re.ASCII),
+        text=f"Motors of {len(model.joints)} joints under friction: torque in, speed and angle "
+        "out.",
+        version=version("hesr"),
+        created=date_of(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        step=SUBSTEP,
+        sources=("all.c",),
+    )
+    names = ("balance.h", "drive.c", "law_math.h", "root.h")
+    sources = {name: own_source(name) for name in names}
+    return Content(
+        table=table,
+        about=about,
+        sources=sources | {"equations.h": equations_to_c(model, table)},
+        members={
+            "documentation/index.html": to_html(model, table, about).encode(),
+            EMBEDDED_MODEL: (json.dumps(model_to_json(model), indent=2) + "\n").encode(),
+        },
+    )

@@ -1,0 +1,332 @@
+"""Equations to C99.
+
+Each distinct component becomes functions of one name, over its parameters k, the inputs u (shared
+parameters behind them), the held signs s, the states x, previous values p, the step dt and whether
+relaxations move by Euler's step. See `Functions` for what they write.
+"""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import sympy
+from sympy.printing.c import C99CodePrinter
+
+from fmu_src.interface import literal
+from hesr_model.equations.component import Component, Quantity, in_order, previous
+from hesr_model.equations.functions import positive
+from hesr_model.equations.memory import DT, EULER, Relaxation
+from hesr_model.equations.program import (
+    Assignments,
+    Jumps,
+    Tangent,
+    change_of,
+    moved,
+    needed,
+    readings,
+    step,
+)
+from hesr_model.errors import ExportError
+
+_POWERS = {2: "square", 3: "cube"}
+
+
+class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
+    """C99 with our functions, literals that read back, and small powers without pow()."""
+
+    def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
+        super().__init__({"strict": False})
+        self._names = names
+        own = ("sgn", "positive", "clip", "exceeds", "decay", "share", "share_slope")
+        self.known_functions |= {name: name for name in own}
+        self.known_functions |= {"absolute": "fabs", "larger": "fmax"}
+
+    def _print_Symbol(self, expr: sympy.Symbol) -> str:
+        return self._names.get(expr, expr.name)
+
+    _print_Dummy = _print_Symbol
+
+    def _print_Float(self, expr: sympy.Float) -> str:
+        return literal(float(expr))
+
+    def _print_NumberSymbol(self, expr: sympy.NumberSymbol) -> str:
+        return literal(float(expr))
+
+    _print_Pi = _print_NumberSymbol
+    _print_Exp1 = _print_NumberSymbol
+
+    def _print_Pow(self, expr: sympy.Pow) -> str:
+        if expr.exp in _POWERS:
+            return f"{_POWERS[int(expr.exp)]}({self._print(expr.base)})"
+        if -expr.exp in _POWERS:
+            return f"(1.0/{_POWERS[int(-expr.exp)]}({self._print(expr.base)}))"
+        return str(super()._print_Pow(expr))
+
+
+@dataclass(frozen=True)
+class _Arguments:
+    """The symbols that a function reads, each with its name and its place in C."""
+
+    places: Mapping[sympy.Symbol, tuple[str, str]] = field(default_factory=dict)
+
+    def plus(self, symbols: Iterable[sympy.Symbol], array: str) -> "_Arguments":
+        """Add the elements of an array."""
+        more = {s: (f"{array}_{i}", f"{array}[{i}]") for i, s in enumerate(symbols)}
+        return _Arguments({**self.places, **more})
+
+    def single(self, symbol: sympy.Symbol, name: str) -> "_Arguments":
+        """Add an argument that is no array."""
+        return _Arguments({**self.places, symbol: (name, name)})
+
+
+@dataclass(frozen=True)
+class Functions:
+    """The C functions of a component.
+
+    Attributes
+    ----------
+    component : the equations.
+    name : prefix of the functions.
+    tunable : whether the parameters k can change, so that tangents follow them.
+    gathered : whether the parameters stand among the inputs u, rather than one after the other.
+    """
+
+    component: Component
+    name: str
+    tunable: bool = True
+    gathered: bool = False
+
+    @cached_property
+    def jumps(self) -> Jumps:
+        """The signs that are held between events."""
+        return Jumps(self.component)
+
+    @property
+    def _outputs(self) -> tuple[sympy.Symbol, ...]:
+        return tuple(e.symbol for e in self.component.outputs)
+
+    @property
+    def _states(self) -> tuple[sympy.Symbol, ...]:
+        return tuple(m.state for m in self.component.memory)
+
+    @property
+    def gathers(self) -> tuple[Quantity, ...]:
+        """What stands in u."""
+        own = self.component
+        return (*own.inputs, *(own.parameters if self.gathered else ()), *own.shared)
+
+    @property
+    def _inputs(self) -> tuple[sympy.Symbol, ...]:
+        return tuple(q.symbol for q in self.gathers)
+
+    @property
+    def _parameters(self) -> tuple[sympy.Symbol, ...]:
+        return () if self.gathered else tuple(q.symbol for q in self.component.parameters)
+
+    @cached_property
+    def _arguments(self) -> _Arguments:
+        own = self.component
+        found = _Arguments().plus(self._parameters, "k").plus(self._inputs, "u")
+        found = found.plus(self.jumps.signs, "s").plus(self._states, "x")
+        found = found.plus((previous(e.name) for e in own.remembered), "p")
+        return found.single(DT, "dt").single(EULER, "euler")
+
+    @cached_property
+    def _seeds(self) -> dict[sympy.Symbol, sympy.Symbol]:
+        moving = (*self._inputs, *self._states)
+        if self.tunable:
+            moving = (*self._parameters, *moving)
+        return {symbol: change_of(symbol) for symbol in moving}
+
+    @cached_property
+    def _with_seeds(self) -> _Arguments:
+        found = self._arguments
+        places = ((self._parameters, "dk"), (self._inputs, "du"), (self._states, "tx"))
+        for symbols, array in places:
+            found = found.plus(
+                (self._seeds[s] if s in self._seeds else sympy.Dummy() for s in symbols), array
+            )
+        return found
+
+    def _written(self, held: bool, extra: Assignments, targets: Mapping[str, sympy.Symbol],
+                 signature: str, *, seeds: bool = False) -> str:  # fmt: skip
+        program = self.jumps.held(extra) if held else dict(extra)
+        arguments = self._with_seeds if seeds else self._arguments
+        return _function(f"{self.name}_{signature}", program, targets, arguments.places)
+
+    @property
+    def _reading_targets(self) -> dict[str, sympy.Symbol]:
+        component = self.component
+        targets = {f"dx[{i}]": m.derivative for i, m in enumerate(component.memory)}
+        targets |= {f"y[{i}]": s for i, s in enumerate(self._outputs)}
+        return targets | {f"r[{i}]": e.symbol for i, e in enumerate(component.remembered)}
+
+    def switches(self) -> str:
+        """Write into z the arguments of the held signs."""
+        symbols = [sympy.Dummy() for _ in self.jumps.expressions]
+        own = dict(zip(symbols, self.jumps.expressions, strict=True))
+        targets = {f"z[{i}]": s for i, s in enumerate(symbols)}
+        return self._written(False, own, targets, "switches(IN(k), IN(u), OUT(z))")
+
+    def read(self) -> str:
+        """Write derivatives of the states dx, outputs y and what will be remembered r."""
+        own = readings(self.component)
+        return self._written(
+            True, own, self._reading_targets,
+            "read(IN(k), IN(u), IN(s), IN(x), IN(p), double dt, OUT(dx), OUT(y), OUT(r))",
+        )  # fmt: skip
+
+    def start(self) -> str:
+        """Write the same as they are before the first step, and previous values p for it."""
+        component = self.component
+        own = readings(component, starting=True)
+        starts = component.starts
+        own |= {symbol: e.xreplace(starts) for symbol, e in starts.items()}
+        targets = self._reading_targets
+        targets |= {f"p[{i}]": s for i, s in enumerate(starts)}
+        places = {s: place for s, place in self._arguments.places.items() if s not in starts}
+        return _function(
+            f"{self.name}_start(IN(k), IN(u), IN(s), IN(x), OUT(p), OUT(dx), OUT(y), OUT(r))",
+            self.jumps.held(own), targets, places,
+        )  # fmt: skip
+
+    def refused(self) -> str:
+        """Return the place in u of a parameter that is not what it must be, or -1."""
+        places = {symbol: f"u[{i}]" for i, symbol in enumerate(self._inputs)}
+        printer = _Printer(places)
+        names = [q.name for q in self.gathers]
+        lines = []
+        for requirement in self.component.requirements:
+            unit = next(q.unit for q in self.gathers if q.name == requirement.name)
+            shown = "" if unit == "1" else f" {unit}"
+            lines += [
+                f"if (!({_c(printer, requirement.condition)})) {{",
+                f'    *needed = "{shown}; it must {requirement.text}.";',
+                f"    return {names.index(requirement.name)};",
+                "}",
+            ]
+        head = f"static int {self.name}_refused(const double *u, const char **needed)"
+        return "\n".join([head, "{", *(f"    {line}" for line in (*lines, "return -1;")), "}", ""])
+
+    def _step(self) -> dict[sympy.Symbol, sympy.Expr]:
+        """Return what a step assigns: states, then readings of the moved ones."""
+        after = {m.state: moved(m) for m in self.component.memory}
+        own = step(self.component.memory)
+        return own | {s: e.xreplace(after) for s, e in readings(self.component).items()}
+
+    @property
+    def _moved_targets(self) -> dict[str, sympy.Symbol]:
+        return {f"x[{i}]": moved(m) for i, m in enumerate(self.component.memory)}
+
+    def step(self) -> str:
+        """Move the states x by dt, and write the readings of the end of the step."""
+        own = self._step()
+        return self._written(
+            True, own, {**self._moved_targets, **self._reading_targets},
+            "step(IN(k), IN(u), IN(s), IN(p), double dt, double euler, double *x, OUT(dx), "
+            "OUT(y), OUT(r))",
+        )  # fmt: skip
+
+    def rates(self) -> str:
+        """Write the rate of each relaxation, 0 for other states."""
+        memory = self.component.memory
+        symbols = [sympy.Dummy() for _ in memory]
+        own = {
+            symbol: positive(m.rate) if isinstance(m, Relaxation) else sympy.Integer(0)
+            for symbol, m in zip(symbols, memory, strict=True)
+        }
+        targets = {f"rate[{i}]": s for i, s in enumerate(symbols)}
+        signature = "rates(IN(k), IN(u), IN(x), OUT(rate))"
+        return self._written(False, own, targets, signature)
+
+    def tangent(self) -> str:
+        """Write the change of dx and y along dk, du and tx."""
+        own = self.jumps.held(readings(self.component))
+        changes = Tangent(self._seeds).of(own)
+        targets = {
+            f"tdx[{i}]": change_of(m.derivative) for i, m in enumerate(self.component.memory)
+        }
+        targets |= {f"ty[{i}]": change_of(s) for i, s in enumerate(self._outputs)}
+        return self._written(
+            True, own | changes, targets,
+            "tangent(IN(k), IN(u), IN(s), IN(x), IN(p), double dt, IN(dk), IN(du), IN(tx), "
+            "OUT(tdx), OUT(ty))",
+            seeds=True,
+        )  # fmt: skip
+
+    def follow(self) -> str:
+        """Write the change tx of the states over a step along du, from states x that stay."""
+        own = self.jumps.held(step(self.component.memory))
+        seeds = {s: self._seeds[s] for s in self._inputs}
+        changes = Tangent(seeds).of(own)
+        targets = {f"moved[{i}]": change_of(moved(m)) for i, m in enumerate(self.component.memory)}
+        signature = (
+            "follow(IN(k), IN(u), IN(s), IN(x), double dt, double euler, IN(du), OUT(moved))"
+        )
+        return self._written(True, own | changes, targets, signature, seeds=True)
+
+    def attempt(self) -> str:
+        """Write the states after a step from x, dx and y there, and the change of y along du.
+
+        Nothing is held: a solver inside an FMU tries inputs of its own.
+        """
+        own = self._step()
+        changes = Tangent({s: self._seeds[s] for s in self._inputs}).of(own)
+        targets = {f"moved[{i}]": moved(m) for i, m in enumerate(self.component.memory)}
+        targets |= {f"dx[{i}]": m.derivative for i, m in enumerate(self.component.memory)}
+        targets |= {f"y[{i}]": s for i, s in enumerate(self._outputs)}
+        targets |= {f"slope[{i}]": change_of(s) for i, s in enumerate(self._outputs)}
+        signature = (
+            "attempt(IN(k), IN(u), IN(x), double dt, double euler, IN(du), OUT(moved), OUT(dx), "
+            "OUT(y), OUT(slope))"
+        )
+        return self._written(False, own | changes, targets, signature, seeds=True)
+
+
+def _function(
+    signature: str,
+    program: Assignments,
+    targets: Mapping[str, sympy.Symbol],
+    places: Mapping[sympy.Symbol, tuple[str, str]],
+) -> str:
+    """Return a C function that computes targets by a program, common subexpressions shared."""
+    own = needed(program, targets.values())
+    names = {symbol: f"a_{i}" for i, symbol in enumerate(own)}
+    shared, results = sympy.cse(
+        list(own.values()), symbols=sympy.numbered_symbols("t"), order="none"
+    )
+    lines = dict(zip(own, results, strict=True)) | dict(shared)
+    lines = {symbol: lines[symbol] for symbol in in_order(lines)}
+    known = {s: name for s, (name, _) in places.items() if s not in own}
+    printer = _Printer({**known, **names})
+    used = set().union(*(e.free_symbols for e in lines.values()), targets.values()) - set(lines)
+    reads = [
+        f"const double {name} = {place};"
+        for symbol, (name, place) in places.items()
+        if symbol in used and name != place
+    ]
+    body = [
+        f"const double {names.get(symbol, str(symbol))} = {_c(printer, e)};"
+        for symbol, e in lines.items()
+    ]
+    # What nothing moves has no name: its change is none.
+    writes = [f"{place} = {_c(printer, s) if s in own or s in known else '0.0'};"
+              for place, s in targets.items()]  # fmt: skip
+    signature = re.sub(r"IN\((\w+)\)", r"const double *\1", signature)
+    signature = re.sub(r"OUT\((\w+)\)", r"double *\1", signature)
+    arguments = [part.split()[-1].lstrip("*") for part in signature[:-1].split(",")]
+    text = " ".join([*reads, *body, *writes])
+    unused = [a for a in arguments if not re.search(rf"\b{a}\b", text)]
+    silence = [f"{', '.join(f'(void){a}' for a in unused)};"] if unused else []
+    content = (*silence, *reads, *body, *writes)
+    return "\n".join(
+        [f"static void {signature}", "{", *(f"    {line}" for line in content), "}", ""]
+    )
+
+
+def _c(printer: _Printer, expression: sympy.Expr) -> str:
+    text = str(printer.doprint(expression))
+    if "Not supported" in text:
+        raise ExportError(f"equations: '{expression}' has no counterpart in C.")
+    return text

@@ -1,0 +1,274 @@
+"""equations.h: the functions of a component's equations in C, and where its variables stand."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from fmu_src.equations.c_functions import Functions
+from fmu_src.interface import Interface, literal
+from hesr_model.equations.component import Component
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joint:
+    """One joint of an FMU: its equations, and the names of their variables there.
+
+    Attributes
+    ----------
+    component : the equations.
+    names : for each input, shared parameter and output its variable.
+    states, derivatives : variables of the memory; they stand one after the other.
+    parameters : variables of the parameters, where these stand one after the other.
+    constants : values of the parameters, where these are no variables. Where there are neither,
+        `names` has the variables of the parameters, too.
+    slope : variable for the slope of the first output over the first input; empty for none.
+    """
+
+    component: Component
+    names: Mapping[str, str]
+    states: tuple[str, ...] = ()
+    derivatives: tuple[str, ...] = ()
+    parameters: tuple[str, ...] = ()
+    constants: tuple[float, ...] = ()
+    slope: str = ""
+
+    @property
+    def gathered(self) -> bool:
+        """Whether the parameters are gathered from anywhere among the variables."""
+        return bool(self.component.parameters) and not self.parameters and not self.constants
+
+
+Writer = Callable[[Functions], str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Needs:
+    """Which functions a C file calls.
+
+    Attributes
+    ----------
+    functions : for each its name, what writes it and the declaration of a pointer to it.
+    places : further constants: names in C of places of variables.
+    """
+
+    functions: Mapping[str, tuple[Writer, str]]
+    places: Mapping[str, str] = field(default_factory=dict)
+
+
+def _pointer(name: str, arguments: str) -> str:
+    return f"void (*{name})({arguments});"
+
+
+_K = "const double *k, const double *u"
+
+FRICTION: Mapping[str, tuple[Writer, str]] = {
+    "switches": (Functions.switches, _pointer("switches", f"{_K}, double *z")),
+    "rates": (
+        Functions.rates,
+        _pointer("rates", f"{_K}, const double *x, double *rate"),
+    ),
+    "read": (
+        Functions.read,
+        _pointer("read", f"{_K}, const double *s, const double *x, const double *p, double dt, "
+                 "double *dx, double *y, double *r"),
+    ),
+    "step": (
+        Functions.step,
+        _pointer("step", f"{_K}, const double *s, const double *p, double dt, double euler, "
+                 "double *x, double *dx, double *y, double *r"),
+    ),
+    "start": (
+        Functions.start,
+        _pointer("start", f"{_K}, const double *s, const double *x, double *p, double *dx, "
+                 "double *y, double *r"),
+    ),
+    "tangent": (
+        Functions.tangent,
+        _pointer("tangent", f"{_K}, const double *s, const double *x, const double *p, double dt, "
+                 "const double *dk, const double *du, const double *tx, double *tdx, double *ty"),
+    ),
+    "follow": (
+        Functions.follow,
+        _pointer("follow", f"{_K}, const double *s, const double *x, double dt, double euler, "
+                 "const double *du, double *moved"),
+    ),
+}  # fmt: skip
+"""What equations.c calls."""
+
+SOLVER: Mapping[str, tuple[Writer, str]] = {
+    "rates": FRICTION["rates"],
+    "attempt": (
+        Functions.attempt,
+        _pointer("attempt", f"{_K}, const double *x, double dt, double euler, const double *du, "
+                 "double *moved, double *dx, double *y, double *slope"),
+    ),
+}  # fmt: skip
+"""What a solver inside an FMU calls."""
+
+
+def own_size(joints: Sequence[Joint]) -> int:
+    """Return how many numbers equations.c remembers besides its variables."""
+    sizes = _sizes(joints)
+    return (
+        sizes["OWN_FIXED"]
+        + len(joints) * (sizes["MAX_INPUTS"] + sizes["MAX_STATES"] + 2 * sizes["MAX_REMEMBERED"])
+        + indicators(joints)
+    )
+
+
+def indicators(joints: Sequence[Joint]) -> int:
+    """Return how many signs the joints hold together."""
+    return sum(len(Functions(j.component, "").jumps.expressions) for j in joints)
+
+
+def equations_header(joints: Sequence[Joint], table: Interface, needs: Needs) -> str:
+    """Return equations.h: each distinct component is written once."""
+    distinct = list(dict.fromkeys(j.component for j in joints))
+    first = {j.component: j for j in reversed(joints)}
+    functions = {
+        c: Functions(c, f"law_{i}", tunable=not first[c].constants, gathered=first[c].gathered)
+        for i, c in enumerate(distinct, start=1)
+    }
+    texts = [
+        write(own)
+        for own in functions.values()
+        for name, (write, _) in needs.functions.items()
+        if _wanted(name, own)
+    ]
+    arrays, rows, before = [], [], 0
+    for i, joint in enumerate(joints, start=1):
+        own = functions[joint.component]
+        rows.append(f"    {{{', '.join(_row(joint, i, own, table, before, needs))}}},")
+        arrays += _arrays(joint, i, own, table)
+        before += len(own.jumps.expressions)
+    sample_time = joints[0].component.sample_time
+    constants = _sizes(joints) | {
+        "DISCRETISATION": -1,
+        "SAMPLED": int(bool(sample_time)),
+        "SAMPLE_TIME_PLACE": table.references[sample_time] if sample_time else 0,
+        "EXACT": 1,
+        "EULER": 2,
+        "HOLDS": int(any(j.component.holds for j in joints)),
+        **{name: table.references[variable] for name, variable in needs.places.items()},
+    }
+    return _HEADER.format(
+        constants=",\n".join(f"    {name} = {value}" for name, value in constants.items()),
+        members="\n".join(f"    {pointer}" for _, pointer in needs.functions.values()),
+        functions="\n".join(texts),
+        names="\n".join(
+            _signs(f) + (f.refused() if _wanted("refused", f) else "") for f in functions.values()
+        ),
+        arrays="\n".join(arrays),
+        rows="\n".join(rows),
+    )
+
+
+def _sizes(joints: Sequence[Joint]) -> dict[str, int]:
+    def most(count: Callable[[Component], int]) -> int:
+        return max([1, *(count(j.component) for j in joints)])
+
+    return {
+        "JOINTS": len(joints),
+        "OWN_FIXED": 4,
+        "MAX_INPUTS": most(lambda c: len(c.given)),
+        "MAX_STATES": most(lambda c: len(c.memory)),
+        "MAX_OUTPUTS": most(lambda c: len(c.outputs)),
+        "MAX_REMEMBERED": max(len(j.component.remembered) for j in joints),
+        "MAX_SWITCHES": most(lambda c: len(Functions(c, "").jumps.expressions)),
+        "MAX_PARAMETERS": most(lambda c: len(c.parameters)),
+    }
+
+
+def _row(
+    joint: Joint, i: int, own: Functions, table: Interface, before: int, needs: Needs
+) -> list[str]:
+    component = joint.component
+    states = (*joint.states, *joint.derivatives)
+    return [
+        str(len(own.gathers)),
+        f"inputs_{i}",
+        str(len(component.outputs)),
+        f"outputs_{i}",
+        str(len(component.memory)),
+        str(table.first(states) if states else 0),
+        str(len(component.parameters)),
+        str(table.first(joint.parameters) if joint.parameters else 0),
+        f"constants_{i}" if joint.constants else "NULL",
+        str(len(component.remembered)),
+        str(table.references[joint.slope] if joint.slope else -1),
+        str(len(own.jumps.expressions)),
+        str(before),
+        f"{own.name}_names",
+        *(f"{own.name}_{n}" if _wanted(n, own) else "NULL" for n in ("refused", *needs.functions)),
+    ]
+
+
+def _wanted(function: str, own: Functions) -> bool:
+    """Whether there is such a function; C asks for those without which it can do."""
+    if function == "start":
+        return bool(own.component.remembered)
+    return function != "refused" or bool(own.component.requirements)
+
+
+def _arrays(joint: Joint, i: int, own: Functions, table: Interface) -> list[str]:
+    component = joint.component
+    reads = [table.references[joint.names[q.name]] for q in own.gathers]
+    writes = [table.references[joint.names[e.name]] for e in component.outputs]
+    lines = [_array("int", f"inputs_{i}", reads), _array("int", f"outputs_{i}", writes)]
+    if joint.constants:
+        lines.append(_array("double", f"constants_{i}", map(literal, joint.constants)))
+    return lines
+
+
+def _array(kind: str, name: str, values: Iterable[object]) -> str:
+    return f"static const {kind} {name}[] = {{{', '.join(map(str, values))}}};"
+
+
+def _signs(own: Functions) -> str:
+    """Return what the held signs are signs of, for messages; C knows no empty arrays."""
+    names = ", ".join(f'"{e}"' for e in own.jumps.expressions)
+    return f"static const char *const {own.name}_names[] = {{{names or 'NULL'}}};\n"
+
+
+_HEADER = """\
+/* Generated: the equations of the joints, and where their variables stand. */
+#ifndef EQUATIONS_H
+#define EQUATIONS_H
+
+#include <stdbool.h>
+#include <stddef.h>
+
+#include "law_math.h"
+
+enum {{
+{constants},
+}};
+
+typedef struct {{
+    int inputs; /* shared parameters behind them */
+    const int *input;
+    int outputs;
+    const int *output;
+    int states;      /* their derivatives follow them */
+    int first_state; /* among the variables */
+    int parameters;
+    int first_parameter;
+    const double *constants; /* parameters, or NULL if these are variables */
+    int remembered;
+    int slope; /* of the first output over the first input, or -1 */
+    int switches_of_joint; /* how many signs the equations hold */
+    int first_switch;      /* among those of all joints */
+    const char *const *names; /* of what they are signs */
+    int (*refused)(const double *u, const char **needed);
+{members}
+}} Joint;
+
+{functions}
+{names}
+{arrays}
+
+static const Joint joints[JOINTS] = {{
+{rows}
+}};
+
+#endif
+"""

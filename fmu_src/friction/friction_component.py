@@ -1,0 +1,289 @@
+"""The friction component: its variables and its equations, from a friction model."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from math import inf
+
+import sympy
+
+from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, indicators, own_size
+from fmu_src.friction.place import exposed, place
+from fmu_src.interface import Enumeration, Interface, Variable
+from hesr_model.equations.component import Component, Equation, Quantity, Relaxation
+from hesr_model.equations.memory import Element
+from hesr_model.errors import ExportError
+from hesr_model.friction.inputs import DQ, INPUTS, QUANTITIES
+from hesr_model.friction.law import TORQUE, FrictionLaw
+from hesr_model.friction.model import FrictionModel
+from hesr_model.units import unit_of_joint
+
+DISCRETISATION = Enumeration(
+    name="Discretisation",
+    items=(
+        ("exact", "exact for inputs held over a step, stable at any step"),
+        ("euler", "explicit Euler, requires rate * step < 1"),
+    ),
+)
+
+_CRAWL = 0.1
+"""Speed at whose steady state a state's nominal value is taken [rad/s]."""
+
+_EFFORT = {False: "torque", True: "force"}
+"""What a joint that turns, or one that slides, takes to move."""
+
+_SCALE = Quantity(name="scale", unit="1", description="factor on the friction torque of joint {}")
+
+POWER = Equation(
+    name="power",
+    unit="W",
+    description="power that the friction of {} takes",
+    expression=sympy.Symbol(TORQUE, real=True) * DQ,
+    output=True,
+)
+"""An output that every friction FMU can have."""
+
+SLOPE = f"d{TORQUE}_d{DQ.name}"
+"""Name of the slope of the torque over the velocity."""
+
+
+def component(law: FrictionLaw, more: Iterable[Equation] = ()) -> Component:
+    """Return the equations of a joint: those of its law, and further outputs.
+
+    Laws with more coefficients than an FMU shows have one factor on their torque instead.
+    """
+    own = law.form.component
+    equations = (*own.equations, *more)
+    if exposed(law):
+        return replace(own, equations=equations)
+    torque = own.equations[0]
+    scaled = replace(torque, expression=_SCALE.symbol * torque.expression)
+    return replace(own, shared=(_SCALE,), equations=(scaled, *equations[1:]))
+
+
+def interface(model: FrictionModel, more: tuple[Equation, ...] = ()) -> Interface:
+    """Return the variables of a friction FMU.
+
+    The connectors `dq[i]`, `q[i]`, `tau_load[i]` -> `tau[i]` are those of every friction FMU.
+
+    Parameters
+    ----------
+    model : one law for each joint.
+    more : further outputs, as `POWER`.
+
+    Raises
+    ------
+    ExportError
+        If the laws' names are not names in FMI, or their discretisations differ.
+    """
+    numbered = list(enumerate(zip(model.joints, model.slides, strict=True), start=1))
+    inputs = [
+        _of_joint(quantity, joint, name, slides, role="input")
+        for quantity in QUANTITIES
+        for joint, (name, slides) in numbered
+    ]
+    joints = joints_of(model, more)
+    outputs = [
+        _of_joint(
+            equation,
+            joint,
+            name,
+            slides,
+            role="output",
+            dependencies=dependencies(joints[joint - 1], equation.symbol),
+        )
+        for equation in joints[0].component.outputs
+        for joint, (name, slides) in numbered
+    ]
+    slopes = [
+        Variable(
+            name=f"{SLOPE}[{joint}]",
+            role="on_demand",
+            description=f"slope of tau[{joint}] over dq[{joint}] held over the last step, the "
+            "states following; in model exchange that at the last event, the states at rest",
+            unit=unit_of_joint("N.m.s/rad", slides=slides),
+            dependencies=dependencies(joints[joint - 1], sympy.Symbol(TORQUE, real=True)),
+        )
+        for joint, (_, slides) in numbered
+    ]
+    choice = discretisation(
+        model,
+        "how co-simulation integrates the states over a step; without meaning in model exchange, "
+        "where the importer's solver does",
+    )
+    own = [
+        v
+        for joint, law in enumerate(model.laws, start=1)
+        for v in law_variables(law, joint, joints[joint - 1])
+    ]
+    return Interface(
+        variables=(*inputs, *outputs, *slopes, choice, *own),
+        indicators=indicators(joints),
+        own=own_size(joints),
+    )
+
+
+def _of_joint(
+    quantity: Quantity, joint: int, name: str, slides: bool, *, role: str,
+    dependencies: tuple[str, ...] = (),
+) -> Variable:  # fmt: skip
+    # A joint's name may have the word torque in it, so it is put in afterwards.
+    return Variable(
+        name=f"{quantity.name}[{joint}]",
+        role="input" if role == "input" else "output",
+        description=quantity.description.replace("torque", _EFFORT[slides]).format(name),
+        unit=unit_of_joint(quantity.unit, slides=slides),
+        dependencies=dependencies,
+    )
+
+
+def discretisation(model: FrictionModel, description: str) -> Variable:
+    """Return the parameter that says how states are integrated.
+
+    Raises
+    ------
+    ExportError
+        If the discretisations of the laws differ.
+    """
+    found = {law.discretisation for law in model.laws if law.form.relaxations}
+    if len(found) > 1:
+        raise ExportError(
+            f"friction model '{model.law}': its joints use both exact and Euler integration; "
+            "needed is one for all joints."
+        )
+    choice = found.pop() if found else "exact"
+    return Variable(
+        name="discretisation",
+        role="fixed",
+        description=description,
+        enumeration=DISCRETISATION,
+        start=1.0 + ("exact", "euler").index(choice),
+    )
+
+
+def joints_of(
+    model: FrictionModel,
+    more: tuple[Equation, ...] = (),
+    names: Mapping[str, str] | None = None,
+) -> tuple[Joint, ...]:
+    """Return each joint of a model with the names of its variables.
+
+    Parameters
+    ----------
+    model : one law for each joint.
+    more : further outputs.
+    names : for what is not called by its own name, the stem of its variables.
+    """
+    found = []
+    # C knows no units, in which the forms of joints that turn and that slide differ alone.
+    laws = [replace(law, form=law.form.sliding) for law in model.laws]
+    for joint, law in enumerate(laws, start=1):
+        own, at = component(law, more), place(law, joint)
+        stems = {q.name: q.name for q in (*own.inputs, *own.shared, *own.outputs)} | dict(
+            names or {}
+        )
+        found.append(
+            Joint(
+                component=own,
+                names={name: f"{stem}[{joint}]" for name, stem in stems.items()},
+                states=at.states,
+                derivatives=at.derivatives,
+                parameters=at.parameters if exposed(law) else (),
+                constants=() if exposed(law) else tuple(law.values.values()),
+                slope="" if names else f"{SLOPE}[{joint}]",
+            )
+        )
+    return tuple(found)
+
+
+def dependencies(
+    joint: Joint, symbol: sympy.Symbol, inputs: Mapping[str, tuple[str, ...]] | None = None
+) -> tuple[str, ...]:
+    """Return the variables of which an equation or a derivative of a joint is made.
+
+    Parameters
+    ----------
+    joint : the joint.
+    symbol : what is asked for.
+    inputs : variables of which an input is made, where it is none itself.
+    """
+    own = joint.component
+    used = own.sources(symbol)
+    found: list[str] = []
+    for quantity in (*own.inputs, *own.shared):
+        if quantity.symbol in used:
+            found += (inputs or {}).get(quantity.name, (joint.names[quantity.name],))
+    states = zip(own.memory, joint.states, strict=True)
+    found += [name for element, name in states if element.state in used]
+    parameters = zip(own.parameters, joint.parameters, strict=False)
+    found += [name for quantity, name in parameters if quantity.symbol in used]
+    return tuple(found)
+
+
+def law_variables(
+    law: FrictionLaw, joint: int, own: Joint, inputs: Mapping[str, tuple[str, ...]] | None = None
+) -> Iterator[Variable]:
+    """Yield the states of a joint's law, their derivatives and its parameters.
+
+    Parameters
+    ----------
+    law : of the joint.
+    joint : number of the joint, from 1.
+    own : the joint's equations and names.
+    inputs : as for `dependencies`.
+    """
+    elements = list(zip(law.form.memory, own.states, own.derivatives, strict=True))
+    for (element, state, _), start in zip(elements, law.start, strict=True):
+        yield Variable(
+            name=state,
+            role="state",
+            description=f"friction state {element.name} of joint {joint}",
+            unit=element.unit,
+            start=start,
+            nominal=nominal(law, element),
+        )
+    for element, state, derivative in elements:
+        yield Variable(
+            name=derivative,
+            role="local",
+            description=f"time derivative of {state}",
+            unit=_per_second(element.unit),
+            derivative_of=state,
+            dependencies=dependencies(own, element.derivative, inputs),
+        )
+    if not exposed(law):
+        yield Variable(name=own.names[_SCALE.name], role="tunable", unit=_SCALE.unit, start=1.0,
+                       description=_SCALE.description.format(joint))  # fmt: skip
+        return
+    for name, coefficient in zip(own.parameters, law.form.coefficients, strict=True):
+        yield Variable(
+            name=name,
+            role="tunable",
+            description=coefficient.description,
+            unit=coefficient.unit,
+            start=law.values[coefficient.name],
+        )
+
+
+def nominal(law: FrictionLaw, element: Element) -> float:
+    """Size of a state in slow sliding; 1 where that is nothing usable.
+
+    A relaxation's is drive / rate, a stop's its bound.
+    """
+    at = {c.symbol: law.values[c.name] for c in law.form.coefficients}
+    at |= dict.fromkeys(INPUTS, 0.0) | {DQ: _CRAWL} | {m.state: 0.0 for m in law.form.memory}
+    first, second = (float(e.subs(at)) for e in element.parts)
+    slides_at = abs(first / second) if second else 0.0
+    size = slides_at if isinstance(element, Relaxation) else second
+    return float(f"{size:.2g}") if 0.0 < size < inf else 1.0
+
+
+def _per_second(unit: str) -> str:
+    """Return the unit of a quantity's time derivative."""
+    above, slash, below = unit.partition("/")
+    return f"{above}/({below}.s)" if slash else f"{above}/s"
+
+
+def equations_to_c(model: FrictionModel, table: Interface, more: tuple[Equation, ...] = ()) -> str:
+    """Return equations.h of a friction FMU."""
+    needs = Needs(functions=FRICTION, places={"DISCRETISATION": "discretisation"})
+    return equations_header(joints_of(model, more), table, needs)

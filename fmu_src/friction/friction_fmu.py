@@ -1,0 +1,164 @@
+"""A friction model in, an FMU out."""
+
+import json
+import os
+import re
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from fmu_src.description import Description
+from fmu_src.documentation.friction_page import to_html
+from fmu_src.documentation.live.page import live_assets, live_section
+from fmu_src.documentation.live.section import live_data
+from fmu_src.documentation.live.wasm import wasm
+from fmu_src.documentation.picture import model_png
+from fmu_src.documentation.properties_sheet import section
+from fmu_src.friction.defined import require_numbers
+from fmu_src.friction.embedded import EMBEDDED_MODEL
+from fmu_src.friction.friction_component import POWER, equations_to_c, interface
+from fmu_src.friction.reference import reference_files
+from fmu_src.interface import Interface
+from fmu_src.package import Content, check_request, own_source, translation_unit, write_fmu
+from hesr_model.artifacts import model_to_json
+from hesr_model.equations.component import Equation
+from hesr_model.errors import ExportError
+from hesr_model.friction.audit.properties import Properties
+from hesr_model.friction.model import FrictionModel
+from hesr_model.support.progress import Progress, unheard
+
+# The dates that a ZIP archive can hold; the first also stands for no date.
+_FIRST_DATE, _LAST_DATE = datetime(1980, 1, 1, tzinfo=UTC), datetime(2107, 12, 31, tzinfo=UTC)
+
+
+def export_fmu(
+    model: FrictionModel,
+    path: Path,
+    *,
+    platforms: Sequence[str] = ("linux64",),
+    properties: Properties | None = None,
+    power: bool = False,
+    progress: Progress = unheard,
+) -> Path:
+    """Write a friction model as an FMI 2.0 FMU for co-simulation and model exchange.
+
+    The same model gives the same bytes. The date in it is that of SOURCE_DATE_EPOCH, else that of
+    the model's provenance ("created"), else a fixed one.
+
+    Parameters
+    ----------
+    model : one law for each joint.
+    path : the FMU to write, ending in .fmu.
+    platforms : names of `toolchain.TARGETS`, or "all".
+    properties : what the property battery found on the model, for the documentation.
+    power : whether the power that the friction takes is an output, too.
+    progress : told for how many platforms it is built.
+
+    Returns
+    -------
+    `path`.
+
+    Raises
+    ------
+    ExportError
+        If the model cannot be expressed in C or FMI, or a binary cannot be built.
+    ArtifactError
+        If `path` cannot be written.
+    """
+    check_request(path, platforms)
+    whole = content(model, properties, power=power)
+    return write_fmu(whole, path, platforms=platforms, progress=progress)
+
+
+def export_bare(model: FrictionModel, path: Path) -> Path:
+    """Write the same FMU for linux64 without its documentation, to try the law in.
+
+    Arguments and errors are those of `export_fmu`.
+    """
+    table, about, sources = _component(model)
+    return write_fmu(Content(table=table, about=about, sources=sources, members={}), path)
+
+
+def live_of(model: FrictionModel) -> dict[str, Any]:
+    """Return the data of a model's live section, for pages besides the one in its FMU.
+
+    Raises
+    ------
+    ExportError
+        If the model cannot be expressed in C or FMI, or the compiler fails.
+    """
+    table, about, sources = _component(model)
+    return live_data(model, table, wasm(translation_unit(table, about, sources)[1]))
+
+
+def content(
+    model: FrictionModel, properties: Properties | None = None, *, power: bool = False
+) -> Content:
+    """Return the FMU of a friction model, before it is compiled."""
+    table, about, sources = _component(model, (POWER,) if power else ())
+    with ThreadPoolExecutor(max_workers=1) as pool:
+        # The compiler is a process of its own; the picture is drawn beside it.
+        module = pool.submit(wasm, translation_unit(table, about, sources)[1])
+        picture = model_png(model)
+        live = live_section(live_data(model, table, module.result())) + live_assets()
+    page = section(properties, sliding=model.sliding) if properties else ""
+    return Content(
+        table=table,
+        about=about,
+        sources=sources,
+        members={
+            "model.png": picture,
+            "documentation/index.html": to_html(
+                model, table, about, live=live, properties=page
+            ).encode(),
+            EMBEDDED_MODEL: (json.dumps(model_to_json(model), indent=2) + "\n").encode(),
+            **reference_files(model, about.identifier),
+        },
+    )
+
+
+def _component(
+    model: FrictionModel, more: tuple[Equation, ...] = ()
+) -> tuple[Interface, Description, dict[str, str]]:
+    """Return the variables, the description and the own C files of a model's FMU."""
+    require_numbers(model)
+    table = interface(model, more)
+    about = Description(
+        name=f"Friction of {model.robot} by {model.law}",
+        identifier=re.sub(r"\W", "_", f"friction_{model.law}", flags=re.ASCII),
+        text=f"Joint friction torque of {len(model.joints)} joints from their motion.",
+        version=version("hesr"),
+        created=date_of(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        step=model.sample_time,
+        sources=("all.c",),
+    )
+    sources = {name: own_source(name) for name in ("equations.c", "law_math.h")}
+    return table, about, sources | {"equations.h": equations_to_c(model, table, more)}
+
+
+def date_of(model: FrictionModel) -> datetime:
+    """Return the date in the FMU of a model.
+
+    That of SOURCE_DATE_EPOCH, else that of the provenance ("created"), else a fixed one.
+
+    Raises
+    ------
+    ExportError
+        If what is there is no date.
+    """
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    created = model.provenance.get("created")
+    date = _FIRST_DATE
+    try:
+        if epoch is not None:
+            date = datetime.fromtimestamp(int(epoch), tz=UTC)
+        elif created is not None:
+            date = datetime.fromisoformat(str(created))
+    except (ValueError, OverflowError, OSError) as error:
+        found = f"SOURCE_DATE_EPOCH is '{epoch}'" if epoch else f"'created' is '{created}'"
+        raise ExportError(f"{found}; needed is a date.") from error
+    date = date.astimezone(UTC) if date.tzinfo else date.replace(tzinfo=UTC)
+    return min(max(date, _FIRST_DATE), _LAST_DATE)

@@ -1,0 +1,1 @@
+"""Components as equations: named expressions with memory, from which everything is lowered."""

@@ -1,0 +1,185 @@
+"""Functions from which equations are written, beside SymPy's own.
+
+SymPy's `sign` differentiates to a Dirac impulse, its `Abs` to a complex expression and its `Max` to
+a step with a value in between; equations of machines need the derivative almost everywhere of a
+real argument, so these functions are defined here, each with its NumPy counterpart.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+import sympy
+from sympy.printing.latex import LatexPrinter
+
+_SERIES_BELOW = 1e-3
+"""Below this the series of `share` is exact to double precision and the quotient is not."""
+
+
+class _Real(sympy.Function):  # type: ignore[misc] # SymPy is not typed
+    """A function of real arguments, kept as it is until numbers are put in."""
+
+    latex_form: ClassVar[str]
+
+    @classmethod
+    def eval(cls, *arguments: sympy.Expr) -> sympy.Expr | None:
+        """Evaluate for numbers only."""
+        if all(a.is_number for a in arguments):
+            return sympy.Float(float(NUMPY[cls.__name__](*(float(a) for a in arguments))))
+        return None
+
+    def _latex(self, printer: LatexPrinter, exp: str | None = None) -> str:
+        power = f"^{{{exp}}}" if exp else ""
+        text = self.latex_form.format(*(printer.doprint(a) for a in self.args), power=power)
+        return text if "{power}" in self.latex_form else text + power
+
+
+class sgn(_Real):  # noqa: N801 - printed under this name, as all below
+    """Sign of a real argument, 0 at 0, with derivative 0 everywhere."""
+
+    nargs = 1
+    latex_form = r"\operatorname{{sgn}}{power}\left({}\right)"
+
+    @classmethod
+    def eval(cls, x: sympy.Expr) -> sympy.Expr | None:
+        """Evaluate for numbers only."""
+        return sympy.sign(x) if x.is_number else None
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        """Return the derivative, 0 almost everywhere."""
+        del argindex
+        return sympy.Integer(0)
+
+
+class absolute(_Real):  # noqa: N801
+    """Absolute value of a real argument, with derivative `sgn`."""
+
+    nargs = 1
+    latex_form = r"\left|{}\right|"
+
+    @classmethod
+    def eval(cls, x: sympy.Expr) -> sympy.Expr | None:
+        """Evaluate for numbers only."""
+        return sympy.Abs(x) if x.is_number else None
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        """Return the derivative."""
+        del argindex
+        return sgn(self.args[0])
+
+
+class positive(_Real):  # noqa: N801
+    """The positive part max(x, 0), also of what is not a number: the guard of rates and bounds."""
+
+    nargs = 1
+    latex_form = r"\max\left({}, 0\right)"
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        """Return the derivative."""
+        del argindex
+        return exceeds(self.args[0], 0)
+
+
+class larger(_Real):  # noqa: N801
+    """The larger of two numbers."""
+
+    nargs = 2
+    latex_form = r"\max\left({}, {}\right)"
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        """Return the derivative by either."""
+        above = exceeds(*self.args)
+        return above if argindex == 1 else 1 - above
+
+
+class clip(_Real):  # noqa: N801
+    """x between -b and b, for b >= 0."""
+
+    nargs = 2
+    latex_form = r"\operatorname{{clip}}\left({}, \pm {}\right)"
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        """Return the derivative by x: 1 inside; by b: the side on which it is clipped."""
+        x, b = self.args
+        inside = exceeds(b, absolute(x))
+        return inside if argindex == 1 else (1 - inside) * sgn(x)
+
+
+class exceeds(_Real):  # noqa: N801
+    """1 where the first number is larger than the second, else 0; with derivative 0."""
+
+    nargs = 2
+    latex_form = r"\left[{} > {}\right]"
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        """Return the derivative, 0 almost everywhere."""
+        del argindex
+        return sympy.Integer(0)
+
+
+class decay(_Real):  # noqa: N801
+    """By how much a state falls over a step, exp(-z) - 1 for z = rate * dt; -z by Euler's step."""
+
+    nargs = 2  # z, whether by Euler
+    latex_form = r"\left(e^{{-{0}}} - 1\right)"
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        """Return the derivative by z."""
+        z, euler = self.args
+        return -1 - (1 - euler) * decay(z, euler) if argindex == 1 else sympy.Integer(0)
+
+
+class share(_Real):  # noqa: N801
+    """(1 - exp(-z)) / z, continued by 1 at 0; the second argument is `decay`, the third as there.
+
+    The derivative by z is the whole one, since the second argument is a function of the first.
+    """
+
+    nargs = 3
+    latex_form = r"\varphi\left({}\right)"
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        """Return the derivative by z."""
+        return share_slope(*self.args) if argindex == 1 else sympy.Integer(0)
+
+
+class share_slope(_Real):  # noqa: N801
+    """Derivative of `share` by z; it is not differentiated again."""
+
+    nargs = 3
+    latex_form = r"\varphi'\left({}\right)"
+
+
+def _share(z: Any, e: Any, euler: Any) -> Any:
+    small = np.abs(z) < _SERIES_BELOW
+    series = 1.0 - z / 2.0 * (1.0 - z / 3.0 * (1.0 - z / 4.0 * (1.0 - z / 5.0)))
+    return np.where(euler, 1.0, np.where(small, series, -e / np.where(small, 1.0, z)))
+
+
+def _share_slope(z: Any, e: Any, euler: Any) -> Any:
+    small = np.abs(z) < _SERIES_BELOW
+    series = -1.0 / 2.0 + z * (1.0 / 3.0 - z * (1.0 / 8.0 - z * (1.0 / 30.0 - z / 144.0)))
+    quotient = (1.0 + e - _share(z, e, False)) / np.where(small, 1.0, z)
+    return np.where(euler, 0.0, np.where(small, series, quotient))
+
+
+NUMPY: Mapping[str, Callable[..., Any]] = {
+    "sgn": np.sign,
+    "absolute": np.abs,
+    # Not np.maximum, which hands on what is not a number.
+    "positive": lambda x: np.where(np.greater(x, 0.0), x, 0.0),
+    "larger": np.maximum,
+    "clip": lambda x, b: np.minimum(np.maximum(x, -b), b),
+    "exceeds": lambda a, b: np.where(np.greater(a, b), 1.0, 0.0),
+    "decay": lambda z, euler: np.where(euler, -z, np.expm1(-z)),
+    "share": _share,
+    "share_slope": _share_slope,
+}
+"""By name what the functions above are on arrays."""
+
+
+def lowered(arguments: Sequence[sympy.Symbol], expressions: Sequence[sympy.Expr]) -> Any:
+    """Return a NumPy function of `arguments` that returns the list of `expressions`."""
+    return sympy.lambdify(
+        list(arguments), list(expressions), modules=[dict(NUMPY), "numpy"], cse=True
+    )

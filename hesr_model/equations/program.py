@@ -1,0 +1,127 @@
+"""A component as straight-line programs: what a step does, what is read, and how both change.
+
+A program is a list of assignments in the order in which they are made. Everything that runs a
+component prints one of these; derivatives are those of the same assignments, one after the other.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import sympy
+
+from hesr_model.equations.component import Component, in_order
+from hesr_model.equations.functions import absolute, positive, sgn
+from hesr_model.equations.memory import Element
+
+Assignments = Mapping[sympy.Symbol, sympy.Expr]
+
+
+def moved(element: Element) -> sympy.Symbol:
+    """Return the symbol of a state at the end of a step, where it also stands at its beginning."""
+    return sympy.Symbol(f"{element.name}_moved", real=True)
+
+
+def step(memory: Iterable[Element]) -> dict[sympy.Symbol, sympy.Expr]:
+    """Return the states after a step by their `moved` symbols; a later one sees those before it."""
+    after: dict[sympy.Symbol, sympy.Expr] = {}
+    seen: dict[sympy.Symbol, sympy.Expr] = {}
+    for element in memory:
+        first, second = (part.xreplace(seen) for part in element.parts)
+        after[moved(element)] = element.sampled(first, positive(second))
+        seen[element.state] = moved(element)
+    return after
+
+
+def derivatives(memory: Iterable[Element]) -> dict[sympy.Symbol, sympy.Expr]:
+    """Return the continuous derivative of each state by its symbol."""
+    return {m.derivative: m.continuous() for m in memory}
+
+
+def readings(component: Component, *, starting: bool = False) -> dict[sympy.Symbol, sympy.Expr]:
+    """Return derivatives of the states and all equations, in order, by their symbols."""
+    equations = (
+        component.starting if starting else {e.symbol: e.expression for e in component.ordered}
+    )
+    return {**derivatives(component.memory), **equations}
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Derivatives along a direction: for each symbol the symbol of its own change, the seed."""
+
+    seeds: Mapping[sympy.Symbol, sympy.Expr] = field(default_factory=dict)
+
+    def of(self, assignments: Assignments) -> dict[sympy.Symbol, sympy.Expr]:
+        """Return the change of each assigned symbol, by a symbol `d_...` for it."""
+        known = dict(self.seeds)
+        changes: dict[sympy.Symbol, sympy.Expr] = {}
+        for symbol, expression in assignments.items():
+            used = sorted(expression.free_symbols & known.keys(), key=sympy.default_sort_key)
+            change = sympy.Add(*(expression.diff(s) * known[s] for s in used))
+            # What does not change needs no name, and nothing that follows has to ask.
+            if change == 0:
+                continue
+            name = change_of(symbol)
+            changes[name] = change
+            known[symbol] = name
+        return changes
+
+
+def change_of(symbol: sympy.Symbol) -> sympy.Symbol:
+    """Return the symbol of a symbol's change along a direction."""
+    return sympy.Symbol(f"d_{symbol.name}", real=True)
+
+
+@dataclass(frozen=True)
+class Jumps:
+    """Where a solver has to stop: signs at whose changes a component jumps, held between events.
+
+    A magnitude bends and does not jump, so it follows its argument and no sign is held for it; a
+    solver is still asked to stop where one of a reversing input bends. Signs of states alone stay
+    as they are, since a solver does not integrate what only the output depends on.
+    """
+
+    component: Component
+    every: bool = False
+    """Whether all magnitudes count, for tools that hold their signs as well."""
+
+    @cached_property
+    def expressions(self) -> tuple[sympy.Expr, ...]:
+        """Arguments of the signs and magnitudes, of inputs and parameters alone."""
+        own = self.component
+        given, inputs = {q.symbol for q in own.given}, {q.symbol for q in own.inputs}
+        parts = [e.expression for e in own.equations]
+        parts += [part for m in own.memory for part in (*m.parts, m.continuous())]
+        jumps = {node.args[0] for e in parts for node in e.atoms(sgn)}
+        bends = {node.args[0] for e in parts for node in e.atoms(absolute)}
+        if not self.every:
+            bends = {e for e in bends if e.free_symbols & inputs <= {*own.reversing}}
+        found = [e for e in jumps | bends if e.free_symbols <= given and e.free_symbols & inputs]
+        return tuple(sorted(found, key=sympy.default_sort_key))
+
+    @cached_property
+    def signs(self) -> tuple[sympy.Symbol, ...]:
+        """A symbol for each sign."""
+        return tuple(
+            sympy.Symbol(f"s_{i}", real=True) for i, _ in enumerate(self.expressions, start=1)
+        )
+
+    def held(self, assignments: Assignments) -> dict[sympy.Symbol, sympy.Expr]:
+        """Return assignments with the held signs in place of the expressions'."""
+        swap = {sgn(e): s for e, s in zip(self.expressions, self.signs, strict=True)}
+        return {symbol: e.xreplace(swap) for symbol, e in assignments.items()}
+
+
+def needed(
+    assignments: Assignments, wanted: Iterable[sympy.Symbol]
+) -> dict[sympy.Symbol, sympy.Expr]:
+    """Return the assignments on which the wanted ones rest, in order."""
+    keep: set[sympy.Symbol] = set()
+    waiting = set(wanted) & assignments.keys()
+    while waiting:
+        symbol = waiting.pop()
+        keep.add(symbol)
+        waiting |= (assignments[symbol].free_symbols & assignments.keys()) - keep
+    kept = {s: e for s, e in assignments.items() if s in keep}
+    return {s: kept[s] for s in in_order(kept)}

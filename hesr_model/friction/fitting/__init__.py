@@ -1,0 +1,1 @@
+"""From friction records to a frozen law."""

@@ -1,0 +1,89 @@
+"""The interface of estimators and the one registry in which they stand.
+
+An estimator turns friction records of one joint into a frozen law. Hyper-parameters go into the
+constructor, data into `fit`, randomness through a passed generator. To add a law, write one class
+with `form` and `fit`, decorate it with `register` and name its module in an entry point of the
+group `hesr.laws` (`docs/add-a-law.md`).
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+
+from hesr_model.errors import ConfigError
+from hesr_model.friction.equation import form_lines
+from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.rigid_body.residual import FrictionRecord
+
+
+class Estimator(ABC):
+    """Fits one law to the friction records of one joint.
+
+    Class attributes
+    ----------------
+    name : key in the registry and in artifacts.
+    title : the name that people use.
+    typical : a structure that its equations are shown with where none was found by a fit.
+    needs : fields of a `FrictionRecord` that may be unknown, and that the law cannot do without.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    typical: ClassVar[Mapping[str, Any]] = {}
+    needs: ClassVar[tuple[str, ...]] = ()
+
+    @staticmethod
+    @abstractmethod
+    def form(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions that `structure` selects (JSON data, checked here).
+
+        Raises
+        ------
+        ArtifactError
+            If the structure is not one of this law.
+        """
+
+    @classmethod
+    def as_text(cls) -> str:
+        """Return the law as text, a typical one of a family."""
+        return "; ".join(form_lines(cls.form(cls.typical)))
+
+    @abstractmethod
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Return the law that explains the records' `tau` [N.m] best.
+
+        Raises
+        ------
+        FitError
+            If the records do not determine the law.
+        """
+
+
+_REGISTRY: dict[str, type[Estimator]] = {}
+
+Registered = TypeVar("Registered", bound=type[Estimator])
+
+
+def register(estimator: Registered) -> Registered:
+    """Enter an estimator under its name; the same class again, as in a notebook, replaces it.
+
+    Raises
+    ------
+    ConfigError
+        If an estimator of another module has the name.
+    """
+    other = _REGISTRY.get(estimator.name, estimator).__module__
+    if other != estimator.__module__:
+        raise ConfigError(
+            f"law '{estimator.name}' of the module '{estimator.__module__}' has the name of one of "
+            f"'{other}'; names must differ."
+        )
+    _REGISTRY[estimator.name] = estimator
+    return estimator
+
+
+def registered() -> Mapping[str, type[Estimator]]:
+    """Estimators that were registered until now, by name."""
+    return _REGISTRY

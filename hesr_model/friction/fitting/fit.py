@@ -1,0 +1,199 @@
+"""Fit laws to all joints of a robot, each joint and law in a process of its own."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from hesr_model.artifacts import provenance as source_of
+from hesr_model.errors import FitError
+from hesr_model.friction.fitting.uncertainty import with_standard_errors
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.records import training_error
+from hesr_model.friction.registry import estimator
+from hesr_model.friction.trained import TrainedRange
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support import parallel
+from hesr_model.support.progress import Progress, counted, unheard
+
+
+def fit_joint(
+    law: str,
+    records: Sequence[FrictionRecord],
+    *,
+    seed: int,
+    options: Mapping[str, Any] | None = None,
+) -> FrictionLaw:
+    """Fit one law to the records of one joint, with one BLAS thread: bit-reproducible.
+
+    Parameters
+    ----------
+    law : name in the registry.
+    records : records of one joint.
+    seed : of the generator; joints with equal data and seed get equal laws.
+    options : hyper-parameters of the estimator's constructor.
+
+    Raises
+    ------
+    ArtifactError
+        If the law is unknown.
+    FitError
+        If the records do not determine the law, or lack what it needs.
+    """
+    chosen = estimator(law)
+    try:
+        configured = chosen(**(options or {}))
+    except TypeError as error:
+        raise FitError(f"law '{law}' does not take these options ({error}).") from error
+    for need in chosen.needs:
+        if any(getattr(record, need) is None for record in records):
+            raise FitError(
+                f"joint '{records[0].joint}': law '{law}' needs the key '{need}', which the robot "
+                "file does not give."
+            )
+    with threadpool_limits(1):
+        fitted = configured.fit(records, np.random.default_rng(seed))
+        return with_standard_errors(fitted, records)
+
+
+def fit(
+    law: str,
+    *logs: Sequence[FrictionRecord],
+    seed: int = 0,
+    options: Mapping[str, Any] | None = None,
+    robot: str = "robot",
+    workers: int = 1,
+) -> FrictionModel:
+    """Fit one law to every joint of a robot.
+
+    Parameters
+    ----------
+    law : name in the registry, as `hesr laws` lists them.
+    logs : the records of one log each, as `residual.friction_records` returns them.
+    seed : of the fit: same logs, same seed, same model.
+    options : hyper-parameters of the law's estimator.
+    robot : name that the model carries.
+    workers : processes. With more than one, joints are fitted in fresh processes, which do not
+        import the calling script.
+
+    Raises
+    ------
+    ArtifactError
+        If the law is unknown.
+    FitError
+        If no log is given, or the logs are of different joints; if the records do not determine the
+        law, or lack what it needs.
+    """
+    if not logs:
+        raise FitError(f"law '{law}': there is no log to fit it to; give the records of one.")
+    joints = [tuple(record.joint for record in log) for log in logs]
+    for own in joints[1:]:
+        if own != joints[0]:
+            raise FitError(
+                f"law '{law}': one log is of the joints {', '.join(joints[0])}, another one of "
+                f"{', '.join(own)}; all must be of the same."
+            )
+    return fit_models(
+        [law],
+        [list(of_joint) for of_joint in zip(*logs, strict=True)],
+        robot=robot,
+        seed=seed,
+        options={law: dict(options or {})},
+        provenance=source_of(files=[], seed=seed),
+        workers=workers,
+    )[law]
+
+
+def fit_models(
+    laws: Sequence[str],
+    records: Sequence[Sequence[FrictionRecord]],
+    *,
+    robot: str,
+    seed: int,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+    variants: Mapping[str, str] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+    workers: int | None = None,
+    progress: Progress = unheard,
+    left_out: Callable[[str, FitError], None] | None = None,
+) -> dict[str, FrictionModel]:
+    """Fit several laws to every joint.
+
+    Parameters
+    ----------
+    laws : names in the registry, or names of variants.
+    records : for each joint its records, one for each training log.
+    robot : name of the robot.
+    seed : of every fit.
+    options : hyper-parameters by law or variant.
+    variants : name in the registry of each variant, a law with other options.
+    provenance : JSON data that the models carry.
+    workers : processes; one for each core where not given, none of its own for 1.
+    progress : told how many fits are done.
+    left_out : told of each law that the records do not determine, and why; the others are fitted
+        nevertheless. Where not given, the first such law ends it all.
+
+    Returns
+    -------
+    Model by name of the law or variant. The result does not depend on `workers`.
+
+    Raises
+    ------
+    ArtifactError
+        If a law is unknown.
+    FitError
+        If the records do not determine a law, or none of them where `left_out` is given.
+    """
+    registered = {law: (variants or {}).get(law, law) for law in laws}
+    jobs = {
+        (law, joint): partial(
+            _fitted, registered[law], of_joint, seed=seed, options=(options or {}).get(law)
+        )
+        for law in laws
+        for joint, of_joint in enumerate(records)
+    }
+    done: dict[tuple[str, int], FrictionLaw] = {}
+    failed: dict[str, FitError] = {}
+    with parallel.results_of(list(jobs.values()), workers) as results:
+        for law, joint in counted(jobs, progress):
+            result = next(results)
+            if isinstance(result, FrictionLaw):
+                done[law, joint] = result
+            else:
+                failed.setdefault(law, result)
+                if left_out is None:
+                    raise result
+    for law, reason in failed.items():
+        if left_out is None or len(failed) == len(laws):
+            raise reason
+        left_out(law, reason)
+    joints = tuple(of_joint[0].joint for of_joint in records)
+    periods = [float(np.median(np.diff(r.t))) for of_joint in records for r in of_joint]
+    return {
+        law: FrictionModel(
+            law=law,
+            robot=robot,
+            joints=joints,
+            laws=tuple(done[law, joint] for joint in range(len(records))),
+            sliding=tuple(of_joint[0].sliding for of_joint in records),
+            sample_time=round(float(np.median(periods)), 9),
+            trained=tuple(TrainedRange.of(of_joint) for of_joint in records),
+            training_rmse=tuple(
+                training_error(done[law, joint], of_joint) for joint, of_joint in enumerate(records)
+            ),
+            provenance=dict(provenance or {}),
+        )
+        for law in laws
+        if law not in failed
+    }
+
+
+def _fitted(law: str, records: Sequence[FrictionRecord], **settings: Any) -> FrictionLaw | FitError:
+    """Fit one law to one joint, or return why that cannot be: the other fits go on."""
+    try:
+        return fit_joint(law, records, **settings)
+    except FitError as error:
+        return error

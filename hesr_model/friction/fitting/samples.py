@@ -1,0 +1,124 @@
+"""The records of one joint as one set of rows, which every estimator fits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.equations.over_log import Array, recurrence
+from hesr_model.errors import FitError
+from hesr_model.rigid_body.residual import FrictionRecord, require_reversals
+
+Rows = NDArray[np.bool_]
+"""(N,) mask of rows."""
+
+BLOCKS = 4
+"""Blocks of time that stand in for logs where there is only one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """Rows of several records, one after the other.
+
+    Attributes
+    ----------
+    dt : (N,) time since the row before [s], 0 where a record begins.
+    gear_ratio : turns of the motor per turn of the joint, where known.
+    begins : (N,) True where a record begins.
+    record : (N,) index of the record.
+    dq, q, tau_load, tau : (N,) as in the records.
+    """
+
+    dt: Array
+    begins: Rows
+    record: NDArray[np.int64]
+    dq: Array
+    q: Array
+    tau_load: Array
+    tau: Array
+    gear_ratio: float | None = None
+
+    @property
+    def folds(self) -> "list[Rows]":
+        """(N,) masks of rows to leave out in turn: records, or blocks of time of a single one."""
+        records = int(self.record[-1]) + 1
+        rows = len(self.tau)
+        group = self.record if records > 1 else np.arange(rows) * BLOCKS // rows
+        return [np.asarray(group == k) for k in range(int(group[-1]) + 1)]
+
+    @classmethod
+    def of(cls, records: Sequence[FrictionRecord], *, coefficients: int) -> "Samples":
+        """Join records.
+
+        Parameters
+        ----------
+        records : records of one joint.
+        coefficients : how many numbers the law to be fitted has.
+
+        Raises
+        ------
+        FitError
+            If there are fewer rows than coefficients.
+        LogError
+            If the joint never reverses.
+        """
+        rows = sum(len(r.t) for r in records)
+        joint = records[0].joint if records else "?"
+        if rows < coefficients:
+            raise FitError(
+                f"joint '{joint}': {rows} rows for {coefficients} coefficients; more data needed."
+            )
+        require_reversals(records)
+        return cls(
+            dt=np.concatenate([np.diff(r.t, prepend=r.t[0]) for r in records]),
+            begins=np.concatenate([np.arange(len(r.t)) == 0 for r in records]),
+            record=np.repeat(np.arange(len(records)), [len(r.t) for r in records]),
+            dq=np.concatenate([r.dq for r in records]),
+            q=np.concatenate([r.q for r in records]),
+            tau_load=np.concatenate([r.tau_load for r in records]),
+            tau=np.concatenate([r.tau for r in records]),
+            gear_ratio=records[0].gear_ratio,
+        )
+
+    def recurrence(self, a: Array, c: Array) -> Array:
+        """Run x[k] = a[k] x[k-1] + c[k] from 0 at the first row of every record, all (N,)."""
+        return recurrence(np.where(self.begins, 0.0, a), np.where(self.begins, 0.0, c), 0.0)
+
+
+def least_squares(columns: Array, target: Array) -> Array:
+    """Return the (K,) coefficients of least norm by which (N, K) columns explain a target best.
+
+    The (N,) target has any unit; the coefficients are in that of the target per column.
+    """
+    return np.asarray(np.linalg.lstsq(columns, target)[0], dtype=np.float64)
+
+
+def non_negative_least_squares(
+    columns: Array, target: Array, *, non_negative: int
+) -> tuple[Array, float]:
+    """Least squares whose first `non_negative` coefficients must not be negative.
+
+    Negative ones are set to zero one by one, the worst first: exact for the few, nearly orthogonal
+    columns of friction laws, and far faster than a general solver inside a search.
+
+    Parameters
+    ----------
+    columns, target : (N, K) and (N,), in any units.
+    non_negative : how many, from the first.
+
+    Returns
+    -------
+    (K,) coefficients and the sum of squared residuals.
+    """
+    gram, moment = columns.T @ columns, columns.T @ target
+    scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+    active = np.arange(columns.shape[1])
+    while True:
+        part = gram[np.ix_(active, active)] / np.outer(scale[active], scale[active])
+        solution = np.zeros(columns.shape[1])
+        solution[active] = np.linalg.lstsq(part, moment[active] / scale[active])[0] / scale[active]
+        bounded = solution[:non_negative] * scale[:non_negative]
+        if bounded.min(initial=0.0) >= 0.0:
+            return solution, float(target @ target - moment @ solution)
+        active = active[active != int(np.argmin(bounded))]

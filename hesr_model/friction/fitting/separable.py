@@ -1,0 +1,206 @@
+"""Laws that are linear in most of their coefficients: searched in the few others only.
+
+The torque's columns are the derivatives of the law's own output expression by its linear
+coefficients, so the description of a law is all that an estimator needs. For given non-linear
+coefficients the linear ones follow by least squares (variable projection, Golub and Pereyra 1973).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import sympy
+from scipy.optimize import differential_evolution
+from scipy.optimize import least_squares as minimise_squares
+
+from hesr_model.equations.functions import lowered
+from hesr_model.equations.over_log import Array, Discretisation, StatesOverLog
+from hesr_model.friction.fitting.samples import Samples, non_negative_least_squares
+from hesr_model.friction.inputs import INPUTS
+from hesr_model.friction.law import LawForm
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchSpace:
+    """How the coefficients of a form are searched.
+
+    Attributes
+    ----------
+    bounds : name of each searched number and its bounds; with two positive bounds it is searched
+        on a logarithmic scale.
+    linear : names of the unknowns that are solved for; the first `non_negative` must not be
+        negative.
+    values : for each coefficient that is neither searched nor solved for, its expression in those
+        that are.
+    """
+
+    bounds: tuple[tuple[str, tuple[float, float]], ...]
+    linear: tuple[str, ...]
+    non_negative: int = 0
+    values: tuple[tuple[str, sympy.Expr], ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the searched numbers."""
+        return tuple(name for name, _ in self.bounds)
+
+
+LEAST = 1e-9
+"""[N.m or alike] Smallest value of a non-negative coefficient that scales others."""
+
+
+class Separable:
+    """The least-squares problem of a form on the rows of a joint.
+
+    A point is the vector of searched numbers, logarithms where the bounds are positive.
+
+    Parameters
+    ----------
+    form : the law's expressions.
+    space : how its coefficients are searched.
+    samples : rows of the joint.
+    discretisation : of the states.
+    """
+
+    def __init__(
+        self,
+        form: LawForm,
+        space: SearchSpace,
+        samples: Samples,
+        discretisation: Discretisation = "exact",
+    ) -> None:
+        self.discretisation = discretisation
+        self.form = form
+        self.space = space
+        self.samples = samples
+        self._memory, self._columns = _compiled(form, space)
+        limits = np.array([limits for _, limits in space.bounds]).reshape(-1, 2)
+        self._logarithmic = limits[:, 0] > 0.0
+        self.bounds = np.where(
+            self._logarithmic[:, None], np.log(np.maximum(limits, 1e-300)), limits
+        )
+
+    def numbers(self, point: Array) -> Array:
+        """Return the searched numbers of a point (searched,), in the units of the coefficients."""
+        return np.where(self._logarithmic, np.exp(np.where(self._logarithmic, point, 0.0)), point)
+
+    def point(self, numbers: Mapping[str, float]) -> Array:
+        """Return the point of searched numbers, shape (searched,) in their units or as logarithms.
+
+        It is moved inside the bounds.
+        """
+        raw = np.array([numbers[name] for name in self.space.names])
+        scaled = np.where(self._logarithmic, np.log(np.where(self._logarithmic, raw, 1.0)), raw)
+        low, high = self.bounds.T
+        margin = 1e-9 * (high - low)
+        return np.clip(scaled, low + margin, high - margin)
+
+    def columns(self, point: Array) -> Array:
+        """Return the (N, len(linear)) columns of the torque at a point [N.m per unit of each]."""
+        s = self.samples
+        values = (*self.numbers(point), s.dq, s.q, s.tau_load)
+        start = (0.0,) * len(self.form.memory)
+        states = self._memory(values, s.dt, s.begins, start, self.discretisation)
+        columns = np.empty((len(s.dq), len(self.space.linear)), order="F")
+        for i, column in enumerate(self._columns(*values, *states)):
+            columns[:, i] = column
+        return columns
+
+    def solve(self, point: Array) -> tuple[Array, float]:
+        """Return (len(linear),) unknowns at a point and the sum of squared residuals [N^2.m^2]."""
+        return non_negative_least_squares(
+            self.columns(point), self.samples.tau, non_negative=self.space.non_negative
+        )
+
+    def search(self, rng: np.random.Generator, *, effort: int = 40) -> Array:
+        """Return the best point of differential evolution (`effort` generations at most).
+
+        Shape and units are those of `point`.
+        """
+        if not len(self.bounds):
+            return np.zeros(0)
+        best = differential_evolution(
+            lambda point: self.solve(point)[1], self.bounds, rng=rng, popsize=10, maxiter=effort,
+            tol=1e-4,
+        )  # fmt: skip
+        return np.asarray(best.x)
+
+    def polish(self, point: Array, *, evaluations: int = 12, rows: Any = slice(None)) -> Array:
+        """Return the point after a local search of all coefficients at once.
+
+        The residual has its linear unknowns projected out, so the search runs over everything while
+        it steps in the searched numbers only. Only `rows` count. Shape and units of the point are
+        those of `point`.
+        """
+        if not len(self.bounds):
+            return point
+
+        def residual(trial: Array) -> Array:
+            columns = self.columns(trial)[rows]
+            tau = self.samples.tau[rows]
+            x, _ = non_negative_least_squares(columns, tau, non_negative=self.space.non_negative)
+            return np.asarray(columns @ x - tau)
+
+        low, high = self.bounds.T
+        found = minimise_squares(
+            residual, np.clip(point, low, high), bounds=(low, high), x_scale=high - low,
+            max_nfev=evaluations, diff_step=1e-6,
+        )  # fmt: skip
+        return np.asarray(found.x)
+
+    def values(self, point: Array, unknowns: Array) -> dict[str, float]:
+        """Return every coefficient of the form by name, in its unit, from a point and its unknowns.
+
+        Both have the shapes of `solve`.
+        """
+        known = dict(zip(self.space.names, self.numbers(point), strict=True))
+        known |= dict(zip(self.space.linear, unknowns, strict=True))
+        # Coefficients that are multiples of a zero would leave their ratios undefined: 0 / 0.
+        divided = {symbol.name for _, e in self.space.values for symbol in e.free_symbols}
+        for name in divided & set(self.space.linear[: self.space.non_negative]):
+            known[name] = max(known[name], LEAST)
+        symbols = {sympy.Symbol(name, real=True): value for name, value in known.items()}
+        known |= {name: float(e.subs(symbols)) for name, e in self.space.values}
+        return {c.name: float(known[c.name]) for c in self.form.coefficients}
+
+
+def left_out_cost(
+    columns: Array, tau: Array, folds: Sequence[np.ndarray[Any, np.dtype[np.bool_]]]
+) -> float:
+    """Mean square on each fold of a linear law solved on the other rows, over all rows.
+
+    Parameters
+    ----------
+    columns, tau : (N, K) columns and (N,) torque [N.m].
+    folds : (N,) masks of the rows that are left out in turn.
+    """
+    gram, moment = columns.T @ columns, columns.T @ tau
+    total = 0.0
+    for fold in folds:
+        out, target = columns[fold], tau[fold]
+        x = np.linalg.lstsq(gram - out.T @ out, moment - out.T @ target, rcond=1e-12)[0]
+        total += float(np.sum((target - out @ x) ** 2))
+    return total / len(tau)
+
+
+@lru_cache(maxsize=64)
+def _compiled(form: LawForm, space: SearchSpace) -> tuple[StatesOverLog, Any]:
+    """Lower the states and the columns of a form to NumPy."""
+    replaced = {sympy.Symbol(name, real=True): e for name, e in space.values}
+    searched = tuple(sympy.Symbol(name, real=True) for name in space.names)
+    linear = tuple(sympy.Symbol(name, real=True) for name in space.linear)
+    # Products are multiplied out, so that factors cancel; nothing else is rewritten, because
+    # SymPy's other simplifications may turn exp(-x) into 1/exp(x), which overflows.
+    memory = tuple(m.subs(replaced) for m in form.memory)
+    output = sympy.expand_mul(form.output.subs(replaced))
+    columns = tuple(sympy.diff(output, symbol) for symbol in linear)
+    rest = output.subs(dict.fromkeys(linear, 0))
+    parts = (part for m in memory for part in m.parts)
+    mixed = set(linear) & set().union(*(e.free_symbols for e in (*parts, *columns)))
+    if mixed or rest != 0:
+        raise ValueError(f"not linear in {sorted(map(str, mixed)) or 'an offset'}: {output}")
+    states = tuple(s for m in memory for s in (m.state, m.derivative))
+    arguments = (*searched, *INPUTS)
+    return StatesOverLog(memory, arguments), lowered((*arguments, *states), columns)

@@ -1,0 +1,1 @@
+"""The friction laws, one module each."""

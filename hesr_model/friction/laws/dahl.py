@@ -1,0 +1,87 @@
+"""Dahl basis: parallel elements of rate-independent memory with fixed deflections, no search."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+import sympy
+
+from hesr_model.equations.functions import absolute
+from hesr_model.equations.memory import Relaxation
+from hesr_model.friction.fitting.described import OneForm, no_structure
+from hesr_model.friction.fitting.estimator import register
+from hesr_model.friction.fitting.separable import SearchSpace
+from hesr_model.friction.inputs import DQ, TAU_LOAD
+from hesr_model.friction.law import Coefficient, LawForm
+from hesr_model.friction.laws.stribeck import SIGMA_2, TAU_0
+
+DEFLECTIONS = np.geomspace(2e-4, 5e-2, 5)
+"""Sliding deflections 1 / kappa of the elements [rad]: from sharp to wide hysteresis loops."""
+
+_ELEMENTS = range(1, len(DEFLECTIONS) + 1)
+_KAPPA = tuple(
+    Coefficient(name=f"kappa_{i}", unit="1/rad", description="reciprocal of a sliding deflection")
+    for i in _ELEMENTS
+)
+_FORCE = tuple(
+    Coefficient(name=f"F_{i}", unit="N.m", description="sliding torque of an element")
+    for i in _ELEMENTS
+)
+_LOAD = tuple(
+    Coefficient(name=f"mu_{i}", unit="1", description="sliding torque of an element per load")
+    for i in _ELEMENTS
+)
+
+
+@register
+class DahlBasis(OneForm):
+    """x_i' = kappa_i (v - |v| x_i), tau = sum_i F_i x_i + sigma_2 v + tau_0."""
+
+    name = "dahl"
+    title = "Dahl basis"
+    load: ClassVar[bool] = False
+
+    @classmethod
+    def core(cls, structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        no_structure(cls.name, structure)
+        elements = tuple(
+            Relaxation(name=f"x{i}", unit="1", drive=k.symbol * DQ, rate=k.symbol * absolute(DQ))
+            for i, k in zip(_ELEMENTS, _KAPPA, strict=True)
+        )
+        factors = [f.symbol for f in _FORCE]
+        if cls.load:
+            factors = [
+                f + m.symbol * absolute(TAU_LOAD) for f, m in zip(factors, _LOAD, strict=True)
+            ]
+        torque = sum(f * x.state for f, x in zip(factors, elements, strict=True))
+        return LawForm(
+            coefficients=(*_KAPPA, *_FORCE, *(_LOAD if cls.load else ()), SIGMA_2, TAU_0),
+            memory=elements,
+            output=torque + SIGMA_2.symbol * DQ + TAU_0.symbol,
+        )
+
+    def space(self) -> SearchSpace:
+        """Search nothing: everything is linear.
+
+        An element that drives makes no friction, and no simulator has one, so the plain F_i are not
+        negative; with load, F_i alone need not be what an element carries.
+        """
+        linear = (*_FORCE, *(_LOAD if self.load else ()), SIGMA_2, TAU_0)
+        return SearchSpace(
+            bounds=(),
+            linear=tuple(c.name for c in linear),
+            values=tuple(
+                (k.name, sympy.Float(1.0 / d)) for k, d in zip(_KAPPA, DEFLECTIONS, strict=True)
+            ),
+            non_negative=0 if self.load else len(_FORCE),
+        )
+
+
+@register
+class DahlBasisLoad(DahlBasis):
+    """The Dahl basis with F_i + mu_i |tau_load| in place of F_i."""
+
+    name = "dahl_load"
+    title = "Dahl basis+load"
+    load = True

@@ -1,0 +1,122 @@
+"""LuGre: bristles whose mean deflection is one relaxation (paper, eq. 1-3)."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import sympy
+
+from hesr_model.equations.functions import absolute
+from hesr_model.equations.memory import Relaxation
+from hesr_model.friction.fitting.described import OneForm, no_structure
+from hesr_model.friction.fitting.estimator import register
+from hesr_model.friction.fitting.separable import SearchSpace
+from hesr_model.friction.inputs import DQ, TAU_LOAD
+from hesr_model.friction.law import Coefficient, LawForm
+from hesr_model.friction.laws.stribeck import F_C, F_S, SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
+
+SIGMA_0 = Coefficient(name="sigma_0", unit="N.m/rad", description="bristle stiffness")
+SIGMA_1 = Coefficient(name="sigma_1", unit="N.m.s/rad", description="bristle damping")
+MU = Coefficient(name="mu", unit="1/(N.m)", description="relative rise with the load torque")
+
+DEFLECTION_BOUNDS = (1e-5, 0.1)
+"""Bounds of the sliding deflection F_c / sigma_0 [rad]; wide, since the update is exact."""
+STATIC_RATIO_BOUNDS = (0.2, 5.0)
+"""Bounds of F_s / F_c; below 1 the level rises with speed, as lubricated gears show."""
+
+
+def bristle() -> Relaxation:
+    """Return the bristle state z' = v - sigma_0 |v| z / g(v) (eq. 2)."""
+    f_c, f_s, v_s = F_C.symbol, F_S.symbol, V_S.symbol
+    # Relative to F_c, so that a common factor of sigma_0, F_c and F_s cancels.
+    level = 1 + (f_s / f_c - 1) * sympy.exp(-((DQ / v_s) ** 2))
+    rate = SIGMA_0.symbol / f_c * absolute(DQ) / level
+    return Relaxation(name="z", unit="rad", drive=DQ, rate=rate)
+
+
+def bristle_space(linear: tuple[str, ...], non_negative: int) -> SearchSpace:
+    """Search the sliding deflection, F_s / F_c and v_s.
+
+    With sigma_0 = F_c / deflection and F_s = ratio F_c the rate of z is free of F_c, and the torque
+    is linear in F_c and in the other coefficients of eq. 1.
+    """
+    f_c, deflection, ratio = (
+        sympy.Symbol(name, real=True) for name in ("F_c", "deflection", "ratio")
+    )
+    return SearchSpace(
+        bounds=(
+            ("deflection", DEFLECTION_BOUNDS),
+            ("ratio", STATIC_RATIO_BOUNDS),
+            ("v_s", VELOCITY_BOUNDS),
+        ),
+        linear=linear,
+        non_negative=non_negative,
+        values=(("sigma_0", f_c / deflection), ("F_s", ratio * f_c)),
+    )
+
+
+def torque() -> sympy.Expr:
+    """Return the torque of eq. 1 with an offset."""
+    z = bristle()
+    return (
+        SIGMA_0.symbol * z.state
+        + SIGMA_1.symbol * z.derivative
+        + SIGMA_2.symbol * DQ
+        + TAU_0.symbol
+    )
+
+
+COEFFICIENTS = (SIGMA_0, SIGMA_1, SIGMA_2, F_C, F_S, V_S, TAU_0)
+
+
+@register
+class LuGre(OneForm):
+    """z' = v - sigma_0 |v|/g(v) z, tau = sigma_0 z + sigma_1 z' + sigma_2 v + tau_0."""
+
+    name = "lugre"
+    title = "LuGre"
+
+    @staticmethod
+    def core(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        no_structure("lugre", structure)
+        return LawForm(coefficients=COEFFICIENTS, memory=(bristle(),), output=torque())
+
+    def space(self) -> SearchSpace:
+        """Search the bristle; everything else is linear."""
+        return bristle_space(("F_c", "sigma_1", "sigma_2", "tau_0"), non_negative=3)
+
+
+@register
+class LuGreLoad(OneForm):
+    """LuGre whose bristle force rises with the load: tau = ... + mu sigma_0 z |tau_load|."""
+
+    name = "lugre_load"
+    title = "LuGre+load"
+
+    @staticmethod
+    def core(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        no_structure("lugre_load", structure)
+        rise = MU.symbol * SIGMA_0.symbol * bristle().state * absolute(TAU_LOAD)
+        return LawForm(
+            coefficients=(*COEFFICIENTS, MU), memory=(bristle(),), output=torque() + rise
+        )
+
+    def space(self) -> SearchSpace:
+        """Search the bristle; F_c mu is solved for, since the torque is linear in the product."""
+        plain = bristle_space(("F_c", "sigma_1", "sigma_2", "tau_0", "F_c_mu"), non_negative=3)
+        product = sympy.Symbol("F_c_mu", real=True)
+        return replace(plain, values=(*plain.values, (MU.name, product / F_C.symbol)))
+
+
+@register
+class LuGreLoadRipple(LuGreLoad):
+    """LuGre+load with motor ripple and with the start of z from the first torque samples."""
+
+    name = "lugre_load_ripple"
+    title = "LuGre+load+ripple"
+    needs = ("gear_ratio",)
+    ripple = True
+    typical: ClassVar[Mapping[str, Any]] = {"ripple": {"gear_ratio": 100, "orders": [2]}}
+    start_samples = 5

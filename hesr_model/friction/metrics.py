@@ -1,0 +1,112 @@
+"""How good a torque prediction is: over all rows, around reversals, while moving.
+
+Everything is on the raw rows of the logs, pooled: rows count alike, whatever log they are from.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.logs.phases import Mask, moving, near_reversals
+from hesr_model.rigid_body.residual import FrictionRecord
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """One joint's prediction errors, [N.m] but for `r2`; None where no row is of that kind.
+
+    Attributes
+    ----------
+    tau_std
+        Standard deviation of the measured friction, the error of predicting its mean.
+    """
+
+    tau_std: float
+    rmse: float
+    rmse_reversal: float | None
+    rmse_moving: float | None
+    r2: float | None
+
+
+def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Score:
+    """Score predictions of one joint's friction, pooled over its records.
+
+    Parameters
+    ----------
+    predictions
+        One array (N,) [N.m] per record, on its rows.
+    """
+    error = np.concatenate(
+        [record.tau - predicted for record, predicted in zip(records, predictions, strict=True)]
+    )
+    tau = np.concatenate([record.tau for record in records])
+    near = np.concatenate([near_reversals(record.t, record.dq) for record in records])
+    fast = np.concatenate([moving(record.dq) for record in records])
+    tau_std = float(np.std(tau))
+    return Score(
+        tau_std=tau_std,
+        rmse=rmse(error),
+        rmse_reversal=rmse(error[near]) if np.any(near) else None,
+        rmse_moving=rmse(error[fast]) if np.any(fast) else None,
+        r2=1.0 - (rmse(error) / tau_std) ** 2 if tau_std > 0 else None,
+    )
+
+
+def rmse(error: Array) -> float:
+    """Root of the mean squared error, of any shape, in the error's unit."""
+    return float(np.sqrt(np.mean(np.square(error))))
+
+
+def time_band(t: Array, start: float, stop: float) -> Mask:
+    """Rows (N,) with start <= t < stop [s], for instance one frequency band of a chirp."""
+    return np.asarray((t >= start) & (t < stop))
+
+
+def rmse_ratio_interval(
+    errors: Sequence[Array],
+    reference: Sequence[Array],
+    *,
+    block: int,
+    rng: np.random.Generator,
+    resamples: int = 2000,
+    level: float = 0.95,
+) -> tuple[float, float]:
+    """Interval of the ratio of two RMSEs over the same rows.
+
+    Circular block bootstrap: blocks of neighbouring rows are drawn with replacement from each
+    log, the same for both, because the errors of neighbouring rows are alike; shorter blocks
+    than their memory make the interval too narrow.
+
+    Parameters
+    ----------
+    errors, reference
+        One array (N,) [N.m] per log each; the ratio is of `errors` over `reference`.
+    block
+        Rows per block, a few times the errors' correlation length.
+
+    Returns
+    -------
+    tuple
+        Lower and upper end of the central interval of probability `level`.
+    """
+    above, below = np.zeros(resamples), np.zeros(resamples)
+    for error, other in zip(errors, reference, strict=True):
+        rows, length = len(error), min(block, len(error))
+        draws = rng.integers(rows, size=(resamples, -(-rows // length)))
+        # The drawn blocks hold a few rows more than the log: scale back to its length.
+        share = rows / (draws.shape[1] * length)
+        above += share * _block_sums(error, length)[draws].sum(axis=1)
+        below += share * _block_sums(other, length)[draws].sum(axis=1)
+    low, high = np.quantile(np.sqrt(above / below), [(1 - level) / 2, (1 + level) / 2])
+    return float(low), float(high)
+
+
+def _block_sums(error: Array, length: int) -> Array:
+    """Sum squares over `length` rows from every row on, around the end to the start."""
+    around = np.concatenate([error, error[: length - 1]]) ** 2
+    total = np.concatenate([[0.0], np.cumsum(around)])
+    return np.asarray(total[length:] - total[:-length])

@@ -1,0 +1,201 @@
+"""A log made ready for its checks: velocity from the position alone, torques of the model."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.errors import LogError
+from hesr_model.friction.fitting.uncertainty import standard_errors
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import smooth
+from hesr_model.rigid_body.identification import LEAST_PEAK
+from hesr_model.robots.robot import RobotModel
+
+Array = NDArray[np.float64]
+
+_LEAST_TRAVEL = 5e-3
+"""[rad or m] A joint that moves by less rests."""
+
+_ROWS = 4000
+"""Of a log, spread over it; more tell no more."""
+
+_KNEE = 0.1
+"""[rad/s, m/s] Speed of the smoothed sign of the velocity; a quarter of the peak where less."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motionwise:
+    """One part of a log, smoothed, (N, n) each; joints that rest in it are told apart.
+
+    Attributes
+    ----------
+    log
+        As read.
+    t
+        (N,) [s].
+    q, v, a
+        Position, and velocity and acceleration as they follow from it alone.
+    dq
+        Velocity as logged, smoothed alike; None where the log has none.
+    tau
+        Torque as logged.
+    """
+
+    log: RobotLog
+    t: Array
+    q: Array
+    v: Array
+    a: Array
+    dq: Array | None
+    tau: Array
+
+    @cached_property
+    def moves(self) -> NDArray[np.bool_]:
+        """Which joints move, (n,), by travel [rad; m] and speed [rad/s; m/s]."""
+        speed = np.max(np.abs(self.v), axis=0)
+        return np.asarray((np.ptp(self.q, axis=0) > _LEAST_TRAVEL) & (speed > LEAST_PEAK))
+
+    def thinned(self, rows: int) -> "Motionwise":
+        """Return at most so many rows, spread over the log."""
+        step = -(-len(self.t) // rows)
+        every = slice(None, None, step)
+        return replace(
+            self,
+            t=self.t[every],
+            q=self.q[every],
+            v=self.v[every],
+            a=self.a[every],
+            dq=None if self.dq is None else self.dq[every],
+            tau=self.tau[every],
+        )
+
+
+def motionwise(log: RobotLog, cutoff: float) -> list[Motionwise]:
+    """Make the parts of a log ready; those too short for the low pass are left out."""
+    made = []
+    for part in log.parts():
+        try:
+            derived = smooth(replace(part, dq=None), cutoff)
+        except LogError:
+            if len(log.gaps):
+                continue
+            raise
+        logged = None if part.dq is None else smooth(part, cutoff).dq
+        made.append(
+            Motionwise(
+                log=part,
+                t=part.t,
+                q=derived.q,
+                v=derived.dq,
+                a=derived.ddq,
+                dq=logged,
+                tau=part.tau,
+            ).thinned(_ROWS)
+        )
+    return made
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Torques:
+    """What the model says of a motion, by joint, (N, n) [N.m; N].
+
+    Attributes
+    ----------
+    gravity
+        Of the model, without its mean, which an offset of the sensor would take.
+    inertial
+        What the motion adds to it.
+    """
+
+    gravity: Array
+    inertial: Array
+
+    @classmethod
+    def of(cls, model: RobotModel, q: Array, v: Array, a: Array) -> "Torques":
+        """Evaluate the model file along q, v, a, (N, n) each [rad, rad/s, rad/s2]."""
+        nothing = np.zeros_like(q)
+        gravity = model.torque(model.nominal_parameters, q, nothing, nothing)
+        whole = model.torque(model.nominal_parameters, q, v, a)
+        return cls(gravity=gravity - gravity.mean(axis=0), inertial=whole - gravity)
+
+
+def rubbing(v: Array) -> Array:
+    """Friction's shape over a joint's velocity `v` (N,) [rad/s]: Coulomb and viscous, alike."""
+    peak = float(np.max(np.abs(v))) or 1.0
+    return np.asarray(np.tanh(v / min(_KNEE, 0.25 * peak)) + v / peak)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """A coefficient and its standard error, which neighbouring rows' likeness widens."""
+
+    value: float
+    error: float
+
+    @property
+    def t(self) -> float:
+        """The coefficient in standard errors."""
+        return self.value / max(self.error, 1e-300)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointTorque:
+    """One joint's torque explained by the model and friction.
+
+    Attributes
+    ----------
+    gravity
+        Torque over the model's gravity torque, without unit.
+    inertia
+        Torque over the model's inertial torque, without unit; rotors are not in a URDF.
+    friction
+        Torque that goes with the velocity [N.m].
+    gravity_size, friction_size
+        Standard deviations of the model's gravity torque and of friction [N.m].
+    residual, deviation
+        Standard deviations of what is not explained and of the torque [N.m].
+    """
+
+    gravity: Estimate
+    inertia: Estimate
+    friction: Estimate
+    gravity_size: float
+    friction_size: float
+    residual: float
+    deviation: float
+
+    @property
+    def r2(self) -> float:
+        """Share of the torque's variance that is explained."""
+        return 1.0 - (self.residual / max(self.deviation, 1e-300)) ** 2
+
+    @property
+    def bears_gravity(self) -> bool:
+        """Whether gravity, of the model or as found, is well above what is unexplained."""
+        size = self.gravity_size * max(1.0, abs(self.gravity.value))
+        return self.gravity_size > 1e-6 and size > 2.0 * self.residual
+
+
+def explain(tau: Array, gravity: Array, inertial: Array, v: Array) -> JointTorque:
+    """Explain `tau` by `gravity`, `inertial` [N.m] and friction over `v` [rad/s], (N,) each."""
+    shape = rubbing(v)
+    columns = np.column_stack([gravity, inertial, shape, np.ones_like(v)])
+    size = np.linalg.norm(columns, axis=0) / np.sqrt(len(v))
+    used = size > 1e-9 * max(float(size.max()), 1e-3)
+    x = np.zeros(4)
+    x[used] = np.linalg.lstsq(columns[:, used], tau, rcond=None)[0]
+    residual = tau - columns @ x
+    errors = np.full(4, np.inf)
+    errors[used] = standard_errors(columns[:, used], residual)
+    found = [Estimate(value=float(a), error=float(b)) for a, b in zip(x, errors, strict=True)]
+    return JointTorque(
+        gravity=found[0],
+        inertia=found[1],
+        friction=found[2],
+        gravity_size=float(np.std(gravity)),
+        friction_size=float(abs(x[2]) * np.std(shape)),
+        residual=float(np.std(residual)),
+        deviation=float(np.std(tau)),
+    )

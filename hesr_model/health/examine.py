@@ -1,0 +1,151 @@
+"""All checks of logs on their robot, at once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from hesr_model.health.causes import check_causes
+from hesr_model.health.evidence import Motionwise, Torques, motionwise
+from hesr_model.health.findings import Finding, merged, require_known, require_sound
+from hesr_model.health.positions import check_columns, check_jumps, check_limits, check_time
+from hesr_model.health.torque import Explained, check_torque, explained
+from hesr_model.health.velocity import check_velocity
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.robots.robot import RobotDescription, RobotModel
+
+CHECKS = (
+    *("time-unit", "gaps", "missing-rows", "dropped-rows", "wrap", "spikes", "limits"),
+    *("same-column", "velocity-constant", "velocity-columns", "velocity-match", "velocity-sign"),
+    *("velocity-scale", "velocity-lag", "torque-constant", "saturation", "torque-sign"),
+    *("torque-scale", "torque-signal", "torque-lag", "torque-limit", "torque-small"),
+    *("torque-columns", "position-sign", "joint-order", "zero", "gravity"),
+)
+"""Names of all checks of logs."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Examination:
+    """What the checks found.
+
+    Attributes
+    ----------
+    findings
+        Refusals first; what several logs share stands once.
+    parts
+        Every part of every log, made ready.
+    torques, explained
+        Of each part: torques of the model, and what explains the measured ones; empty without a
+        model.
+    """
+
+    findings: tuple[Finding, ...]
+    parts: tuple[Motionwise, ...]
+    torques: tuple[Torques, ...]
+    explained: tuple[Explained, ...]
+
+
+def examine(
+    logs: Sequence[RobotLog], robot: RobotDescription, model: RobotModel | None
+) -> Examination:
+    """Check logs: each by itself, against the robot's model, and all together for their cause.
+
+    Parameters
+    ----------
+    model
+        None where there is no model file: torques and limits are not checked then.
+
+    Raises
+    ------
+    LogError
+        If a log is too slow or too short for the low pass, and its stamps do not say why.
+    """
+    findings: list[Finding] = []
+    parts: list[Motionwise] = []
+    for log in logs:
+        timed = list(check_time(log, robot))
+        findings += timed
+        if any(f.severity == "refusal" for f in timed):
+            continue
+        findings += check_jumps(log, robot)
+        parts += motionwise(log, robot.log.filter_cutoff)
+    torques = [Torques.of(model, part.q, part.v, part.a) for part in parts] if model else []
+    fits = [explained(part, torque) for part, torque in zip(parts, torques, strict=False)]
+    broken = {name for f in findings if f.check in ("wrap", "spikes") for name in f.joints}
+    for part in parts:
+        findings += check_velocity(part, robot, broken)
+        findings += check_limits(part, model) if model else []
+        findings += check_columns(part, robot)
+    if model and not _hopeless(findings):
+        for part, torque, fit in zip(parts, torques, fits, strict=True):
+            findings += check_torque(part, torque, fit, model)
+        findings = _caused(findings, check_causes(parts, model))
+    return Examination(
+        findings=tuple(merged(findings)),
+        parts=tuple(parts),
+        torques=tuple(torques),
+        explained=tuple(fits),
+    )
+
+
+def _hopeless(findings: Sequence[Finding]) -> bool:
+    """Whether positions or stamps are so wrong that torques cannot be judged by them."""
+    return any(
+        f.severity == "refusal"
+        and (
+            f.check in ("limits", "wrap", "spikes")
+            or {"log.units.t", "log.units.q"} & set(f.changes)
+        )
+        for f in findings
+    )
+
+
+_SYMPTOMS = ("torque-sign", "torque-scale", "torque-signal", "torque-lag", "torque-small")
+"""What a deeper cause explains."""
+
+
+def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Finding]:
+    """Let causes stand for the symptoms that they explain, in the words of the symptoms.
+
+    A wrong sign of a torque explains what is odd at its own joint; wrong positions, columns or
+    gravity what is odd anywhere.
+    """
+    local = {name for cause in causes if cause.check == "torque-sign" for name in cause.joints}
+    everywhere = any(cause.check != "torque-sign" for cause in causes)
+    kept = [
+        f for f in findings
+        if f.check not in _SYMPTOMS or not (everywhere or local & set(f.joints))
+    ]  # fmt: skip
+    signs = {f.joints: f.found for f in findings if f.check == "torque-sign"}
+    told = [
+        replace(c, found=signs[c.joints])
+        if c.check in ("torque-sign", "position-sign") and c.joints in signs
+        else c
+        for c in causes
+    ]
+    return [*_without_followers(kept), *told]
+
+
+def _without_followers(findings: Sequence[Finding]) -> list[Finding]:
+    """Leave out what a clearer finding of the same joint says already."""
+    clear = {f.joints for f in findings if f.check in ("velocity-columns", "same-column")}
+    return [f for f in findings if f.check != "velocity-match" or f.joints not in clear]
+
+
+def checked(
+    logs: Sequence[RobotLog], model: RobotModel, accepted: Sequence[str] = ()
+) -> list[Finding]:
+    """Check logs before they are used; return what is odd, and what was accepted.
+
+    Parameters
+    ----------
+    accepted
+        Names of checks whose refusals are only told.
+
+    Raises
+    ------
+    HealthError
+        If data cannot be right, naming all of it.
+    ConfigError
+        If something is accepted that is no check.
+    """
+    require_known(accepted, CHECKS)
+    return require_sound(examine(logs, model.description, model).findings, accepted)

@@ -1,0 +1,176 @@
+"""Stamps and positions: gaps, missing rows, jumps, limits, columns that are the same."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.health.evidence import Motionwise
+from hesr_model.health.findings import Finding
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.units import OTHERS
+
+Array = NDArray[np.float64]
+
+_PERIODS = (5e-5, 0.9)
+"""[s] Between samples of a robot; 1 s is 1 kHz in undeclared milliseconds."""
+_SKIPPED = 0.05
+"""Share of the steps that may be longer than 1.8 periods."""
+_TURN = 2.0 * np.pi
+_SPIKE = 40.0
+"""Of a row's distance from its neighbours, over what is usual in the log."""
+_LEAST_SPIKE = 0.02
+"""[rad or m]"""
+_BEYOND = 0.05
+"""[rad or m] By which positions may pass a limit of the model."""
+_SATURATED = 0.01
+"""Share of the rows at the largest torque from which on it is a limit of the drive."""
+_LEVELS = 200
+"""Of a torque that is not so coarse that its largest value comes often."""
+_LONG_RUN = 5
+
+
+def check_time(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
+    """Check the stamps of a log."""
+    period, steps = log.period, np.diff(log.t)
+    low, high = _PERIODS
+    if not low <= period <= high:
+        declared = float(robot.log.units.factors("t", 1)[0])
+        units = [u for u, f in OTHERS["t"].items() if low <= period / declared * f <= high]
+        # Of several units that would do, the one with the rate that is nearest to 200 Hz.
+        units.sort(key=lambda u: abs(np.log(period / declared * OTHERS["t"][u] * 200.0)))
+        mend = (
+            f"time is in {units[0]}; set [log.units] t = '{units[0]}'"
+            if units
+            else ("the unit of time is wrong; see [log.units] t")
+        )
+        yield Finding(
+            check="time-unit", severity="refusal", logs=(log.name,),
+            found=f"its rows are {period:.3g} s apart", cause=mend,
+            changes={"log.units.t": units[0]} if units else {},
+        )  # fmt: skip
+        return
+    if len(log.gaps):
+        longest = float(np.max(steps))
+        yield Finding(
+            check="gaps", severity="warning", logs=(log.name,),
+            found=f"{len(log.gaps)} gaps, the longest of {longest:.3g} s",
+            cause=f"rows are missing; its {len(log.parts())} parts are filtered and fitted one "
+            "by one",
+        )  # fmt: skip
+    elif (share := float(np.mean(steps > 1.8 * period))) > _SKIPPED:
+        yield Finding(
+            check="missing-rows", severity="warning", logs=(log.name,),
+            found=f"{100 * share:.0f} % of its steps are longer than 1.8 periods of {period:.4g} s",
+            cause="rows are missing, so that reversals are seen less sharply",
+        )  # fmt: skip
+    if log.dropped:
+        yield Finding(
+            check="dropped-rows", severity="warning", logs=(log.name,),
+            found=f"{log.dropped} rows lack a number or bear the stamp of the row before",
+            cause="they were left out, by [log] missing = 'drop'",
+        )  # fmt: skip
+
+
+def check_jumps(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
+    """Check raw positions for turns that are lost and single rows far off, joint by joint."""
+    steps = np.diff(log.t)
+    near = steps <= 3.0 * log.period
+    for j, joint in enumerate(robot.joints):
+        leaps = np.where(near, np.diff(log.q[:, j]), 0.0)
+        turned = np.flatnonzero(np.abs(np.abs(leaps) - _TURN) < 0.1 * _TURN)
+        usual = np.median(np.abs(leaps[leaps != 0.0])) if np.any(leaps) else 0.0
+        if len(turned) and usual < 0.05 * _TURN:
+            yield Finding(
+                check="wrap", severity="refusal", joints=(joint,), logs=(log.name,),
+                found=f"its position leaps by a turn at t = {log.t[turned[0] + 1]:.4g} s",
+                cause="the log wraps angles around; unwrap them before (numpy.unwrap)",
+            )  # fmt: skip
+            continue
+        bends = np.abs(leaps[1:] - leaps[:-1])
+        level = max(_SPIKE * float(np.quantile(bends, 0.99)), _LEAST_SPIKE) if len(bends) else 0.0
+        if len(bends) and float(bends.max()) > level:
+            k = int(np.argmax(bends)) + 1
+            yield Finding(
+                check="spikes", severity="refusal", joints=(joint,), logs=(log.name,),
+                found=f"its position is {float(bends.max()):.3g} off at t = {log.t[k]:.4g} s",
+                cause="a row is wrong, or rows were lost; leave it out",
+            )  # fmt: skip
+
+
+def check_limits(motion: Motionwise, model: RobotModel) -> Iterator[Finding]:
+    """Check positions against the limits of the model file."""
+    robot = model.description
+    lower, upper, _ = model.limits
+    low, high = motion.q.min(axis=0), motion.q.max(axis=0)
+    beyond = np.maximum(lower - low, high - upper)
+    width = upper - lower
+    factor = np.pi / 180.0
+    turning = np.array([not joint.prismatic for joint in model.tree])
+    in_degrees = bool(np.any(turning & (beyond > 3.0 * width))) and bool(
+        np.all(np.maximum(lower - low * factor, high * factor - upper)[turning] < _BEYOND + 0.1)
+    )
+    for j, joint in enumerate(robot.joints):
+        if beyond[j] <= _BEYOND:
+            continue
+        wrong = beyond[j] > width[j]
+        far = high[j] if high[j] - upper[j] > lower[j] - low[j] else low[j]
+        limit = upper[j] if high[j] - upper[j] > lower[j] - low[j] else lower[j]
+        declared = robot.log.units.each("q", model.n)
+        degrees = tuple("deg" if t else u for u, t in zip(declared, turning, strict=True))
+        unit: str | tuple[object, ...] = "deg" if len(set(degrees)) == 1 else degrees
+        yield Finding(
+            check="limits",
+            severity="refusal" if wrong else "warning",
+            joints=(joint,),
+            logs=(motion.log.name,),
+            found=f"its position comes to {far:.4g}, the model's limit is {limit:.4g}",
+            cause="q is in degrees; set [log.units] q = 'deg'"
+            if in_degrees and turning[j]
+            else "its unit, its zero or its column is wrong, or the model's limits are"
+            if wrong
+            else "the log's zero differs from the model's, or the model's limits are narrow",
+            changes={"log.units.q": unit} if in_degrees and turning[j] else {},
+        )
+
+
+def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Finding]:
+    """Check that no joint's column is another's, stands still, or is cut off by a limit."""
+    logs = (motion.log.name,)
+    joints = [int(j) for j in np.flatnonzero(motion.moves)]
+    for kind, values in (("position", motion.q), ("velocity", motion.dq), ("torque", motion.tau)):
+        if values is None:
+            continue
+        for a in joints:
+            for b in range(a):
+                if np.std(values[:, a]) > 0 and np.array_equal(values[:, a], values[:, b]):
+                    yield Finding(
+                        check="same-column", severity="refusal", logs=logs,
+                        joints=(robot.joints[a],),
+                        found=f"its {kind} is that of joint '{robot.joints[b]}', row by row",
+                        cause="one column serves for both; see [log.columns]",
+                    )  # fmt: skip
+    for j in joints:
+        tau = motion.log.tau[:, j]
+        if np.ptp(tau) == 0.0:
+            yield Finding(
+                check="torque-constant", severity="refusal", joints=(robot.joints[j],), logs=logs,
+                found=f"it moves while its torque stays at {tau[0]:.4g}",
+                cause="its torque is not logged, or another column is",
+            )  # fmt: skip
+        elif (share := _saturated(tau)) > _SATURATED:
+            yield Finding(
+                check="saturation", severity="warning", joints=(robot.joints[j],), logs=logs,
+                found=f"{100 * share:.1f} % of its rows stand at the largest torque, "
+                f"{np.max(np.abs(tau)):.4g}",
+                cause="the drive or the log cuts it off, and what is cut off is not learned",
+            )  # fmt: skip
+
+
+def _saturated(tau: Array) -> float:
+    """Share of the rows (N,) at the largest size, where they come one after the other."""
+    top = np.abs(tau) >= np.max(np.abs(tau))
+    run = np.convolve(top, np.ones(_LONG_RUN), mode="same")
+    fine = len(np.unique(tau)) > _LEVELS
+    return float(np.mean(top)) if fine and run.max(initial=0.0) >= _LONG_RUN else 0.0

@@ -1,0 +1,299 @@
+"""A robot file for logs of a stranger: guessed from names, mended until the checks are content."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from os.path import relpath
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hesr_model.errors import LogError
+from hesr_model.health.examine import Examination, examine
+from hesr_model.health.findings import Finding
+from hesr_model.health.velocity import match
+from hesr_model.logs.guess import guess
+from hesr_model.logs.log_format import column_names
+from hesr_model.logs.phases import moving, reversals
+from hesr_model.logs.readers.formats import BAG, format_of
+from hesr_model.logs.readers.matlab import read_matlab
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.tables import Table, read_table
+from hesr_model.robots.robot import RobotDescription, RobotModel
+
+_ROUNDS = 4
+_CUTOFF_SHARE = 0.3
+"""Of the sample rate, that a low pass may have at most."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Proposal:
+    """A robot description with the reasons for what was changed in it.
+
+    Attributes
+    ----------
+    robot
+        As proposed.
+    reasons
+        By key, as ``log.units.q``: how sure it is, and why.
+    logs, examination
+        The logs read with it, and what the checks say then.
+    first
+        What the checks said of the description as it was given or guessed.
+    """
+
+    robot: RobotDescription
+    reasons: Mapping[str, str]
+    logs: Sequence[RobotLog]
+    examination: Examination
+    first: Sequence[Finding]
+
+
+def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> Proposal:
+    """Find a robot description with which logs can be read and pass the checks.
+
+    Parameters
+    ----------
+    robot
+        What is known: model and joints, and how its logs are read.
+    known
+        Whether there is a model file; without one logs are checked against themselves.
+
+    Raises
+    ------
+    LogError
+        If a log cannot be read even so.
+    """
+    reasons: dict[str, str] = {}
+    robot = _with_columns(paths[0], robot, reasons)
+    robot, logs = _read(paths, robot, reasons)
+    robot = _with_cutoff(robot, logs, reasons)
+    examination = examine(logs, robot, RobotModel(robot) if known else None)
+    first = examination.findings
+    for _ in range(_ROUNDS):
+        changes = _changes(robot, examination.findings, reasons)
+        if not changes and "log.torque_per_ampere" in reasons and known:
+            changes = _constants(robot, examination, reasons)
+        if not changes:
+            break
+        robot = changed(robot, changes)
+        robot, logs = _read(paths, robot, reasons)
+        robot = _with_cutoff(robot, logs, reasons)
+        examination = examine(logs, robot, RobotModel(robot) if known else None)
+    return Proposal(robot=robot, reasons=reasons, logs=logs, examination=examination, first=first)
+
+
+def open_table(path: Path, time: str) -> Table | None:
+    """Open a log as a table of named columns; None for formats that have none."""
+    if format_of(path) is BAG or not path.is_file():
+        return None
+    return read_matlab(path, time=time) if path.suffix.lower() == ".mat" else read_table(path)
+
+
+def _with_columns(path: Path, robot: RobotDescription, reasons: dict[str, str]) -> RobotDescription:
+    """Guess the columns where those of the description are not in the log."""
+    table = open_table(path, robot.log.columns.t)
+    if table is None or _has_columns(table, robot):
+        return robot
+    found = guess(table, robot.joints)
+    changes: dict[str, Any] = {f"log.columns.{k}": v for k, v in found.columns.items()}
+    if "dq" not in found.columns:
+        changes["log.columns.dq"] = ""
+        reasons["log.columns.dq"] = "sure: no column looks like a velocity"
+    if unit := found.units:
+        changes |= {f"log.units.{k}": v for k, v in unit.items()}
+        reasons |= {f"log.units.{k}": f"likely: {found.reasons[k]}" for k in unit}
+    reasons |= {
+        f"log.columns.{k}": f"likely: {found.reasons.get(k, 'it rises')}" for k in found.columns
+    }
+    if "tau" not in found.columns and robot.log.torque_per_ampere is None:
+        changes["log.torque_per_ampere"] = (1.0,) * len(robot.joints)
+        reasons["log.torque_per_ampere"] = "guess: only currents are logged"
+    return changed(robot, changes)
+
+
+def _has_columns(table: Table, robot: RobotDescription) -> bool:
+    columns, log = robot.log.columns, robot.log
+    wanted = [columns.t, *column_names(columns.q, robot.joints)]
+    effort = columns.tau if log.torque_per_ampere is None else columns.current
+    wanted += column_names(effort, robot.joints)
+    wanted += column_names(columns.dq, robot.joints) if columns.dq else []
+    return set(wanted) <= set(table.names)
+
+
+def _read(
+    paths: Sequence[Path], robot: RobotDescription, reasons: dict[str, str]
+) -> tuple[RobotDescription, list[RobotLog]]:
+    """Read logs; where cells are missing or stamps repeat, without these rows."""
+    try:
+        return robot, [RobotLog.read(path, robot) for path in paths]
+    except LogError as error:
+        if "sample_rate" in str(error):
+            robot = changed(robot, {"log.sample_rate": None})
+            reasons["log.sample_rate"] = "sure: measured in each log"
+        elif robot.log.missing == "refuse":
+            reasons["log.missing"] = f"sure: {_tail(str(error))}"
+            robot = changed(robot, {"log.missing": "drop"})
+        else:
+            raise
+        return _read(paths, robot, reasons)
+
+
+def _tail(sentence: str) -> str:
+    return sentence.split(": ", 1)[-1].rstrip(".")
+
+
+def _with_cutoff(
+    robot: RobotDescription, logs: Sequence[RobotLog], reasons: dict[str, str]
+) -> RobotDescription:
+    slowest = 1.0 / max(log.period for log in logs)
+    if robot.log.filter_cutoff <= 0.4 * slowest or slowest < 1.0:
+        return robot
+    cutoff = float(f"{_CUTOFF_SHARE * slowest:.2g}")
+    reasons["log.filter_cutoff"] = f"sure: the rate is {slowest:.4g} Hz only"
+    return changed(robot, {"log.filter_cutoff": cutoff})
+
+
+def _changes(
+    robot: RobotDescription, findings: Sequence[Finding], reasons: dict[str, str]
+) -> dict[str, Any]:
+    """Return what findings want to have changed; of lists each its own entries."""
+    wanted: dict[str, Any] = {}
+    for finding in findings:
+        if finding.check == "velocity-lag" or not finding.changes:
+            continue
+        for key, value in finding.changes.items():
+            wanted[key] = _combined(_value(robot, key), wanted.get(key), value)
+            reasons[key] = (
+                f"{'sure' if finding.severity == 'refusal' else 'likely'}: {finding.found}"
+            )
+    return {key: value for key, value in wanted.items() if value != _value(robot, key)}
+
+
+def _combined(declared: Any, before: Any, value: Any) -> Any:
+    """Return a list in which two findings each changed some entries of the declared one."""
+    if not (isinstance(before, tuple) and isinstance(value, tuple)):
+        return value
+    old = declared if isinstance(declared, tuple) else (declared,) * len(value)
+    return tuple(b if v == o else v for o, b, v in zip(old, before, value, strict=True))
+
+
+def _constants(
+    robot: RobotDescription, examination: Examination, reasons: dict[str, str]
+) -> dict[str, Any]:
+    """Estimate torque constants from the model's gravity; joints without get the mean of others."""
+    slopes: dict[int, list[float]] = {}
+    for fits in examination.explained:
+        for j, fit in fits.items():
+            if fit.bears_gravity and abs(fit.gravity.t) > 10.0:
+                slopes.setdefault(j, []).append(abs(fit.gravity.value))
+    gains = robot.log.torque_per_ampere or ()
+    scale = {j: 1.0 / float(np.median(found)) for j, found in slopes.items()}
+    if not scale or all(abs(np.log(s)) < 0.2 for s in scale.values()):
+        return {}
+    rest = float(np.median(list(scale.values())))
+    reasons["log.torque_per_ampere"] = (
+        "guess: only currents are logged; from the model's gravity at joints "
+        f"{', '.join(robot.joints[j] for j in sorted(scale))}, the others like them; put in the "
+        "maker's where you know them"
+    )
+    new = tuple(float(f"{gain * scale.get(j, rest):.4g}") for j, gain in enumerate(gains))
+    return {"log.torque_per_ampere": new}
+
+
+def _value(robot: RobotDescription, key: str) -> Any:
+    value: Any = robot
+    for part in key.split("."):
+        value = getattr(value, part)
+    return value
+
+
+def changed(robot: RobotDescription, changes: Mapping[str, Any]) -> RobotDescription:
+    """Return a description with other values under some keys, as ``log.units.q``, validated."""
+    data = robot.model_dump()
+    for key, value in changes.items():
+        place = data
+        *path, last = key.split(".")
+        for part in path:
+            place = place[part]
+        place[last] = value
+    return RobotDescription.model_validate(data)
+
+
+def robot_file(proposal: Proposal, path: Path) -> str:
+    """Return the text of a robot file that stands at a path; each line with its reason."""
+    robot = proposal.robot
+    plain = RobotDescription(name=robot.name, model=robot.model, joints=robot.joints)
+    lines = ["# Proposed by 'hesr inspect'. Lines say how sure they are, and why.", ""]
+    data = robot.model_dump(exclude={"log"})
+    data["model"] = Path(relpath(robot.model, path.resolve().parent)).as_posix()
+    usual = plain.model_dump()
+    lines += [
+        _line(key, value, proposal.reasons.get(key, ""))
+        for key, value in data.items()
+        if value is not None
+        and (key in ("name", "model", "joints", "gravity") or value != usual[key])
+    ]
+    log, usual_log = robot.log.model_dump(), plain.log.model_dump()
+    tables = {"log": {k: v for k, v in log.items() if not isinstance(v, dict)}}
+    tables |= {f"log.{k}": v for k, v in log.items() if isinstance(v, dict)}
+    for table, values in tables.items():
+        own = usual_log if table == "log" else usual_log[table.removeprefix("log.")]
+        told = [
+            _line(key, value, proposal.reasons.get(f"{table}.{key}", ""))
+            for key, value in values.items()
+            if value is not None and value != own[key]
+        ]
+        lines += ["", f"[{table}]", *told] if told else []
+    return "\n".join(lines) + "\n"
+
+
+def _line(key: str, value: Any, reason: str) -> str:
+    comment = f"# {key}: {reason}\n" if reason else ""
+    return f"{comment}{key} = {_toml(value)}"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(_toml, value))}]"
+    return json.dumps(value, ensure_ascii=False)  # of numbers, truth and strings TOML's own
+
+
+def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
+    """Yield what tables show of each log and joint that moves, as text."""
+    examination = proposal.examination
+    for k, part in enumerate(examination.parts):
+        fits = examination.explained[k] if examination.explained else {}
+        for j in np.flatnonzero(part.moves):
+            fit = fits.get(int(j))
+            v = part.v[:, j]
+            found = (
+                None
+                if part.dq is None
+                else match(v, part.dq[:, j], float(np.median(np.diff(part.t))))
+            )
+            yield (
+                part.log.name,
+                proposal.robot.joints[j],
+                f"{part.q[:, j].min():.2f} to {part.q[:, j].max():.2f}",
+                f"{np.max(np.abs(v)):.2f}",
+                str(len(reversals(v))),
+                f"{100 * np.mean(~moving(v)):.0f}",
+                "–" if found is None else f"{found.slope:.3f}",
+                "–" if found is None else f"{1e3 * found.lag:.0f}",
+                f"{fit.gravity.value:.2f} ± {fit.gravity.error:.2f}"
+                if fit and fit.bears_gravity
+                else "–",
+                f"{fit.friction.value:.3g} ({fit.friction.t:.0f})" if fit else "–",
+                f"{100 * fit.r2:.0f}" if fit else "–",
+            )
+
+
+HEAD = (
+    *("log", "joint", "position", "max speed", "rever- sals", "rests %", "dq slope", "lag ms"),
+    *("gravity/ model", "friction (errors)", "expl. %"),
+)
+"""Of `summary_rows`."""

@@ -1,0 +1,246 @@
+"""Velocity against the derivative of the position: units, signs, columns, lag."""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.friction.fitting.uncertainty import standard_errors
+from hesr_model.health.evidence import Motionwise
+from hesr_model.health.findings import Finding
+from hesr_model.logs.log_format import LogUnits, column_names
+from hesr_model.robots.robot import RobotDescription
+from hesr_model.units import OTHERS, TURNING
+
+Array = NDArray[np.float64]
+
+_ALIKE = 0.9
+"""Correlation below which a velocity is not that of its position."""
+_SURE = 5.0
+"""Standard errors from which on a difference is none of chance."""
+_WRONG, _ODD = 0.1, 0.03
+"""Error of the scale that is refused, and told."""
+_SAME = 0.04
+"""Within which a factor is that of a unit."""
+_LATE = 0.02
+"""[s] From which on a velocity's lag is told."""
+_LATEST = 0.3
+"""[s] Lags that are tried."""
+_TURNS = 4.0 * np.pi
+"""[rad] Joints of arms travel less."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Match:
+    """How a joint's velocity as logged goes with that of its position.
+
+    Attributes
+    ----------
+    slope, error
+        Of the position's velocity over the logged one, without unit, and its standard error.
+    correlation
+        Of both.
+    lag
+        By which the logged one is late [s].
+    """
+
+    slope: float
+    error: float
+    correlation: float
+    lag: float
+
+
+def match(v: Array, dq: Array, period: float) -> Match:
+    """Compare one joint's `v`, from its position, with `dq`, (N,) [rad/s], `period` [s] apart."""
+    correlation = _correlation(v, dq)
+    slope = float(np.std(v)) / max(float(np.std(dq)), 1e-300) * (-1.0 if correlation < 0 else 1.0)
+    error = float(standard_errors(dq[:, None], v - slope * dq)[0]) if np.any(dq) else np.inf
+    return Match(slope=slope, error=error, correlation=correlation, lag=_lag(v, dq, period))
+
+
+def _correlation(a: Array, b: Array) -> float:
+    if np.std(a) < 1e-12 or np.std(b) < 1e-12:
+        return 0.0
+    return float(np.corrcoef(a, b)[0, 1])
+
+
+def _lag(v: Array, dq: Array, period: float) -> float:
+    """Time [s] by which dq is late: the peak of the cross-correlation of both, (N,)."""
+    most = min(int(_LATEST / period), len(v) // 4)
+    if most < 1 or np.std(v) < 1e-12 or np.std(dq) < 1e-12:
+        return 0.0
+    inner = v[most:-most]
+    shifts = np.arange(-most, most + 1)
+    found = [abs(_correlation(inner, dq[most + k : len(dq) - most + k])) for k in shifts]
+    return float(shifts[int(np.argmax(found))] * period)
+
+
+def check_velocity(
+    motion: Motionwise, robot: RobotDescription, without: Collection[str] = ()
+) -> Iterator[Finding]:
+    """Check one part of a log; joints that rest are skipped, and those named in `without`."""
+    if motion.dq is None:
+        return
+    dq, logs = motion.dq, (motion.log.name,)
+    joints = np.array([j for j in np.flatnonzero(motion.moves) if robot.joints[j] not in without])
+    period = float(np.median(np.diff(motion.t)))
+    matches = {int(j): match(motion.v[:, j], dq[:, j], period) for j in joints}
+    places = _places(motion, joints)
+    for j, found in matches.items():
+        name = robot.joints[j]
+        if np.ptp(dq[:, j]) < 1e-9:
+            yield Finding(
+                check="velocity-constant", severity="refusal", joints=(name,), logs=logs,
+                found="its position moves while its velocity never changes",
+                cause="the velocity is not logged; set [log.columns] dq = \"\", so that it is "
+                "derived from the position", changes={"log.columns.dq": ""},
+            )  # fmt: skip
+        elif abs(found.correlation) < _ALIKE:
+            yield _unlike(robot, j, found, places, logs)
+        else:
+            yield from _scale(robot, j, matches, motion, logs)
+            if abs(found.lag) > max(_LATE, 2.0 * period):
+                yield _late(name, found.lag, logs)
+
+
+def _places(motion: Motionwise, joints: NDArray[np.intp]) -> dict[int, int]:
+    """Return for each joint that moves the joint whose column of dq goes with its position."""
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
+    assert motion.dq is not None
+    table = np.array(
+        [[abs(_correlation(motion.v[:, j], motion.dq[:, k])) for k in joints] for j in joints]
+    )
+    if not table.size:
+        return {}
+    rows, columns = linear_sum_assignment(-table)
+    return {
+        int(joints[j]): int(joints[k])
+        for j, k in zip(rows, columns, strict=True)
+        if table[j, k] > _ALIKE
+    }
+
+
+def _unlike(
+    robot: RobotDescription, j: int, found: Match, places: dict[int, int], logs: tuple[str, ...]
+) -> Finding:
+    name, other = robot.joints[j], places.get(j, j)
+    what = f"its velocity does not follow its position (correlation {found.correlation:.2f})"
+    if other != j:
+        columns = column_names(robot.log.columns.dq, robot.joints)
+        order = [columns[places.get(k, k)] for k in range(len(columns))]
+        listed = ", ".join(f'"{column}"' for column in order)
+        return Finding(
+            check="velocity-columns", severity="refusal", joints=(name,), logs=logs, found=what,
+            cause=f"its velocity stands in the column of joint '{robot.joints[other]}', columns "
+            "are "
+            f"swapped; set [log.columns] dq = [{listed}]",
+            changes={"log.columns.dq": tuple(order)},
+        )  # fmt: skip
+    late = f", and is {found.lag * 1e3:.0f} ms late" if abs(found.lag) > _LATE else ""
+    return Finding(
+        check="velocity-match", severity="refusal", joints=(name,), logs=logs, found=what + late,
+        cause="the column holds another signal or a filtered one; set [log.columns] dq = \"\", so "
+        "that it is derived from the position", changes={"log.columns.dq": ""},
+    )  # fmt: skip
+
+
+def _late(name: str, lag: float, logs: tuple[str, ...]) -> Finding:
+    way = "late" if lag > 0 else "early"
+    return Finding(
+        check="velocity-lag", severity="warning", joints=(name,), logs=logs,
+        found=f"its velocity is {abs(lag) * 1e3:.0f} ms {way} against its position",
+        cause="it was filtered or comes from another clock; set [log.columns] dq = \"\", so that "
+        "it is derived from the position", changes={"log.columns.dq": ""},
+    )  # fmt: skip
+
+
+def _scale(
+    robot: RobotDescription, j: int, matches: dict[int, Match], motion: Motionwise,
+    logs: tuple[str, ...],
+) -> Iterator[Finding]:  # fmt: skip
+    found, name = matches[j], robot.joints[j]
+    if found.slope < 0:
+        units = list(robot.log.units.each("dq", len(robot.joints)))
+        units[j] = _turned(units[j])
+        yield Finding(
+            check="velocity-sign", severity="refusal", joints=(name,), logs=logs,
+            found=f"its position falls where its velocity is positive (slope {found.slope:.2f})",
+            cause="velocity or position counts backwards; set [log.units] dq = "
+            f"{_listed(units)}, or q alike", changes={"log.units.dq": tuple(units)},
+        )  # fmt: skip
+    ratio = abs(found.slope)
+    sure = abs(ratio - 1.0) > _SURE * found.error
+    if not sure or abs(np.log(ratio)) < _ODD:
+        return
+    cause, changes = _cause(robot, j, matches, motion)
+    shown = f"{ratio:.3g} times faster" if ratio > 1 else f"{1 / ratio:.3g} times slower"
+    yield Finding(
+        check="velocity-scale",
+        severity="refusal" if abs(np.log(ratio)) > _WRONG else "warning",
+        joints=(name,),
+        logs=logs,
+        found=f"q changes {shown} than dq says",
+        cause=cause,
+        changes=changes,
+    )
+
+
+def _cause(
+    robot: RobotDescription, j: int, matches: dict[int, Match], motion: Motionwise
+) -> tuple[str, dict[str, object]]:
+    """Return the likeliest cause of a wrong scale of one joint, and what mends it."""
+    ratio = abs(matches[j].slope)
+    all_alike = len(matches) > 1 and all(
+        abs(np.log(abs(other.slope) / ratio)) < _SAME for other in matches.values()
+    )
+    units, n = robot.log.units, len(robot.joints)
+    far = np.max(np.ptp(motion.q, axis=0)) > _TURNS
+    for quantity in ("q", "dq") if far else ("dq", "q"):
+        # q' = q f changes the position's velocity by f, dq' = dq f the logged one.
+        wanted = 1.0 / ratio if quantity == "q" else ratio
+        for unit in _alternatives(units, quantity, j, n, wanted):
+            told = f"{quantity} is in {unit}; set [log.units] {quantity} = '{unit}'"
+            if all_alike or len(matches) == 1:
+                return told, {f"log.units.{quantity}": unit}
+            each = list(units.each(quantity, n))
+            each[j] = unit
+            told = f"{quantity} is in {unit}; set [log.units] {quantity} = {_listed(each)}"
+            return told, {f"log.units.{quantity}": tuple(each)}
+    gear = robot.gear_ratio[j] if robot.gear_ratio else None
+    if gear and abs(np.log(ratio * gear)) < _SAME:
+        return f"dq is the motor's; set [log.units] dq = {1 / gear:.6g} for it", {}
+    if gear and abs(np.log(ratio / gear)) < _SAME:
+        return f"q is the motor's; set [log.units] q = {1 / gear:.6g} for it", {}
+    if all_alike:
+        for unit, factor in OTHERS["t"].items():
+            if abs(np.log(ratio * units.factors("t", 1)[0] / factor)) < _SAME:
+                return f"time is in {unit}; set [log.units] t = '{unit}'", {"log.units.t": unit}
+        return (
+            f"at all joints alike, so that the stamps run {1 / ratio:.2g} times as fast as time, "
+            "made "
+            "from a wrong sample rate, or the unit of dq is wrong",
+            {"log.units.t": float(units.factors("t", 1)[0]) * ratio},
+        )
+    return "units, a gear ratio or the signal itself are wrong; see [log.units]", {}
+
+
+def _alternatives(units: LogUnits, quantity: str, j: int, n: int, wanted: float) -> Iterator[str]:
+    """Yield units that are `wanted` times the declared one."""
+    declared = float(units.factors(quantity, n)[j])
+    for unit, factor in TURNING[quantity].items():
+        if abs(np.log(abs(factor / declared) / wanted)) < _SAME:
+            yield f"-{unit}" if declared < 0 else unit
+
+
+def _turned(unit: str | float) -> str | float:
+    if isinstance(unit, str):
+        return unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
+    return -unit
+
+
+def _listed(units: Sequence[str | float]) -> str:
+    if len(set(units)) == 1:
+        return f"'{units[0]}'"
+    return f"[{', '.join(repr(unit) for unit in units)}]"

@@ -1,0 +1,1 @@
+"""Robot logs: read from files of many kinds, converted, checked, smoothed."""

@@ -1,0 +1,239 @@
+"""Guesses of what the columns of an unknown table are: by their names and, for time, by values."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.errors import LogError
+from hesr_model.logs.tables import Table
+from hesr_model.units import OTHERS
+
+Array = NDArray[np.float64]
+
+_WORDS: Mapping[str, frozenset[str]] = {
+    "dq": frozenset(
+        [
+            "dq",
+            "qd",
+            "qdot",
+            "dqdt",
+            "vel",
+            "velocity",
+            "velocities",
+            "speed",
+            "speeds",
+            "omega",
+            "qp",
+        ]
+    ),
+    "q": frozenset(
+        [
+            "q",
+            "pos",
+            "position",
+            "positions",
+            "angle",
+            "angles",
+            "theta",
+            "qm",
+            "encoder",
+            "enc",
+            "joint",
+            "axis",
+        ]
+    ),
+    "tau": frozenset(
+        ["tau", "torque", "torques", "trq", "effort", "efforts", "moment", "moments", "tq", "nm"]
+    ),
+    "current": frozenset(
+        ["i", "im", "cur", "curr", "current", "currents", "amp", "amps", "ampere", "iq"]
+    ),
+}
+"""Words in the names of each quantity's columns; the first quantity with a word of a name has
+it.
+"""
+_OTHERS = frozenset(
+    [
+        "target",
+        "desired",
+        "des",
+        "ref",
+        "reference",
+        "cmd",
+        "command",
+        "setpoint",
+        "goal",
+        "temp",
+        "temperature",
+        "acc",
+        "acceleration",
+        "ddq",
+        "qdd",
+        "error",
+        "err",
+        "tcp",
+        "ext",
+        "external",
+        "voltage",
+        "control",
+        "window",
+        "limit",
+        "mode",
+        "status",
+        "dir",
+    ]
+)
+"""Words of columns that are none of them."""
+_MEASURED = frozenset(["actual", "act", "meas", "measured", "msr"])
+_TIME = frozenset(
+    [
+        "t",
+        "time",
+        "timestamp",
+        "stamp",
+        "timestamps",
+        "clock",
+        "unix",
+        "secs",
+        "seconds",
+        "sec",
+        "zeit",
+    ]
+)
+_UNITS: Mapping[str, Mapping[str, str]] = {
+    "q": {"deg": "deg", "degree": "deg", "degrees": "deg", "grad": "deg", "mm": "mm", "rev": "rev"},
+    "dq": {"deg": "deg/s", "degs": "deg/s", "dps": "deg/s", "rpm": "rpm", "degrees": "deg/s"},
+    "tau": {"mnm": "mN.m"},
+    "current": {"ma": "mA"},
+    "t": {"ms": "ms", "msec": "ms", "us": "us", "usec": "us", "ns": "ns", "nsec": "ns",
+          "nanoseconds": "ns", "milliseconds": "ms"},
+}  # fmt: skip
+_TOKEN = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°")
+_RATES = (5.0, 20_000.0)
+"""[Hz] Of robots' logs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Guess:
+    """What the columns of a table seem to be.
+
+    Attributes
+    ----------
+    columns
+        By quantity (t, q, dq, tau, current): a name for t, one name per joint for the others.
+    units
+        By quantity, where a name or the values say one.
+    reasons
+        Why, by quantity.
+    """
+
+    columns: Mapping[str, str | tuple[str, ...]]
+    units: Mapping[str, str] = field(default_factory=dict)
+    reasons: Mapping[str, str] = field(default_factory=dict)
+
+
+def guess(table: Table, joints: Sequence[str] = ()) -> Guess:
+    """Guess the columns of a table.
+
+    Parameters
+    ----------
+    joints
+        Names of the robot's joints, which columns may bear; as many as there are if empty.
+
+    Raises
+    ------
+    LogError
+        If nothing looks like time or positions.
+    """
+    groups = list(_groups(table.names, joints))
+    count = len(joints) or max((len(g) for _, g in groups if _quantity(g[0]) == "q"), default=0)
+    columns: dict[str, str | tuple[str, ...]] = {}
+    units, reasons = {}, {}
+    for quantity in _WORDS:
+        fitting = [g for _, g in groups if _quantity(g[0]) == quantity and len(g) >= count > 0]
+        if fitting:
+            best = min(
+                fitting, key=lambda g: (not _MEASURED & set(_tokens(g[0])), len(g), len(g[0]))
+            )
+            columns[quantity] = tuple(best[:count])
+            reasons[quantity] = f"named so: {best[0]}"
+            if unit := _unit(quantity, best[0]):
+                units[quantity] = unit
+    columns["t"] = _time(table)
+    units["t"], reasons["t"] = _time_unit(table, str(columns["t"]))
+    if "q" not in columns:
+        raise LogError(
+            f"{table.path}: no columns look like positions of {count or 'several'} joints; it has "
+            f"{table.listing}; name them under 'log.columns' of a robot file."
+        )
+    return Guess(columns=columns, units=units, reasons=reasons)
+
+
+def _groups(names: Sequence[str], joints: Sequence[str]) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield columns that differ in a number or in a joint's name only, in the joints' order."""
+    numbered: dict[str, dict[int, str]] = {}
+    named: dict[str, dict[int, str]] = {}
+    for name in names:
+        for place in re.finditer(r"\d+", name):
+            key = f"{name[: place.start()]}{{}}{name[place.end() :]}"
+            numbered.setdefault(key, {})[int(place[0])] = name
+        for k, joint in enumerate(joints):
+            if joint in name:
+                named.setdefault(name.replace(joint, "{name}", 1), {})[k] = name
+    for key, found in (*named.items(), *numbered.items()):
+        places = sorted(found)
+        if len(places) > 1 or len(joints) == 1:
+            yield key, tuple(found[k] for k in places)
+
+
+def _tokens(name: str) -> list[str]:
+    return [token.lower() for token in _TOKEN.findall(name)]
+
+
+def _quantity(name: str) -> str:
+    tokens = set(_tokens(name))
+    if tokens & _OTHERS:
+        return ""
+    return next((quantity for quantity, words in _WORDS.items() if tokens & words), "")
+
+
+def _unit(quantity: str, name: str) -> str:
+    known = _UNITS[quantity]
+    return next((known[token] for token in _tokens(name) if token in known), "")
+
+
+def _time(table: Table) -> str:
+    named = [name for name in table.names if _TIME & set(_tokens(name))]
+    rising = [name for name in named if _rises(table, name)]
+    if not rising:
+        raise LogError(
+            f"{table.path}: no column looks like time; it has {table.listing}; name it under "
+            "'log.columns.t' of a robot file."
+        )
+    return min(rising, key=len)
+
+
+def _rises(table: Table, name: str) -> bool:
+    try:
+        stamps = table.times(name, 1.0, missing=True)
+    except LogError:
+        return False
+    steps = np.diff(stamps[np.isfinite(stamps)])
+    return len(steps) > 1 and bool(np.mean(steps > 0) > 0.9)
+
+
+def _time_unit(table: Table, name: str) -> tuple[str, str]:
+    stamps = table.times(name, 1.0, missing=True)
+    step = float(np.median(np.diff(stamps[np.isfinite(stamps)])))
+    low, high = _RATES
+    possible = [u for u, f in OTHERS["t"].items() if low <= 1.0 / max(step * f, 1e-300) <= high]
+    said = _unit("t", name)
+    if said in possible:
+        return said, f"named so: {name}"
+    if not possible:
+        return "s", "no unit gives a rate of robots"
+    unit = min(possible, key=lambda u: abs(np.log(step * OTHERS["t"][u] * 200.0)))
+    return unit, f"rows are then {step * OTHERS['t'][unit] * 1e3:.3g} ms apart"

@@ -1,0 +1,87 @@
+"""Samples from a table with named columns: CSV, Parquet, MATLAB."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.errors import LogError
+from hesr_model.logs.log_format import Columns, column_names
+from hesr_model.logs.readers.matlab import read_matlab
+from hesr_model.logs.readers.samples import Samples
+from hesr_model.logs.tables import Table, read_table
+from hesr_model.robots.robot import RobotDescription
+
+Array = NDArray[np.float64]
+
+
+def read_columns(path: Path, robot: RobotDescription) -> Samples:
+    """Read the columns that the robot file names.
+
+    Raises
+    ------
+    LogError
+        As `RobotLog.read`.
+    """
+    columns = robot.log.columns
+    is_matlab = path.suffix.lower() == ".mat"
+    table = read_matlab(path, time=columns.t) if is_matlab else read_table(path)
+    drop = robot.log.missing == "drop"
+    t = table.times(columns.t, float(robot.log.units.factors("t", 1)[0]), missing=drop)
+    q = _joints(table, columns.q, robot)
+    dq = _joints(table, columns.dq, robot) if columns.dq else None
+    effort, is_current = _effort(table, robot)
+    return Samples(
+        t=t,
+        q=q,
+        dq=dq,
+        effort=effort,
+        is_current=is_current,
+        time=f"column '{columns.t}'",
+        place=lambda k: f"row {table.row(k)}",
+    )
+
+
+def _joints(table: Table, columns: Columns, robot: RobotDescription) -> Array:
+    """One quantity of all joints, (N, n); as many columns as joints."""
+    if isinstance(columns, str) and "{name}" not in columns:
+        _require_joint_count(table, columns, len(robot.joints))
+    missing = robot.log.missing == "drop"
+    return table.numbers(column_names(columns, robot.joints), missing=missing)
+
+
+def _require_joint_count(table: Table, pattern: str, n: int) -> None:
+    # One joint more than any that the file can have; numbers stand in for the joints' names.
+    names = column_names(pattern, [""] * (len(table.names) + n + 1))
+    there = set(table.names)
+    found = next(k for k, name in enumerate(names) if name not in there)
+    if found > n:
+        raise LogError(
+            f"{table.path}: has column '{names[n]}', but the robot has {n} joints; "
+            "name the columns one by one under 'log.columns' of the robot file to use some."
+        )
+    if 0 < found < n and names[n - 1] not in table.names:
+        raise LogError(
+            f"{table.path}: column '{names[found]}' is missing; it has {found} "
+            f"joints, but the robot has {n}."
+        )
+
+
+def _effort(table: Table, robot: RobotDescription) -> tuple[Array, bool]:
+    """Torque as logged, or currents where the robot file gives gains for them; and which it is."""
+    columns, gains = robot.log.columns, robot.log.torque_per_ampere
+    torque = column_names(columns.tau, robot.joints)[0]
+    current = column_names(columns.current, robot.joints)[0]
+    if gains is not None and current in table.names:
+        return _joints(table, columns.current, robot), True
+    if torque in table.names:
+        return _joints(table, columns.tau, robot), False
+    if current in table.names:
+        raise LogError(
+            f"{table.path}: column '{torque}' is missing; to use the currents in "
+            f"'{current}', give 'log.torque_per_ampere' in the robot file."
+        )
+    raise LogError(
+        f"{table.path}: column '{torque}' (torque) or '{current}' (current) is missing; "
+        f"it has {table.listing}."
+    )

@@ -1,0 +1,137 @@
+"""MATLAB files: every vector, and every column of a matrix, that is as long as the time.
+
+Versions 5 to 7 are read by SciPy; 7.3 is HDF5, in which a matrix stands transposed, and needs
+h5py.
+"""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.errors import LogError
+from hesr_model.logs.readers.matlab_elements import require_sound
+from hesr_model.logs.tables import Table, listed, most_bytes, table_of
+
+Array = NDArray[np.float64]
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+"""Signature, behind MATLAB's header of 512 bytes."""
+
+
+def read_matlab(path: Path, *, time: str) -> Table:
+    """Open a MATLAB file as a table.
+
+    A matrix ``q`` of N rows (or N columns, or 1 x n x N as Simulink writes) gives the columns
+    ``q1``, ``q2``, .., a vector ``t`` the column ``t``; a field of a struct is named as in MATLAB,
+    ``log.t``, ``out.signals(2).values1``.
+
+    Parameters
+    ----------
+    time
+        Name of the vector whose length is N.
+
+    Raises
+    ------
+    LogError
+        If the file is missing or not a MATLAB file, if it holds no such vector, or if it is of
+        version 7.3 and h5py is not installed.
+    """
+    if not path.is_file():
+        raise LogError(f"{path}: no such log file.")
+    with path.open("rb") as file:
+        is_hdf5 = file.read(520)[512:] == _HDF5
+    arrays = dict(_hdf5(path) if is_hdf5 else _classic(path))
+    t = arrays.get(time)
+    if t is None or t.ndim != 1:
+        found = listed([_described(name, array) for name, array in arrays.items()])
+        raise LogError(
+            f"{path}: column '{time}' is missing; it has {found or 'no numeric arrays'}. Tables "
+            "and timeseries of MATLAB cannot be read: save their data as arrays or structs."
+        )
+    columns: dict[str, Array] = {}
+    others = []
+    for name, array in arrays.items():
+        if array.ndim == 1 and len(array) == len(t):
+            columns[name] = array
+        elif array.ndim == 2 and len(t) in array.shape:
+            rows = array if array.shape[0] == len(t) else array.T
+            columns |= {f"{name}{k}": column for k, column in enumerate(rows.T, start=1)}
+        else:
+            others.append(_described(name, array))
+    return table_of(path, columns, others)
+
+
+def _described(name: str, array: Array) -> str:
+    return f"{name} ({' x '.join(map(str, array.shape)) or '1'})"
+
+
+def _classic(path: Path) -> Iterator[tuple[str, Array]]:
+    """Numeric arrays of versions 5 to 7, without axes of length 1."""
+    from scipy.io import loadmat
+
+    try:
+        require_sound(path, most_bytes(path))
+        content = loadmat(path, simplify_cells=True)
+    except OverflowError as error:
+        raise _too_large(path) from error
+    except Exception as error:  # SciPy raises of many kinds for a broken file
+        raise LogError(f"{path}: cannot be read as a MATLAB file.") from error
+    return _numeric({k: v for k, v in content.items() if not k.startswith("__")}, "")
+
+
+def _too_large(path: Path) -> LogError:
+    return LogError(
+        f"{path}: holds far more data than a file of its length can; leave out variables, or split "
+        "it."
+    )
+
+
+def _numeric(value: Any, name: str) -> Iterator[tuple[str, Array]]:
+    if isinstance(value, Mapping):
+        for field, inner in value.items():
+            yield from _numeric(inner, f"{name}.{field}" if name else str(field))
+    elif isinstance(value, list):
+        for k, inner in enumerate(value, start=1):
+            yield from _numeric(inner, f"{name}({k})")
+    elif isinstance(value, np.ndarray) and value.dtype.kind == "O":
+        yield from _numeric(list(value.ravel()), name)
+    elif np.asarray(value).dtype.kind in "fiu":
+        yield name, np.asarray(value, dtype=float)
+
+
+def _hdf5(path: Path) -> Iterator[tuple[str, Array]]:
+    """Numeric arrays of version 7.3, without axes of length 1."""
+    try:
+        import h5py
+    except ModuleNotFoundError as error:
+        raise LogError(
+            f"{path}: is of MATLAB's version 7.3, which needs the package h5py: "
+            "pip install 'hesr[matlab]', or save it in MATLAB with the option '-v7'."
+        ) from error
+
+    found: list[tuple[str, Array]] = []
+    left = most_bytes(path)
+
+    def visit(name: str, item: Any) -> None:
+        # Characters are numbers in HDF5, and what structs of arrays refer to stands under '#refs#'.
+        if isinstance(item, h5py.Dataset) and not name.startswith("#"):
+            is_number = item.attrs.get("MATLAB_class", b"") not in (b"char", b"cell")
+            if is_number and item.dtype.kind in "fiu" and "MATLAB_empty" not in item.attrs:
+                nonlocal left
+                left -= 8 * item.size
+                if left < 0:
+                    raise _too_large(path)
+                array = np.squeeze(np.transpose(np.asarray(item, dtype=float)))
+                found.append((name.replace("/", "."), array))
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(visit)
+    except LogError:
+        raise
+    except Exception as error:  # h5py raises of many kinds for a broken file
+        raise LogError(f"{path}: cannot be read as a MATLAB file.") from error
+    return iter(found)

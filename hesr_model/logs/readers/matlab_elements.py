@@ -1,0 +1,117 @@
+"""The elements of which a MATLAB file of versions 5 to 7 consists, checked before SciPy reads them.
+
+SciPy trusts what they declare: an unknown type or a nest that is too deep ends the process, and
+packed data may be a bomb. Format: MathWorks, "MAT-File Format", the chapter on level 5.
+"""
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+Order = Literal["<", ">"]
+
+_HEADER = 128  # [B]
+_FLAGS, _MATRIX, _PACKED = 6, 14, 15
+_KNOWN = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 16, 17, 18}
+_SIZES = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # [B] of numbers in version 4
+_CLASSES = range(1, 18)
+_DEEPEST = 50  # of matrices in matrices, as structs and cells have them
+
+
+def require_sound(path: Path, most: int) -> None:
+    """Check all elements of a file, or all matrices of one of version 4.
+
+    Parameters
+    ----------
+    path : of a file that is not HDF5.
+    most : how long packed data may be altogether [B].
+
+    Raises
+    ------
+    ValueError
+        If an element is of no known type, ends behind what holds it, or is nested too deeply.
+    OverflowError
+        If the packed data are longer.
+    """
+    if path.stat().st_size < _HEADER:
+        return
+    content = np.memmap(path, dtype=np.uint8, mode="r").data
+    if 0 in bytes(content[:4]):
+        _require_version_4(content)
+        return
+    order: Order = "<" if bytes(content[126:128]) == b"IM" else ">"
+    place = _HEADER
+    while place + 8 <= len(content):
+        kind, length = struct.unpack_from(f"{order}II", content, place)
+        end = place + 8 + length
+        if kind != _PACKED:
+            end = _require_element(content, place, order, 0)
+        else:
+            unpacked = _unpacked(content[place + 8 : end], most)
+            most -= len(unpacked)
+            _require_element(memoryview(unpacked), 0, order, 0)
+        place = end
+
+
+def _require_version_4(content: memoryview) -> None:
+    """Check the matrices of a file of version 4: a header, a name and numbers each."""
+    place = 0
+    while place < len(content):
+        if place + 20 > len(content):
+            raise ValueError("a matrix is cut off")
+        little = struct.unpack_from("<I", content, place)[0] < 5000  # its digits say how it is kept
+        header = struct.unpack_from(f"{'<' if little else '>'}IiiII", content, place)
+        digits, rows, columns, imaginary, name = header
+        size = _SIZES.get(digits // 10 % 10)
+        if size is None or rows < 0 or columns < 0 or imaginary > 1 or name == 0:
+            raise ValueError("a matrix is not as it must be")
+        place += 20 + name + rows * columns * size * (1 + imaginary)
+    if place > len(content):
+        raise ValueError("a matrix ends behind the file")
+
+
+def _unpacked(packed: memoryview, most: int) -> bytes:
+    unpacker = zlib.decompressobj()
+    try:
+        unpacked = unpacker.decompress(packed, max(most, 1))
+    except zlib.error as error:
+        raise ValueError("its packed data are broken") from error
+    if unpacker.unconsumed_tail:
+        raise OverflowError
+    return unpacked
+
+
+def _require_element(content: memoryview, place: int, order: Order, depth: int) -> int:
+    """Check an element and those in it; return where the next one begins."""
+    if place + 8 > len(content):
+        raise ValueError("an element is cut off")
+    kind, length = struct.unpack_from(f"{order}II", content, place)
+    if kind >> 16:  # a short one, its length in the upper half, its data in the tag
+        kind, length, start, after = kind & 0xFFFF, kind >> 16, place + 4, place + 8
+        if length > 4:
+            raise ValueError("a short element is long")
+    else:
+        start = place + 8
+        after = start + length + -length % 8
+    if kind not in _KNOWN:
+        raise ValueError(f"an element is of the unknown type {kind}")
+    if start + length > len(content):
+        raise ValueError("an element ends behind what holds it")
+    if kind == _MATRIX and length:
+        _require_matrix(content[start : start + length], order, depth + 1)
+    return after
+
+
+def _require_matrix(content: memoryview, order: Order, depth: int) -> None:
+    if depth > _DEEPEST:
+        raise ValueError("it is nested too deeply")
+    if len(content) < 16 or struct.unpack_from(f"{order}II", content) != (_FLAGS, 8):
+        raise ValueError("a matrix does not begin with its flags")
+    if struct.unpack_from(f"{order}I", content, 8)[0] & 0xFF not in _CLASSES:
+        raise ValueError("a matrix is of no known class")
+    place = 16
+    while place < len(content):
+        place = _require_element(content, place, order, depth)

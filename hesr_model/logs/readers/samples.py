@@ -1,0 +1,52 @@
+"""What every kind of log file gives."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Samples:
+    """Samples of all joints, in the units of the file.
+
+    Attributes
+    ----------
+    t
+        (N,) [s].
+    q, dq
+        (N, n); dq is None where the file holds no velocity.
+    effort
+        (N, n), torque or current.
+    is_current
+        Whether the effort is current.
+    time
+        How an error names where the time stands: a column, a topic.
+    place
+        How an error names the place of sample k: a row, a message.
+    """
+
+    t: Array
+    q: Array
+    dq: Array | None
+    effort: Array
+    is_current: bool
+    time: str
+    place: Callable[[int], str]
+
+    def complete(self) -> "Samples":
+        """Return the samples without those that lack a number or repeat a stamp."""
+        parts = [self.t[:, None], self.q, self.effort, *([] if self.dq is None else [self.dq])]
+        rows = np.flatnonzero(np.all(np.isfinite(np.hstack(parts)), axis=1))
+        rows = rows[np.diff(self.t[rows], prepend=-np.inf) != 0.0]
+        return replace(
+            self,
+            t=self.t[rows],
+            q=self.q[rows],
+            dq=None if self.dq is None else self.dq[rows],
+            effort=self.effort[rows],
+            place=lambda k: self.place(int(rows[k])),
+        )

@@ -1,0 +1,250 @@
+"""Robot logs: read from files of many kinds, converted to SI, checked, written."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.errors import LogError
+from hesr_model.logs.readers.formats import format_of
+from hesr_model.logs.readers.samples import Samples
+from hesr_model.logs.tables import write_table
+from hesr_model.robots.robot import RobotDescription
+from hesr_model.support.files import sha256, written_whole
+
+Array = NDArray[np.float64]
+
+_LONGEST_GAP = 10.0
+"""In sample periods: across a longer gap, velocity and hysteresis states are guesswork."""
+
+_SHORTEST_PART = 1.0
+"""[s] What lies between two gaps tells nothing of a motion where it is shorter."""
+
+_RATE_MARGIN = 1.25
+
+_LARGEST = 1e20
+"""In any unit: nanoseconds since 1970 are 2e18."""
+
+_LEAST_TRAVEL = 5e-3
+"""[rad or m] Encoders flicker by less; a joint that is used travels further."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobotLog:
+    """What a robot recorded during one motion.
+
+    Attributes
+    ----------
+    name
+        Of the motion; the file's name without its suffix where the log was read.
+    t
+        (N,) [s], increasing.
+    q
+        (N, n) [rad; m for prismatic joints].
+    dq
+        (N, n) [rad/s; m/s], or None where the robot does not log its velocity.
+    tau
+        (N, n) [N.m; N], currents already converted.
+    path, sha256
+        Where the log was read from, and the hash of that file.
+    dropped
+        Rows that were left out, by `LogFormat.missing`.
+    """
+
+    name: str
+    t: Array
+    q: Array
+    dq: Array | None
+    tau: Array
+    path: Path | None = None
+    sha256: str = ""
+    dropped: int = 0
+
+    @property
+    def where(self) -> str:
+        """How an error names this log: by its file, or by its name."""
+        return str(self.path) if self.path else f"log '{self.name}'"
+
+    @property
+    def period(self) -> float:
+        """Median time between samples [s]."""
+        return float(np.median(np.diff(self.t)))
+
+    @property
+    def rate(self) -> float:
+        """Mean rate between gaps [Hz]."""
+        steps = np.diff(self.t)
+        return float(1.0 / np.mean(steps[steps <= _LONGEST_GAP * self.period]))
+
+    @property
+    def jitter(self) -> float:
+        """Standard deviation of the steps between gaps, over their mean."""
+        steps = np.diff(self.t)
+        steps = steps[steps <= _LONGEST_GAP * self.period]
+        return float(np.std(steps) / np.mean(steps))
+
+    @property
+    def gaps(self) -> NDArray[np.intp]:
+        """Rows (K,), without unit, before which more than ten sample periods are missing."""
+        return np.flatnonzero(np.diff(self.t) > _LONGEST_GAP * self.period) + 1
+
+    def rows(self, rows: slice | NDArray[np.intp]) -> "RobotLog":
+        """Return the log of some of its rows, a slice or (K,) places without unit."""
+        dq = None if self.dq is None else self.dq[rows]
+        return replace(self, t=self.t[rows], q=self.q[rows], dq=dq, tau=self.tau[rows])
+
+    def parts(self) -> "tuple[RobotLog, ...]":
+        """Return what lies between the gaps, without what is shorter than 1 s.
+
+        Velocity and friction's memory are not known across a gap, so that each part is filtered
+        and fitted as a log of its own.
+
+        Raises
+        ------
+        LogError
+            If nothing is left.
+        """
+        ends = [0, *self.gaps.tolist(), len(self.t)]
+        if len(ends) == 2:
+            return (self,)
+        parts = [self.rows(slice(first, last)) for first, last in pairwise(ends)]
+        kept = tuple(part for part in parts if np.ptp(part.t) >= _SHORTEST_PART)
+        if not kept:
+            raise LogError(
+                f"{self.where}: its {len(parts) - 1} gaps of more than {_LONGEST_GAP:g} sample "
+                f"periods of {self.period:.4g} s leave no part of {_SHORTEST_PART:g} s."
+            )
+        return kept
+
+    @classmethod
+    def read(cls, path: Path, robot: RobotDescription) -> "RobotLog":
+        """Read a log and check it, columns and units as the robot file says.
+
+        By the suffix it is a CSV (with a header), Parquet (``.parquet``, ``.pq``), MATLAB
+        (``.mat``) or a ROS bag (a folder, ``.db3``, ``.mcap``, ``.bag``).
+
+        Rows in messages are counted as an editor shows them: the header of a CSV is row 1, the
+        first row of its data row 2. Other files have no header: their first row is row 1.
+
+        Raises
+        ------
+        LogError
+            If the file is missing, empty or not of its kind, or the package that reads it is not
+            installed; if a column or topic is missing; if joints are more or fewer than the
+            robot's; if a cell is empty, not a number, NaN or infinite; if time does not increase,
+            or runs at another rate than the robot's; if currents come without gains.
+        RobotError
+            If a list of the robot file has not one entry per joint.
+        """
+        robot.require_one_per_joint()
+        logged = format_of(path).read(path, robot)
+        samples = logged.complete() if robot.log.missing == "drop" else logged
+        units, n = robot.log.units, len(robot.joints)
+        _require_reasonable(path, samples, robot.joints)
+        log = cls(
+            name=path.stem,
+            t=samples.t,
+            q=samples.q * units.factors("q", n) + (robot.log.zero or 0.0),
+            dq=None if samples.dq is None else samples.dq * units.factors("dq", n),
+            tau=_torque(path, samples, robot),
+            path=path,
+            sha256=sha256(path),
+            dropped=len(logged.t) - len(samples.t),
+        )
+        _require_steady_time(log, samples, robot)
+        return log
+
+    def write(self, path: Path) -> None:
+        """Write as CSV or, by the suffix ``.parquet``, as Parquet; numbers survive unchanged.
+
+        The columns are ``t, q1.., dq1.., tau1..``, the defaults of a robot file.
+
+        Raises
+        ------
+        ArtifactError
+            If the file cannot be written.
+        """
+        columns = {"t": self.t}
+        for name, values in (("q", self.q), ("dq", self.dq), ("tau", self.tau)):
+            if values is not None:
+                columns |= {f"{name}{k}": column for k, column in enumerate(values.T, start=1)}
+        with written_whole(path) as temporary:
+            write_table(temporary, columns)
+
+
+def parts_of(logs: Sequence[RobotLog]) -> list[RobotLog]:
+    """Return logs without gaps: the parts of each; see `RobotLog.parts`."""
+    return [part for log in logs for part in log.parts()]
+
+
+def require_moving(logs: Sequence[RobotLog], joints: Sequence[str]) -> None:
+    """Check that every joint moves in at least one of the logs.
+
+    Raises
+    ------
+    LogError
+        Naming the joint and the logs.
+    """
+    travel = np.max([np.ptp(log.q, axis=0) for log in logs], axis=0)
+    for joint, moved in zip(joints, travel, strict=True):
+        if moved < _LEAST_TRAVEL:
+            raise LogError(
+                f"{', '.join(log.where for log in logs)}: the position of joint '{joint}' is "
+                f"constant (it moves by {moved:.2g} rad); at least one log must move it."
+            )
+
+
+def _torque(path: Path, samples: Samples, robot: RobotDescription) -> Array:
+    """Torque (N, n) [N.m], from currents where the file holds these."""
+    units, gains, n = robot.log.units, robot.log.torque_per_ampere, len(robot.joints)
+    if not samples.is_current:
+        return np.asarray(samples.effort * units.factors("tau", n))
+    if gains is None:
+        raise LogError(
+            f"{path}: its efforts are currents by 'log.bag.effort' of the robot file, which needs "
+            "'log.torque_per_ampere' for them."
+        )
+    return np.asarray(samples.effort * units.factors("current", n) * gains)
+
+
+def _require_reasonable(path: Path, samples: Samples, joints: Sequence[str]) -> None:
+    """Check that numbers, in any unit, can be multiplied with each other a few times."""
+    for what in ("q", "dq", "effort"):
+        values = getattr(samples, what)
+        if values is not None and np.any(np.abs(values) > _LARGEST):
+            k, joint = np.argwhere(np.abs(values) > _LARGEST)[0]
+            raise LogError(
+                f"{path}: {samples.place(k)}: {what} of joint '{joints[joint]}' is "
+                f"{values[k, joint]:g}; numbers up to {_LARGEST:g} can be used."
+            )
+    if np.any(np.abs(samples.t) > _LARGEST):
+        k = int(np.argmax(np.abs(samples.t) > _LARGEST))
+        raise LogError(
+            f"{path}: {samples.time}, {samples.place(k)}: the time is {samples.t[k]:g}; numbers up "
+            f"to {_LARGEST:g} can be used."
+        )
+
+
+def _require_steady_time(log: RobotLog, samples: Samples, robot: RobotDescription) -> None:
+    if len(log.t) < 2:
+        raise LogError(f"{log.where}: has {len(log.t)} rows of data; at least 2 are needed.")
+    steps = np.diff(log.t)
+    if np.any(steps <= 0):
+        k = int(np.argmax(steps <= 0)) + 1
+        raise LogError(
+            f"{log.where}: {samples.time}, {samples.place(k)}: time must increase, but "
+            f"{log.t[k]:.10g} s follows {log.t[k - 1]:.10g} s."
+        )
+    nominal = robot.log.sample_rate
+    # The mean counts where steps jitter, the median where rows are missing.
+    steady = steps[steps <= _LONGEST_GAP * log.period]
+    found = [nominal * period for period in (log.period, float(np.mean(steady))) if nominal]
+    if nominal and not any(1 / _RATE_MARGIN <= ratio <= _RATE_MARGIN for ratio in found):
+        raise LogError(
+            f"{log.where}: {samples.time}: rows are {log.period:.4g} s apart, but the robot "
+            f"file's sample_rate of {nominal:g} Hz means {1 / nominal:.4g} s; time must be in s, "
+            "or its unit stand under 'log.units.t'."
+        )

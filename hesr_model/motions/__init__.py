@@ -1,0 +1,1 @@
+"""Motions in closed form, their limits, and the design of excitations."""

@@ -1,0 +1,222 @@
+"""Excitation design: Fourier motions whose rigid-body regressor is well conditioned (III-B)."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+from scipy.optimize import minimize
+from threadpoolctl import threadpool_limits
+
+from hesr_model.errors import FitError
+from hesr_model.motions.excitation_search import Search
+from hesr_model.motions.limits import Limits, MotionLimits, Positive, one_period, peak_torque
+from hesr_model.motions.trajectories import Fourier
+from hesr_model.rigid_body.identification import LEAST_PEAK
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support.config import Config
+from hesr_model.support.progress import Progress, counted, unheard
+
+Array = NDArray[np.float64]
+
+_SAMPLES = 400
+"""Per period; from 100 on the condition number of W_b changes by a per cent."""
+
+_COARSE, _FINE = 1e2, 1e4
+"""Weights of what passes a limit, in the descents from all starts and in the last one."""
+
+_COARSE_STEPS, _FINE_STEPS = 100, 300
+
+_USUAL_RATE = 200.0
+
+_LARGE = 100.0
+"""Of a random motion before it is shrunk into the limits, relative to its joint's speed."""
+
+
+class ExcitationSettings(Config):
+    """What kind of motion is designed.
+
+    Attributes
+    ----------
+    harmonics
+        Of the fundamental, at least 2: rest at the start takes one coefficient of each kind.
+    period
+        Shortest and longest [s]; the fundamental is optimised in between.
+    periods
+        How many periods are run.
+    starts
+        Random motions from which the search begins.
+    seed
+        Of these.
+    sample_rate
+        Of the setpoints [Hz]; a period is a whole number of them. By default the logs' rate, and
+        200 where the robot file gives none.
+    limits
+        Of the motion; `MotionLimits` says what holds where they are left out.
+    """
+
+    harmonics: int = Field(default=10, ge=2)
+    period: tuple[Positive, Positive] = (10.0, 30.0)
+    periods: int = Field(default=1, ge=1)
+    starts: int = Field(default=4, ge=1)
+    seed: int = Field(default=0, ge=0)
+    sample_rate: Positive | None = None
+    limits: MotionLimits = MotionLimits()
+
+    @field_validator("period")
+    @classmethod
+    def _shortest_first(cls, period: tuple[float, float]) -> tuple[float, float]:
+        if period[0] > period[1]:
+            raise ValueError("the shortest period must come first")
+        return period
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Excitation:
+    """A designed motion.
+
+    Attributes
+    ----------
+    motion
+        At rest at both ends; `motion.time_reversed()` is its counterpart.
+    condition
+        Of W_b, see `condition`.
+    sample_rate
+        Of its setpoints [Hz].
+    limits
+        Which the motion keeps.
+    peak_torque
+        (n,) largest absolute torque [N.m] of the model file's rigid body, without friction.
+    """
+
+    motion: Fourier
+    condition: float
+    sample_rate: float
+    limits: Limits
+    peak_torque: Array
+
+    def setpoints(self) -> tuple[Array, Array, Array, Array]:
+        """Return times (N,) [s] from rest to rest and q, dq, ddq (N, n) [rad, rad/s, rad/s2]."""
+        t = np.arange(round(self.motion.duration * self.sample_rate) + 1) / self.sample_rate
+        return t, *self.motion.sample(t)
+
+
+def condition(model: RobotModel, base: tuple[int, ...], motion: Fourier) -> float:
+    """Condition number of W_b: base columns of the regressor over one period, in SI, unscaled.
+
+    Even samples of one period are stacked. Run backwards, a motion has the same W_b, because
+    rigid-body torque is even in velocity.
+
+    Parameters
+    ----------
+    base
+        Indices of the base columns, see `base_parameters.base_columns`.
+    """
+    t = np.linspace(0.0, motion.period, _SAMPLES, endpoint=False)
+    columns = model.regressor(*motion.sample(t))[:, :, list(base)]
+    return float(np.linalg.cond(columns.reshape(-1, columns.shape[2])))
+
+
+def design(
+    model: RobotModel,
+    settings: ExcitationSettings | None = None,
+    *,
+    progress: Progress = unheard,
+) -> Excitation:
+    """Design the motion of least `condition` within limits.
+
+    From random admissible motions L-BFGS-B descends a smooth bound of the condition number in
+    which passing a limit is punished; the best of these motions is refined, and shrunk until
+    every limit holds at every instant.
+
+    Parameters
+    ----------
+    settings : limits, harmonics, periods; the defaults where not given.
+    progress : told how many descents are done.
+
+    Raises
+    ------
+    RobotError
+        If the limits do not fit the robot.
+    FitError
+        If they admit no motion.
+    """
+    settings = settings or ExcitationSettings()
+    rate = settings.sample_rate or model.description.log.sample_rate or _USUAL_RATE
+    limits = Limits.of(model, settings.limits)
+    rest = limits.rest(model)
+    search = Search.of(model, limits, harmonics=settings.harmonics, period=settings.period)
+    with threadpool_limits(1):
+        starts = random_motions(model, settings, settings.starts, settings.seed)
+        rough = [
+            _descend(search, start, rest, _COARSE, _COARSE_STEPS)
+            for start in counted(starts, progress)
+        ]
+        best = min(rough, key=lambda motion: condition(model, search.base, motion))
+        period = round(best.period * rate) / rate
+        search = replace(search, period=(period, period))
+        motion = replace(_descend(search, best, rest, _FINE, _FINE_STEPS), period=period)
+    _require_speed(motion, model)
+    return Excitation(
+        motion=replace(motion, periods=settings.periods),
+        condition=condition(model, search.base, motion),
+        sample_rate=rate,
+        limits=limits,
+        peak_torque=peak_torque(model, motion),
+    )
+
+
+def _descend(search: Search, motion: Fourier, rest: Array, weight: float, steps: int) -> Fourier:
+    """Descend from a motion and bring what is found within the limits."""
+    found = minimize(
+        search.value_and_gradient,
+        search.pack(motion),
+        args=(weight,),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=search.bounds,
+        options={"maxiter": steps},
+    )
+    return search.limits.shrink(search.unpack(found.x), search.model, rest)
+
+
+def random_motions(
+    model: RobotModel, settings: ExcitationSettings, count: int, seed: int
+) -> list[Fourier]:
+    """Draw motions within the same limits, each as large as they allow: what `design` must beat.
+
+    Coefficients are normal numbers, projected onto those that start at rest; mean positions and
+    periods are uniform.
+
+    Raises
+    ------
+    RobotError, FitError
+        As `design`.
+    """
+    limits = Limits.of(model, settings.limits)
+    rest = limits.rest(model)
+    rng = np.random.default_rng(seed)
+    orders = np.arange(1.0, settings.harmonics + 1)
+    motions = []
+    for _ in range(count):
+        a, b = _LARGE * limits.velocity[:, None] * rng.standard_normal((2, model.n, len(orders)))
+        motion = Fourier(
+            offset=rng.uniform(limits.lower, limits.upper),
+            a=a - a.mean(axis=1, keepdims=True),
+            b=b - np.outer(b @ orders, orders) / (orders @ orders),
+            period=rng.uniform(*settings.period),
+        )
+        motions.append(limits.shrink(motion, model, rest))
+    return motions
+
+
+def _require_speed(motion: Fourier, model: RobotModel) -> None:
+    """Check that every joint is as fast as identification needs."""
+    _, dq, _ = one_period(motion)
+    for joint, peak in zip(model.description.joints, np.abs(dq).max(axis=0), strict=True):
+        if not peak > LEAST_PEAK:
+            raise FitError(
+                f"robot '{model.description.name}': the limits admit no motion of joint '{joint}' "
+                f"that is faster than {peak:.2g} rad/s; identification needs more than "
+                f"{LEAST_PEAK:g} rad/s, so wider limits are needed."
+            )

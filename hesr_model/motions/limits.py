@@ -1,0 +1,238 @@
+"""Limits of a motion, given by the user or taken from the model, and how they are kept."""
+
+from dataclasses import dataclass, replace
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from scipy.optimize import minimize
+
+from hesr_model.errors import FitError, RobotError
+from hesr_model.motions.trajectories import Fourier
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support.config import Config
+
+Array = NDArray[np.float64]
+
+Positive = Annotated[float, Field(gt=0)]
+
+_KEPT_FREE = 0.05
+"""Of a joint's range at either end, by default: no arm follows exactly."""
+
+_SECONDS_TO_FULL_SPEED = 1.0
+"""Model files know no acceleration; by default a joint may reach its speed in this time."""
+
+_MARGIN = 1e-3
+"""Of every limit, for peaks between the points at which a motion is looked at."""
+
+_POINTS = 256
+"""Per cycle of the highest harmonic: a velocity's peak is low by 8e-5 of itself at most."""
+
+_HALVINGS = 12
+_RESTS = 4000
+
+
+class MotionLimits(Config):
+    """Limits of a motion, one entry per joint; what is left out comes from the model.
+
+    Attributes
+    ----------
+    position
+        Lowest and highest [rad or m]; by default the model's range without 5 % at either end.
+    velocity
+        [rad/s or m/s]; by default the model's, 2 where it has none.
+    acceleration
+        [rad/s2 or m/s2]; by default what reaches the velocity in one second.
+    torque
+        Of the rigid body, friction not counted [N.m or N]; by default the model's effort limit,
+        none where it has none. It can be kept only as well as the model file's inertias are known.
+    """
+
+    position: tuple[tuple[float, float], ...] | None = None
+    velocity: tuple[Positive, ...] | None = None
+    acceleration: tuple[Positive, ...] | None = None
+    torque: tuple[Positive, ...] | None = None
+
+    @model_validator(mode="after")
+    def _ranges_are_open(self) -> Self:
+        for joint, (lowest, highest) in enumerate(self.position or (), start=1):
+            if not lowest < highest:
+                raise ValueError(
+                    f"position of joint {joint} goes from {lowest:g} to {highest:g}, which admits "
+                    "no motion; the first must be the lower"
+                )
+        return self
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Limits:
+    """Limits of every joint of one robot, (n,) each, in its units.
+
+    Attributes
+    ----------
+    lower, upper
+        Position [rad or m].
+    velocity, acceleration
+        Absolute values [rad/s, rad/s2].
+    torque
+        Absolute value [N.m or N]; infinite where there is none.
+    """
+
+    lower: Array
+    upper: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+
+    @classmethod
+    def of(cls, model: RobotModel, given: MotionLimits) -> Self:
+        """Fill what the user left out from the model.
+
+        Raises
+        ------
+        RobotError
+            If a list has not one entry per joint, or a position lies outside the joint's range.
+        """
+        _require_one_per_joint(model, given)
+        lowest, highest, speed = model.limits
+        free = _KEPT_FREE * (highest - lowest)
+        position = np.array(given.position or np.column_stack([lowest + free, highest - free]))
+        _require_in_range(model, position)
+        velocity = np.array(given.velocity or speed)
+        return cls(
+            lower=position[:, 0],
+            upper=position[:, 1],
+            velocity=velocity,
+            acceleration=np.array(given.acceleration or velocity / _SECONDS_TO_FULL_SPEED),
+            torque=np.array(given.torque or _effort(model)),
+        )
+
+    def shrink(self, motion: Fourier, model: RobotModel, rest: Array) -> Fourier:
+        """Make a motion smaller until it keeps all limits, and leave one that does as it is.
+
+        Each joint's path is shrunk to its limits of position, velocity and acceleration and moved
+        into its range; then, for torque, all paths together towards the position `rest`, (n,)
+        [rad].
+
+        Raises
+        ------
+        FitError
+            If not even a very small motion about `rest` keeps the torque limits.
+        """
+        inner = 1.0 - _MARGIN
+        q, dq, ddq = one_period(motion)
+        path = q - motion.offset
+        factor = inner * np.minimum.reduce(
+            [
+                np.full(model.n, 1.0 / inner),
+                (self.upper - self.lower) / np.ptp(path, axis=0),
+                self.velocity / np.abs(dq).max(axis=0),
+                self.acceleration / np.abs(ddq).max(axis=0),
+            ]
+        )
+        path = factor * path
+        free = 0.5 * _MARGIN * (self.upper - self.lower)
+        offset = np.clip(
+            motion.offset,
+            self.lower + free - path.min(axis=0),
+            self.upper - free - path.max(axis=0),
+        )
+        fitting = replace(
+            motion, offset=offset, a=factor[:, None] * motion.a, b=factor[:, None] * motion.b
+        )
+        return self._shrunk_for_torque(fitting, model, rest)
+
+    def _shrunk_for_torque(self, motion: Fourier, model: RobotModel, rest: Array) -> Fourier:
+        def towards_rest(share: float) -> Fourier:
+            offset = rest + share * (motion.offset - rest)
+            return replace(motion, offset=offset, a=share * motion.a, b=share * motion.b)
+
+        def keeps(share: float) -> bool:
+            peak = peak_torque(model, towards_rest(share))
+            return bool(np.all(peak <= (1.0 - _MARGIN) * self.torque))
+
+        if not np.any(np.isfinite(self.torque)) or keeps(1.0):
+            return motion
+        low, high = 0.0, 1.0
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if keeps(middle) else (low, middle)
+        if low == 0.0:
+            raise FitError(
+                f"robot '{model.description.name}': the limits admit no motion, because "
+                "limits.torque leaves nothing for one beyond gravity even where that takes least; "
+                "larger torques are needed."
+            )
+        return towards_rest(low)
+
+    def rest(self, model: RobotModel) -> Array:
+        """Position (n,) [rad] where gravity takes the least share of the torque limits.
+
+        Raises
+        ------
+        FitError
+            If gravity alone passes a limit everywhere, so that no motion is admissible.
+        """
+        places = np.random.default_rng(0).uniform(self.lower, self.upper, (_RESTS, model.n))
+        places[0] = 0.5 * (self.lower + self.upper)
+
+        def gravity(q: Array) -> Array:
+            still = np.zeros_like(q)
+            return np.abs(model.torque(model.nominal_parameters, q, still, still))
+
+        found = minimize(
+            lambda q: np.max(gravity(q[None, :]) / self.torque),
+            places[int(np.argmin(np.max(gravity(places) / self.torque, axis=1)))],
+            method="Nelder-Mead",
+            bounds=np.column_stack([self.lower, self.upper]),
+        )
+        rest: Array = found.x
+        needed = gravity(rest[None, :])[0]
+        joint = int(np.argmax(needed / self.torque))
+        if needed[joint] >= self.torque[joint]:
+            raise FitError(
+                f"robot '{model.description.name}': the limits admit no motion, because joint "
+                f"'{model.description.joints[joint]}' needs {needed[joint]:.3g} N.m against "
+                f"gravity even where it takes least, but limits.torque is "
+                f"{self.torque[joint]:g} N.m."
+            )
+        return rest
+
+
+def one_period(motion: Fourier) -> tuple[Array, Array, Array]:
+    """Position, velocity, acceleration at points as close as peaks need, (N, n) in SI units."""
+    points = _POINTS * motion.a.shape[1]
+    return motion.sample(np.linspace(0.0, motion.period, points, endpoint=False))
+
+
+def peak_torque(model: RobotModel, motion: Fourier) -> Array:
+    """Largest absolute torque (n,) [N.m] of the model file's rigid body, without friction."""
+    q, dq, ddq = one_period(motion)
+    peaks: Array = np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0)
+    return peaks
+
+
+def _effort(model: RobotModel) -> Array:
+    """Effort limits (n,) of the model file; infinite where it gives none, or 0 as many do."""
+    effort = model.torque_limits
+    return np.where(effort > 0, effort, np.inf)
+
+
+def _require_one_per_joint(model: RobotModel, given: MotionLimits) -> None:
+    for key, entries in given:
+        if entries is not None and len(entries) != model.n:
+            raise RobotError(
+                f"key 'limits.{key}' has {len(entries)} entries; the {model.n} joints of robot "
+                f"'{model.description.name}' need one each."
+            )
+
+
+def _require_in_range(model: RobotModel, position: Array) -> None:
+    lowest, highest, _ = model.limits
+    for k, joint in enumerate(model.description.joints):
+        if position[k, 0] < lowest[k] or position[k, 1] > highest[k]:
+            raise RobotError(
+                f"key 'limits.position' of joint '{joint}' is {position[k, 0]:g} to "
+                f"{position[k, 1]:g}; the model allows {lowest[k]:g} to {highest[k]:g}."
+            )

@@ -1,0 +1,333 @@
+"""Motions in closed form: Fourier series, sine, chirp and sweep.
+
+Every motion starts at rest; position, velocity and acceleration are exact, never differenced.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fresnel
+
+from hesr_model.errors import ConfigError
+from hesr_model.logs.noise import standard_normal
+
+Array = NDArray[np.float64]
+
+_AT_REST = 1e-9
+"""[rad/s, rad/s2] Start values below this, relative to the largest coefficient, count as rest."""
+
+_POINTS_PER_CYCLE = 256
+"""Of the highest harmonic; a peak found on this grid is low by 8e-5 of itself at most."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trajectory(ABC):
+    """A motion of n joints over a finite time."""
+
+    @property
+    @abstractmethod
+    def duration(self) -> float:
+        """Length of the motion [s]."""
+
+    @abstractmethod
+    def sample(self, t: Array) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration at the times `t`.
+
+        Parameters
+        ----------
+        t
+            (N,) [s], from 0 to `duration`; periodic motions go on outside.
+
+        Returns
+        -------
+        tuple of ndarray
+            q, dq, ddq, (N, n) each [rad, rad/s, rad/s2].
+        """
+
+    def time_reversed(self) -> "Trajectory":
+        """Return the same path run backwards: q(duration - t)."""
+        return Reversed(forward=self)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reversed(Trajectory):
+    """A motion run backwards.
+
+    Attributes
+    ----------
+    forward
+        The motion that is reversed.
+    """
+
+    forward: Trajectory
+
+    @property
+    def duration(self) -> float:
+        """Length of the motion [s]."""
+        return self.forward.duration
+
+    def sample(self, t: Array) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration; see `Trajectory.sample`."""
+        q, dq, ddq = self.forward.sample(self.duration - np.asarray(t))
+        return q, -dq, ddq
+
+    def time_reversed(self) -> Trajectory:
+        """Return the motion that was reversed."""
+        return self.forward
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fourier(Trajectory):
+    """Finite Fourier series, periodic (paper, section III-B).
+
+    With w = 2 pi / period and k = 1..H::
+
+        dq = sum_k a_k cos(k w t) + b_k sin(k w t)
+        q  = offset + sum_k (a_k sin(k w t) - b_k cos(k w t)) / (k w)
+
+    It starts and ends at rest and without acceleration: sum_k a_k = 0 and sum_k k b_k = 0.
+
+    Attributes
+    ----------
+    offset
+        (n,) mean position over a period [rad].
+    a, b
+        (n, H) [rad/s].
+    period
+        [s].
+    periods
+        How many periods are run.
+
+    Raises
+    ------
+    ConfigError
+        If a joint would not start at rest.
+    """
+
+    offset: Array
+    a: Array
+    b: Array
+    period: float
+    periods: int = 1
+
+    def __post_init__(self) -> None:
+        orders = np.arange(1, self.a.shape[1] + 1)
+        scale = max(float(np.abs(self.a).max()), float(np.abs(orders * self.b).max()))
+        jump = np.maximum(np.abs(self.a.sum(axis=1)), np.abs(self.b @ orders))
+        if np.any(jump > _AT_REST * scale):
+            joint = int(np.argmax(jump)) + 1
+            raise ConfigError(
+                f"Fourier motion: joint {joint} does not start at rest (sum of a_k is "
+                f"{self.a[joint - 1].sum():.3g}, sum of k b_k is {self.b[joint - 1] @ orders:.3g} "
+                "rad/s); both must be zero."
+            )
+
+    @property
+    def duration(self) -> float:
+        """Length of the motion [s]."""
+        return self.periods * self.period
+
+    def sample(self, t: Array) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration; see `Trajectory.sample`."""
+        rates = 2 * np.pi / self.period * np.arange(1, self.a.shape[1] + 1)
+        phase = np.outer(t, rates)
+        cos, sin = np.cos(phase), np.sin(phase)
+        q = self.offset + sin @ (self.a / rates).T - cos @ (self.b / rates).T
+        dq = cos @ self.a.T + sin @ self.b.T
+        ddq = cos @ (self.b * rates).T - sin @ (self.a * rates).T
+        return q, dq, ddq
+
+    def time_reversed(self) -> "Fourier":
+        """Return the same path run backwards, again a Fourier series."""
+        return replace(self, a=-self.a)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sine(Trajectory):
+    """Sine of one frequency.
+
+    dq = amplitude sin(w t) and q = offset - amplitude / w cos(w t), w = 2 pi frequency.
+
+    Attributes
+    ----------
+    offset
+        (n,) mean position [rad].
+    amplitude
+        (n,) peak velocity [rad/s]; 0 for a joint that stays at its offset.
+    frequency
+        [Hz].
+    periods
+        How many periods are run.
+    """
+
+    offset: Array
+    amplitude: Array
+    frequency: float
+    periods: int = 1
+
+    @property
+    def duration(self) -> float:
+        """Length of the motion [s]."""
+        return self.periods / self.frequency
+
+    def sample(self, t: Array) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration; see `Trajectory.sample`."""
+        rate = 2 * np.pi * self.frequency
+        cos, sin = np.cos(rate * np.asarray(t)), np.sin(rate * np.asarray(t))
+        q = self.offset - np.outer(cos, self.amplitude / rate)
+        return q, np.outer(sin, self.amplitude), np.outer(cos, self.amplitude * rate)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sweep(Trajectory):
+    """Rising frequency under an amplitude that swells and ebbs.
+
+    In formulas::
+
+        dq    = A(t) sin(phi(t)),    A(t) = amplitude + swing sin(2 pi t / swing_period + phase)
+        phi   = 2 pi (first t + (last - first) t^2 / (2 length))
+
+    The position is the exact integral, by Fresnel's functions.
+
+    Attributes
+    ----------
+    start
+        (n,) position at t = 0 [rad].
+    amplitude, swing
+        (n,) mean and variation of the peak velocity [rad/s]; both 0 for a joint that rests.
+    phase
+        (n,) of the swing [rad].
+    swing_period
+        [s].
+    first, last
+        Frequencies at the start and at the end [Hz], last > first.
+    length
+        Of the sweep [s].
+
+    Raises
+    ------
+    ConfigError
+        If the frequency does not rise.
+    """
+
+    start: Array
+    amplitude: Array
+    swing: Array
+    phase: Array
+    swing_period: float
+    first: float
+    last: float
+    length: float
+
+    def __post_init__(self) -> None:
+        if not self.first < self.last:
+            raise ConfigError(
+                f"sweep from {self.first:g} to {self.last:g} Hz: the frequency must rise."
+            )
+
+    @property
+    def duration(self) -> float:
+        """Length of the motion [s]."""
+        return self.length
+
+    def sample(self, t: Array) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration; see `Trajectory.sample`."""
+        time = np.asarray(t, dtype=float)[:, None]
+        rate, slope = 2 * np.pi * self.first, 2 * np.pi * (self.last - self.first) / self.length
+        slow = 2 * np.pi / self.swing_period
+        wave = np.exp(1j * (rate * time + 0.5 * slope * time**2))
+        swell = np.exp(1j * (slow * time + self.phase))
+        peak = self.amplitude + self.swing * swell.imag
+        # 2 sin(phi) sin(s) = cos(phi - s) - cos(phi + s): every term has a quadratic phase.
+        steady = _quadratic_phase_integral(0.0, rate, slope, time).imag
+        below = _quadratic_phase_integral(-self.phase, rate - slow, slope, time).real
+        above = _quadratic_phase_integral(self.phase, rate + slow, slope, time).real
+        q = self.start + self.amplitude * steady + 0.5 * self.swing * (below - above)
+        dq = peak * wave.imag
+        ddq = slow * self.swing * swell.real * wave.imag + peak * (rate + slope * time) * wave.real
+        return q, dq, ddq
+
+
+def chirp(*, start: Array, amplitude: Array, first: float, last: float, length: float) -> Sweep:
+    """Return a sweep of constant peak velocity: dq = amplitude sin(phi(t)).
+
+    Parameters
+    ----------
+    start, amplitude, first, last, length
+        As in `Sweep`.
+    """
+    none = np.zeros_like(amplitude)
+    return Sweep(
+        start=start,
+        amplitude=amplitude,
+        swing=none,
+        phase=none,
+        swing_period=length,
+        first=first,
+        last=last,
+        length=length,
+    )
+
+
+def random_fourier(
+    *,
+    seed: int,
+    harmonics: int,
+    period: float,
+    peak_velocity: Array,
+    offset: Array,
+    periods: int = 1,
+) -> Fourier:
+    """Draw a Fourier motion with given peak velocities.
+
+    The coefficients are normal numbers of `hesr_model.logs.noise`, so that a seed means the same
+    motion on every machine, projected onto those that start at rest and scaled.
+
+    Parameters
+    ----------
+    seed
+        Any integer.
+    harmonics
+        H, at least 2: rest at the start takes one degree of freedom from `a` and from `b`.
+    period, periods
+        As in `Fourier`.
+    peak_velocity
+        (n,) largest absolute velocity [rad/s].
+    offset
+        (n,) mean position [rad].
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer than 2 harmonics.
+    """
+    if harmonics < 2:
+        raise ConfigError(f"random Fourier motion: {harmonics} harmonics; at least 2 are needed.")
+    joints = np.arange(len(peak_velocity))[:, None]
+    counters = np.arange(harmonics)
+    orders = counters + 1.0
+    a = standard_normal(seed, 2 * joints, counters)
+    b = standard_normal(seed, 2 * joints + 1, counters)
+    a -= a.mean(axis=1, keepdims=True)
+    b -= np.outer(b @ orders, orders) / (orders @ orders)
+    raw = Fourier(offset=offset, a=a, b=b, period=period, periods=periods)
+    grid = np.linspace(0.0, period, _POINTS_PER_CYCLE * harmonics, endpoint=False)
+    scale = (np.asarray(peak_velocity) / np.abs(raw.sample(grid)[1]).max(axis=0))[:, None]
+    return replace(raw, a=scale * a, b=scale * b)
+
+
+def _quadratic_phase_integral(
+    phase: Array | float, rate: float, slope: float, t: Array
+) -> NDArray[np.complex128]:
+    """Integral from 0 to t of exp(i (phase + rate s + slope s^2 / 2)) ds, for slope > 0.
+
+    Completing the square turns it into Fresnel's C + i S (Abramowitz and Stegun 7.3).
+    """
+    stretch = np.sqrt(slope / np.pi)
+    s0, c0 = fresnel(stretch * rate / slope)
+    s1, c1 = fresnel(stretch * (t + rate / slope))
+    turn = np.exp(1j * (phase - rate**2 / (2 * slope)))
+    integral: NDArray[np.complex128] = turn * ((c1 - c0) + 1j * (s1 - s0)) / stretch
+    return integral

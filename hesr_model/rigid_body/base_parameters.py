@@ -1,0 +1,65 @@
+"""Base parameters: which columns of the regressor are independent, and what carries the others."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+
+from hesr_model.robots.robot import RobotModel
+
+Array = NDArray[np.float64]
+
+_RANK_TOLERANCE = 1e-8
+_RANDOM_STATES = 300
+
+
+def base_columns(model: RobotModel) -> tuple[int, ...]:
+    """Find a largest set of independent columns of the regressor; indices, in their order.
+
+    Pivoted QR of the regressor stacked over random states within the joints' limits, columns
+    scaled to unit length: the rank does not depend on a log, nor on units.
+    """
+    columns = at_random_states(model)
+    lengths = np.linalg.norm(columns, axis=0)
+    # A column of nothing but rounding errors must not be scaled up to a full one.
+    columns[:, lengths < _RANK_TOLERANCE * np.max(lengths)] = 0.0
+    lengths[lengths == 0.0] = 1.0
+    _, r, order = qr(columns / lengths, mode="economic", pivoting=True)
+    sizes = np.abs(np.diag(r))
+    rank = int(np.sum(sizes > _RANK_TOLERANCE * sizes[0]))
+    return tuple(sorted(int(k) for k in order[:rank]))
+
+
+def dependence(model: RobotModel, base: tuple[int, ...]) -> Array:
+    """Matrix K (len(base), P) by which base columns carry all columns: Y = Y_b K.
+
+    Standard parameters pi and base parameters K pi give the same torque. K (without unit within a
+    kind of parameter) has the rows of `base`.
+    """
+    columns = at_random_states(model)
+    return np.asarray(np.linalg.lstsq(columns[:, list(base)], columns, rcond=None)[0], dtype=float)
+
+
+def offsets_apart(model: RobotModel, base: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Whether a constant torque [N.m] of each joint is told from those of the base columns, (n,).
+
+    It is not where gravity is constant, as on a vertical sliding joint: a weight and an offset of
+    friction then are one number, whatever the motion.
+    """
+    columns = at_random_states(model)[:, list(base)]
+    constant = np.tile(np.eye(model.n), (_RANDOM_STATES, 1)) / np.sqrt(_RANDOM_STATES)
+    left = constant - columns @ np.linalg.lstsq(columns, constant, rcond=None)[0]
+    return np.asarray(np.linalg.norm(left, axis=0) > np.sqrt(_RANK_TOLERANCE))
+
+
+def at_random_states(model: RobotModel) -> Array:
+    """Regressor stacked over random states within the joints' limits, (samples * n, P).
+
+    Its column of a parameter is in [N.m] per unit of that parameter.
+    """
+    rng = np.random.default_rng(0)
+    lower, upper, speed = model.limits
+    shape = (_RANDOM_STATES, model.n)
+    q = rng.uniform(lower, upper, shape)
+    dq = rng.uniform(-speed, speed, shape)
+    ddq = rng.uniform(-2 * speed, 2 * speed, shape)
+    return model.regressor(q, dq, ddq).reshape(-1, len(model.parameter_names))

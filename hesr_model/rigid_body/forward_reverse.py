@@ -1,0 +1,89 @@
+"""A motion and its time-reversed counterpart, matched position by position (section III-B)."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+
+from hesr_model.errors import FitError
+from hesr_model.logs.signals import Motion
+
+Array = NDArray[np.float64]
+
+_LONGEST_SHIFT = 0.5
+"""[s] Latencies of command and measurement, which reversal does not cancel."""
+
+_LARGEST_MISMATCH = 0.1
+"""[rad] Mean over the motion; tracking errors of 20 mrad do no harm."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pair:
+    """A motion and its counterpart at the same positions: row k of one belongs to row k of both."""
+
+    forward: Motion
+    backward: Motion
+
+
+def matched(forward: Motion, backward: Motion) -> Pair:
+    """Match a motion with its time-reversed counterpart.
+
+    The counterpart is read at the mirrored time, shifted by what brings the positions closest.
+
+    Raises
+    ------
+    FitError
+        If no shift brings the positions together.
+    """
+    period = float(np.median(np.diff(forward.t)))
+    count = int(_LONGEST_SHIFT / period)
+    position = make_interp_spline(backward.t, backward.q, k=1)
+    mirror = backward.t[-1] - (forward.t - forward.t[0])
+
+    def mismatch(shift: float) -> float:
+        rows = _covered(mirror + shift, backward.t)
+        if np.sum(rows) < 0.5 * len(mirror):
+            return float("inf")
+        distance = forward.q[rows] - position(mirror[rows] + shift)
+        return float(np.sqrt(np.mean(distance**2)))
+
+    shifts = period * np.arange(-count, count + 1)
+    distances = [mismatch(shift) for shift in shifts]
+    best = int(np.argmin(distances))
+    if not distances[best] <= _LARGEST_MISMATCH:
+        raise FitError(
+            f"log {backward.name}: is not the time-reversed counterpart of {forward.name}; "
+            f"positions differ by {distances[best]:.3g} rad in the mean, at most "
+            f"{_LARGEST_MISMATCH:g} rad can be matched."
+        )
+    times = mirror + shifts[best]
+    rows = _covered(times, backward.t)
+    return Pair(forward=_rows(forward, rows), backward=_at(backward, times[rows]))
+
+
+def _covered(times: Array, t: Array) -> NDArray[np.bool_]:
+    return np.asarray((times >= t[0]) & (times <= t[-1]))
+
+
+def _rows(motion: Motion, rows: NDArray[np.bool_]) -> Motion:
+    names = ("t", "q", "dq", "ddq", "tau", "q_raw")
+    return replace(motion, **{name: getattr(motion, name)[rows] for name in names})
+
+
+def _at(motion: Motion, times: Array) -> Motion:
+    """Read a motion at other times; the raw signals are read linearly."""
+
+    def read(values: Array, order: int) -> Array:
+        out: Array = make_interp_spline(motion.t, values, k=order)(times)
+        return out
+
+    return replace(
+        motion,
+        t=times,
+        q=read(motion.q, 3),
+        dq=read(motion.dq, 3),
+        ddq=read(motion.ddq, 3),
+        tau=read(motion.tau, 1),
+        q_raw=read(motion.q_raw, 1),
+    )

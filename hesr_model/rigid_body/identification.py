@@ -1,0 +1,287 @@
+"""Rigid-body parameters from logs: base parameters, least squares, forward-reverse averaging."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import (
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
+from threadpoolctl import threadpool_limits
+
+from hesr_model.errors import FitError, RobotError
+from hesr_model.logs.robot_log import RobotLog, parts_of, require_moving
+from hesr_model.logs.signals import Motion, smooth
+from hesr_model.rigid_body import physical as consistent
+from hesr_model.rigid_body.base_parameters import at_random_states, base_columns
+from hesr_model.rigid_body.least_squares import Block, solve
+from hesr_model.rigid_body.observations import averaged, friction_columns, peaks, per_joint, stacked
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support.typed_json import Numbers
+
+Array = NDArray[np.float64]
+Method = Literal["stacked", "paper"]
+Weighting = Literal["wls", "ols"]
+
+LEAST_PEAK = 0.02
+"""[rad/s, m/s] A joint that is never faster tells nothing of its inertia."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RigidBody:
+    """Identified rigid-body parameters of a robot.
+
+    Attributes
+    ----------
+    robot, joints
+        Whose parameters they are.
+    names, parameters
+        All standard parameters (P,) and rotor inertias. As a rule those outside `base` are zero;
+        not so in a physically consistent body, nor in one that carries a payload.
+    base
+        Indices of the base parameters, which carry the others linearly (eq. 6).
+    standard_errors
+        Of the base parameters, (len(base),), what the parameters outside `base` add to them
+        included, from the residual's variance. Residuals of neighbouring samples are alike, so
+        these are too small by some factor.
+    condition
+        Condition number of the weighted observation matrix, each column relative to its size
+        over random states of the robot.
+    ridge
+        Weight of the pull towards zero on that scale, relative to the largest singular value; 0
+        where the data needed none.
+    friction
+        (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] of the stacked fit: what was
+        estimated along with the parameters, not the friction model. Zero by the paper's method.
+    rmse
+        (n,) [N.m] residual of the fit over the rows it used.
+    rows
+        Samples that were offered to the fit.
+    logs
+        Names of the logs.
+    physical
+        Whether the parameters are those of bodies of positive mass density.
+    """
+
+    robot: str
+    joints: tuple[str, ...]
+    names: tuple[str, ...]
+    parameters: Numbers
+    base: tuple[int, ...]
+    standard_errors: Numbers
+    condition: float
+    ridge: float
+    friction: Numbers
+    rmse: Numbers
+    rows: int
+    logs: tuple[str, ...]
+    method: Method
+    weighting: Weighting
+    physical: bool = False
+
+    def torque(self, model: RobotModel, motion: Motion) -> Array:
+        """Rigid-body torque Y_b pi_b (eq. 6) over a motion, (N, n) [N.m].
+
+        Raises
+        ------
+        RobotError
+            If `model` is of another robot than the one identified.
+        """
+        if self.names != model.parameter_names:
+            raise RobotError(
+                f"the rigid body of '{self.robot}' with {len(self.names)} parameters does not fit "
+                f"robot '{model.description.name}', which has {len(model.parameter_names)}: "
+                "identify it with the same robot file."
+            )
+        return model.torque(self.parameters, motion.q, motion.dq, motion.ddq)
+
+    @model_serializer(mode="wrap")
+    def _by_name(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """In JSON, parameters stand under their names, some of which `base` names."""
+        data: dict[str, Any] = serialise(self)
+        names = data.pop("names")
+        data["parameters"] = dict(zip(names, data["parameters"], strict=True))
+        return data | {"base": [names[k] for k in self.base]}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_names(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        parameters = data.get("parameters", {})
+        if not isinstance(parameters, dict):
+            raise ValueError("its parameters have no names")
+        values = {"parameters": list(parameters.values())} if parameters else {}
+        return data | values | {"names": list(parameters)}
+
+    @field_validator("base", mode="before")
+    @classmethod
+    def _indices(cls, base: Any, info: ValidationInfo) -> list[int]:
+        names = info.data.get("names", ())
+        if not isinstance(base, list) or any(name not in names for name in base):
+            raise ValueError("needed are names of parameters")
+        return [names.index(name) for name in base]
+
+
+def identify(
+    logs: Sequence[RobotLog],
+    model: RobotModel,
+    *,
+    method: Method = "stacked",
+    weighting: Weighting | None = None,
+    reversed_logs: Sequence[RobotLog] = (),
+    physical: bool = False,
+) -> RigidBody:
+    """Identify the rigid-body parameters from logs; see `identify_motions`.
+
+    Raises
+    ------
+    LogError
+        If a joint moves in none of the logs, or a log is too slow or short for the low pass.
+    FitError
+        As `identify_motions`.
+    """
+    require_moving([*logs, *reversed_logs], model.description.joints)
+    cutoff = model.description.log.filter_cutoff
+    return identify_motions(
+        [smooth(log, cutoff) for log in parts_of(logs)],
+        model,
+        method=method,
+        weighting=weighting,
+        reversed_motions=[smooth(log, cutoff) for log in parts_of(reversed_logs)],
+        physical=physical,
+    )
+
+
+def identify_motions(
+    motions: Sequence[Motion],
+    model: RobotModel,
+    *,
+    method: Method = "stacked",
+    weighting: Weighting | None = None,
+    reversed_motions: Sequence[Motion] = (),
+    physical: bool = False,
+) -> RigidBody:
+    """Identify the rigid-body parameters from smooth motions.
+
+    Parameters
+    ----------
+    method
+        ``"stacked"``: one least-squares problem over all motions, forward and reversed, in which
+        every joint also has a Coulomb, a viscous and an offset coefficient; no offset where it
+        cannot be told from a weight (`observations.friction_columns`).
+        ``"paper"``: torque and regressor of each motion are averaged with those of its
+        time-reversed counterpart at the same position, where odd friction cancels (eq. 7).
+        Either drops a joint's slow rows (`observations.SLOW`).
+    weighting
+        ``"wls"`` weighs each joint by its residual's standard deviation, ``"ols"`` does not.
+        By default ``"wls"`` for the stacked method and ``"ols"`` for the paper's.
+    reversed_motions
+        Time-reversed counterparts of `motions`, in their order; needed by ``"paper"``.
+    physical
+        Whether every link must be a body of positive mass density and every rotor inertia
+        positive (`hesr_model.rigid_body.physical`). All standard parameters are then estimated,
+        weakly pulled towards the model file's: it pays on short logs and changes little on
+        long ones.
+
+    Raises
+    ------
+    FitError
+        If there are fewer samples than unknowns, if a joint hardly moves, or if the reversed
+        motions are not the counterparts of the forward ones.
+    """
+    everything = [*motions, *reversed_motions]
+    base = base_columns(model)
+    friction = friction_columns(model, base) & (method == "stacked")
+    _require_samples(everything, len(base) + int(np.sum(friction)))
+    _require_speed(everything, model)
+
+    def blocks_of(columns: tuple[int, ...]) -> list[Block]:
+        if method == "paper":
+            return averaged(motions, reversed_motions, model, columns)
+        return stacked(everything, model, columns, friction)
+
+    blocks = blocks_of(base)
+    weighting = weighting or ("ols" if method == "paper" else "wls")
+    scale = np.ones(blocks[0].matrix.shape[1])  # of friction: 1 N.m, 1 N.m.s/rad
+    scale[: len(base)] = np.sqrt(np.mean(at_random_states(model)[:, list(base)] ** 2, axis=0))
+    solution = solve(blocks, scale=scale, weighted=weighting == "wls")
+    if solution.ridge and not physical:
+        _log.warning(
+            "%s: the motion does not determine all parameters (condition number %.2g); "
+            "a ridge of %.2g of the largest singular value was used",
+            _named(everything),
+            solution.condition,
+            solution.ridge,
+        )
+    parameters = np.zeros(len(model.parameter_names))
+    parameters[list(base)] = solution.x[: len(base)]
+    body = RigidBody(
+        robot=model.description.name,
+        joints=model.description.joints,
+        names=model.parameter_names,
+        parameters=parameters,
+        base=base,
+        standard_errors=solution.standard_errors[: len(base)],
+        condition=solution.condition,
+        ridge=solution.ridge,
+        friction=per_joint(solution.x[len(base) :], friction),
+        rmse=solution.rmse,
+        rows=sum(len(motion.t) for motion in everything),
+        logs=tuple(dict.fromkeys(motion.name for motion in everything)),
+        method=method,
+        weighting=weighting,
+    )
+    if not physical:
+        return body
+    return _consistent(body, blocks_of(tuple(range(len(body.names)))), model, friction)
+
+
+def _consistent(
+    body: RigidBody, blocks: Sequence[Block], model: RobotModel, friction: NDArray[np.bool_]
+) -> RigidBody:
+    """Replace an estimate by the physically consistent one from the same rows."""
+    with threadpool_limits(1):
+        found = consistent.fit(
+            blocks, model, body.base, rmse=body.rmse, weighted=body.weighting == "wls"
+        )
+    return replace(
+        body,
+        parameters=found.parameters,
+        standard_errors=found.standard_errors,
+        ridge=0.0,
+        friction=per_joint(found.friction, friction),
+        rmse=found.rmse,
+        physical=True,
+    )
+
+
+def _named(motions: Sequence[Motion]) -> str:
+    return "log " + ", ".join(motion.name for motion in motions)
+
+
+def _require_samples(motions: Sequence[Motion], unknowns: int) -> None:
+    rows = sum(len(motion.t) for motion in motions)
+    if rows < unknowns:
+        raise FitError(
+            f"{_named(motions)}: {rows} samples cannot determine {unknowns} parameters; "
+            "longer logs are needed."
+        )
+
+
+def _require_speed(motions: Sequence[Motion], model: RobotModel) -> None:
+    for joint, peak in zip(model.description.joints, peaks(motions), strict=True):
+        if not peak > LEAST_PEAK:
+            raise FitError(
+                f"{_named(motions)}: joint '{joint}' is never faster than {peak:.2g} rad/s; "
+                f"a peak of more than {LEAST_PEAK:g} rad/s is needed in at least one log."
+            )

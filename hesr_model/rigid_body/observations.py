@@ -1,0 +1,136 @@
+"""Rows of the least-squares problem of identification, joint by joint."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.errors import FitError
+from hesr_model.logs.signals import Motion
+from hesr_model.rigid_body.base_parameters import offsets_apart
+from hesr_model.rigid_body.forward_reverse import matched
+from hesr_model.rigid_body.least_squares import Block
+from hesr_model.robots.robot import RobotModel
+
+Array = NDArray[np.float64]
+
+SLOW = 0.1
+"""[rad/s, m/s] Slower rows of a joint are dropped: friction there is no function of velocity."""
+
+SLOW_SHARE = 0.25
+"""Of a joint's peak speed: for joints that hardly pass `SLOW`, such as a lift, less is slow."""
+
+
+def peaks(motions: Sequence[Motion]) -> Array:
+    """Highest speed of each joint in any of the motions, (n,) [rad/s]."""
+    fastest: Array = np.max([np.max(np.abs(motion.dq), axis=0) for motion in motions], axis=0)
+    return fastest
+
+
+def slow_speeds(motions: Sequence[Motion]) -> Array:
+    """Speed (n,) [rad/s] below which a joint's rows are dropped."""
+    return np.minimum(SLOW, SLOW_SHARE * peaks(motions))
+
+
+def friction_columns(model: RobotModel, base: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Which of Coulomb, viscous and offset of each joint stand beside the base columns, (n, 3).
+
+    All but offsets [N.m] that are one number with a weight (`base_parameters.offsets_apart`).
+    """
+    columns = np.ones((model.n, 3), dtype=bool)
+    columns[:, 2] = offsets_apart(model, base)
+    return columns
+
+
+def per_joint(found: Array, friction: NDArray[np.bool_]) -> Array:
+    """Return coefficients of friction by joint, (n, 3), zero where there are no columns.
+
+    Parameters
+    ----------
+    found
+        (columns,) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m], of the columns there are.
+    friction
+        (n, 3) which those are.
+    """
+    coefficients = np.zeros(friction.shape)
+    coefficients[friction] = found
+    return coefficients
+
+
+def stacked(
+    motions: Sequence[Motion],
+    model: RobotModel,
+    base: tuple[int, ...],
+    friction: NDArray[np.bool_],
+) -> list[Block]:
+    """One block per joint: base columns, then those of friction.
+
+    Parameters
+    ----------
+    base
+        Columns of the regressor.
+    friction
+        (n, 3) which of Coulomb, viscous and offset each joint has; see `friction_columns`.
+    """
+    n = model.n
+    q, dq, ddq, tau = (
+        np.concatenate([getattr(motion, name) for motion in motions])
+        for name in ("q", "dq", "ddq", "tau")
+    )
+    rigid = model.regressor(q, dq, ddq)[:, :, list(base)]
+    slow = slow_speeds(motions)
+    blocks = []
+    for joint in range(n):
+        rows = np.abs(dq[:, joint]) > slow[joint]
+        speed = dq[rows, joint]
+        rubbing = np.zeros((len(speed), n, 3))
+        rubbing[:, joint] = np.column_stack([np.sign(speed), speed, np.ones_like(speed)])
+        matrix = np.hstack([rigid[rows, joint], rubbing[:, friction]])
+        blocks.append(Block(matrix=matrix, target=tau[rows, joint]))
+    return blocks
+
+
+def averaged(
+    motions: Sequence[Motion],
+    counterparts: Sequence[Motion],
+    model: RobotModel,
+    base: tuple[int, ...],
+) -> list[Block]:
+    """One block per joint: means of forward and reversed rows, where velocities are opposite.
+
+    Raises
+    ------
+    FitError
+        If the logs are not counterparts of each other.
+    """
+    if not motions or len(motions) != len(counterparts):
+        raise FitError(
+            f"{len(motions)} logs come with {len(counterparts)} time-reversed ones; "
+            "the paper's method needs one for each."
+        )
+    pairs = [matched(*pair) for pair in zip(motions, counterparts, strict=True)]
+    columns = list(base)
+    matrices = [
+        0.5 * (_regressor(model, pair.forward) + _regressor(model, pair.backward))[:, :, columns]
+        for pair in pairs
+    ]
+    matrix = np.concatenate(matrices)
+    target = np.concatenate([0.5 * (pair.forward.tau + pair.backward.tau) for pair in pairs])
+    forward = np.concatenate([pair.forward.dq for pair in pairs])
+    backward = np.concatenate([pair.backward.dq for pair in pairs])
+    slow = slow_speeds([*motions, *counterparts])
+    kept = (np.minimum(np.abs(forward), np.abs(backward)) > slow) & (forward * backward < 0)
+    for joint, rows in zip(model.description.joints, kept.T, strict=True):
+        if not np.any(rows):
+            raise FitError(
+                f"log {', '.join(motion.name for motion in motions)}: joint '{joint}' never moves "
+                "against its time-reversed counterpart; both logs must move it."
+            )
+    return [
+        Block(matrix=matrix[kept[:, joint], joint], target=target[kept[:, joint], joint])
+        for joint in range(model.n)
+    ]
+
+
+def _regressor(model: RobotModel, motion: Motion) -> Array:
+    return model.regressor(motion.q, motion.dq, motion.ddq)

@@ -1,0 +1,61 @@
+"""Rigid body and friction in turn: what a better friction law says about the rigid body.
+
+The identification's own friction columns (Coulomb, viscous, offset) are a coarse law. Once a better
+one is fitted, its torque is subtracted from the logs and the rigid body is identified again.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hesr_model.errors import ArtifactError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.records import predict_record
+from hesr_model.logs.robot_log import RobotLog, parts_of
+from hesr_model.rigid_body.identification import RigidBody, identify
+from hesr_model.rigid_body.residual import friction_records
+from hesr_model.robots.robot import RobotModel
+
+
+def identify_again(
+    logs: Sequence[RobotLog],
+    model: RobotModel,
+    rigid_body: RigidBody,
+    friction: FrictionModel,
+    *,
+    reversed_logs: Sequence[RobotLog] = (),
+) -> RigidBody:
+    """Identify the rigid body from what a friction model leaves of the measured torque.
+
+    Parameters
+    ----------
+    logs, reversed_logs : as for `identify`.
+    model : of the robot.
+    rigid_body : the one with which `friction` was fitted; it gives the load torque.
+    friction : law of every joint.
+
+    Raises
+    ------
+    ArtifactError
+        If `friction` is not of these joints.
+    HesrError
+        As `identify` and `friction_records`.
+    """
+    joints = tuple(model.description.joints)
+    if friction.joints != joints:
+        raise ArtifactError(
+            f"friction model '{friction.law}' is for the joints {', '.join(friction.joints)}; the "
+            f"robot has {', '.join(joints)}."
+        )
+
+    def without_friction(log: RobotLog) -> RobotLog:
+        records = friction_records(log, model, rigid_body)
+        predicted = [predict_record(law, r) for law, r in zip(friction.laws, records, strict=True)]
+        return replace(log, tau=log.tau - np.column_stack(predicted))
+
+    return identify(
+        [without_friction(log) for log in parts_of(logs)],
+        model,
+        reversed_logs=[without_friction(log) for log in parts_of(reversed_logs)],
+    )

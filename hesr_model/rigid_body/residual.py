@@ -1,0 +1,100 @@
+"""The friction residual: what is left of the measured torque without the rigid body (eq. 8)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.errors import LogError
+from hesr_model.logs.phases import MOVING, reversals
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import smooth
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import RobotModel
+from hesr_model.units import unit_of_joint
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrictionRecord:
+    """Friction of one joint in one log, on the log's own rows.
+
+    Attributes
+    ----------
+    log, joint
+        Names.
+    t
+        (N,) [s].
+    dq
+        (N,) [rad/s], smoothed.
+    q
+        (N,) [rad], raw.
+    tau_load
+        (N,) [N.m], rigid-body torque.
+    tau
+        (N,) [N.m], friction: measured torque less rigid-body torque (eq. 8), not smoothed.
+    gear_ratio
+        Turns of the motor per turn of the joint, where the robot file gives it.
+    sliding
+        Whether the joint slides, so that positions are in m and torques are forces in N.
+    """
+
+    log: str
+    joint: str
+    t: Array
+    dq: Array
+    q: Array
+    tau_load: Array
+    tau: Array
+    gear_ratio: float | None = None
+    sliding: bool = False
+
+
+def friction_records(
+    log: RobotLog, model: RobotModel, rigid_body: RigidBody
+) -> list[FrictionRecord]:
+    """Decouple friction from a log, joint by joint (eq. 8).
+
+    Raises
+    ------
+    LogError
+        If the log is too slow or too short for the low pass.
+    RobotError
+        If `rigid_body` belongs to another robot.
+    """
+    motion = smooth(log, model.description.log.filter_cutoff)
+    load = rigid_body.torque(model, motion)
+    ratios = model.description.gear_ratio or (None,) * model.n
+    return [
+        FrictionRecord(
+            log=log.name,
+            joint=joint,
+            t=motion.t,
+            dq=np.ascontiguousarray(motion.dq[:, k]),
+            q=np.ascontiguousarray(motion.q_raw[:, k]),
+            tau_load=np.ascontiguousarray(load[:, k]),
+            tau=motion.tau[:, k] - load[:, k],
+            gear_ratio=ratios[k],
+            sliding=model.tree[k].prismatic,
+        )
+        for k, joint in enumerate(model.description.joints)
+    ]
+
+
+def require_reversals(records: Sequence[FrictionRecord]) -> None:
+    """Check that the velocity of one joint reverses in at least one of its records.
+
+    Raises
+    ------
+    LogError
+        Naming the joint and the logs.
+    """
+    if not any(len(reversals(record.dq)) for record in records):
+        unit = unit_of_joint("rad/s", slides=records[0].sliding)
+        raise LogError(
+            f"log {', '.join(record.log for record in records)}: the velocity of joint "
+            f"'{records[0].joint}' never reverses between speeds of more than {MOVING:g} {unit}; "
+            "at least one log must reverse it."
+        )

@@ -1,0 +1,163 @@
+"""Model files of robots, URDF or MJCF: parsed by Pinocchio, and what kinds of joints they have."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.errors import RobotError
+
+Array = NDArray[np.float64]
+
+_DEGREES = 180.0 / np.pi
+
+
+def load(path: Path, *, mimic: bool = False) -> Any:
+    """Parse a URDF, or an MJCF where the suffix is ``.xml``; meshes are not looked for.
+
+    Parameters
+    ----------
+    mimic
+        Whether a URDF's joints that follow others are to be told from those that are driven.
+
+    Raises
+    ------
+    RobotError
+        If the file is missing, cannot be parsed, or includes others, which would be left out.
+    """
+    import pinocchio  # here, so that reading a description stays quick
+
+    if not path.is_file():
+        raise RobotError(f"{path}: no such model file.")
+    is_mjcf = path.suffix.lower() == ".xml"
+    try:
+        if is_mjcf:
+            return _with_lengths(pinocchio.buildModelFromMJCF(str(path)), _mjcf(path))
+        return pinocchio.buildModelFromUrdf(str(path), mimic=mimic)
+    except RobotError:
+        raise
+    except Exception as error:  # Pinocchio raises of many kinds for a broken file
+        kind = "an MJCF" if is_mjcf else "a URDF"
+        reason = " ".join(str(error).split()).rstrip(".")
+        raise RobotError(f"{path}: cannot be parsed as {kind} ({reason}).") from error
+
+
+def _mjcf(path: Path) -> ElementTree.Element:
+    root = ElementTree.parse(path).getroot()
+    if (include := root.find(".//include")) is not None:
+        raise RobotError(
+            f"{path}: includes '{include.get('file')}', and included files are not read; write the "
+            "model as one file, as MuJoCo's mj_saveLastXML does."
+        )
+    return root
+
+
+def _with_lengths(model: Any, mjcf: ElementTree.Element) -> Any:
+    """Give sliding joints the range that their MJCF says, in metres.
+
+    Pinocchio takes it for degrees, as the ranges of joints that turn are by default.
+    """
+    angles = [compiler.get("angle") for compiler in mjcf.iter("compiler")]
+    if "radian" not in angles:
+        for joint in list(model.joints)[1:]:
+            if _slides(joint):
+                model.lowerPositionLimit[joint.idx_q] *= _DEGREES
+                model.upperPositionLimit[joint.idx_q] *= _DEGREES
+    return model
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelJoint:
+    """A joint of a model file.
+
+    Attributes
+    ----------
+    freedom
+        Degrees of freedom; 0 for one that follows another (`mimic` in a URDF).
+    slides
+        Whether it slides instead of turning.
+    """
+
+    name: str
+    freedom: int
+    slides: bool
+
+
+def joints_of(path: Path) -> tuple[ModelJoint, ...]:
+    """List the joints of a model file that move, from base to tip; fixed ones are left out.
+
+    Raises
+    ------
+    RobotError
+        As `load`.
+    """
+    model = load(path, mimic=True)
+    return tuple(
+        ModelJoint(name=name, freedom=joint.nv, slides=_slides(joint))
+        for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
+    )
+
+
+def _slides(joint: Any) -> bool:
+    # Pinocchio's names: PX, PY, PZ, PrismaticUnaligned; planar joints have more freedom.
+    return joint.nv == 1 and str(joint.shortname()).startswith("JointModelP")
+
+
+def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, ...]:
+    """Return the joints of a model file that a robot can be described by, or some of them.
+
+    Raises
+    ------
+    RobotError
+        If a wanted joint is not in the file, follows another or has several degrees of freedom;
+        if there is none to be used.
+    """
+    joints = {joint.name: joint for joint in joints_of(path)}
+    for name in wanted:
+        if name not in joints:
+            raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(joints)}.")
+        if joints[name].freedom == 0:
+            raise RobotError(
+                f"{path}: joint '{name}' follows another (mimic); only driven joints can be used."
+            )
+        if joints[name].freedom > 1:
+            raise _many_axes(name, joints[name].freedom, path)
+    found = tuple(j for j in joints.values() if (j.name in wanted if wanted else j.freedom == 1))
+    if not found:
+        raise RobotError(f"{path}: has no revolute or prismatic joint; at least one is needed.")
+    return found
+
+
+def require_one_axis(joint: Any, name: str, path: Path) -> None:
+    """Check that a joint of a parsed model has one degree of freedom."""
+    if joint.nv != 1:
+        raise _many_axes(name, joint.nv, path)
+
+
+def _many_axes(name: str, freedom: int, path: Path) -> RobotError:
+    return RobotError(
+        f"{path}: joint '{name}' has {freedom} degrees of freedom; "
+        "only revolute and prismatic joints can be used."
+    )
+
+
+def set_joint(joint: Any, states: Array, position: Array) -> None:
+    """Write a position [rad or m] of a joint of a parsed model into `states`, (nq,) or (nq, N)."""
+    if joint.nq == 1:
+        states[joint.idx_q] = position
+    else:
+        states[joint.idx_q], states[joint.idx_q + 1] = np.cos(position), np.sin(position)
+
+
+def motion_subspace(joint: Any, state: Array) -> Array:
+    """Motion subspace (6,) of a joint of a parsed model at a state (nq,), without unit.
+
+    Linear part, then angular part.
+    """
+    data = joint.createData()
+    joint.calc(data, state)
+    return np.asarray(data.S, dtype=float).ravel()

@@ -1,0 +1,295 @@
+"""The robot: a TOML description and the rigid-body model (URDF or MJCF) behind it."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from hesr_model.errors import RobotError
+from hesr_model.logs.log_format import LogFormat
+from hesr_model.robots.model_file import load, motion_subspace, require_one_axis, set_joint
+from hesr_model.support.config import Config, PrintableName, RelativePath, read_toml
+
+Array = NDArray[np.float64]
+
+LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+"""Of one link: mass, first moments, and inertia about the origin of the link's joint frame."""
+
+_ROWS_AT_ONCE = 4096
+
+
+class RobotDescription(Config):
+    """A robot: its model file, the joints that move, and the format of its logs.
+
+    Attributes
+    ----------
+    model
+        URDF, or MJCF where the suffix is ``.xml``.
+    joints
+        Joints that are identified, from base to tip, in the order of the log's columns.
+    locked
+        Positions [rad or m] of joints that do not move; those not named are at neutral.
+    gravity
+        In the base frame [m/s2].
+    rotor_inertia
+        Whether a rotor inertia per joint, reflected through its gear, is a parameter.
+    gear_ratio
+        Turns of the motor per turn of each joint, where known: laws with motor ripple need it.
+    """
+
+    name: PrintableName
+    model: RelativePath
+    joints: tuple[PrintableName, ...] = Field(min_length=1)
+    locked: dict[str, float] = Field(default_factory=dict)
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    rotor_inertia: bool = True
+    gear_ratio: tuple[Annotated[float, Field(gt=0)], ...] | None = None
+    log: LogFormat = LogFormat()
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a robot file.
+
+        Raises
+        ------
+        ConfigError
+            For a key that is unknown, missing or out of its range.
+        RobotError
+            For a list that has not one entry per joint.
+        """
+        description = read_toml(path, cls)
+        try:
+            description.require_one_per_joint()
+        except RobotError as error:
+            raise RobotError(f"{path}: {error}") from error
+        return description
+
+    def require_one_per_joint(self) -> None:
+        """Check that the gains and every list of columns or units have one entry per joint.
+
+        Raises
+        ------
+        RobotError
+            Naming the key, the entries found and the entries needed.
+        """
+        lists = {
+            "gear_ratio": self.gear_ratio,
+            "log.torque_per_ampere": self.log.torque_per_ampere,
+            "log.zero": self.log.zero,
+            "log.bag.joints": self.log.bag.joints,
+            **{f"log.columns.{key}": entries for key, entries in self.log.columns},
+            **{f"log.units.{key}": entries for key, entries in self.log.units},
+        }
+        for key, entries in lists.items():
+            if isinstance(entries, tuple) and len(entries) != len(self.joints):
+                raise RobotError(
+                    f"key '{key}' of robot '{self.name}' has {len(entries)} entries; "
+                    f"its {len(self.joints)} joints need one each."
+                )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointFrame:
+    """Where a joint sits: what a recursion over the kinematic tree needs to know.
+
+    Attributes
+    ----------
+    parent
+        Index of the parent joint, -1 for the base.
+    rotation, translation
+        Pose (3, 3), (3,) [m] of the joint's frame at zero position in the parent's frame.
+    axis
+        Unit vector (3,) in the joint's own frame.
+    prismatic
+        Whether the joint slides along `axis` instead of turning about it.
+    """
+
+    name: str
+    parent: int
+    rotation: Array
+    translation: Array
+    axis: Array
+    prismatic: bool
+
+
+class RobotModel:
+    """Rigid-body dynamics of a described robot, linear in its parameters (eq. 5).
+
+    tau = Y(q, dq, ddq) pi, with ten standard parameters per link (`LINK_PARAMETERS`) and, where
+    the description says so, one rotor inertia per joint, whose column of Y is ddq of the joint.
+
+    Raises
+    ------
+    RobotError
+        If the model file is missing or cannot be parsed, if a joint is not in it, is of a kind
+        with more than one degree of freedom, or is listed out of order, or is logged in units of
+        another kind.
+    """
+
+    def __init__(self, description: RobotDescription) -> None:
+        import pinocchio  # here, so that reading a description stays quick
+
+        description.require_one_per_joint()
+        self.description = description
+        self._pin: Any = pinocchio
+        self._model: Any = self._reduced(load(description.model))
+        self._data: Any = self._model.createData()
+        self.rotor_nominal: Array = np.array(self._model.armature, dtype=float)
+        """Rotor inertias (n,) [kg.m2] that the model file gives (`armature` of an MJCF)."""
+        # The rotor columns carry what a model file says about rotors.
+        self._model.armature = np.zeros(self.n)
+        self._model.gravity.linear = np.array(description.gravity)
+        slides = [joint.prismatic for joint in self.tree]
+        description.log.units.require_fitting(description.joints, slides)
+
+    def _reduced(self, model: Any) -> Any:
+        """Lock every joint that the description does not list."""
+        wanted, path = self.description.joints, self.description.model
+        known = list(model.names)[1:]
+        for name in (*wanted, *self.description.locked):
+            if name not in known:
+                raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(known)}.")
+        if both := [name for name in wanted if name in self.description.locked]:
+            raise RobotError(
+                f"{path}: joint '{both[0]}' stands in both 'joints' and 'locked'; it can do one."
+            )
+        if [name for name in known if name in wanted] != list(wanted):
+            raise RobotError(
+                f"{path}: the joints {', '.join(wanted)} must be listed once each, "
+                f"in the order of the model, {', '.join(known)}."
+            )
+        neutral = self._pin.neutral(model)
+        for name, value in self.description.locked.items():
+            joint = model.joints[model.getJointId(name)]
+            require_one_axis(joint, name, path)
+            set_joint(joint, neutral, np.array(value))
+        others = [model.getJointId(name) for name in known if name not in wanted]
+        reduced = self._pin.buildReducedModel(model, others, neutral)
+        for joint, name in zip(list(reduced.joints)[1:], wanted, strict=True):
+            require_one_axis(joint, name, path)
+        return reduced
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.description.joints)
+
+    @cached_property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of all columns of the regressor: link by link, then the rotors."""
+        joints = self.description.joints
+        links = tuple(f"{joint}.{name}" for joint in joints for name in LINK_PARAMETERS)
+        rotors = tuple(f"{joint}.Ir" for joint in joints)
+        return links + rotors if self.description.rotor_inertia else links
+
+    @cached_property
+    def nominal_parameters(self) -> Array:
+        """Parameters (10n [+n],) that the model file gives, in the order of the names."""
+        links = [np.asarray(body.toDynamicParameters()) for body in list(self._model.inertias)[1:]]
+        rotors = [self.rotor_nominal] if self.description.rotor_inertia else []
+        return np.concatenate([*links, *rotors])
+
+    @cached_property
+    def limits(self) -> tuple[Array, Array, Array]:
+        """Lowest and highest position [rad or m] and highest speed, (n,) each.
+
+        A joint without limits gets one turn (or one metre) either way, and 2 rad/s (or m/s).
+        """
+        lower, upper, speed = np.full(self.n, -np.pi), np.full(self.n, np.pi), np.full(self.n, 2.0)
+        for k, joint in enumerate(list(self._model.joints)[1:]):
+            low = self._model.lowerPositionLimit[joint.idx_q]
+            high = self._model.upperPositionLimit[joint.idx_q]
+            if joint.nq == 1 and np.isfinite(low) and np.isfinite(high) and low < high:
+                lower[k], upper[k] = low, high
+            fastest = self._model.velocityLimit[joint.idx_v]
+            if np.isfinite(fastest) and fastest > 0:
+                speed[k] = fastest
+        return lower, upper, speed
+
+    @property
+    def torque_limits(self) -> Array:
+        """Largest torques (n,) [N.m or N] that the model file gives; 0 where it gives none."""
+        return np.array(self._model.effortLimit, dtype=float)
+
+    @cached_property
+    def tree(self) -> tuple[JointFrame, ...]:
+        """The joints' places in the kinematic tree, from base to tip."""
+        frames = []
+        for k, name in enumerate(self.description.joints, start=1):
+            placement = self._model.jointPlacements[k]
+            subspace = motion_subspace(self._model.joints[k], self._pin.neutral(self._model))
+            prismatic = bool(np.any(subspace[:3]))
+            frames.append(
+                JointFrame(
+                    name=name,
+                    parent=int(self._model.parents[k]) - 1,
+                    rotation=np.array(placement.rotation),
+                    translation=np.array(placement.translation),
+                    axis=subspace[:3] if prismatic else subspace[3:],
+                    prismatic=prismatic,
+                )
+            )
+        return tuple(frames)
+
+    def regressor(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """Regressor Y of eq. 5 at every sample.
+
+        Parameters
+        ----------
+        q, dq, ddq
+            (N, n) [rad, rad/s, rad/s2; m, m/s, m/s2 for prismatic joints].
+
+        Returns
+        -------
+        ndarray
+            (N, n, P), P = len(parameter_names).
+        """
+        states = self._configurations(q)
+        out = np.zeros((len(q), self.n, len(self.parameter_names)))
+        links = 10 * self.n
+        for k, state in enumerate(states):
+            out[k, :, :links] = self._pin.computeJointTorqueRegressor(
+                self._model, self._data, state, dq[k], ddq[k]
+            )
+        if self.description.rotor_inertia:
+            joints = np.arange(self.n)
+            out[:, joints, links + joints] = ddq
+        return out
+
+    def torque(self, parameters: Array, q: Array, dq: Array, ddq: Array) -> Array:
+        """Rigid-body torque Y pi, (N, n) [N.m; N for prismatic joints], of any parameters.
+
+        Parameters are (P,), motions q, dq, ddq are (N, n) as in `regressor`. With dq = ddq = 0 this
+        is the gravity torque. The recursive algorithms of the library would divide by the masses,
+        which identified parameters leave at zero.
+        """
+        parts = [np.empty((0, self.n))]
+        for start in range(0, len(q), _ROWS_AT_ONCE):
+            rows = slice(start, start + _ROWS_AT_ONCE)
+            parts.append(self.regressor(q[rows], dq[rows], ddq[rows]) @ parameters)
+        return np.concatenate(parts)
+
+    @contextmanager
+    def under_gravity(self) -> Iterator[Callable[[Sequence[float]], None]]:
+        """Yield what sets another gravity [m/s2]; the robot file's comes back at the end."""
+
+        def set_gravity(gravity: Sequence[float]) -> None:
+            self._model.gravity.linear = np.array(gravity, dtype=float)
+
+        try:
+            yield set_gravity
+        finally:
+            set_gravity(self.description.gravity)
+
+    def _configurations(self, q: Array) -> Array:
+        """Joint positions in the library's coordinates, where an unlimited joint takes two."""
+        states = np.zeros((len(q), self._model.nq))
+        for k, joint in enumerate(list(self._model.joints)[1:]):
+            set_joint(joint, states.T, q[:, k])
+        return states

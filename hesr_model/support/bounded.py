@@ -1,0 +1,102 @@
+"""Text of a file that anybody may have written: bounded before it becomes data."""
+
+import json
+import os
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+Data = TypeVar("Data")
+
+MOST_BYTES = 256 * 2**20
+"""Of a file of text. Results of the largest networks on the longest logs take a tenth of it."""
+
+_MOST_DIGITS = 300
+"""Of an integer: longer ones are no floating-point number (1.8e308 at most)."""
+
+_DEEPEST_KEY = 100  # dots in it
+
+_LONGEST_NAME = 1000
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file in UTF-8.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    ValueError
+        If it is not UTF-8, or longer than any file of ours.
+    """
+    with path.open("rb") as file:
+        too_long = os.fstat(file.fileno()).st_size > MOST_BYTES
+        content = b"" if too_long else file.read(MOST_BYTES + 1)
+    if too_long or len(content) > MOST_BYTES:  # a device does not say how much it gives
+        raise ValueError(f"it is longer than {MOST_BYTES // 2**20} MB")
+    return content.decode("utf-8")
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return the data of a JSON text.
+
+    Raises
+    ------
+    ValueError
+        If it is not JSON, is nested too deeply, or holds an integer that no number can be.
+    """
+    return _shallow(lambda: json.loads(text, parse_int=_integer))
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the data of a TOML text.
+
+    Raises
+    ------
+    ValueError
+        If it is not TOML, is nested too deeply, or holds an integer that no number can be.
+    """
+    for line in text.splitlines():
+        # Tables in tables take time that grows with the square of their depth.
+        if line.partition("=")[0].count(".") > _DEEPEST_KEY and not line.lstrip().startswith("#"):
+            raise ValueError("it is nested too deeply")
+    data = _shallow(lambda: tomllib.loads(text))
+    _shallow(lambda: _require_numbers(data))
+    return data
+
+
+def _shallow(read: Callable[[], Data]) -> Data:
+    try:
+        return read()
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+
+
+def _integer(digits: str) -> int:
+    if len(digits) > _MOST_DIGITS:
+        raise ValueError(f"it holds an integer of {len(digits)} digits")
+    return int(digits)
+
+
+def _require_numbers(data: Any) -> None:
+    if isinstance(data, dict | list):
+        for value in data.values() if isinstance(data, dict) else data:
+            _require_numbers(value)
+    elif isinstance(data, int) and abs(data) > 10**_MOST_DIGITS:
+        raise ValueError(f"it holds an integer of more than {_MOST_DIGITS} digits")
+
+
+def require_printable(name: str) -> str:
+    """Return a name that can stand in every file that is made, XML and C included.
+
+    Raises
+    ------
+    ValueError
+        If it is empty, longer than `_LONGEST_NAME`, or holds a character that cannot be printed.
+    """
+    if not name or len(name) > _LONGEST_NAME:
+        raise ValueError(f"a name has {len(name)} characters; it can have 1 to {_LONGEST_NAME}")
+    if odd := next((c for c in name if not c.isprintable()), None):
+        raise ValueError(f"the name {name!a} holds {odd!a}, which cannot be printed")
+    return name

@@ -1,0 +1,138 @@
+"""What takes long to make and depends on nothing but its inputs, kept for the next time.
+
+Entries are found by a hash of all that they are made from, hold a hash of their own content, and
+appear whole or not at all. Whoever deletes the folder loses time and nothing else.
+"""
+
+import hashlib
+import os
+import stat
+import tempfile
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from pathlib import Path
+
+from filelock import FileLock
+
+LIMIT = 256 * 1024 * 1024  # bytes of one kind of entries; some thousand FMUs
+_DIGEST = hashlib.sha256().digest_size
+
+
+def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) -> bytes:
+    """Return what `make` makes of the inputs, made once for all processes of a user.
+
+    Of several that ask at once one makes it, the others wait. An entry that is damaged is made
+    again; where nothing can be kept (a full disk, say) it is made every time.
+
+    Parameters
+    ----------
+    kind : the folder of such entries.
+    inputs : everything on which the result depends, in a fixed order.
+    make : makes it; what it raises is raised here, and nothing is kept.
+    """
+    key = hashlib.sha256()
+    for part in inputs:
+        data = part.encode() if isinstance(part, str) else part
+        key.update(len(data).to_bytes(8, "little") + data)
+    name = key.hexdigest()
+    # The lock files stay, so there is one for many entries.
+    shelf = folder() / kind / name[:2]
+    lock = FileLock(shelf / "lock")
+    try:
+        shelf.mkdir(parents=True, exist_ok=True)
+        found = _read(shelf / name)
+        if found is None:
+            lock.acquire()
+    except OSError:
+        return make()
+    if found is not None:
+        return found
+    try:
+        found = _read(shelf / name)  # by somebody who held the lock
+        if found is None:
+            found = make()
+            with suppress(OSError):
+                _write(shelf / name, found)
+                _prune(shelf.parent)
+    finally:
+        lock.release()
+    return found
+
+
+def folder() -> Path:
+    """Return a folder for entries that can be written: the user's own, else a private one.
+
+    That is `hesr` in XDG_CACHE_HOME, else in .cache of HOME, else, where there is no HOME or it
+    cannot be written as in many containers, in the folder of temporary files.
+    """
+    named = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    home = Path(os.environ.get("HOME", ""))
+    places = []
+    if named.is_absolute():
+        places.append(named)
+    if home.is_absolute() and home.is_dir():
+        places.append(home / ".cache")
+    for place in places:
+        with suppress(OSError):
+            (place / "hesr").mkdir(mode=0o700, parents=True, exist_ok=True)
+            if os.access(place / "hesr", os.W_OK | os.X_OK):
+                return place / "hesr"
+    return _temporary()
+
+
+def _temporary() -> Path:
+    """Return a folder beside the temporary files that nobody else can have put there."""
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    path = Path(tempfile.gettempdir(), f"hesr-cache-{user}")
+    with suppress(OSError):
+        path.mkdir(mode=0o700, exist_ok=True)
+        found = path.lstat()
+        own = not hasattr(os, "getuid") or (
+            found.st_uid == user and not stat.S_IMODE(found.st_mode) & 0o077
+        )
+        if stat.S_ISDIR(found.st_mode) and own:
+            return path
+    return Path(tempfile.mkdtemp(prefix="hesr-cache-"))
+
+
+def _read(entry: Path) -> bytes | None:
+    """Return the content of an entry, or None where there is none that is whole."""
+    try:
+        data = entry.read_bytes()
+    except OSError:
+        return None
+    content = data[_DIGEST:]
+    if data[:_DIGEST] != _digest(entry, content):
+        return None
+    with suppress(OSError):
+        os.utime(entry)  # those that are not used go first
+    return content
+
+
+def _write(entry: Path, content: bytes) -> None:
+    handle, name = tempfile.mkstemp(dir=entry.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(_digest(entry, content) + content)
+        Path(name).replace(entry)
+    finally:
+        Path(name).unlink(missing_ok=True)
+
+
+def _digest(entry: Path, content: bytes) -> bytes:
+    return hashlib.sha256(entry.name.encode() + content).digest()
+
+
+def _prune(kind: Path) -> None:
+    """Remove the entries that have not been used for longest, if there are too many bytes."""
+    files = []
+    for file in kind.glob("*/*"):
+        with suppress(FileNotFoundError):
+            files.append((file.stat(), file))
+    total = sum(found.st_size for found, _ in files)
+    for found, file in sorted(files, key=lambda pair: pair[0].st_mtime):
+        if total <= LIMIT:
+            break
+        if file.name != "lock":
+            file.unlink(missing_ok=True)
+            total -= found.st_size

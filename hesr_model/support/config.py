@@ -1,0 +1,125 @@
+"""Configuration from TOML, validated, with unknown keys refused."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, ValidationInfo
+
+from hesr_model.errors import ConfigError
+from hesr_model.support.bounded import parse_toml, read_text, require_printable
+
+_MOST_SHOWN = 200  # characters of a value that is wrong
+
+
+class Config(BaseModel):
+    """Base of every schema: immutable, unknown keys refused, infinities and NaN refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read and validate a TOML file.
+
+        Raises
+        ------
+        ConfigError
+            Naming the file, the key, what was found and what is needed.
+        """
+        return read_toml(path, cls)
+
+
+def _beside_the_toml(path: Path, info: ValidationInfo) -> Path:
+    folder: Path = (info.context or {}).get("folder", Path())
+    return (folder / path).resolve()
+
+
+RelativePath = Annotated[Path, AfterValidator(_beside_the_toml)]
+"""A path that is relative to the TOML file in which it stands."""
+
+PrintableName = Annotated[str, AfterValidator(require_printable)]
+"""A name without control characters, which cannot stand in an FMU's description."""
+
+Schema = TypeVar("Schema", bound=Config)
+
+
+def read_toml(path: Path, schema: type[Schema]) -> Schema:
+    """Read and validate a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file, the key, what was found and what is allowed there.
+    """
+    try:
+        text = read_text(path)
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path}: no such file.") from error
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error}).") from error
+    try:
+        data = parse_toml(text)
+    except ValueError as error:
+        raise ConfigError(f"{path}: not valid TOML ({error}).") from error
+    return validated(path, schema, data)
+
+
+def validated(path: Path, schema: type[Schema], data: Any) -> Schema:
+    """Validate what has been read from a file.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file, the key, what was found and what is allowed there.
+    """
+    try:
+        return schema.model_validate(data, context={"folder": path.parent})
+    except ValidationError as error:
+        raise ConfigError(_sentence(path, schema, error)) from error
+    except RecursionError as error:
+        raise ConfigError(f"{path}: it is nested too deeply.") from error
+
+
+def _sentence(path: Path, schema: type[BaseModel], error: ValidationError) -> str:
+    """Say one problem in one sentence: an unknown key first, since others may follow from it."""
+    problems = error.errors()
+    first = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        holder = _holder(schema, first["loc"])
+        known = ", ".join(sorted(holder.model_fields)) if holder else "none"
+        return f"{path}: unknown key '{key}'; allowed here: {known}."
+    if first["type"] == "missing":
+        return f"{path}: key '{key}' is missing."
+    reason = first["msg"].removeprefix("Value error, ")
+    if isinstance(first["input"], dict):  # a rule of a whole table, too long to be shown
+        where = f"table '{key}': " if key else ""
+        return f"{path}: {where}{reason}."
+    return f"{path}: key '{key}' is {_shown(first['input'])}: {reason}."
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."
+
+
+def _holder(schema: type[BaseModel], location: tuple[Any, ...]) -> type[BaseModel] | None:
+    """Return the schema of the table in which the last part of `location` stands."""
+    holders = [schema]
+    for part in location[:-1]:
+        fields = [h.model_fields[part] for h in holders if part in h.model_fields]
+        if fields:
+            holders = [inner for field in fields for inner in _schemas_in(field.annotation)]
+        else:  # an index, a name that the user gives, or the kind of one of several schemas
+            holders = [h for h in holders if _is_of_kind(h, part)] or holders
+    return holders[0] if holders else None
+
+
+def _schemas_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [schema for inner in get_args(annotation) for schema in _schemas_in(inner)]
+
+
+def _is_of_kind(schema: type[BaseModel], kind: Any) -> bool:
+    annotations = [field.annotation for field in schema.model_fields.values()]
+    return any(get_origin(a) is Literal and kind in get_args(a) for a in annotations)

@@ -1,0 +1,169 @@
+"""Files: found where the package is installed, hashed, and written whole or not at all."""
+
+import errno
+import hashlib
+import logging
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from hesr_model.errors import ArtifactError
+from hesr_model.support import interrupts
+
+_TEMPORARY = ".hesr-"
+_LOCK = f"{_TEMPORARY}lock"
+_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
+"""Errors of whoever writes; others may come from what a block reads."""
+
+_log = logging.getLogger(__name__)
+
+
+def models_folder() -> Path:
+    """Folder of the shipped robots and studies, in a checkout, an editable install and a wheel."""
+    installed = Path(__file__).parents[1] / "_models"
+    return installed if installed.is_dir() else Path(__file__).parents[2] / "models"
+
+
+def sha256(path: Path) -> str:
+    """Hex SHA-256 of a file's bytes; of a folder, of the names and hashes of its files."""
+    if path.is_dir():
+        files = sorted(file for file in path.rglob("*") if file.is_file())
+        lines = [f"{sha256(file)}  {file.relative_to(path).as_posix()}\n" for file in files]
+        return hashlib.sha256("".join(lines).encode()).hexdigest()
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@contextmanager
+def folder_written_whole(path: Path) -> Iterator[Path]:
+    """Yield a temporary folder whose files move into `path` when the block succeeds.
+
+    Files of the same name are replaced, others that stand in `path` are left alone. On any
+    exception nothing at `path` has changed. What a run has left there that was killed is removed.
+
+    Raises
+    ------
+    ArtifactError
+        If the folder cannot be created or written, or another run is writing into it, both found
+        out before the block runs; if the disk is full.
+    """
+    try:
+        with ExitStack() as cleanup:
+            _make(path, cleanup)
+            _take(path, cleanup)
+            with interrupts.put_off():  # or there may be a folder of which nobody knows
+                temporary = Path(tempfile.mkdtemp(dir=path, prefix=_TEMPORARY))
+                cleanup.callback(_remove, temporary)
+            yield temporary
+            with interrupts.put_off():  # half of the files would fit nothing
+                _move(temporary, path)
+    except (OSError, ArtifactError) as error:
+        reason = error if isinstance(error, OSError) else error.__cause__
+        if isinstance(reason, OSError) and reason.errno in _NO_ROOM:
+            raise _unwritable(path, reason) from error
+        raise
+
+
+def is_empty(folder: Path) -> bool:
+    """Tell whether there is nothing in a folder but what a killed run may have left."""
+    return all(entry.name.startswith(_TEMPORARY) for entry in folder.iterdir())
+
+
+def _make(path: Path, cleanup: ExitStack) -> None:
+    """Make a folder and those above it; the new ones go again if nothing comes into them."""
+    missing = [folder for folder in (path, *path.parents) if not folder.exists()]
+    try:
+        for folder in reversed(missing):
+            cleanup.callback(_remove_empty, folder)
+            folder.mkdir(exist_ok=True)
+        if not path.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def _take(path: Path, cleanup: ExitStack) -> None:
+    """Keep other runs out of a folder; then what stands there of a run is of one that is dead."""
+    lock = FileLock(path / _LOCK, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout as error:
+        raise ArtifactError(
+            f"{path}: another run is writing into this folder; wait until it has ended, or give "
+            "another folder."
+        ) from error
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    cleanup.callback(lock.release)
+    cleanup.callback((path / _LOCK).unlink, missing_ok=True)
+    for left in path.glob(f"{_TEMPORARY}*/"):
+        _log.info("removing %s, which a run has left that was killed", left)
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def _remove(folder: Path) -> None:
+    with interrupts.put_off():
+        shutil.rmtree(folder)
+
+
+def _remove_empty(folder: Path) -> None:
+    with suppress(OSError):  # there is something in it, or it has never been made
+        folder.rmdir()
+
+
+def _move(temporary: Path, path: Path) -> None:
+    for file in sorted(p for p in temporary.rglob("*") if p.is_file()):
+        target = path / file.relative_to(temporary)
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(target)
+        except OSError as error:
+            raise _unwritable(target, error) from error
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Yield a temporary path in the same folder that becomes `path` when the block succeeds.
+
+    On any exception, an interrupt included, the temporary file is removed and a file that stood
+    at `path` stays as it was.
+
+    Raises
+    ------
+    ArtifactError
+        If the folder cannot be created or written, or the disk is full.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        handle, name = tempfile.mkstemp(
+            dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix
+        )
+        os.close(handle)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    temporary = Path(name)
+    try:
+        yield temporary
+        # mkstemp makes files private; a result has the mode that any new file would have.
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        temporary.replace(path)
+    except OSError as error:
+        if error.errno in _NO_ROOM:
+            raise _unwritable(path, error) from error
+        raise
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _unwritable(path: Path, error: OSError) -> ArtifactError:
+    # Libraries put more into the error's own text.
+    reason = os.strerror(error.errno) if error.errno else error.strerror
+    return ArtifactError(f"{path}: cannot be written there ({reason}).")

@@ -1,0 +1,138 @@
+"""Independent jobs in worker processes, which are stopped at once where anything fails."""
+
+import os
+import shutil
+import signal
+import tempfile
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from multiprocessing import resource_tracker
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import cloudpickle
+
+from hesr_model.errors import WorkerError
+from hesr_model.support import interrupts
+
+if TYPE_CHECKING:
+    from joblib.externals.loky import ProcessPoolExecutor
+
+Result = TypeVar("Result")
+
+_JOBS = "jobs"
+_ORPHANED = 1.0  # [s] after which a worker sees that its parent is gone
+_ONE_THREAD = dict.fromkeys(
+    (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "BLIS_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+    ),
+    "1",
+)
+"""Environment of a worker: as many threads as processes, and sums that do not depend on them."""
+
+_jobs: Sequence[Callable[[], Any]] = ()
+"""Of a worker, which reads all of them when it starts."""
+
+
+@contextmanager
+def results_of(
+    jobs: Sequence[Callable[[], Result]], workers: int | None = None
+) -> Iterator[Iterator[Result]]:
+    """Run jobs, each in a process; yield the iterator of their results, in the order of the jobs.
+
+    The processes are fresh ones, with one BLAS thread each, and do not import the calling script.
+    When the block is left they are gone; where it fails, also by Ctrl-C, they are stopped at once.
+
+    Parameters
+    ----------
+    jobs : functions without arguments, with all that they hold; what the calling script has
+        defined is sent along.
+    workers : processes; one for each core where not given. With one there is none: a job is done
+        in this process when its result is asked for.
+
+    Raises
+    ------
+    WorkerError
+        By the iterator, if a process ended before its job was done.
+    """
+    count = min(workers or os.cpu_count() or 1, len(jobs))
+    if count <= 1:
+        yield (job() for job in jobs)
+        return
+    from joblib.externals.loky import ProcessPoolExecutor
+
+    with ExitStack() as cleanup:
+        with interrupts.put_off():  # or there may be a folder of which nobody knows
+            folder = Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="hesr-")))
+        # Workers read the jobs from a file. A pipe is too short for them: where workers are
+        # stopped, nobody empties it, and who still writes into it never ends.
+        (folder / _JOBS).write_bytes(cloudpickle.dumps(list(jobs)))
+        cleanup.enter_context(warnings.catch_warnings())
+        # That a worker that has used much memory is replaced by a fresh one is no news.
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
+        if os.name == "posix":
+            # It serves semaphores, and lets Ctrl-C through again where its start was held back.
+            resource_tracker.ensure_running()
+        with interrupts.put_off():  # submitting starts processes, which must not be half-started
+            pool = ProcessPoolExecutor(
+                count, initializer=_start, initargs=(folder, os.getpid()), env=_environment()
+            )
+            cleanup.push(partial(_shut_down, pool))
+            futures = [pool.submit(_run, k) for k in range(len(jobs))]
+        yield (_result(future.result) for future in futures)
+
+
+def _environment() -> Mapping[str, str]:
+    """Return what workers have in their environment beside what stands in that of the parent."""
+    # A crash is said by the parent, in a sentence; a stack of Python in C is for who asks for it.
+    return _ONE_THREAD | {"PYTHONFAULTHANDLER": os.environ.get("PYTHONFAULTHANDLER", "")}
+
+
+def _shut_down(pool: "ProcessPoolExecutor", error: object, *_: object) -> None:
+    """Let idle workers end; where there is an error, stop all with what they have started."""
+    pool.shutdown(wait=True, kill_workers=error is not None)
+
+
+def _result(wait: Callable[[], Result]) -> Result:
+    try:
+        return wait()
+    except BrokenProcessPool as error:
+        raise WorkerError(
+            "a worker process ended before its job was done, killed by another program or for "
+            "lack of memory; run it again, with fewer processes if memory is short."
+        ) from error
+
+
+def _start(folder: Path, parent: int) -> None:
+    """Take the jobs, and leave to the parent what comes when a worker is stopped.
+
+    Signals to the whole group are answered once, by the parent, which kills its workers; those
+    then have no time to tidy, so that their temporary files stand where the parent removes them.
+    """
+    global _jobs
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(parent, folder), daemon=True).start()
+    tempfile.tempdir = str(folder)
+    _jobs = cloudpickle.loads((folder / _JOBS).read_bytes())
+
+
+def _end_with(parent: int, folder: Path) -> None:
+    """End this process when its parent has been killed and can neither stop it nor tidy."""
+    while os.getppid() == parent:
+        time.sleep(_ORPHANED)
+    shutil.rmtree(folder, ignore_errors=True)
+    os._exit(1)
+
+
+def _run(k: int) -> Any:
+    return _jobs[k]()

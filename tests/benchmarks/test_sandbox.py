@@ -1,0 +1,77 @@
+"""What it costs that foreign FMUs are kept apart: those of ours, and those of others."""
+
+import subprocess
+import sys
+import time
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from closed_loop import Bench, build
+from hostile import archived
+from pytest_benchmark.fixture import BenchmarkFixture
+from small_fmus import lag
+
+from cosim.closed_loop import Scheme
+from cosim.package.contents import read_contents
+from cosim.package.ssp import write_ssp
+from cosim.slave import Component
+from fmu_src import exported, model_file
+from fmu_src.archive import Archive
+from hesr_model.artifacts import read_model
+
+Tell = Callable[[str], None]
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    return build(tmp_path_factory.mktemp("loop"), read_model(model_file("uf850-table1")))
+
+
+def recognise(fmus: list[Path]) -> None:
+    """Do for FMUs what would not be needed if all were trusted."""
+    for fmu in fmus:
+        with Archive(fmu) as archive:
+            assert exported.is_known(archive.digest())
+
+
+def test_share_of_recognising_our_own(bench: Bench, tmp_path: Path, tell: Tell) -> None:
+    """Aim: at most 5 % of `hesr simulate` on the default closed loop, from start to end."""
+    spec = bench.system(bench.loop(Scheme(compensation="servo_inversion", Kx=5.0)))
+    system = write_ssp(read_contents(spec, tmp_path / "loop.toml"), tmp_path / "loop.ssp")
+    fmus = [component.fmu for component in spec.components]
+    whole, part = [], []
+    for _ in range(3):
+        begin = time.perf_counter()
+        command = ("-c", "from cosim.cli import main; main()", "simulate", system)
+        subprocess.run([sys.executable, *command, "-o", tmp_path / "x.csv"], check=True)
+        whole.append(time.perf_counter() - begin)
+        begin = time.perf_counter()
+        recognise(fmus)
+        part.append(time.perf_counter() - begin)
+    share = min(part) / min(whole)
+    tell(f"recognising our FMUs: {1e3 * min(part):.0f} ms of {min(whole):.2f} s, {share:.1%}")
+    assert share < 0.05
+
+
+@pytest.mark.parametrize("whose", ["ours", "foreign"])
+def test_steps(whose: str, tmp_path: Path, benchmark: BenchmarkFixture) -> None:
+    """One step with an input and an output, in this process and over the connection."""
+    benchmark.group = "a step of a small FMU"
+    fmu = lag(tmp_path)
+    if whose == "foreign":
+        with zipfile.ZipFile(fmu) as archive:
+            members = {name: archive.read(name) for name in archive.namelist()}
+        fmu = archived(members, tmp_path / "Foreign.fmu")
+    with Component(fmu) as component:
+        inputs, outputs = component.batch(["u"]), component.batch(["y"])
+        component.initialise()
+        instants = iter(range(10**9))
+
+        def step() -> None:
+            inputs.write()
+            component.step(0.01 * next(instants), 0.01)
+            outputs.read()
+
+        benchmark.pedantic(step, rounds=50, iterations=20, warmup_rounds=2)

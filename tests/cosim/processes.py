@@ -1,0 +1,88 @@
+"""Commands in processes of their own, to be interrupted and killed; and what they leave."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+COMMAND = ("-c", "from cosim.cli import main; main()")
+
+
+@contextmanager
+def started(
+    *arguments: object, folder: Path, program: tuple[str, ...] = COMMAND, **environment: str
+) -> Iterator["subprocess.Popen[str]"]:
+    """Run Python in a group of its own, with temporary files of its own."""
+    temporary = folder / "tmp"
+    temporary.mkdir(exist_ok=True)
+    process = subprocess.Popen(
+        [sys.executable, *program, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        cwd=folder,
+        env=os.environ | {"TMPDIR": str(temporary)} | environment,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+
+
+def wait_for(happened: Callable[[], object], process: "subprocess.Popen[str]") -> None:
+    for _ in range(6000):
+        if happened():
+            return
+        if process.poll() is not None:
+            raise AssertionError(process.communicate())
+        time.sleep(0.02)
+    raise AssertionError("nothing happened for two minutes")
+
+
+def running(group: int) -> dict[int, str]:
+    """Command lines of a group's processes by their number, without those that have ended."""
+    found = {}
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            # After the name, which stands in brackets: state, parent, group.
+            state, _, of_group = status.read_text().rpartition(")")[2].split()[:3]
+            if int(of_group) == group and state not in "ZX":
+                command = (status.parent / "cmdline").read_bytes()
+                found[int(status.parent.name)] = command.replace(b"\0", b" ").decode()
+    return found
+
+
+def workers(group: int) -> list[int]:
+    """Numbers of the worker processes of a group."""
+    return [number for number, command in running(group).items() if "--process-name" in command]
+
+
+def _semaphores(creator: int) -> list[str]:
+    """Names of the semaphores in shared memory that a process has made for its workers."""
+    return [path.name for path in Path("/dev/shm").glob(f"sem.loky-{creator}-*")]
+
+
+def assert_nothing_left(group: int, folder: Path) -> None:
+    """Of a command that `started` has run in a folder: no process, temporary file or semaphore."""
+    assert_nothing_runs(group)
+    assert not list((folder / "tmp").iterdir())
+    for _ in range(100):
+        if not (left := _semaphores(group)):
+            return
+        time.sleep(0.05)
+    raise AssertionError(left)
+
+
+def assert_nothing_runs(group: int) -> None:
+    for _ in range(200):
+        if not (left := running(group)):
+            return
+        time.sleep(0.05)
+    raise AssertionError(left)

@@ -1,0 +1,246 @@
+"""How loud commands are: --quiet, --verbose, --json, progress, tables of 80 columns."""
+
+import json
+import logging
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from small_study import Hesr, Run, hesr_here, hesr_in_a_process, uf850, write_study
+
+from hesr_model.friction.registry import registry
+
+ROBOT = uf850("robot.toml")
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def ran(study_run_for_programs: Run) -> Run:
+    assert study_run_for_programs.answer.code == 0, study_run_for_programs.answer.err
+    return study_run_for_programs
+
+
+def scoring(ran: Run) -> list[object]:
+    return [
+        *("evaluate", ran.log("trial"), ran.law("parfam_h")),
+        *("--robot", ROBOT, "--rigid-body", ran.rigid_body),
+    ]
+
+
+# --- for programs -----------------------------------------------------------------------------
+
+
+def test_a_run_answers_a_program_in_json_alone(ran: Run) -> None:
+    answer = json.loads(ran.answer.out)
+    assert answer["folder"] == "results"
+    assert set(answer["fmus"]) == {"stribeck", "parfam_h"}
+    for fmu in answer["fmus"].values():
+        assert (ran.study.parent / fmu).is_file()
+    saved = json.loads((ran.results / "evaluation.json").read_text(encoding="utf-8"))
+    assert answer["evaluation"] == saved
+    assert answer["closed_loop"] is None
+
+
+def test_json_goes_to_standard_output_or_to_a_file(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
+    alone = hesr(*scoring(ran), "--json", "-")
+    assert alone.code == 0, alone.err
+    beside = hesr(*scoring(ran), "--json", tmp_path / "scores.json")
+    assert "J1" in beside.out
+    assert json.loads(alone.out) == json.loads((tmp_path / "scores.json").read_text())
+    assert not Path("-").exists()
+
+
+def test_laws_answer_a_program(hesr: Hesr) -> None:
+    answer = json.loads(hesr("laws", "--json", "-").out)
+    assert list(answer) == list(registry())
+    assert answer["parfam_h"]["title"] == "ParFam-H"
+
+
+def test_an_error_leaves_standard_output_empty(hesr: Hesr, tmp_path: Path) -> None:
+    answer = hesr("check", tmp_path / "none.fmu", "--json", "-")
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err.startswith(f"hesr: {tmp_path / 'none.fmu'}")
+
+
+def test_a_check_that_fails_still_answers(hesr: Hesr, tmp_path: Path) -> None:
+    fmu = tmp_path / "none.fmu"
+    fmu.write_text("no archive", encoding="utf-8")
+    answer = hesr("check", fmu, "--json", "-")
+    assert answer.code == 1
+    (report,) = json.loads(answer.out)
+    assert report["problems"]
+
+
+def test_a_file_that_cannot_be_written_is_found_out_before_the_run(
+    hesr: Hesr, tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    answer = hesr("run", write_study(tmp_path), "--json", tmp_path / "file" / "answer.json")
+    assert answer.code == 2
+    assert answer.err.startswith(f"hesr: {tmp_path / 'file' / 'answer.json'}: cannot be written")
+
+
+# --- quiet and verbose ------------------------------------------------------------------------
+
+
+def test_quiet_says_nothing_where_all_is_well(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
+    for command in (
+        [*scoring(ran), "--json", tmp_path / "scores.json"],
+        ["export", "uf850-table1", "-o", tmp_path / "Friction.fmu"],
+        ["laws"],
+    ):
+        answer = hesr(*command, "--quiet")
+        assert (answer.code, answer.out, answer.err) == (0, "", "")
+    assert (tmp_path / "scores.json").is_file()
+    assert (tmp_path / "Friction.fmu").is_file()
+
+
+def test_quiet_still_says_what_is_wrong(hesr: Hesr, tmp_path: Path) -> None:
+    answer = hesr("export", "none.json", "-o", tmp_path / "Friction.fmu", "--quiet")
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err.startswith("hesr: none.json")
+
+
+def test_quiet_and_verbose_are_not_for_one_command(hesr: Hesr) -> None:
+    answer = hesr("laws", "--quiet", "--verbose")
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err == "hesr: --quiet does not go with --verbose; give one of them.\n"
+
+
+def test_verbose_logs_what_is_done_with_times(ran: Run) -> None:
+    lines = ran.answer.err.splitlines()
+    pattern = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} [A-Z]+ [a-z_.]+: .")
+    assert [line for line in lines if not pattern.match(line)] == []
+    for text in ("running the arm: 1 of 1", "fitting laws: 6 of 6", "building FMUs: 2 of 2"):
+        assert any(line.endswith(text) for line in lines)
+
+
+def test_verbose_shows_where_an_error_was_found_out(hesr: Hesr) -> None:
+    answer = hesr("export", "none.json", "-o", "Friction.fmu", "--verbose")
+    assert answer.code == 2
+    assert "Traceback" in answer.err
+    assert answer.err.splitlines()[-1] == hesr("export", "none.json", "-o", "F.fmu").err.strip()
+
+
+def test_logging_is_as_before_when_a_command_has_ended(hesr: Hesr) -> None:
+    before = [(logging.getLogger(n).level, logging.getLogger(n).handlers[:]) for n in ("cosim",)]
+    hesr("laws", "--verbose")
+    assert [
+        (logging.getLogger(n).level, logging.getLogger(n).handlers[:]) for n in ("cosim",)
+    ] == before
+
+
+# --- progress ---------------------------------------------------------------------------------
+
+
+def on_a_terminal(*arguments: object) -> str:
+    """What a command draws on a terminal of 80 columns as its standard error."""
+    pty = pytest.importorskip("pty", reason="pseudo-terminals are for POSIX")
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from cosim.cli import main; main()", *map(str, arguments)],
+        stdout=subprocess.DEVNULL,
+        stderr=theirs,
+        env=os.environ | {"COLUMNS": "80", "TERM": "xterm"},
+    )
+    os.close(theirs)
+    drawn = b""
+    while True:
+        try:
+            part = os.read(ours, 4096)
+        except OSError:  # the other side is closed
+            part = b""
+        if not part:
+            break
+        drawn += part
+    os.close(ours)
+    assert process.wait() == 0, drawn.decode()
+    return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", drawn.decode())
+
+
+def test_long_work_shows_how_far_it_is_and_what_is_left(ran: Run, tmp_path: Path) -> None:
+    results = ran.results
+    drawn = on_a_terminal(
+        *("fit", results / "logs" / "sweep.csv", "--robot", ROBOT),
+        *("--rigid-body", results / "rigid_body.json", "--law", "lugre"),
+        *("-o", tmp_path / "law.json"),
+    )
+    assert re.search(r"fitting lugre .* 0% \d:\d\d:\d\d left: -:--:--", drawn)
+    assert re.search(r"fitting lugre .* 100%", drawn)
+    # Sentences, as of what is odd in a log, are left whole.
+    bars = [line for line in re.split(r"[\r\n]+", drawn) if "━" in line]
+    assert max(map(len, bars)) <= 80
+
+
+def test_work_that_cannot_be_counted_shows_that_it_goes_on(tmp_path: Path) -> None:
+    arguments = ("--robot", uf850("uf850.xml"))
+    drawn = on_a_terminal("new", tmp_path / "loud", *arguments)
+    assert re.search(r"making sample logs \d:\d\d:\d\d", drawn)
+    assert on_a_terminal("new", tmp_path / "quiet", *arguments, "--quiet") == ""
+
+
+def test_an_export_counts_its_platforms(hesr: Hesr, tmp_path: Path, empty_cache: Path) -> None:
+    answer = hesr(
+        *("export", "uf850-table1", "-o", tmp_path / "Friction.fmu", "--verbose"),
+        *("--platform", "linux64", "--platform", "win64"),
+    )
+    assert answer.code == 0
+    told = re.findall(r"building Friction\.fmu: (\d) of 2", answer.err)
+    assert told == ["0", "1", "2"]
+
+
+def test_no_progress_is_drawn_into_a_file(tmp_path: Path) -> None:
+    answer = hesr_in_a_process("export", "uf850-table1", "-o", tmp_path / "Friction.fmu")
+    assert (answer.code, answer.err) == (0, "")
+
+
+# --- pipes and tables -------------------------------------------------------------------------
+
+
+def test_tables_fit_80_columns_in_a_pipe(study_run: Run) -> None:
+    """All that a run of the small study and its evaluation print, as `| less` would get it."""
+    variables = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
+    printed = [study_run.answer.out]
+    for command in (scoring(study_run), ["laws"]):
+        result = subprocess.run(
+            [sys.executable, "-c", "from cosim.cli import main; main()", *map(str, command)],
+            capture_output=True,
+            text=True,
+            env=variables,
+            check=True,
+        )
+        printed.append(result.stdout)
+    for text in printed:
+        lines = [
+            line
+            for line in text.splitlines()
+            # Paths and sentences are left whole, so that they can be copied.
+            if not line.startswith(("  /", "Everything is in", "Rigid body:", "joint"))
+        ]
+        assert len(lines) > 20
+        assert max(map(len, lines)) <= 80
+        assert "…" not in text
+        assert "\x1b" not in text
+
+
+def test_a_reader_that_goes_away_is_no_error() -> None:
+    """As `hesr laws | head -1`."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from cosim.cli import main; main()", "laws"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout
+    process.stdout.close()
+    assert process.stderr
+    assert "Traceback" not in process.stderr.read()
+    process.stderr.close()
+    assert process.wait() == 1

@@ -1,0 +1,327 @@
+"""Foreign FMUs run in a process of their own, and what they do there stays there."""
+
+import os
+import re
+import signal
+import time
+import zipfile
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from hostile import archived, infected
+from small_fmus import LAGS
+from small_study import Hesr, hesr_here
+from test_cli_interrupts import started, wait_for
+
+from cosim.master import simulate
+from cosim.remote import Remote
+from cosim.slave import Component
+from cosim.system import SystemSpec
+from fmu_src import exported
+from hesr_model.errors import SimulationError
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="limits are those of POSIX")
+
+
+@pytest.fixture(scope="session")
+def hostile_lag(lag_fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return infected(lag_fmu, tmp_path_factory.mktemp("hostile") / "Lag.fmu")
+
+
+@pytest.fixture(scope="session")
+def hostile_friction(friction_fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return infected(friction_fmu, tmp_path_factory.mktemp("hostile") / "Friction.fmu")
+
+
+@pytest.fixture
+def foreign_lag(lag_fmu: Path, tmp_path: Path) -> Path:
+    """The same binary under another hash."""
+    with zipfile.ZipFile(lag_fmu) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    return archived(members | {"extra/hesr/note.txt": b"mine"}, tmp_path / "Lag.fmu")
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+def go(fmu: Path, *, seconds: float = 20.0) -> None:
+    """Take an FMU through its whole life."""
+    with Component(fmu, name="a", seconds=seconds) as lag:
+        inputs, outputs = lag.batch(["u"]), lag.batch(["y"])
+        lag.initialise(start={"u": 2.0})
+        for k in range(3):
+            inputs.values[:] = k
+            inputs.write()
+            lag.step(0.1 * k, 0.1)
+            outputs.read()
+
+
+def children() -> list[int]:
+    return [child.pid for child in psutil.Process().children(recursive=True)]
+
+
+def test_ours_stay_in_this_process_and_others_do_not(lag_fmu: Path, foreign_lag: Path) -> None:
+    before = children()
+    with Component(lag_fmu):
+        assert children() == before
+    with Component(foreign_lag):
+        (own,) = set(children()) - set(before)
+        assert "cosim.host" in " ".join(psutil.Process(own).cmdline())
+    assert children() == before
+
+
+def test_a_foreign_fmu_gives_the_same_to_the_last_bit(lag_fmu: Path, foreign_lag: Path) -> None:
+    text = LAGS.replace("[connections]", '[connections]\n"a.u" = "b.y"')
+    for order in ("gauss_seidel", "jacobi"):
+        found = []
+        for fmu in (lag_fmu, foreign_lag):
+            path = foreign_lag.with_name(f"{order}.toml")
+            own = text.replace("FMU", str(fmu)).replace(
+                "step = 0.1", f'order = "{order}"\nstep = 0.1'
+            )
+            path.write_text(own, encoding="utf-8")
+            found.append(simulate(SystemSpec.read(path), path).require_success())
+        for name, values in found[0].signals.items():
+            np.testing.assert_array_equal(values, found[1].signals[name])
+
+
+def test_a_step_is_one_message(foreign_lag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sent = []
+    ask = Remote._asked_for
+
+    def counted(remote: Remote, *arguments: object) -> bytes:
+        sent.append(arguments)
+        return ask(remote, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Remote, "_asked_for", counted)
+    with Component(foreign_lag) as lag:
+        inputs, outputs = lag.batch(["u"]), lag.batch(["y"])
+        lag.initialise()
+        lag.step(0.0, 0.1)
+        outputs.read()
+        sent.clear()
+        for k in range(1, 11):
+            inputs.values[:] = k
+            inputs.write()
+            lag.step(0.1 * k, 0.1)
+            outputs.read()
+        assert len(sent) == 10
+
+
+def test_its_own_refusals_are_told_as_those_of_ours(lag_fmu: Path, foreign_lag: Path) -> None:
+    said = []
+    for fmu in (lag_fmu, foreign_lag):
+        with Component(fmu, name="a") as lag:
+            lag.initialise(start={"refused": 0.25, "u": 1.0})
+            lag.step(0.0, 0.2)
+            with pytest.raises(SimulationError) as caught:
+                lag.step(0.2, 0.1)
+            said.append((str(caught.value), lag.messages))
+            lag.reset()
+            with pytest.raises(SimulationError, match="it must be positive"):
+                lag.initialise(start={"T": -1.0})
+    assert said[0] == said[1]
+    assert "where it is refused" in said[0][0]
+
+
+CRASH = r"crashed with signal 11 \(SIGSEGV\)\."
+EXIT = r"ended its process with exit code 0\."
+
+
+@pytest.mark.parametrize(
+    ("deed", "said"),
+    [
+        ("load exit", rf"loading it {EXIT}"),
+        ("load segfault", f"loading it {CRASH}"),
+        ("fmi2Instantiate exit", rf"loading it {EXIT}"),
+        ("fmi2ExitInitializationMode exit", f"fmi2ExitInitializationMode {EXIT}"),
+        ("fmi2SetReal segfault", f"fmi2SetReal {CRASH}"),
+        ("fmi2DoStep exit", f"fmi2DoStep {EXIT}"),
+        ("fmi2DoStep segfault", f"fmi2DoStep {CRASH}"),
+        ("fmi2GetReal exit", f"fmi2GetReal {EXIT}"),
+        ("fmi2DoStep memory", r"fmi2DoStep crashed with signal 6 \(SIGABRT\)\."),
+        ("fmi2DoStep file", r"fmi2DoStep ended its process with exit code 9\."),
+        # Into every file, also the one from which is known which call it is.
+        ("fmi2DoStep talk", r"fmi2\w+ answered what no FMU answers and was ended\."),
+        ("fmi2DoStep hang up", "fmi2DoStep closed its connection and was ended."),
+    ],
+)
+def test_what_it_does_to_its_process_is_one_sentence(
+    hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, deed: str, said: str
+) -> None:
+    here, before = Path.cwd(), children()
+    monkeypatch.setenv("DEED", deed)
+    with pytest.raises(SimulationError, match=rf"^Lag\.fmu \('a'\) at t = 0(\.1)? s: {said}$"):
+        go(hostile_lag)
+    assert Path.cwd() == here
+    assert children() == before
+
+
+@pytest.mark.parametrize("deed", ["load loop", "fmi2DoStep loop", "fmi2DoStep half a word"])
+def test_what_never_comes_back_is_ended(
+    hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, deed: str
+) -> None:
+    monkeypatch.setenv("DEED", deed)
+    what = {"load": "loading it"}.get(deed.split()[0], r"fmi2\w+")
+    before = children()
+    with pytest.raises(SimulationError, match=f"{what} gave no answer within 4 s and was ended"):
+        go(hostile_lag, seconds=4.0)
+    assert children() == before
+
+
+@pytest.mark.parametrize(
+    "deed",
+    ["fmi2DoStep chdir", "fmi2DoStep flood", "fmi2FreeInstance segfault", "fmi2FreeInstance exit"],
+)
+def test_what_harms_nobody_else_passes(
+    hostile_lag: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    deed: str,
+) -> None:
+    here, before = Path.cwd(), children()
+    monkeypatch.setenv("DEED", deed)
+    go(hostile_lag)
+    assert Path.cwd() == here
+    assert children() == before
+    assert capfd.readouterr() == ("", "")
+
+
+def test_all_that_it_has_started_is_ended(
+    hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    file = tmp_path / "pid"
+    monkeypatch.setenv("PID_FILE", str(file))
+    monkeypatch.setenv("DEED", "fmi2DoStep flee")
+    with pytest.raises(SimulationError, match=rf"fmi2DoStep {EXIT}"):
+        go(hostile_lag)
+    with suppress(psutil.NoSuchProcess):
+        # Where nobody waits for orphans, what was ended remains as a number.
+        assert psutil.Process(int(file.read_text())).status() == psutil.STATUS_ZOMBIE
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_signals_end_a_run_at_once(
+    hostile_lag: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, number: int
+) -> None:
+    monkeypatch.setenv("DEED", "fmi2DoStep loop")
+    system, output = tmp_path / "lags.toml", tmp_path / "lags.csv"
+    system.write_text(LAGS.replace("FMU", str(hostile_lag)), encoding="utf-8")
+    with started("simulate", system, "-o", output, folder=tmp_path) as process:
+        parent = psutil.Process(process.pid)
+
+        def looping() -> bool:
+            return any(child.cpu_times().user > 1.5 for child in parent.children())
+
+        wait_for(looping, process)
+        descendants = parent.children(recursive=True)
+        begin = time.monotonic()
+        process.send_signal(number)
+        _, err = process.communicate(timeout=20)
+        assert time.monotonic() - begin < 10
+        if number == signal.SIGKILL:
+            assert process.returncode == -number
+        else:
+            assert process.returncode == 128 + number
+            assert err.endswith("no file is half-written.\n")
+            assert not list((tmp_path / "tmp").iterdir())
+        assert psutil.wait_procs(descendants, timeout=5)[1] == []
+    assert not output.exists()
+
+
+def test_the_commands_say_it_in_one_sentence(
+    hostile_friction: Path,
+    hostile_lag: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    hesr: Hesr,
+) -> None:
+    monkeypatch.setenv("DEED", "fmi2DoStep exit")
+    system = tmp_path / "lags.toml"
+    system.write_text(LAGS.replace("FMU", str(hostile_lag)), encoding="utf-8")
+    answer = tmp_path / "answer.json"
+    for command in (
+        ("simulate", system, "-o", answer.with_suffix(".csv")),
+        ("interop", hostile_lag, "--json", answer),
+        ("interop", system, "--json", answer),
+        ("check", hostile_friction, "--convention", "--json", answer),
+    ):
+        ended = hesr(*command)
+        assert ended.code == 2, (command, ended)
+        name = command[1].name.replace("lags.toml", "Lag.fmu")
+        last = ended.err.splitlines()[-1]
+        assert re.search(rf"{name} .* fmi2DoStep ended its process with exit code 0", last), ended
+        assert "Traceback" not in ended.err
+        assert not answer.exists()
+    # The battery says of each experiment whether it could be done.
+    ended = hesr("properties", hostile_friction, "--why")
+    assert (ended.code, ended.err) == (0, "")
+    assert "fmi2DoStep ended its process with exit code 0" in " ".join(ended.out.split())
+
+
+def test_outputs_that_are_no_numbers(
+    hostile_friction: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from cosim.convention import measure
+    from cosim.replay import replay
+
+    monkeypatch.setenv("DEED", "fmi2GetReal nan")
+    t = 0.005 * np.arange(5)
+    with pytest.raises(SimulationError) as caught:
+        replay(hostile_friction, t + 1.0, np.ones((5, 3)))
+    assert str(caught.value) == (f"{hostile_friction}: at t = 1 s tau[1] is not a finite number.")
+    with pytest.raises(SimulationError, match=r"at t = 0 s tau\[1\] is not a finite number\."):
+        measure(hostile_friction)
+
+
+def test_hashes_that_cannot_be_kept(
+    lag_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An FMU whose hash cannot be kept runs all the same, as a foreign one."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert not exported.is_ours(lag_fmu)
+    exported.folder().write_text("a file where the folder should be")
+    exported.remember(lag_fmu)
+    assert not exported.is_ours(lag_fmu)
+    with Component(lag_fmu) as lag:
+        lag.initialise(start={"x": 0.5})
+        assert lag.get(["y"]) == [0.5]
+    exported.folder().unlink()
+    exported.remember(lag_fmu)
+    assert exported.is_ours(lag_fmu)
+
+
+def test_trust_is_kept(
+    foreign_lag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hesr: Hesr
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    system = tmp_path / "lags.toml"
+    system.write_text(LAGS.replace("FMU", str(foreign_lag)), encoding="utf-8")
+    outputs = []
+    for option in ((), ("--trust",), ()):
+        known = exported.is_ours(foreign_lag)
+        outputs.append(tmp_path / f"{len(outputs)}.csv")
+        assert hesr("simulate", system, "-o", outputs[-1], *option).code == 0
+        assert known == (len(outputs) == 3)
+    assert exported.is_ours(foreign_lag)
+    assert len({output.read_bytes() for output in outputs}) == 1
+
+
+def test_old_hashes_are_forgotten(
+    lag_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(exported, "_MOST", 10)
+    exported.remember(lag_fmu)
+    place = exported.folder()
+    for k in range(10):
+        (place / f"{k:064x}").touch()
+        os.utime(place / f"{k:064x}", (k, k))
+    exported.remember(lag_fmu)
+    assert len(list(place.iterdir())) == 6
+    assert exported.is_ours(lag_fmu)

@@ -1,0 +1,475 @@
+"""Full disks, killed runs, two at once, plain outputs and hostile files, as they really are."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pytest
+from processes import COMMAND, assert_nothing_runs, started, wait_for
+from small_study import Hesr, contents, hesr_here, uf850, write_study
+
+from cosim.studies.excite import record
+from fmu_src.arm.plant import Arm, Plant
+from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.motions.trajectories import Sine
+from hesr_model.support.files import folder_written_whole
+
+FULL = "cannot be written there (No space left on device).\n"
+SECONDS = 0.01
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+Refused = Callable[..., str]
+
+
+@pytest.fixture
+def refused(hesr: Hesr) -> Refused:
+    """Run a command that must be refused; return its sentence."""
+
+    def call(*arguments: object) -> str:
+        answer = hesr(*arguments)
+        assert answer.code == 2, answer
+        assert answer.out == ""
+        assert len(answer.err.splitlines()) == 1
+        return answer.err.removeprefix("hesr: ")
+
+    return call
+
+
+# --- full disks -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def full(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 1 MB with 40 kB left."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=1m", "hesr-test", str(folder)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if mounted.returncode:
+        pytest.skip(f"no file system can be mounted here: {mounted.stderr.strip()}")
+    try:
+        (folder / "filled").write_bytes(bytes(1024 * 984))
+        yield folder
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+@pytest.mark.parametrize("command", ["export", "laws", "new", "run"])
+def test_a_full_disk_is_one_sentence(
+    command: str, full: Path, tmp_path: Path, refused: Refused
+) -> None:
+    before = contents(full)
+    output = full / "out"
+    if command == "run":
+        arguments: tuple[object, ...] = ("run", write_study(tmp_path), "-o", output)
+    elif command == "new":
+        arguments = ("new", output, "--robot", uf850("uf850.xml"))
+    elif command == "export":
+        output = full / "Friction.fmu"
+        arguments = ("export", "uf850-table1", "-o", output)
+    else:
+        output = full / "laws.json"
+        with suppress(OSError), (full / "filled").open("ab") as file:
+            file.write(bytes(2**20))
+        before = contents(full)
+        arguments = ("laws", "--quiet", "--json", output)
+    assert refused(*arguments) == f"{output}: {FULL}"
+    assert contents(full) == before
+    assert not output.exists()
+
+
+def test_a_full_disk_for_temporary_files_is_one_sentence(full: Path, tmp_path: Path) -> None:
+    output = tmp_path / "Friction.fmu"
+    result = subprocess.run(
+        [sys.executable, *COMMAND, "export", "uf850-table1", "-o", str(output)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"TMPDIR": str(full)},
+    )
+    assert result.returncode == 2, result
+    assert "Traceback" not in result.stderr
+    assert result.stderr.startswith("hesr: ")
+    assert not output.exists()
+    assert {path.name for path in full.iterdir()} == {"filled"}
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+@pytest.mark.parametrize("arguments", [("laws",), ("laws", "--json", "-"), ("--help",)])
+def test_an_output_that_is_full_is_one_sentence(arguments: tuple[str, ...]) -> None:
+    with Path("/dev/full").open("w") as output:
+        result = subprocess.run(
+            [sys.executable, *COMMAND, *arguments],
+            stdout=output,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert result.returncode == 2
+    assert result.stderr == ("hesr: the system reports an error (No space left on device).\n")
+
+
+# --- killed runs, and two at once -------------------------------------------------------------
+
+SLEEPER = """
+import sys, time
+from pathlib import Path
+from hesr_model.support.files import folder_written_whole
+
+with folder_written_whole(Path(sys.argv[1])) as folder:
+    (folder / "half").write_text("half")
+    time.sleep(600)
+"""
+
+
+def test_the_next_run_removes_what_a_killed_one_has_left(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    program = ("-c", SLEEPER)
+    with started(results, folder=tmp_path, program=program) as process:
+        wait_for(lambda: list(results.glob(".hesr-*/half")), process)
+        # It lives, so what it has is its own, whoever comes.
+        with (
+            pytest.raises(ArtifactError, match="another run is writing into this folder"),
+            folder_written_whole(results),
+        ):
+            raise AssertionError
+        assert list(results.glob(".hesr-*/half"))
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+    assert list(results.glob(".hesr-*/half"))
+    with folder_written_whole(results) as folder:
+        assert not list(results.glob(".hesr-*/half"))
+        (folder / "whole").write_text("whole")
+    assert contents(results) == {"whole": b"whole"}
+    assert not [path for path in results.iterdir() if path.name != "whole"]
+
+
+def test_of_two_runs_into_one_folder_the_second_is_refused(tmp_path: Path) -> None:
+    study, results = write_study(tmp_path), tmp_path / "results"
+    with started("run", study, "-o", results, folder=tmp_path) as first:
+        wait_for(lambda: list(results.glob(".hesr-*/*")), first)
+        with started("run", study, "-o", results, folder=tmp_path) as second:
+            out, err = second.communicate(timeout=120)
+        assert second.returncode == 2
+        assert (out, err) == (
+            "",
+            f"hesr: {results}: another run is writing into this folder; wait until it has ended, "
+            "or give another folder.\n",
+        )
+        assert first.poll() is None
+        assert list(results.glob(".hesr-*/*"))
+        first.send_signal(signal.SIGKILL)
+        first.communicate()
+    assert_nothing_runs(first.pid)
+    # What a run does first is to remove what that one has left.
+    with started("run", study, "-o", results, folder=tmp_path) as third:
+        left = set(results.glob(".hesr-*/"))
+        wait_for(lambda: not left & set(results.glob(".hesr-*/")), third)
+
+
+# --- outputs that take some characters only -----------------------------------------------------
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_marks_are_plain_where_the_output_is(encoding: str) -> None:
+    result = subprocess.run(
+        [sys.executable, *COMMAND, "properties", "uf850-table1"],
+        capture_output=True,
+        check=False,
+        env=os.environ | {"PYTHONIOENCODING": encoding, "COLUMNS": "160"},
+    )
+    assert (result.returncode, result.stderr) == (0, b"")
+    text = result.stdout.decode(encoding)
+    assert "+ as the field expects, x not" in text
+    assert "?" not in text.partition("as the field expects")[0]
+
+
+# --- hostile files ----------------------------------------------------------------------------
+
+DEEP = 100_000
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("[" * DEEP, "nested too deeply"),
+        ('{"a":' * DEEP, "nested too deeply"),
+        ('{"format": ' + "9" * 400 + "}", "it holds an integer of 400 digits"),
+        ('{"format": ' + "9" * 5000 + "}", "it holds an integer of 5000 digits"),
+        ('{"format": "\ud800"}', "codec can't decode byte 0xed"),
+    ],
+)
+def test_json_that_no_program_should_read(
+    text: str, reason: str, refused: Refused, tmp_path: Path
+) -> None:
+    path = tmp_path / "law.json"
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    sentence = refused("export", path, "-o", tmp_path / "Friction.fmu")
+    assert sentence.startswith(f"{path}: not a readable JSON file (")
+    assert reason in sentence
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (f"laws = {'[' * DEEP}", "not valid TOML (it is nested too deeply)"),
+        (f"laws = {'{a=' * DEEP}", "not valid TOML (it is nested too deeply)"),
+        (f"{'a.' * DEEP}a = 1", "nested too deeply"),
+        (f"seed = {'9' * 400}", "not valid TOML (it holds an integer of more than 300 digits)"),
+        (f"seed = {'9' * 5000}", "not valid TOML ("),
+        (f"name = '{'x' * 100_000}'\nlaws = 3", "key "),
+    ],
+)
+def test_toml_that_no_program_should_read(
+    text: str, reason: str, refused: Refused, tmp_path: Path
+) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(text, encoding="utf-8")
+    sentence = refused("run", path, "-o", tmp_path / "results")
+    assert sentence.startswith(f"{path}: ")
+    assert reason in sentence
+    assert len(sentence) < 2100
+
+
+@pytest.mark.parametrize(
+    ("step", "stop", "reason"),
+    [
+        (1e-300, 1.0, "1e+300 communication steps of 1e-300 s; at most 1e+09 can be done"),
+        (1e-3, 1e308, "inf communication steps of 0.001 s; at most 1e+09 can be done"),
+        (5e-324, 1e308, "inf communication steps of"),
+    ],
+)
+def test_more_steps_than_anybody_waits_for(
+    step: float, stop: float, reason: str, refused: Refused, tmp_path: Path
+) -> None:
+    path = tmp_path / "system.toml"
+    system = f'step = {step}\nstop = {stop}\n[[components]]\nname = "a"\nfmu = "a.fmu"\n'
+    path.write_text(system, encoding="utf-8")
+    assert reason in refused("simulate", path, "-o", tmp_path / "out.csv")
+
+
+def robot_file(folder: Path, *, model: str = "", joint: str = "joint1") -> Path:
+    path = folder / "robot.toml"
+    model = model or str(uf850("uf850.xml"))
+    path.write_text(f'name = "r"\nmodel = "{model}"\njoints = ["{joint}"]\n', encoding="utf-8")
+    return path
+
+
+def identify(log: Path, robot: Path) -> tuple[object, ...]:
+    return ("identify", log, "--robot", robot, "-o", log.with_name("body.json"))
+
+
+def columns(**changed: object) -> dict[str, object]:
+    t = SECONDS * np.arange(500)
+    return {"t": t, "q1": np.sin(t), "dq1": np.cos(t), "tau1": np.cos(t)} | changed
+
+
+def test_stamps_that_are_no_numbers(refused: Refused, tmp_path: Path) -> None:
+    """Nanoseconds that Python's dates cannot show, and a position that is a date."""
+    stamps = pyarrow.array(np.arange(500) + 1, pyarrow.timestamp("ns", tz="Nowhere/Never"))
+    log = tmp_path / "log.parquet"
+    for changed in ({"q1": stamps}, {"q1": pyarrow.array([[1.0]] * 500)}):
+        pyarrow.parquet.write_table(pyarrow.table(columns(**changed)), log)
+        assert "column 'q1'" in refused(*identify(log, robot_file(tmp_path)))
+    pyarrow.parquet.write_table(pyarrow.table(columns(q1=stamps)), log)
+    assert "holds timestamp[ns, tz=Nowhere/Never] where numbers are needed." in refused(
+        *identify(log, robot_file(tmp_path))
+    )
+
+
+@pytest.mark.parametrize("name", ["q1", "dq1", "tau1"])
+@pytest.mark.parametrize("number", [1e300, -1.7e308])
+def test_numbers_that_nobody_can_use(
+    name: str, number: float, refused: Refused, tmp_path: Path
+) -> None:
+    values = np.array(columns()[name])
+    values[7] = number
+    log = tmp_path / "log.csv"
+    table = columns(**{name: values})
+    np.savetxt(log, np.column_stack(list(table.values())), delimiter=",",
+               header=",".join(table), comments="")  # fmt: skip
+    sentence = refused(*identify(log, robot_file(tmp_path)))
+    assert sentence.startswith(f"{log}: row 9: ")
+    assert f"is {number:g}; numbers up to 1e+20 can be used" in sentence
+
+
+def test_times_that_nobody_can_use(refused: Refused, tmp_path: Path) -> None:
+    log = tmp_path / "log.parquet"
+    pyarrow.parquet.write_table(pyarrow.table(columns(t=1e300 * np.arange(500))), log)
+    sentence = refused(*identify(log, robot_file(tmp_path)))
+    assert "row 2: the time is 1e+300; numbers up to 1e+20 can be used" in sentence
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_200_000_columns(suffix: str, refused: Refused, tmp_path: Path) -> None:
+    log = tmp_path / f"log{suffix}"
+    names = [f"c{k}" for k in range(200_000)]
+    if suffix == ".csv":
+        row = ",".join(["1.5"] * len(names))
+        log.write_text(f"{','.join(names)}\n{row}\n{row}\n", encoding="utf-8")
+    else:
+        few = names[:20_000]  # of which writing takes seconds already
+        pyarrow.parquet.write_table(pyarrow.table({name: [1.5] for name in few}), log)
+        names = few
+    assert refused(*identify(log, robot_file(tmp_path))) == (
+        f"{log}: has {len(names)} columns; at most 10000 can be read, so leave some out.\n"
+    )
+
+
+def test_of_many_columns_a_sentence_lists_some(refused: Refused, tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text(",".join(f"c{k}" for k in range(5000)) + "\n", encoding="utf-8")
+    with log.open("a", encoding="utf-8") as file:
+        file.write("\n".join([",".join(["1"] * 5000)] * 3) + "\n")
+    sentence = refused(*identify(log, robot_file(tmp_path)))
+    assert sentence.endswith(": column 't' is missing; it has " + ", ".join(
+        f"c{k}" for k in range(30)) + ", and 4970 more.\n")  # fmt: skip
+
+
+MEASURED = """
+import resource, sys
+from cosim.cli import main
+try:
+    main()
+finally:
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, file=sys.stderr)
+"""
+
+
+def sparse(path: Path, head: bytes) -> Path:
+    with path.open("wb") as file:
+        file.write(head)
+        file.truncate(10 * 10**9)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "head"),
+    [
+        ("log.csv", b""),
+        ("log.csv", b"t;q1;dq1;tau1\n0;0,1;0;0\n"),
+        ("log.mat", b""),
+        ("log.mat", b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"),
+        ("log.parquet", b"PAR1"),
+        ("law.json", b"{"),
+        ("robot.toml", b"name = 'r'"),
+    ],
+)
+def test_10_gb_of_nothing_take_no_memory(name: str, head: bytes, tmp_path: Path) -> None:
+    path = sparse(tmp_path / name, head)
+    if path.suffix == ".json":
+        arguments: tuple[object, ...] = ("export", path, "-o", tmp_path / "Friction.fmu")
+    elif path.suffix == ".toml":
+        arguments = identify(tmp_path / "log.csv", path)
+    else:
+        arguments = identify(path, robot_file(tmp_path))
+    with started(*arguments, folder=tmp_path, program=("-c", MEASURED)) as process:
+        _, err = process.communicate(timeout=120)
+    assert process.returncode == 2, err
+    sentence, memory = err.splitlines()
+    assert sentence.startswith(f"hesr: {path}: ")
+    if head.startswith(b"t;"):
+        assert "is 10.0 GB long; a CSV of up to 2.1 GB can be read; write it as" in sentence
+    assert int(memory) < 500_000  # kB; what the command imports takes 230 MB
+
+
+def limited() -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (700 * 2**20, 700 * 2**20))
+
+
+def test_memory_that_does_not_suffice_is_one_sentence(tmp_path: Path) -> None:
+    """A law of 60 MB of JSON, for a process that may have 700 MB."""
+    path = tmp_path / "law.json"
+    path.write_text("[" + ",".join(["[1.5]"] * 10_000_000) + "]", encoding="utf-8")
+    result = subprocess.run(
+        [sys.executable, *COMMAND, "export", str(path), "-o", str(tmp_path / "Friction.fmu")],
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=limited,
+    )
+    assert (result.returncode, result.stderr) == (
+        2,
+        "hesr: memory does not suffice for this; give less data at once, or a machine with more.\n",
+    )
+
+
+@pytest.mark.parametrize("encoding", ["klingon", "utf-7", "idna"])
+def test_encodings_that_there_are_not(encoding: str, refused: Refused, tmp_path: Path) -> None:
+    text = uf850("uf850.xml").read_text(encoding="utf-8")
+    model = tmp_path / "model.xml"
+    model.write_text(f'<?xml version="1.0" encoding="{encoding}"?>\n{text}', encoding="utf-8")
+    pyarrow.parquet.write_table(pyarrow.table(columns()), tmp_path / "log.parquet")
+    arguments = identify(tmp_path / "log.parquet", robot_file(tmp_path, model=str(model)))
+    assert refused(*arguments).startswith(f"{model}: cannot be parsed as an MJCF (")
+
+
+@pytest.mark.parametrize("letter", ["\\u0000", "\\u0007", "\\u202e"])
+def test_names_that_cannot_be_printed(letter: str, refused: Refused, tmp_path: Path) -> None:
+    robot = robot_file(tmp_path, joint=f"joint{letter}1")
+    assert "which cannot be printed" in refused(*identify(tmp_path / "log.csv", robot))
+    data = json.loads(uf850("table1.json").read_text(encoding="utf-8"))
+    data["joints"][0]["joint"] = json.loads(f'"joint{letter}1"')
+    law = tmp_path / "law.json"
+    law.write_text(json.dumps(data), encoding="utf-8")
+    sentence = refused("export", law, "-o", tmp_path / "Friction.fmu")
+    assert sentence.startswith(f"{law}: ")
+    assert "which cannot be printed" in sentence
+
+
+@pytest.mark.parametrize("number", [1e308, -1e101])
+def test_numbers_of_a_law_that_no_friction_has(
+    number: float, refused: Refused, tmp_path: Path
+) -> None:
+    data = json.loads(uf850("table1.json").read_text(encoding="utf-8"))
+    for change in ("start", "coefficient"):
+        changed = json.loads(json.dumps(data))
+        if change == "start":
+            changed["joints"][0]["start"] = [number]
+        else:
+            next(iter(changed["joints"][0]["coefficients"].values()))["value"] = number
+        law = tmp_path / "law.json"
+        law.write_text(json.dumps(changed), encoding="utf-8")
+        sentence = refused("export", law, "-o", tmp_path / "Friction.fmu")
+        assert f"is {number:g}; numbers up to 1e+100 can be used" in sentence
+        assert not (tmp_path / "Friction.fmu").exists()
+
+
+def test_logs_that_unpack_into_far_more_than_they_are(refused: Refused, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py", reason="h5py is not installed")
+    robot = robot_file(tmp_path)
+    log = tmp_path / "log.parquet"
+    zeros = np.zeros(4_200_000)
+    table = pyarrow.table({f"c{k}": zeros for k in range(10)})
+    pyarrow.parquet.write_table(table, log)
+    assert "far more than a file of its length can hold" in refused(*identify(log, robot))
+    log = tmp_path / "log.mat"
+    with h5py.File(log, "w", userblock_size=512) as file:
+        file.create_dataset("t", (10**9,), dtype=np.float64)
+    sentence = refused(*identify(log, robot))
+    assert "holds far more data than a file of its length can; leave out variables" in sentence
+
+
+def test_a_motion_without_end() -> None:
+    plant = Plant.read(uf850("plant.toml"))
+    slow = Sine(offset=np.zeros(3), amplitude=np.ones(3), frequency=1e-300, periods=1)
+    with pytest.raises(ConfigError, match=r"2e\+302 samples; at most 1e\+08 can be logged"):
+        record(Arm(plant), slow, plant.noise, name="slow")

@@ -1,0 +1,226 @@
+"""FMUs and SSPs that are hostile or damaged as archives: refused in a sentence by every command."""
+
+import re
+import resource
+import stat
+import time
+import zipfile
+from pathlib import Path
+
+import pytest
+from damage import damaged_archive
+from hostile import archived
+from small_fmus import LAGS
+from small_study import Hesr, contents, hesr_here
+
+from cosim.description import described
+from cosim.master import Master
+from cosim.package.contents import read_contents
+from cosim.package.read import opened_system
+from cosim.package.ssp import write_ssp
+from cosim.slave import Component
+from cosim.system import SystemSpec
+from fmu_src.archive import Archive
+from fmu_src.friction.embedded import embedded_model
+from hesr_model.errors import ArtifactError, HesrError
+
+FEW, MANY = 200, 2000
+LONGEST = 10.0  # [s] for one input
+MOST_MORE = 500 << 20  # bytes of memory, and 20 times the input
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def members(lag_fmu: Path) -> dict[str, bytes]:
+    with zipfile.ZipFile(lag_fmu) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+@pytest.fixture(scope="module")
+def lags_ssp(lag_fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("ssp")
+    path = folder / "lags.toml"
+    text = LAGS.replace("step = 0.2\n", "").replace("FMU", str(lag_fmu))
+    path.write_text(text, encoding="utf-8")
+    return write_ssp(read_contents(SystemSpec.read(path), path), folder / "lags.ssp")
+
+
+def commands(fmu: Path) -> list[tuple[object, ...]]:
+    """All commands that open FMUs, with an output that must not appear."""
+    folder = fmu.parent
+    system = folder / "system.toml"
+    system.write_text(LAGS.replace("FMU", str(fmu)), encoding="utf-8")
+    return [
+        ("simulate", system, "-o", folder / "out.csv"),
+        ("package", system, "-o", folder / "out.ssp"),
+        ("package", system, "--container", "-o", folder / "out.fmu"),
+        ("interop", fmu, "--json", folder / "out.json"),
+        ("properties", fmu, "--json", folder / "out.json"),
+        ("check", fmu, "--convention", "--json", folder / "out.json"),
+    ]
+
+
+def refuse(fmu: Path, hesr: Hesr, said: str, *, known_to_check: bool = False) -> None:
+    """Check that every command refuses an FMU in a sentence, and leaves nothing behind."""
+    for command in commands(fmu):
+        before = contents(fmu.parent)
+        ended = hesr(*command)
+        assert ended.code == 2, (command, ended)
+        assert "Traceback" not in ended.err
+        assert re.search(said, ended.err.splitlines()[-1]), (command, ended.err)
+        assert contents(fmu.parent) == before
+
+
+NAMES = ("../evil.txt", "/tmp/evil.txt", "C:evil.txt", "a/../../evil", "a\\..\\..\\evil", "a\nb")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names_that_lead_out(
+    members: dict[str, bytes], tmp_path: Path, hesr: Hesr, name: str
+) -> None:
+    fmu = archived(members | {name: b"evil"}, tmp_path / "Evil.fmu")
+    refuse(fmu, hesr, r"Evil\.fmu: not a readable FMU \(the entry '.*' (leads out|has control)")
+
+
+def test_a_bomb(members: dict[str, bytes], tmp_path: Path, hesr: Hesr) -> None:
+    """Six megabytes that would be six gigabytes."""
+    fmu = tmp_path / "Bomb.fmu"
+    with zipfile.ZipFile(fmu, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+        with archive.open("resources/zeros", "w", force_zip64=True) as entry:
+            for _ in range(6 << 4):
+                entry.write(bytes(64 << 20 >> 4))
+    refuse(fmu, hesr, r"Bomb\.fmu: not a readable FMU \(the entry 'resources/zeros' claims")
+
+
+def test_a_link(members: dict[str, bytes], tmp_path: Path, hesr: Hesr) -> None:
+    fmu = archived(members, tmp_path / "Link.fmu")
+    link = zipfile.ZipInfo("resources/link")
+    link.create_system, link.external_attr = 3, (stat.S_IFLNK | 0o777) << 16
+    with zipfile.ZipFile(fmu, "a") as archive:
+        archive.writestr(link, "/etc")
+    refuse(fmu, hesr, "'resources/link' is a symbolic link")
+
+
+@pytest.mark.parametrize("identifier", ["../../evil", "/tmp/evil", "a b", "", "1a", "a\u202eb"])
+def test_identifiers_that_are_paths(
+    members: dict[str, bytes], tmp_path: Path, hesr: Hesr, identifier: str
+) -> None:
+    text = members["modelDescription.xml"].decode()
+    changed = text.replace('modelIdentifier="lag"', f'modelIdentifier="{identifier}"')
+    assert changed != text
+    fmu = archived(
+        members
+        | {
+            "modelDescription.xml": changed.encode(),
+            "binaries/linux64/a b.so": members["binaries/linux64/lag.so"],
+        },
+        tmp_path / "Evil.fmu",
+    )
+    said = r"Evil\.fmu: its modelIdentifier is '.*'; needed is an identifier of C"
+    for command in commands(fmu)[:-2]:
+        ended = hesr(*command)
+        assert ended.code == 2, (command, ended)
+        assert re.search(said, ended.err), (command, ended.err)
+
+
+def test_sizes_are_those_of_the_content(members: dict[str, bytes], tmp_path: Path) -> None:
+    """A file with more in it than the table of contents says."""
+    fmu = archived(members, tmp_path / "Lag.fmu")
+    data = bytearray(fmu.read_bytes())
+    place = data.rindex(b"binaries/linux64/lag.so") - 46  # its entry in the table of contents
+    assert data[place : place + 4] == b"PK\1\2"
+    data[place + 24 : place + 28] = (100).to_bytes(4, "little")
+    fmu.write_bytes(data)
+    said = r"its binaries/linux64/lag\.so cannot be read"
+    with Archive(fmu) as archive, pytest.raises(ArtifactError, match=said):
+        archive.unpack(tmp_path / "out")
+    assert not any(f.stat().st_size > 100 for f in (tmp_path / "out").rglob("*.so"))
+
+
+@pytest.mark.parametrize(
+    ("limit", "value", "said"),
+    [
+        ("MOST_ENTRIES", 3, r"it has \d+ entries; at most 3 are read"),
+        ("MOST_BYTES_IN_ALL", 1000, r"it claims \d+ bytes unpacked; at most 1000 are read"),
+        ("MOST_DIRECTORY", 100, r"its table of contents has \d+ bytes"),
+        ("MOST_BYTES", 100, r"claims \d+ bytes; more than 100 are not read"),
+    ],
+)
+def test_limits(
+    lag_fmu: Path, monkeypatch: pytest.MonkeyPatch, limit: str, value: int, said: str
+) -> None:
+    monkeypatch.setattr(f"fmu_src.archive.{limit}", value)
+    with pytest.raises(ArtifactError, match=said), Archive(lag_fmu):
+        pass
+
+
+def read_fmu(path: Path, folder: Path, *, run: bool) -> None:
+    described(path)
+    embedded_model(path)
+    with Archive(path) as archive:
+        archive.unpack(folder)
+    if run:
+        with Component(path, seconds=5.0) as component:
+            component.initialise()
+            component.step(0.0, 0.1)
+            component.get(["y"])
+
+
+def read_ssp(path: Path, folder: Path, *, run: bool) -> None:
+    with opened_system(path) as spec:
+        read_contents(spec, path)
+        if run:
+            short = spec.model_copy(update={"stop": 2 * spec.step})
+            with Master(short, path) as master:
+                master.run().require_success()
+
+
+def survive(real: Path, folder: Path, count: int, runs: int) -> None:
+    """Read damaged copies of a file, and run the first few of those that can be read."""
+    read = read_ssp if real.suffix == ".ssp" else read_fmu
+    refused = 0
+    for seed in range(count):
+        path = folder / f"{seed}{real.suffix}"
+        content = damaged_archive(real, seed)
+        path.write_bytes(content)
+        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 + MOST_MORE
+        begin = time.monotonic()
+        said = ""
+        try:
+            read(path, folder / str(seed), run=seed - refused < runs)
+        except HesrError as error:
+            refused += 1
+            said = str(error)
+        except BaseException as error:
+            raise AssertionError(f"seed {seed} of {real.name}") from error
+        assert len(said) < 2000, f"seed {seed}: {said}"
+        assert "\n" not in said, f"seed {seed}: {said}"
+        assert time.monotonic() - begin < LONGEST + 20.0 * (seed - refused < runs), f"seed {seed}"
+        used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+        assert used < most + 20 * len(content), f"seed {seed}"
+        path.unlink()
+    assert 0.2 * count < refused < count
+
+
+def test_damaged_fmus(lag_fmu: Path, tmp_path: Path) -> None:
+    survive(lag_fmu, tmp_path, FEW, 5)
+
+
+def test_damaged_ssps(lags_ssp: Path, tmp_path: Path) -> None:
+    survive(lags_ssp, tmp_path, FEW, 3)
+
+
+@pytest.mark.soak
+def test_many_damaged_fmus(lag_fmu: Path, tmp_path: Path) -> None:
+    survive(lag_fmu, tmp_path, MANY, 200)
+
+
+@pytest.mark.soak
+def test_many_damaged_ssps(lags_ssp: Path, tmp_path: Path) -> None:
+    survive(lags_ssp, tmp_path, MANY, 100)

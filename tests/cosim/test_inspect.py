@@ -1,0 +1,151 @@
+"""hesr inspect: a stranger's log becomes a robot file without a hand laid on it."""
+
+import json
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_study import Hesr, hesr_here
+
+from cosim.health import read_findings
+from cosim.pipeline import Job
+from cosim.study import Study
+from hesr_model.errors import ArtifactError, LogError
+from hesr_model.health.proposal import propose, robot_file
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import Motion
+from hesr_model.robots.robot import RobotDescription
+from hesr_model.support.progress import unheard
+
+GAINS = np.array([12.0, 11.0, 9.0])
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+@pytest.fixture
+def messy(tmp_path: Path, make_motion: Callable[..., Motion]) -> Path:
+    """125 Hz with jitter, other names, degrees, currents, a gap, NaN, comments, semicolons."""
+    motion = make_motion(friction=0.8)
+    rng = np.random.default_rng(0)
+    t = np.arange(1240) / 125.0 + rng.normal(0.0, 3e-4, 1240)
+    t = np.sort(np.clip(t, 0.0, motion.t[-1]))
+    t = t[np.r_[True, np.diff(t) > 1e-4]]
+    t = t[(t < 4.0) | (t > 4.3)]
+    lines = ["# cell 7", "", "stamp;" + ";".join(f"A{k}_{x}" for x in ("pos_deg", "vel_degs",
+             "current") for k in (1, 2, 3)) + ";temp"]  # fmt: skip
+    values = np.hstack([motion.q * 180 / np.pi, motion.dq * 180 / np.pi, motion.tau / GAINS])
+    for row, stamp in enumerate(t):
+        cells = [f"{np.interp(stamp, motion.t, column):.6f}" for column in values.T]
+        if row in (200, 700):
+            cells[3] = "NaN"
+        lines.append(";".join([f"{1.6e9 + stamp:.4f}", *cells, "31.5"]))
+        if row == 500:
+            lines.append("# a tool was changed")
+    path = tmp_path / "messy.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def test_a_messy_log_gets_a_robot_file_that_reads_it(
+    messy: Path, arm: RobotDescription, hesr: Hesr
+) -> None:
+    written, page = messy.with_name("robot.toml"), messy.with_name("page.html")
+    said = hesr("inspect", messy, "--robot", arm.model, "--write", written, "-o", page)
+    assert (said.code, said.err) == (0, "")
+    assert "With the proposed robot file:" in said.out
+    data = tomllib.loads(written.read_text("utf-8"))
+    assert data["log"]["missing"] == "drop"
+    assert data["log"]["units"] == {"q": "deg", "dq": "deg/s"}
+    robot = RobotDescription.read(written)
+    log = RobotLog.read(messy, robot)
+    assert len(log.parts()) == 2
+    assert log.dropped == 2
+    # Constants from the model's gravity alone are rough, but never another unit.
+    assert robot.log.torque_per_ampere == pytest.approx(GAINS, rel=0.5)
+    html = page.read_text("utf-8")
+    assert "torque_per_ampere: guess" in html
+    assert "<svg" in html
+    assert "http://" not in html.replace("http://www.w3.org", "")
+
+
+def test_a_clean_log_is_called_clean(
+    tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription, hesr: Hesr
+) -> None:
+    motion = make_motion(name="clean", friction=0.8)
+    noise = np.random.default_rng(1).normal(0.0, 0.05, motion.tau.shape)
+    path = tmp_path / "clean.csv"
+    RobotLog(name="clean", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise).write(path)
+    answer = tmp_path / "answer.json"
+    said = hesr("inspect", path, "--robot", arm.model, "--json", answer)
+    assert said.code == 0
+    assert "Nothing wrong or odd was found." in said.out
+    assert json.loads(answer.read_text("utf-8")) == {"given": [], "proposed": [], "reasons": {}}
+
+
+def test_logs_are_looked_at_without_a_robot(messy: Path, hesr: Hesr) -> None:
+    said = hesr("inspect", messy)
+    assert said.code == 0
+    assert "joint3" in said.out
+    refused = hesr("inspect", messy, "--write", messy.with_name("robot.toml"))
+    assert refused.code == 2
+    assert refused.err == "hesr: --write needs --robot: a robot file names the robot's model.\n"
+
+
+def test_mistakes_are_mended_in_the_proposal(
+    tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription
+) -> None:
+    motion = make_motion(name="wrong", friction=0.8)
+    noise = np.random.default_rng(1).normal(0.0, 0.05, motion.tau.shape)
+    tau = (motion.tau + noise) * [-1.0, 1.0, -1.0]
+    path = tmp_path / "wrong.csv"
+    dq = motion.dq[:, [0, 2, 1]]
+    RobotLog(name="wrong", t=motion.t, q=motion.q, dq=dq, tau=tau).write(path)
+    proposal = propose([path], arm, known=True)
+    assert proposal.robot.log.units.tau == ("-N.m", "N.m", "-N.m")
+    assert proposal.robot.log.columns.dq == ("dq1", "dq3", "dq2")
+    assert proposal.examination.findings == ()
+    assert {f.check for f in proposal.first} == {"velocity-columns", "torque-sign"}
+
+
+def test_a_table_without_time_is_refused(tmp_path: Path, hesr: Hesr) -> None:
+    path = tmp_path / "odd.csv"
+    path.write_text("q1,q2\n" + "1,2\n" * 9, encoding="utf-8")
+    said = hesr("inspect", path)
+    assert said.code == 2
+    assert "no column looks like time; it has q1, q2; name it under 'log.columns.t'" in said.err
+
+
+def test_damaged_findings_of_a_run_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "health.json").write_text(
+        '{"format": "hesr-health-1", "findings": [{}]}', encoding="utf-8"
+    )
+    with pytest.raises(ArtifactError, match=r"health\.json: not what checks found \('check'\)"):
+        read_findings(tmp_path)
+    assert read_findings(tmp_path / "earlier") == []
+
+
+def test_a_part_of_a_log_must_hold_rows(messy: Path, arm: RobotDescription) -> None:
+    part = {"log": messy.name, "start": 50.0}
+    logs = {"identification": ["a"], "test": {"b": ["b"]}, "parts": {"a": part}}
+    robot = messy.with_name("robot.toml")
+    robot.write_text(robot_file(propose([messy], arm, known=True), robot), encoding="utf-8")
+    study = Study.model_validate(
+        {"name": "cut", "robot": robot, "laws": ["stribeck"], "logs": logs},
+        context={"folder": messy.parent},
+    )
+    job = Job(study=study, path=messy.with_name("study.toml"), progress=unheard)
+    with pytest.raises(LogError, match=r"no rows from 50 to 1e\+09 s, the part 'a' of"):
+        job.read("a", messy)
+
+
+def test_a_table_without_positions_is_refused(tmp_path: Path, hesr: Hesr) -> None:
+    path = tmp_path / "odd.csv"
+    path.write_text("time,a,b\n" + "".join(f"{k},1,2\n" for k in range(9)), encoding="utf-8")
+    said = hesr("inspect", path)
+    assert said.code == 2
+    assert "no columns look like positions of several joints; it has time, a, b" in said.err

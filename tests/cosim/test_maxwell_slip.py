@@ -1,0 +1,150 @@
+"""A law of ten stops that a user writes in 25 lines goes everywhere that other laws go."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.replay import replay
+from cosim.slave import Component
+from cosim.studies.properties.battery import Subject, run_battery
+from fmu_src import export_fmu
+from fmu_src.check import check
+from fmu_src.drive.drive_fmu import export_drive
+from fmu_src.modelica.modelica_package import export_modelica
+from hesr_model.artifacts import read_model, write_model
+from hesr_model.friction.evaluate import predict
+from hesr_model.friction.fitting import estimator
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
+from hesr_model.rigid_body.residual import FrictionRecord
+
+SOURCE = Path(__file__).parents[1] / "contract" / "maxwell_slip.py"
+DT = 0.005
+T = DT * np.arange(4000)
+DQ = 0.5 * np.sin(0.5 * np.pi * T) * np.exp(-(((T - 10.0) / 6.0) ** 2))
+FORCES = {f"F_{i}": 1.0 + 0.1 * i for i in range(1, 11)}
+
+
+@pytest.fixture(scope="module")
+def maxwell_slip(monkeypatch_module: pytest.MonkeyPatch) -> type[estimator.Estimator]:
+    monkeypatch_module.syspath_prepend(str(SOURCE.parent))
+    monkeypatch_module.setattr(estimator, "_REGISTRY", dict(estimator.registered()))
+    sys.modules.pop("maxwell_slip", None)
+    from maxwell_slip import MaxwellSlip
+
+    return estimator.register(MaxwellSlip)
+
+
+@pytest.fixture(scope="module")
+def monkeypatch_module():
+    with pytest.MonkeyPatch.context() as patch:
+        yield patch
+
+
+@pytest.fixture(scope="module")
+def model(maxwell_slip: type[estimator.Estimator]) -> FrictionModel:
+    law = FrictionLaw(
+        name="maxwell_slip",
+        form=maxwell_slip.form({}),
+        values={**FORCES, "sigma_2": 3.0, "tau_0": 0.2},
+    )
+    return FrictionModel(
+        law="maxwell_slip", robot="tried", joints=("axis",), laws=(law,), sample_time=DT
+    )
+
+
+@pytest.fixture(scope="module")
+def fmu(model: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_fmu(model, tmp_path_factory.mktemp("maxwell") / "MaxwellSlip.fmu", power=True)
+
+
+def torque(model: FrictionModel, t: np.ndarray, dq: np.ndarray) -> np.ndarray:
+    return predict(model.laws[0], t=t, dq=dq)
+
+
+def test_it_is_short() -> None:
+    lines = SOURCE.read_text(encoding="utf-8").splitlines()
+    assert len([line for line in lines if line.strip()]) <= 25
+
+
+def test_it_is_fitted(maxwell_slip: type[estimator.Estimator], model: FrictionModel) -> None:
+    noise = np.random.default_rng(1).normal(0.0, 0.05, len(T))
+    record = FrictionRecord(
+        log="made", joint="axis", t=T, dq=DQ, q=np.cumsum(DQ) * DT,
+        tau_load=np.zeros_like(T), tau=torque(model, T, DQ) + noise,
+    )  # fmt: skip
+    found = maxwell_slip().fit([record], np.random.default_rng(0))
+    for name, value in model.laws[0].values.items():
+        assert found.values[name] == pytest.approx(value, abs=0.05)
+
+
+def test_it_is_read_back(model: FrictionModel, tmp_path: Path) -> None:
+    write_model(tmp_path / "law.json", model)
+    assert read_model(tmp_path / "law.json").laws == model.laws
+
+
+def test_its_fmu_is_it(model: FrictionModel, fmu: Path) -> None:
+    expected = torque(model, T, DQ)
+    found = replay(fmu, T, DQ[:, None])[:, 0]
+    assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
+    assert check(fmu).problems == ()
+
+
+def test_power_is_one_equation_with_its_derivative(fmu: Path) -> None:
+    with Component(fmu) as component:
+        about = {v.name: v for v in component.description.modelVariables}
+        assert about["power[1]"].unit == "W"
+        needs = {
+            unknown.variable.name: {d.name for d in unknown.dependencies}
+            for unknown in component.description.outputs
+        }
+        assert {"dq[1]", "x1[1]"} <= needs["power[1]"]
+        component.initialise(start={"dq[1]": 0.3})
+        component.step(0.0, DT)
+        tau, power, slope = component.get(["tau[1]", "power[1]", "dtau_ddq[1]"])
+        assert power == pytest.approx(tau * 0.3, rel=1e-15)
+        known, unknown = about["dq[1]"].valueReference, about["power[1]"].valueReference
+        slave = component._instance._slave
+        [found] = slave.getDirectionalDerivative([unknown], [known], [1.0])
+        # At held states: tau + dq sigma_2.
+        assert found == pytest.approx(tau + 0.3 * 3.0, rel=1e-12)
+        assert np.isfinite(slope)
+
+
+def test_model_exchange_is_co_simulation(model: FrictionModel, fmu: Path) -> None:
+    from fmpy import simulate_fmu
+
+    t = 1e-3 * np.arange(6000)
+    dq = 0.5 * np.sin(0.5 * np.pi * t)
+    given = np.array(list(zip(t, dq, strict=True)), dtype=[("time", float), ("dq[1]", float)])
+    found = simulate_fmu(
+        str(fmu), fmi_type="ModelExchange", input=given, output=["tau[1]"], stop_time=5.9,
+        output_interval=1e-3, relative_tolerance=1e-7,
+        start_values={"q[1]": 0.0, "tau_load[1]": 0.0},
+    )  # fmt: skip
+    fine = 1e-4 * np.arange(59000)
+    truth = torque(model, fine, 0.5 * np.sin(0.5 * np.pi * fine))
+    error = np.interp(found["time"], fine, truth) - found["tau[1]"]
+    assert np.abs(error).max() <= 0.005 * np.abs(truth).max()
+
+
+def test_it_goes_into_a_drive_and_into_modelica(model: FrictionModel, tmp_path: Path) -> None:
+    drive = export_drive(model, tmp_path / "Drive.fmu", inertia=[0.5])
+    with Component(drive) as component:
+        component.initialise(start={"tau_motor[1]": 5.0})
+        for k in range(400):
+            component.step(DT * k, DT)
+        held = component.get(["q[1]", "dq[1]"])
+        # Ten stops hold 15.5 N.m: it rests where they carry the torque.
+        assert abs(held[1]) < 1e-6
+        assert 0.0 < held[0] < 1e-3
+    export_modelica(model, tmp_path / "MaxwellSlip.mo")
+    assert "der(x10)" in (tmp_path / "MaxwellSlip.mo").read_text(encoding="utf-8")
+
+
+def test_it_has_the_memory_that_no_relaxation_has(model: FrictionModel) -> None:
+    [found] = run_battery([Subject(name="maxwell_slip", model=model)])
+    [joint] = found.joints
+    assert joint.findings["memory"].verdict == "pass"

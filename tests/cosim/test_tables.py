@@ -1,0 +1,195 @@
+"""Tables: described once, whole in a terminal of 80 columns, and the same figures on a page."""
+
+import re
+from dataclasses import replace
+from io import StringIO
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from cosim.closed_loop import Scheme, StandIn
+from cosim.report.markup import table as page
+from cosim.scoring import Comparison, LawScores, Ratio, Ratios
+from cosim.studies.tracking import Tracked
+from cosim.tables import loop, properties, scores
+from cosim.tables.table import ResultTable, TableRow, number
+from cosim.tables.terminal import Drawn
+from hesr_model.friction.audit.expectations import EXPECTATIONS
+from hesr_model.friction.audit.properties import Figure, Finding, JointProperties, Properties
+
+LONG = "a variant of the extended law without ripple and without an estimated start"
+LAWS = ("lugre", "lugre_load_ripple", "parfam_hx", LONG, "anamewithoutanyblanks" * 3)
+
+
+def terminal(table: ResultTable, width: int = 80) -> str:
+    out = StringIO()
+    Console(file=out, width=width).print(Drawn(table))
+    assert max(map(len, out.getvalue().splitlines())) <= width
+    assert "…" not in out.getvalue()
+    return out.getvalue()
+
+
+def comparison(joints: int) -> Comparison:
+    """Numbers of which no two are alike, so that each can be looked for."""
+    rng = np.random.default_rng(joints)
+
+    def errors() -> tuple[float, ...]:
+        return tuple(rng.uniform(100.0, 999.0, joints))
+
+    return Comparison(
+        joints=tuple(f"j{k}" for k in range(joints)),
+        tau_std=errors(),
+        laws={
+            law: LawScores(
+                rmse=errors(), rmse_reversal=errors(), rmse_moving=errors(), r2=(0.5,) * joints
+            )
+            for law in LAWS
+        },
+        ratios=Ratios(
+            reference="lugre",
+            laws={
+                law: tuple(Ratio(value=r / 11.0, low=r / 13.0, high=r / 7.0) for r in errors())
+                for law in LAWS[1:]
+            },
+        ),
+    )
+
+
+@pytest.mark.parametrize("joints", [1, 3, 6, 7, 13])
+@pytest.mark.parametrize("measure", scores.MEASURES)
+def test_no_figure_of_many_joints_is_cut(joints: int, measure: str) -> None:
+    found = comparison(joints)
+    text = terminal(scores.errors("unseen", found, measure))
+    assert re.findall(r"\bJ\d+", text) == [f"J{k}" for k in range(1, joints + 1)]
+    figures = [f"{value:.0f}" for law in found.laws.values() for value in getattr(law, measure)]
+    if measure == "rmse":
+        ratios = [r for of_law in found.ratios.laws.values() for r in of_law]
+        figures += [f"{r.value:.2f}" for r in ratios]
+        figures += [f"{r.low:.2f}–{r.high:.2f}" for r in ratios]
+        figures += [f"{s:.0f}" for s in found.tau_std]
+    for figure in figures:
+        assert re.search(rf"(?<![\d.]){re.escape(figure)}(?![\d.])", text), figure
+
+
+def test_names_are_folded_and_no_letter_of_them_is_lost() -> None:
+    text = terminal(scores.errors("unseen", comparison(7)))
+    heads = "".join(line[: text.splitlines()[2].index("J1") - 6] for line in text.splitlines())
+    letters = re.sub(r"[\s\d.–]", "", heads)
+    assert LAWS[-1] in letters
+    assert LONG.replace(" ", "") in letters
+
+
+def test_page_and_terminal_show_the_same_figures() -> None:
+    table = scores.errors("unseen", comparison(4))
+    html = str(page(table))
+    for row in table.rows:
+        for cell in row.cells:
+            assert cell.text in terminal(table)  # type: ignore[union-attr]
+            assert f">{cell.text}</td>" in html  # type: ignore[union-attr]
+            assert f">{cell.beside}</td>" in html  # type: ignore[union-attr]
+
+
+def findings(joints: int, keys: list[str]) -> Properties:
+    rng = np.random.default_rng(joints)
+    return Properties(
+        law="x",
+        robot="bench",
+        tau_load=0.0,
+        joints=tuple(
+            JointProperties(
+                joint=f"j{k}",
+                speed=1.0,
+                level=1.0,
+                deflection=1e-3,
+                inertia=None,
+                findings={
+                    key: Finding(
+                        verdict="pass" if (k + place) % 3 else "fail",
+                        figures=(Figure(name="x", value=float(rng.uniform(1.0, 9.0)), unit="1"),),
+                    )
+                    for place, key in enumerate(keys)
+                },
+            )
+            for k in range(joints)
+        ),
+    )
+
+
+def test_thirteen_experiments_stand_in_two_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More than fit side by side; every figure has its mark."""
+    last = EXPECTATIONS["coupling"]
+    more = {f"own{k}": replace(last, key=f"own{k}", short=f"own{k}") for k in range(3)}
+    monkeypatch.setattr(properties, "EXPECTATIONS", EXPECTATIONS | more)
+    keys = list(properties.EXPECTATIONS)
+    table = properties.properties(dict.fromkeys(LAWS, findings(7, keys)))
+    text = terminal(table)
+    shorts = [e.short for e in properties.EXPECTATIONS.values()]
+    heads = [line.split() for line in text.splitlines() if line.startswith("law ")]
+    assert len(heads) > 1
+    assert [name for head in heads for name in head[1:]] == shorts
+    marked = re.findall(r"(?<!\S)(\S+)([✓✗])(?!\S)", text)
+    assert len(marked) == len(LAWS) * len(keys) * 7
+    cells = [cell for row in table.rows for cell in row.cells]
+    expected = sorted(line for cell in cells for line in cell.text.split("\n"))  # type: ignore[union-attr]
+    assert sorted(figure for figure, _ in marked) == expected
+    assert page(table).count('class="pass"') == sum(mark == "✓" for _, mark in marked)
+
+
+def test_what_is_not_to_be_had_for_any_joint_stands_once_on_a_page() -> None:
+    found = findings(3, list(EXPECTATIONS))
+    none = Finding(verdict="not applicable", reason="No states.")
+    joints = tuple(replace(j, findings={**j.findings, "hold": none}) for j in found.joints)
+    table = properties.properties({"x": replace(found, joints=joints)})
+    assert page(table).count(">n/a<") == 1
+    assert terminal(table).count("n/a") == 3
+
+
+def tracked(scheme: Scheme, law: str, joints: int) -> Tracked:
+    rng = np.random.default_rng(len(law) + joints)
+    rmse = rng.uniform(0.001, 0.5, (4, joints))
+    return Tracked(scheme=scheme, law=law, rmse=rmse, last=rmse / 7.0)
+
+
+@pytest.mark.parametrize("joints", [3, 7, 13])
+def test_a_closed_loop_of_many_joints_is_whole(joints: int) -> None:
+    scheme = Scheme(compensation="servo_inversion", Kx=5.0, source="filtered")
+    rows = [tracked(scheme, law, joints) for law in (*StandIn, *LAWS)]
+    lost = replace(rows[-1], rmse=np.full((1, joints), np.nan), last=np.full((1, joints), np.nan))
+    text = terminal(loop.tracking("Tracking", [*rows, lost]))
+    for row in rows:
+        for spread in row.spread:
+            assert f"{1e3 * spread:.3g}" in text
+    assert text.count("stopped") == joints
+    assert "servo inversion, Kx = 5" in text
+
+
+def test_changes_of_an_arm_stand_by_scheme() -> None:
+    schemes = [Scheme(compensation="none"), Scheme(compensation="servo_inversion", Kx=5.0)]
+    rows = [
+        tracked(replace(scheme, change=change), law, 7)
+        for scheme in schemes
+        for change in ("as it is", "payload 5 kg, identified")
+        for law in LAWS
+    ]
+    tables = loop.sweeps(rows)
+    assert [len(t.rows) for t in tables] == [2, 2]
+    for table, scheme in zip(tables, schemes, strict=True):
+        assert table.caption.startswith(scheme.title)
+        worst = [row.mean.max() for row in rows if replace(row.scheme, change="") == scheme]
+        assert [cell.value for row in table.rows for cell in row.cells] == pytest.approx(  # type: ignore[union-attr]
+            [1e3 * error for error in worst]
+        )
+        terminal(table)
+
+
+def test_markup_in_a_name_is_text() -> None:
+    table = ResultTable(
+        caption="[bold]x[/] <b>",
+        head=("[red]", "[/]"),
+        rows=[TableRow(head="[i] <i>", cells=[number(1.0)])],
+    )
+    text = terminal(table)
+    for name in ("[bold]x[/] <b>", "[red]", "[/]", "[i] <i>"):
+        assert name in text
+    assert "<b>" not in page(table)

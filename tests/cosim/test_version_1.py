@@ -1,0 +1,107 @@
+"""Files that were written before results were typed are read, and written again as they were."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.closed_loop import Scheme, StandIn
+from cosim.saved import SavedRun
+from cosim.scoring import Comparison
+from cosim.studies.whole_loop import LoopOutcome
+from hesr_model.artifacts import (
+    model_to_json,
+    read_model,
+    read_rigid_body,
+    write_model,
+    write_rigid_body,
+)
+from hesr_model.errors import ArtifactError
+from hesr_model.friction.audit import audit
+from hesr_model.friction.audit.properties import read_properties, write_properties
+from hesr_model.support.typed_json import from_json, to_json
+
+FILES = Path(__file__).parents[1] / "version_1"
+
+
+def written(name: str) -> Any:
+    return json.loads((FILES / name).read_text(encoding="utf-8"))
+
+
+def test_a_friction_model(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """All is as it was but for the audit, which follows from the rest and is not run any more."""
+    monkeypatch.setattr(audit, "audit", lambda *_: pytest.fail("the audit was run"))
+    model = read_model(FILES / "law.json")
+    expected = written("law.json")
+    for joint in expected["joints"]:
+        assert joint.pop("audit")
+    assert model_to_json(model) == expected
+    write_model(tmp_path / "law.json", model)
+    text = json.loads((tmp_path / "law.json").read_text(encoding="utf-8"))
+    assert list(text["joints"][0]) == list(expected["joints"][0])
+
+
+def test_a_rigid_body(tmp_path: Path) -> None:
+    expected = written("rigid_body.json")
+    write_rigid_body(
+        tmp_path / "body.json", read_rigid_body(FILES / "rigid_body.json"), expected["provenance"]
+    )
+    assert json.loads((tmp_path / "body.json").read_text(encoding="utf-8")) == expected
+
+
+def test_the_scores_of_a_run() -> None:
+    for data in written("evaluation.json").values():
+        assert to_json(from_json(Comparison, data, Path("x"), "scores")) == data
+
+
+def test_the_description_of_a_run() -> None:
+    expected = written("run.json")
+    del expected["format"]
+    assert to_json(SavedRun.read(FILES / "run.json")) == expected
+
+
+def test_the_findings_of_the_battery(tmp_path: Path) -> None:
+    write_properties(tmp_path / "found.json", read_properties(FILES / "properties.json"))
+    found = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
+    assert found["laws"] == written("properties.json")["laws"]
+
+
+def test_a_closed_loop_whose_schemes_are_values_now() -> None:
+    data = written("closed_loop.json")
+    loop = from_json(LoopOutcome, data, Path("closed_loop.json"), "a closed loop")
+    assert to_json(loop) == data
+    first, *_, lost = loop.tracking
+    assert first.law is StandIn.VELOCITY_ONLY
+    assert np.all(np.isnan(lost.mean))
+    assert lost.failures
+    assert {row.scheme.source for row in loop.tracking} == {"desired", "measured", "filtered"}
+    assert {row.scheme.Kx for row in loop.tracking} == {0.0, 5.0}
+    assert "payload 1 kg, identified" in {row.scheme.change for row in loop.sweeps}
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        Scheme(compensation="none"),
+        Scheme(compensation="torque_error", Kx=1.0 / 3.0),
+        Scheme(compensation="servo_inversion", Kx=-20.0, source="filtered", friction_gain=1e-7),
+        Scheme(compensation="none", source="measured", change="payload 1 kg, identified: known"),
+    ],
+)
+def test_a_scheme_is_its_name(scheme: Scheme) -> None:
+    assert Scheme.of_name(scheme.name) == scheme
+
+
+@pytest.mark.parametrize(
+    "name", ["", "pid", "none, Kx = fast", "none, friction of true velocity", "none, none", "none:"]
+)
+def test_what_is_no_scheme_names_file_and_key(name: str) -> None:
+    data = written("closed_loop.json")
+    data["long"][1]["scheme"] = name
+    with pytest.raises(ArtifactError) as caught:
+        from_json(LoopOutcome, data, Path("closed_loop.json"), "a closed loop")
+    said = str(caught.value)
+    assert said.startswith("closed_loop.json: not a closed loop (key 'long.1.scheme")
+    assert said.endswith(".")

@@ -1,0 +1,181 @@
+"""Worker processes as they are: fresh, killed, interrupted, orphaned; nothing of them is left."""
+
+import os
+import re
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from processes import assert_nothing_left, assert_nothing_runs, started, wait_for, workers
+
+from hesr_model.support.files import models_folder
+
+pytestmark = pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are found in /proc")
+
+TABLE_1 = models_folder() / "uf850" / "table1.json"
+LOST = (
+    "hesr: a worker process ended before its job was done, killed by another program or for lack "
+    "of memory; run it again, with fewer processes if memory is short.\n"
+)
+
+FITS = """
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from hesr_model import FrictionRecord, fit
+
+print("imported", file=sys.stderr)
+
+
+def record(joint):
+    t = np.arange(400) * 0.005
+    dq = np.sin(9.0 * t + joint)
+    return FrictionRecord(
+        log="run", joint=f"j{joint}", t=t, q=-np.cos(9.0 * t + joint) / 9.0, dq=dq,
+        tau=(2.0 + joint) * np.sign(dq) + 0.5 * dq, tau_load=np.zeros(400),
+    )
+
+
+log = [record(joint) for joint in range(3)]
+alone, shared = (fit("stribeck", log, workers=n) for n in (1, 2))
+print(alone.laws == shared.laws, [law.values["F_c"] for law in shared.laws])
+"""
+
+JOBS = """
+import os, sys, time
+from hesr_model.support.parallel import results_of
+
+class Mine:  # of this script, which workers do not import
+    def __init__(self, k):
+        self.k = k
+
+    def __call__(self):
+        from threadpoolctl import threadpool_info
+        import scipy.linalg
+        return self.k, {pool["num_threads"] for pool in threadpool_info()}, os.getpid()
+
+"""
+
+SLEEPERS = """
+def sleep(): time.sleep(600)
+
+with results_of([sleep] * 4, 2) as results:
+    for result in results:
+        pass
+"""
+
+
+def script(folder: Path, text: str) -> tuple[str, ...]:
+    (folder / "script.py").write_text(text, encoding="utf-8")
+    return ("script.py",)
+
+
+def test_a_plain_script_fits_in_processes_without_a_main_guard(tmp_path: Path) -> None:
+    with started(folder=tmp_path, program=script(tmp_path, FITS)) as process:
+        out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert err == "imported\n"  # once: workers do not run the script
+    same, *levels = re.findall(r"True|False|[0-9.]+", out)
+    assert same == "True"
+    assert [round(float(level)) for level in levels] == [2, 3, 4]
+    assert_nothing_left(process.pid, tmp_path)
+
+
+def test_jobs_of_a_script_run_in_fresh_processes_with_one_thread_each(tmp_path: Path) -> None:
+    """Numbers of threads are 1 for every library, also for those that are imported later."""
+    text = JOBS + (
+        "for _ in range(2):\n"
+        "    with results_of([Mine(k) for k in range(5)], 2) as results:\n"
+        "        print(*results, os.getpid(), sep='; ')\n"
+    )
+    program = script(tmp_path, text)
+    with started(folder=tmp_path, program=program, OMP_NUM_THREADS="7") as process:
+        out, err = process.communicate(timeout=120)
+    assert (process.returncode, err) == (0, "")
+    blocks = [[eval(part) for part in line.split("; ")] for line in out.splitlines()]
+    assert len(blocks) == 2
+    for *results, parent in blocks:
+        assert [k for k, _, _ in results] == [0, 1, 2, 3, 4]
+        assert all(threads == {1} for _, threads, _ in results)
+        assert parent not in {number for _, _, number in results}
+    one, other = ({number for _, _, number in results} for *results, _ in blocks)
+    assert not one & other
+
+
+def test_a_killed_worker_is_one_sentence(tmp_path: Path) -> None:
+    answer = tmp_path / "answer.json"
+    command = ("properties", "uf850-table1", TABLE_1, "--json", answer)
+    with started(*command, folder=tmp_path) as process:
+        # Some compile, some already run FMUs; either has files and may have processes.
+        wait_for(lambda: list((tmp_path / "tmp").glob("hesr-*/hesr-*")), process)
+        os.kill(workers(process.pid)[0], signal.SIGKILL)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert (out, err) == ("", LOST)
+    assert {path.name for path in tmp_path.iterdir()} == {"tmp"}
+    assert_nothing_left(process.pid, tmp_path)
+
+
+@pytest.mark.parametrize("crash", ["os.abort()", "os._exit(0)"])
+def test_a_worker_that_crashes_says_nothing_itself(crash: str, tmp_path: Path) -> None:
+    text = JOBS + (
+        f"def crash(): {crash}\n"
+        "try:\n"
+        "    with results_of([Mine(0), crash, Mine(2)], 2) as results:\n"
+        "        list(results)\n"
+        "except Exception as error:\n"
+        "    sys.exit(f'hesr: {error}')\n"
+    )
+    with started(folder=tmp_path, program=script(tmp_path, text)) as process:
+        _, err = process.communicate(timeout=60)
+    assert err == LOST
+    assert_nothing_left(process.pid, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("number", "seconds"),
+    [(signal.SIGINT, 0.0), (signal.SIGINT, 0.5), (signal.SIGINT, 2.0), (signal.SIGTERM, 0.5)],
+)
+def test_signals_to_the_group_are_answered_once(
+    number: signal.Signals, seconds: float, tmp_path: Path
+) -> None:
+    """Also while workers start, which then know nothing of it yet."""
+    with started("properties", "uf850-table1", TABLE_1, folder=tmp_path) as process:
+        wait_for(lambda: workers(process.pid), process)
+        time.sleep(seconds)
+        os.killpg(process.pid, number)
+        out, err = process.communicate(timeout=60)
+    who = "interrupted" if number == signal.SIGINT else "ended by another program"
+    assert (out, err) == ("", f"hesr: {who}; no file is half-written.\n")
+    assert process.returncode == 128 + number
+    assert_nothing_left(process.pid, tmp_path)
+
+
+def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+    """They sleep for minutes, and nobody tells them."""
+    with started(folder=tmp_path, program=script(tmp_path, JOBS + SLEEPERS)) as process:
+        wait_for(lambda: len(workers(process.pid)) == 2, process)
+        time.sleep(1.0)
+        os.kill(process.pid, signal.SIGKILL)
+        process.communicate(timeout=60)
+    assert_nothing_left(process.pid, tmp_path)
+
+
+def test_where_a_job_fails_the_others_are_stopped_and_its_error_is_raised(tmp_path: Path) -> None:
+    text = JOBS + (
+        "def fail(): raise ZeroDivisionError('of a job')\n"
+        "def sleep(): time.sleep(600)\n"
+        "try:\n"
+        "    with results_of([Mine(0), fail, sleep, sleep], 3) as results:\n"
+        "        for result in results:\n"
+        "            print(result[0])\n"
+        "except ZeroDivisionError as error:\n"
+        "    print(error)\n"
+    )
+    with started(folder=tmp_path, program=script(tmp_path, text)) as process:
+        out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (0, "0\nof a job\n", "")
+    assert_nothing_runs(process.pid)

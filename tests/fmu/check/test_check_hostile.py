@@ -1,0 +1,209 @@
+"""`hesr check --hostile`: our own FMUs bear every master; what others do not bear is told."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from fmu_files import changed, texts
+from pythonfmu.builder import FmuBuilder
+
+from fmu_src import export_fmu, package
+from fmu_src.check import check, hostile
+from fmu_src.drive.drive_fmu import export_drive
+
+SLAVE = """
+import os
+from pythonfmu import Fmi2Causality, Fmi2Slave, Real
+
+
+class Slave(Fmi2Slave):
+    def __init__(self, **more):
+        super().__init__(**more)
+        self.u, self.x, self.last, self.read = 0.0, 0.0, 0.0, 0
+        self.register_variable(Real("u", causality=Fmi2Causality.input, start=0.0))
+        self.register_variable(Real("y", causality=Fmi2Causality.output, getter=self.look))
+
+    def look(self):
+        self.read += 1
+        return self.x
+
+    def do_step(self, time, step):
+        BODY
+        return True
+"""
+
+LAG = "self.x += step * 20.0 * (self.u - self.x)"
+
+
+@pytest.fixture
+def python_fmu(tmp_path: Path) -> Callable[[str], Path]:
+    def make(body: str, look: str = "return self.x") -> Path:
+        (tmp_path / "slave.py").write_text(
+            SLAVE.replace("BODY", body).replace("return self.x", look), encoding="utf-8"
+        )
+        return Path(FmuBuilder.build_FMU(tmp_path / "slave.py", dest=tmp_path / "Slave.fmu"))
+
+    return make
+
+
+def found(fmu: Path) -> list[str]:
+    return texts(check(fmu, hostile=True), "hostile")
+
+
+# --- ours -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", ["lugre", "viscous", "elements"])
+def test_friction_laws_bear_everything(law, make_law, make_model, tmp_path):
+    model = make_model(make_law(law), make_law(law))
+    report = check(export_fmu(model, tmp_path / "F.fmu"), hostile=True)
+    assert report.problems == ()
+    assert not any("ostile" in reason for reason in report.skipped)
+
+
+def test_the_papers_law_and_its_drive_bear_everything(table1, table1_fmu, tmp_path):
+    drive = export_drive(table1, tmp_path / "D.fmu", inertia=[3.0, 3.0, 0.6])
+    assert found(table1_fmu) == []
+    assert found(drive) == []
+
+
+# --- what is found in the glue of others ------------------------------------------------------
+
+
+@pytest.fixture
+def reworked(make_law, make_model, tmp_path, monkeypatch) -> Callable[..., Path]:
+    """An FMU of a law whose glue is not as ours."""
+
+    def make(law: str, old: str, new: str) -> Path:
+        glue, changes = package.own_source, []
+
+        def other(name: str) -> str:
+            text = glue(name)
+            changes.extend([name] * text.count(old))
+            return text.replace(old, new)
+
+        monkeypatch.setattr(package, "own_source", other)
+        fmu = export_fmu(make_model(make_law(law)), tmp_path / "F.fmu")
+        assert changes
+        return fmu
+
+    return make
+
+
+def test_a_state_where_there_is_none(reworked):
+    fmu = reworked("viscous", "n != own && (own > 0 || n > 1)", "n != own")
+    assert found(fmu) == [
+        "fmi2SetContinuousStates with one state where there is none is refused; solvers that need "
+        "one make it up."
+    ]
+
+
+def test_a_state_too_many(reworked):
+    fmu = reworked("lugre", "n != own && (own > 0 || n > 1)", "n < own")
+    assert found(fmu) == [
+        "fmi2SetContinuousStates with one state too many: it is taken without an error."
+    ]
+
+
+def test_events_without_end(reworked):
+    fmu = reworked(
+        "lugre", "{.nextEventTimeDefined = fmi2False}", "{.newDiscreteStatesNeeded = fmi2True}"
+    )
+    assert found(fmu) == [
+        f"{way}: fmi2NewDiscreteStates asks for another iteration without end."
+        for way in (
+            "model exchange with inputs held over each step of the solver",
+            "model exchange with inputs set after events only",
+            "fmi2SetContinuousStates with one state too many",
+        )
+    ]
+
+
+def test_a_last_step_that_is_refused(reworked):
+    fmu = reworked(
+        "lugre", "if (is_rounding(step)) {", "if (is_rounding(step)) {\n return fmi2Discard;"
+    )
+    first, second = found(fmu)
+    assert first.startswith(
+        "a last step of rounding size, as summed times leave it: fmi2DoStep of 1e-14 s at 1 s is "
+        "discarded each of 20 times"
+    )
+    assert second.endswith("canHandleVariableCommunicationStepSize is true.")
+
+
+# --- FMUs of PythonFMU ------------------------------------------------------------------------
+
+
+def test_a_lag_bears_everything(python_fmu):
+    assert found(python_fmu(LAG)) == []
+
+
+def test_a_division_by_the_step(python_fmu):
+    sentences = found(python_fmu("self.x, self.last = (self.u - self.last) / step, self.u"))
+    assert [s.partition(":")[0] for s in sentences] == [
+        "a last step of rounding size, as summed times leave it",
+        "steps of rounding size between others",
+    ]
+    for sentence in sentences:
+        match = re.search(r"'y' is (\S+) at \S+ s after a step of 1e-14 s, where", sentence)
+        assert match
+        assert abs(float(match[1])) > 1e9
+
+
+def test_a_promise_that_is_not_kept(python_fmu):
+    fmu = python_fmu(f"assert abs(step - 0.01) < 1e-6, 'only 10 ms'\n        {LAG}")
+    sentences = found(fmu)
+    assert len(sentences) == 7
+    promised = [
+        s for s in sentences if s.endswith("canHandleVariableCommunicationStepSize is true.")
+    ]
+    assert [s.partition(":")[0] for s in promised] == list(hostile._FREE.values())
+    assert "fmi2DoStep of 0.002 s at 0 s" in promised[0]
+
+
+def test_steps_of_one_length_where_nothing_else_is_promised(python_fmu, tmp_path):
+    def fixed(xml):
+        xml.find("CoSimulation").set("canHandleVariableCommunicationStepSize", "false")
+
+    report = check(changed(python_fmu(LAG), tmp_path / "Fixed.fmu", fixed), hostile=True)
+    assert texts(report, "hostile") == []
+    assert (
+        "Hostile steps: canHandleVariableCommunicationStepSize is false, so that steps of 0.01 s "
+        "were tried only." in report.skipped
+    )
+
+
+def test_reading_that_changes_the_run(python_fmu):
+    (sentence,) = found(python_fmu("self.x = self.u + self.read"))
+    assert sentence.startswith("reading outputs between fmi2SetReal and fmi2DoStep: 'y' is ")
+
+
+def test_a_crash_ends_its_own_scenario_alone(python_fmu):
+    sentences = found(python_fmu(f"step > 1e-9 or os.kill(os.getpid(), 11)\n        {LAG}"))
+    assert sentences == [
+        f"{name}: the FMU crashes with signal 11{claim}."
+        for name, claim in (
+            ("a last step of rounding size, as summed times leave it", ""),
+            (
+                "steps of rounding size between others",
+                "; canHandleVariableCommunicationStepSize is true",
+            ),
+        )
+    ]
+
+
+def test_a_step_that_never_ends(python_fmu, monkeypatch):
+    monkeypatch.setattr(hostile, "SECONDS", 8.0)
+    sentences = found(python_fmu(f"while step < 1e-9: pass\n        {LAG}"))
+    assert sentences[0] == (
+        "a last step of rounding size, as summed times leave it: the FMU does not come to an end, "
+        "it gave no answer within 8 s."
+    )
+    assert len(sentences) == 2
+
+
+def test_without_a_binary_there_is_nothing_to_run(source_fmu):
+    report = check(source_fmu, hostile=True)
+    assert report.problems == ()
+    assert "Hostile master: there is no binary for this platform, linux64." in report.skipped

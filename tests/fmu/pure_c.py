@@ -1,0 +1,35 @@
+"""Headers of the C that know nothing of FMI, compiled alone."""
+
+import ctypes
+from collections.abc import Mapping
+from pathlib import Path
+
+from fmu_src.package import own_source
+from fmu_src.toolchain import TARGETS, build
+
+UNUSED = '#pragma clang diagnostic ignored "-Wunused-function"\n'
+COMPONENT = """
+#ifndef COMPONENT_H
+#define COMPONENT_H
+typedef struct { char text[256]; } Message;
+#endif
+"""
+
+
+def compiled(
+    folder: Path, text: str, *headers: str, others: Mapping[str, str] | None = None
+) -> ctypes.CDLL:
+    """Load functions in C that use headers of the project, and further files instead of others."""
+    files = {name: own_source(name) for name in headers} | {"component.h": COMPONENT}
+    exported = text.replace("EXPORT ", '__attribute__((visibility("default"))) ')
+    for name, content in (files | dict(others or {}) | {"pure.c": UNUSED + exported}).items():
+        (folder / name).write_text(content, encoding="utf-8")
+    library = folder / "pure.so"
+    library.write_bytes(build(folder / "pure.c", "pure", TARGETS["linux64"]))
+    return ctypes.CDLL(str(library))
+
+
+def function(library: ctypes.CDLL, name: str, result: type, *arguments: type) -> ctypes._CFuncPtr:
+    found = getattr(library, name)
+    found.restype, found.argtypes = result, arguments
+    return found

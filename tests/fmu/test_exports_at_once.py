@@ -1,0 +1,124 @@
+"""A model that is exported again, or by many at once: the same bytes, and made once."""
+
+import json
+import multiprocessing
+import os
+import subprocess
+import sys
+import tempfile
+
+import pytest
+
+from cosim.cli import main
+from cosim.exported import exported
+from fmu_src import export_fmu
+from fmu_src.toolchain import TARGETS, compile_c
+from hesr_model.artifacts import read_model, write_model
+
+[LINUX] = TARGETS["linux64"].triples
+
+
+def hesr(*arguments: object) -> None:
+    """Run the command line in this process, which it ends."""
+    sys.argv = ["hesr", *map(str, arguments)]
+    main()
+
+
+@pytest.fixture
+def model(table1, tmp_path):
+    path = tmp_path / "model.json"
+    write_model(path, table1)
+    return path
+
+
+def test_twenty_exports_at_once_are_those_of_one_after_the_other(model, tmp_path, empty_cache):
+    models, expected = [], []
+    for k in range(4):
+        data = json.loads(model.read_text())
+        data["joints"][0]["coefficients"]["c_0"]["value"] = -2.0 - 0.1 * k
+        models.append(tmp_path / f"{k}.json")
+        models[k].write_text(json.dumps(data))
+    # Processes of their own, which have imported everything when they come to be.
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(
+        ["cosim.cli", "hesr_model.artifacts", "fmu_src.friction.friction_fmu"]
+    )
+    outputs = [tmp_path / f"F{k}.fmu" for k in range(20)]
+    processes = [
+        context.Process(target=hesr, args=("export", models[k % 4], "-o", output))
+        for k, output in enumerate(outputs)
+    ]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [process.exitcode for process in processes] == [0] * 20
+    kept = [len([p for p in (empty_cache / kind).rglob("*") if p.is_file() and p.name != "lock"])
+            for kind in ("binaries", "fmus")]  # fmt: skip
+    assert kept == [8, 4]  # a library and a module of each law
+
+    for k in range(4):
+        for entry in (empty_cache / "binaries").rglob("*"):
+            if entry.is_file():
+                entry.unlink()
+        expected.append(export_fmu(read_model(models[k]), tmp_path / "one.fmu").read_bytes())
+    assert len(set(expected)) == 4
+    assert [output.read_bytes() for output in outputs] == expected * 5
+
+
+def test_a_second_export_of_the_same_is_a_copy_and_another_is_made(
+    model, tmp_path, empty_cache, monkeypatch
+):
+    written = []
+
+    def export(name="F.fmu", **options):
+        def write():
+            written.append(name)
+            (tmp_path / name).write_bytes(f"number {len(written)}".encode())
+
+        exported(model, options, tmp_path / name, write)
+        return (tmp_path / name).read_bytes()
+
+    first = export(platforms=["linux64"])
+    assert export("G.fmu", platforms=["linux64"]) == first
+    assert written == ["F.fmu"]
+    others = {
+        export(platforms=["win64"]),
+        export(platforms=["linux64"], motor={"inertia": "1"}),
+        export("F.zip", platforms=["linux64"]),
+    }
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    others.add(export(platforms=["linux64"]))
+    monkeypatch.delenv("SOURCE_DATE_EPOCH")
+    assert len({first, *others}) == 5
+    model.write_text(model.read_text() + "\n")
+    assert export(platforms=["linux64"]) not in {first, *others}
+
+
+def test_where_laws_of_others_are_installed_every_export_is_made(
+    model, tmp_path, empty_cache, monkeypatch
+):
+    monkeypatch.setattr("cosim.exported.entry_points", lambda group: [group])
+    times = []
+    for _ in range(2):
+        exported(model, {}, tmp_path / "F.fmu", lambda: times.append(1))
+    assert len(times) == 2
+
+
+@pytest.mark.parametrize("home", [None, "/proc"])
+def test_a_home_that_cannot_be_written_does_not_hinder_the_compiler(
+    home, tmp_path, empty_cache, monkeypatch
+):
+    private = tmp_path / f"hesr-cache-{os.getuid()}"
+    private.mkdir(mode=0o700)
+    (private / "zig").symlink_to((empty_cache / "zig").resolve())
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.delenv("HOME")
+    if home:
+        monkeypatch.setenv("HOME", home)
+    (tmp_path / "main.c").write_text("int main(void) { return 7; }\n")
+    compile_c(tmp_path / "main.c", ("-target", LINUX), tmp_path / "main")
+    assert subprocess.run([tmp_path / "main"], check=False).returncode == 7
+    assert len([p for p in (private / "binaries").rglob("*") if p.name == "lock"]) == 1

@@ -1,0 +1,68 @@
+"""Read damaged files in a process of its own, which may crash: says each result in a line of JSON.
+
+Run as `python read_damaged.py READER FIRST COUNT FOLDER`; damage k has the seed k.
+"""
+
+import faulthandler
+import json
+import logging
+import resource
+import sys
+import time
+import traceback
+import warnings
+from pathlib import Path
+
+import numpy as np
+from damage import damaged
+from readers import READERS
+
+from hesr_model.errors import HesrError
+
+LONGEST = 10.0  # [s] for one file
+LONGEST_SENTENCE = 3000
+
+
+def memory() -> int:
+    """Most memory that this process has had [B]."""
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def say(**found: object) -> None:
+    sys.stdout.write(json.dumps(found) + "\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    name, first, count, folder = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4])
+    reader = READERS[name]
+    path = folder / f"file{reader.suffix}"
+    reader.write(path)
+    original = path.read_bytes()
+    reader.read(path)  # a real one is read
+    logging.disable()
+    warnings.simplefilter("ignore")
+    before, longest = memory(), len(original)
+    refused = 0
+    for seed in range(first, first + count):
+        content = damaged(original, np.random.default_rng(seed))
+        path.write_bytes(content)
+        longest = max(longest, len(content))
+        say(seed=seed)
+        faulthandler.dump_traceback_later(LONGEST, exit=True)
+        start = time.monotonic()
+        try:
+            reader.read(path)
+        except HesrError as error:
+            refused += 1
+            if "\n" in str(error) or len(str(error)) > LONGEST_SENTENCE:
+                say(seed=seed, wrong=f"not a sentence: {str(error)[:500]}")
+        except BaseException:
+            say(seed=seed, wrong=traceback.format_exc())
+        faulthandler.cancel_dump_traceback_later()
+        if time.monotonic() - start > LONGEST:
+            say(seed=seed, wrong="took too long")
+    say(refused=refused, memory=memory() - before, longest=longest)
+
+
+main()

@@ -1,0 +1,93 @@
+/* What a hostile FMU does in a call, as the environment wants it: DEED is "<call> <deed>". Stands
+ * before all other code of an FMU; `hostile.py` puts the calls of `misbehave` into its functions.
+ */
+#include <math.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* Not of C99, and not in its headers. */
+int chdir(const char *path);
+int close(int file);
+int fork(void);
+int getpid(void);
+int setsid(void);
+unsigned sleep(unsigned seconds);
+long write(int file, const void *bytes, size_t size);
+
+enum { FILES = 256, PIECE = 1 << 26 };
+
+static void flee(void) {
+    /* A grandchild that has left the session, and whose parent is no more. */
+    if (fork() == 0) {
+        setsid();
+        if (fork() == 0) {
+            FILE *file = fopen(getenv("PID_FILE"), "w");
+            fprintf(file, "%d", getpid());
+            fclose(file);
+            sleep(1000);
+        }
+        exit(0);
+    }
+    sleep(1);
+}
+
+static void misbehave(const char *call) {
+    const char *deed = getenv("DEED");
+    const size_t length = strlen(call);
+    if (!deed || strncmp(deed, call, length) != 0 || deed[length] != ' ') {
+        return;
+    }
+    deed += length + 1;
+    if (strcmp(deed, "exit") == 0) {
+        exit(0);
+    } else if (strcmp(deed, "loop") == 0) {
+        signal(SIGINT, SIG_IGN);
+        signal(SIGTERM, SIG_IGN);
+        for (volatile unsigned i = 0;; i++) {
+        }
+    } else if (strcmp(deed, "segfault") == 0) {
+        *(volatile int *)8 = 1;
+    } else if (strcmp(deed, "chdir") == 0) {
+        if (chdir("/") != 0) {
+            abort();
+        }
+    } else if (strcmp(deed, "memory") == 0) {
+        for (char *volatile piece; (piece = malloc(PIECE)) != NULL;) {
+            *piece = 1;
+        }
+        abort();
+    } else if (strcmp(deed, "file") == 0) {
+        FILE *file = fopen("large", "w");
+        fseek(file, 2147483647L, SEEK_SET);
+        fputc(1, file);
+        exit(fflush(file) == 0 ? 0 : 9);
+    } else if (strcmp(deed, "hang up") == 0) {
+        for (int file = 3; file < FILES; file++) {
+            close(file);
+        }
+        sleep(1000);
+    } else if (strcmp(deed, "talk") == 0) {
+        const unsigned char nonsense[] = {0, 0, 0, 12, 9, 0, 0, 0, 200, 0, 0, 0, '[', '[', '[', 0};
+        for (int file = 3; file < FILES; file++) {
+            write(file, nonsense, sizeof nonsense);
+        }
+    } else if (strcmp(deed, "half a word") == 0) {
+        for (int file = 3; file < FILES; file++) {
+            write(file, "\0\0\0", 3);
+        }
+        sleep(1000);
+    } else if (strcmp(deed, "flee") == 0) {
+        flee();
+        exit(0);
+    } else if (strcmp(deed, "flood") == 0) {
+        for (int i = 0; i < 1000000; i++) {
+            puts("I write and write and write.");
+        }
+    }
+}
+
+__attribute__((constructor)) static void loaded(void) {
+    misbehave("load");
+}

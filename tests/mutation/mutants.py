@@ -1,0 +1,174 @@
+"""Small faults that are put into sources, to see whether a test notices.
+
+Those in Python are made by the operators of Cosmic Ray, but for numbers, which it only moves by one
+where faults of science are factors. Cosmic Ray's own runs have neither random samples nor tests of
+their own for each module, so `run.py` makes these. C is formatted by clang-format, which puts
+spaces around binary operators and around no others, so tokens are enough to tell them.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import cosmic_ray.plugins
+from cosmic_ray.ast import ast_nodes, get_ast, is_number
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.operators.operator import Operator
+from parso.python.tree import Number
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mutant:
+    """A source with one fault.
+
+    Attributes
+    ----------
+    place : line and column of the fault, from 1 and 0.
+    before, after : the lines that differ, stripped.
+    text : the whole source.
+    """
+
+    place: tuple[int, int]
+    before: str
+    after: str
+    text: str
+
+
+Variant = tuple[str, int]
+"""Name of a fault, and which of its occurrences in the source."""
+
+
+def variants(path: Path) -> dict[tuple[int, int], list[Variant]]:
+    """Faults that can be made in a source, by place."""
+    text = path.read_text(encoding="utf-8")
+    found: dict[tuple[int, int], list[Variant]] = {}
+    if path.suffix == ".py":
+        nodes, lines = list(ast_nodes(get_ast(text))), text.split("\n")
+        for name, operator in _operators().items():
+            places = (at for node in nodes for at, _ in operator.mutation_positions(node))
+            for occurrence, place in enumerate(places):
+                if not _NO_FAULT.search(f"{name}: {lines[place[0] - 1][: place[1]]}"):
+                    found.setdefault(place, []).append((name, occurrence))
+    else:
+        for start, _, others in _c_faults(text):
+            line = text.count("\n", 0, start) + 1
+            place = (line, start - text.rfind("\n", 0, start) - 1)
+            found[place] = [(other, start) for other in others]
+    return found
+
+
+def mutant(path: Path, place: tuple[int, int], variant: Variant) -> Mutant:
+    """Make one of the faults that `variants` gives."""
+    text = path.read_text(encoding="utf-8")
+    name, occurrence = variant
+    if path.suffix == ".py":
+        changed = mutate_code(text, _operators()[name], occurrence)
+    else:
+        end = next(end for start, end, _ in _c_faults(text) if start == occurrence)
+        changed = text[:occurrence] + name + text[end:]
+    pairs = [
+        (a.strip(), b.strip())
+        for a, b in zip(text.split("\n"), changed.split("\n"), strict=True)
+        if a != b
+    ]
+    before, after = (" ".join(lines) for lines in zip(*pairs, strict=True))
+    return Mutant(place=place, before=before, after=after, text=changed)
+
+
+# --- Python -----------------------------------------------------------------------------------
+
+# Others are noticed by whatever runs the line, or are not about numbers.
+_KEPT = re.compile(
+    r"core/(ReplaceBinaryOperator_(Add|Sub|Mul|Div|FloorDiv|Mod|Pow)_(Add|Sub|Mul|Div)|"
+    r"ReplaceBinaryOperator_BitAnd_BitOr|"
+    r"ReplaceComparisonOperator_(Eq|NotEq|Lt|LtE|Gt|GtE)_(Eq|NotEq|Lt|LtE|Gt|GtE)|"
+    r"ReplaceComparisonOperator_(Is_IsNot|IsNot_Is)|ReplaceUnaryOperator_(USub_UAdd|Delete_\w+)|"
+    r"AddNot|ReplaceAndWithOr|ReplaceOrWithAnd|ReplaceTrueWithFalse|ReplaceFalseWithTrue|"
+    r"ReplaceBreakWithContinue|ReplaceContinueWithBreak|ZeroIterationForLoop)"
+)
+
+
+# What is said to make mistakes of programmers impossible changes nothing in what works, and the
+# star of a signature is no product.
+_NO_FAULT = re.compile(r"\b(frozen|kw_only|eq|strict)=$|_Mul_\w+: (.*[\[({,])? *$")
+
+
+class _OtherNumber(Operator):  # type: ignore[misc]  # untyped
+    """Another number in place of one: twice, half, ten times, one more, one less."""
+
+    def mutation_positions(self, node):
+        if is_number(node):
+            for _ in _other_numbers(node.value):
+                yield node.start_pos, node.end_pos
+
+    def mutate(self, node, index):
+        return Number(_other_numbers(node.value)[index], node.start_pos, node.prefix)
+
+    @classmethod
+    def examples(cls) -> tuple[()]:
+        return ()
+
+
+@cache
+def _operators() -> dict[str, Operator]:
+    known = [name for name in cosmic_ray.plugins.operator_names() if _KEPT.fullmatch(name)]
+    return {n: cosmic_ray.plugins.get_operator(n)() for n in known} | {"number": _OtherNumber()}
+
+
+def _other_numbers(text: str) -> list[str]:
+    """Return other numbers in the notation of Python and C."""
+    if re.fullmatch(r"\d+", text):
+        whole = int(text)
+        return [str(whole + 1), *([str(whole - 1)] if whole else [])]
+    try:
+        value = float(text)
+    except ValueError:  # hexadecimal, or with a suffix
+        return []
+    # What is tiny stands for rounding: twice as much of it is no fault.
+    factors = (2.0, 0.5, 10.0) if value >= 1e-8 else (1e6,)
+    return [repr(value * k) for k in factors] if value else ["1.0"]
+
+
+# --- C ----------------------------------------------------------------------------------------
+
+_BINARY = {
+    "<": ("<=", ">="), "<=": ("<", ">"), ">": (">=", "<="), ">=": (">", "<"),
+    "==": ("!=",), "!=": ("==",), "&&": ("||",), "||": ("&&",),
+    "+": ("-",), "-": ("+",), "*": ("/",), "/": ("*",),
+    "+=": ("-=", "="), "-=": ("+=", "="), "*=": ("/=", "="), "/=": ("*=", "="),
+}  # fmt: skip
+_WORDS = {
+    "true": "false", "false": "true", "fmin": "fmax", "fmax": "fmin", "sin": "cos", "cos": "sin",
+    "fabs": "", "ceil": "floor", "floor": "ceil", "continue": "break", "break": "continue",
+}  # fmt: skip
+_C_TOKEN = re.compile(
+    r"//[^\n]*|/\*.*?\*/|\"(?:\\.|[^\"\\])*\"|'[^']*'|^[ ]*#(?!define)[^\n]*|"
+    r"(?P<statement>(?<=[;{}/]\n) +(?!return\b|\w+ [*\w]|\(void\))[\w*(][^\n;{}]*;$)|"
+    r"(?P<number>(?<![\w.])\d+(?:\.\d*)?(?:[eE][+-]?\d+)?(?![\w.]))|(?P<word>\b[A-Za-z_]\w*)|"
+    r"(?P<not>!(?=[\w(]))|(?<= )(?P<binary>[<>=!]=|&&|\|\||[-+*/]=?|[<>])(?=\s)",
+    re.MULTILINE | re.DOTALL,
+)
+
+
+def _c_faults(text: str) -> Iterator[tuple[int, int, list[str]]]:
+    """Start and end of what can be replaced in a source in C, and by what."""
+    place = 0
+    while found := _C_TOKEN.search(text, place):
+        kind, token, place = found.lastgroup, found.group(), found.end()
+        others: list[str] = []
+        if kind == "statement":
+            place = found.start() + len(token) - len(token.lstrip())  # and what is in it
+            yield place, found.end(), [";"]
+            continue
+        if kind == "number":
+            others = _other_numbers(token)
+        elif kind == "word" and token in _WORDS:
+            others = [_WORDS[token]]
+        elif kind == "not":
+            others = [""]
+        elif kind == "binary":
+            others = list(_BINARY.get(token, ()))
+        if others:
+            yield found.start(), found.end(), others

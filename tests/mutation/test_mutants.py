@@ -1,0 +1,94 @@
+"""The faults of `make mutate` are faults, and every source has tests that are near to it."""
+
+import tomllib
+from fnmatch import fnmatch
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+SOURCES = [
+    path
+    for pattern in ("hesr_model/**/*.py", "fmu_src/c/*.[ch]", "cosim/master.py")
+    for path in sorted(ROOT.glob(pattern))
+]
+
+PYTHON = """
+def f(a, *, b=True):
+    '''Not 3 faults.'''
+    return a * 0.5 if a < 2 else -a
+"""
+C = """
+/* Not 3 faults. */
+#include "x.h"
+static double f(const double *a, int n) {
+    double sum = 0.0;
+    for (int i = 0; i < n; i++) {
+        sum += fabs(a[i]) * 2.5; /* nor here: 1 + 1 */
+    }
+    return !n ? -sum : sum;
+}
+"""
+
+
+def changes(name: str, text: str, folder: Path) -> set[tuple[str, str]]:
+    mutants = pytest.importorskip("mutants", reason="needs hesr[mutation]")
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    found = [mutants.mutant(path, p, v) for p, vs in mutants.variants(path).items() for v in vs]
+    assert all(sum(map(str.__ne__, m.text.split("\n"), text.split("\n"))) == 1 for m in found)
+    return {(m.before, m.after) for m in found}
+
+
+def test_faults_in_python(tmp_path: Path) -> None:
+    found = changes("a.py", PYTHON, tmp_path)
+    line = "return a * 0.5 if a < 2 else -a"
+    for after in (
+        "return a / 0.5 if a < 2 else -a", "return a * 1.0 if a < 2 else -a",
+        "return a * 5.0 if a < 2 else -a", "return a * 0.5 if a <= 2 else -a",
+        "return a * 0.5 if a < 3 else -a", "return a * 0.5 if a < 2 else a",
+    ):  # fmt: skip
+        assert (line, after) in {(before, " ".join(after.split())) for before, after in found}
+    assert {before for before, _ in found} == {line, "def f(a, *, b=True):"}
+
+
+def test_faults_in_c(tmp_path: Path) -> None:
+    found = changes("a.c", C, tmp_path)
+    addition = "sum += fabs(a[i]) * 2.5; /* nor here: 1 + 1 */"
+    assert found == {
+        ("double sum = 0.0;", "double sum = 1.0;"),
+        ("for (int i = 0; i < n; i++) {", "for (int i = 1; i < n; i++) {"),
+        ("for (int i = 0; i < n; i++) {", "for (int i = 0; i <= n; i++) {"),
+        ("for (int i = 0; i < n; i++) {", "for (int i = 0; i >= n; i++) {"),
+        *((addition, addition.replace("+=", to, 1)) for to in ("-=", "=")),
+        (addition, addition.replace("fabs", "")),
+        (addition, addition.replace("*", "/", 1).replace("//", "/*")),
+        *((addition, addition.replace("2.5", to)) for to in ("5.0", "1.25", "25.0")),
+        ("return !n ? -sum : sum;", "return n ? -sum : sum;"),
+    }
+
+
+@pytest.mark.parametrize("table", ["nearest.toml", "equivalent.toml"])
+def test_tables_name_what_there_is(table: str) -> None:
+    for entry in tomllib.loads((HERE / table).read_text(encoding="utf-8"))["of"]:
+        pattern = str(entry.get("sources", entry.get("source")))
+        named = [path for path in SOURCES if fnmatch(str(path.relative_to(ROOT)), pattern)]
+        assert named, pattern
+        for test in entry.get("tests", ()):
+            assert list((ROOT / "tests").glob(test)), f"{pattern}: {test}"
+        if "reason" in entry:
+            texts = [" ".join(path.read_text(encoding="utf-8").split()) for path in named]
+            assert any(" ".join(entry["before"].split()) in text for text in texts), entry
+
+
+def test_every_source_has_tests_near_to_it() -> None:
+    entries = tomllib.loads((HERE / "nearest.toml").read_text(encoding="utf-8"))["of"]
+    bare = [
+        str(path.relative_to(ROOT))
+        for path in SOURCES
+        if path.stem != "__init__"
+        and not any(fnmatch(str(path.relative_to(ROOT)), e["sources"]) for e in entries)
+        and not list((ROOT / "tests").rglob(f"test_{path.stem}.py"))
+    ]
+    assert bare == []

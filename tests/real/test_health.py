@@ -1,0 +1,82 @@
+"""Measured logs pass the checks without a false word, and mistakes on them are told."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hesr_model.health.examine import examine
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.robots.robot import RobotDescription, RobotModel
+
+SHARED = Path(__file__).parents[2].parent / "shared" / "data"
+
+
+def findings(robot: str, logs: list[Path]) -> list[tuple[str, tuple[str, ...]]]:
+    """Checks that found something, and their joints."""
+    if not all(log.is_file() for log in logs) or not logs:
+        pytest.skip(f"measured logs are not beside the repository, in {SHARED}")
+    description = RobotDescription.read(Path(__file__).with_name(robot))
+    read = [RobotLog.read(log, description) for log in logs]
+    examination = examine(read, description, RobotModel(description))
+    return [(finding.check, finding.joints) for finding in examination.findings]
+
+
+def test_thirteen_logs_of_a_ur10e_are_sound() -> None:
+    logs = sorted((SHARED / "ur10e").glob("*.csv"))
+    assert len(logs) in (0, 13)
+    assert findings("ur10e.toml", logs) == []
+
+
+def test_a_panda_is_sound_although_it_hardly_rubs() -> None:
+    assert findings("panda.toml", [SHARED / "panda" / "panda_first.csv"]) == []
+
+
+def test_a_coupled_wrist_seen_from_the_motors_is_sound() -> None:
+    assert findings("tx40.toml", [SHARED / "tx40" / "tx40_first.csv"]) == []
+
+
+def test_of_a_tiago_only_the_wrist_is_odd_which_has_no_signal() -> None:
+    found = findings("tiago.toml", [SHARED / "tiago_arm" / "tiago_excitation.csv"])
+    assert {check for check, _ in found} == {"torque-signal"}
+    assert sorted(joint for _, joints in found for joint in joints) == [
+        "arm_5_joint", "arm_6_joint", "arm_7_joint",
+    ]  # fmt: skip
+
+
+def one_torque_backwards(log: RobotLog) -> RobotLog:
+    return replace(log, tau=log.tau * np.array([1, 1, -1, 1, 1, 1]))
+
+
+def two_torques_swapped(log: RobotLog) -> RobotLog:
+    return replace(log, tau=log.tau[:, [0, 2, 1, 3, 4, 5]])
+
+
+def a_hundredth(log: RobotLog) -> RobotLog:
+    return replace(log, tau=log.tau * np.array([1, 1, 0.01, 1, 1, 1]))
+
+
+def amperes(log: RobotLog) -> RobotLog:
+    return replace(log, tau=log.tau / np.array([11.976, 11.976, 9.839, 10.763, 10.763, 10.763]))
+
+
+@pytest.mark.parametrize(
+    ("mistake", "check", "joint"),
+    [
+        (one_torque_backwards, "torque-sign", "elbow_joint"),
+        (two_torques_swapped, "torque-columns", "shoulder_lift_joint"),
+        (a_hundredth, "torque-scale", "elbow_joint"),
+        (amperes, "torque-scale", "wrist_1_joint"),
+    ],
+)
+def test_mistakes_on_measured_logs_are_told(
+    mistake: Callable[[RobotLog], RobotLog],
+    check: str,
+    joint: str,
+    id_logs: list[RobotLog],
+    ur10e_model: RobotModel,
+) -> None:
+    found = examine([mistake(id_logs[1])], ur10e_model.description, ur10e_model).findings
+    assert any(f.check == check and joint in f.joints for f in found), found

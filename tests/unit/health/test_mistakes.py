@@ -1,0 +1,213 @@
+"""Every mistake in a robot file is told, with its joint and its likely cause; clean logs are
+not.
+"""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hesr_model.errors import ConfigError
+from hesr_model.health.examine import CHECKS, checked, examine
+from hesr_model.health.findings import Finding, HealthError
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import Motion
+from hesr_model.robots.robot import RobotModel
+
+Array = NDArray[np.float64]
+DEGREE = np.pi / 180.0
+Mistake = Callable[[RobotLog], RobotLog]
+
+
+@pytest.fixture
+def log(make_motion: Callable[..., Motion]) -> RobotLog:
+    """The arm with noise of torque, and with friction that lets its little gravity be seen."""
+    motion = make_motion(name="run", friction=0.8)
+    noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
+    return RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)
+
+
+def column(values: Array | None, joint: int, scale: float, shift: float = 0.0) -> Array:
+    assert values is not None
+    changed = values.copy()
+    changed[:, joint] = scale * changed[:, joint] + shift
+    return changed
+
+
+def swapped(values: Array | None, *order: int) -> Array:
+    assert values is not None
+    return values[:, list(order)]
+
+
+def spiked(log: RobotLog) -> RobotLog:
+    q = log.q.copy()
+    q[700, 1] += 0.5
+    return replace(log, q=q)
+
+
+def late(values: Array | None, rows: int) -> Array:
+    assert values is not None
+    return np.concatenate([np.repeat(values[:1], rows, axis=0), values[:-rows]])
+
+
+def rate(log: RobotLog, factor: float) -> Array:
+    assert log.dq is not None
+    return log.dq * factor
+
+
+MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
+    "q in degrees": (
+        lambda log: replace(log, q=log.q / DEGREE), "velocity-scale", ("j1", "j2", "j3"),
+        r"q changes 57\.3 times faster than dq says: q is in deg; set \[log\.units\] q = 'deg'",
+    ),
+    "q and dq in degrees": (
+        lambda log: replace(log, q=log.q / DEGREE, dq=rate(log, 1 / DEGREE)), "limits",
+        ("j1", "j2", "j3"), r"q is in degrees; set \[log\.units\] q = 'deg'",
+    ),
+    "dq in rpm": (
+        lambda log: replace(log, dq=rate(log, 30 / np.pi)), "velocity-scale", ("j1", "j2", "j3"),
+        r"9\.55 times slower .* dq is in rpm",
+    ),
+    "dq of the motor of one joint": (
+        lambda log: replace(log, dq=column(log.dq, 1, 100.0)), "velocity-scale", ("j2",),
+        r"q changes 100 times slower than dq says",
+    ),
+    "dq of one joint backwards": (
+        lambda log: replace(log, dq=column(log.dq, 2, -1.0)), "velocity-sign", ("j3",),
+        r"set \[log\.units\] dq = \['rad/s', 'rad/s', '-rad/s'\]",
+    ),
+    "dq columns swapped": (
+        lambda log: replace(log, dq=swapped(log.dq, 0, 2, 1)), "velocity-columns", ("j2",),
+        r"stands in the column of joint 'j3'.* dq = \[.dq1., .dq3., .dq2.\]",
+    ),
+    "dq late": (
+        lambda log: replace(log, dq=late(log.dq, 30)), "velocity-lag", ("j1", "j2", "j3"),
+        r"its velocity is 150 ms late",
+    ),
+    "no dq in its column": (
+        lambda log: replace(log, dq=rate(log, 0.0)), "velocity-constant", ("j1", "j2", "j3"),
+        "the velocity is not logged",
+    ),
+    "half the sample rate": (
+        lambda log: replace(log, t=2.0 * log.t), "velocity-scale", ("j1", "j2", "j3"),
+        r"q changes 2 times slower .* made from a wrong sample rate",
+    ),
+    "time in milliseconds": (
+        lambda log: replace(log, t=1e3 * log.t), "time-unit", (), r"set \[log\.units\] t = 'ms'",
+    ),
+    "torque of j2 backwards": (
+        lambda log: replace(log, tau=column(log.tau, 1, -1.0)), "torque-sign", ("j2",),
+        r"drives the motion .* torque counts backwards; set \[log\.units\] tau of it to '-N\.m'",
+    ),
+    "torque of j1 backwards, without gravity": (
+        lambda log: replace(log, tau=column(log.tau, 0, -1.0)), "torque-sign", ("j1",),
+        r"its torque counts backwards, or its position and velocity do, which the logs do not tell",
+    ),
+    "j2 counts backwards": (
+        lambda log: replace(log, q=column(log.q, 1, -1.0), dq=column(log.dq, 1, -1.0)),
+        "position-sign", ("j2",), r"its position and velocity count backwards; .* '-rad'",
+    ),
+    "torque of j2 a hundredth": (
+        lambda log: replace(log, tau=column(log.tau, 1, 0.01)), "torque-scale", ("j2",),
+        r"its torque is 0\.01 times what the model's gravity takes",
+    ),
+    "currents as torques": (
+        lambda log: replace(log, tau=log.tau / 12.0), "torque-scale", ("j1", "j2", "j3"),
+        r"the column holds currents \[A\]",
+    ),
+    "mN.m": (
+        lambda log: replace(log, tau=1e3 * log.tau), "torque-scale", ("j2", "j3"),
+        r"torque is in mN\.m",
+    ),
+    "torque columns swapped": (
+        lambda log: replace(log, tau=swapped(log.tau, 0, 2, 1)), "torque-columns", ("j2",),
+        r"tau = \[.tau1., .tau3., .tau2.\]",
+    ),
+    "joints in another order": (
+        lambda log: replace(
+            log, **{name: swapped(getattr(log, name), 1, 0, 2) for name in ("q", "dq", "tau")}
+        ),
+        "joint-order", ("j1",), r"its columns are those of joint 'j2'",
+    ),
+    "zero of j2 a quarter turn off": (
+        lambda log: replace(log, q=column(log.q, 1, 1.0, np.pi / 2)), "zero", ("j2",),
+        r"its zero is -90 degrees from the model's",
+    ),
+    "one torque for two joints": (
+        lambda log: replace(log, tau=swapped(log.tau, 0, 1, 1)), "same-column", ("j3",),
+        r"its torque is that of joint 'j2', row by row",
+    ),
+    "torque that never changes": (
+        lambda log: replace(log, tau=column(log.tau, 1, 0.0, 3.0)), "torque-constant", ("j2",),
+        "its torque is not logged",
+    ),
+    "angles that wrap": (
+        lambda log: replace(log, q=(log.q + np.pi + 2.9) % (2 * np.pi) - np.pi), "wrap", ("j1",),
+        "the log wraps angles around",
+    ),
+    "a row far off": (spiked, "spikes", ("j2",), "a row is wrong"),
+    "torque cut off": (
+        lambda log: replace(log, tau=np.clip(log.tau, *np.quantile(log.tau, [0.1, 0.9], axis=0))),
+        "saturation", ("j2",),
+        "what is cut off is not learned",
+    ),
+    "torques late": (
+        lambda log: replace(log, tau=late(log.tau, 30)), "torque-lag", (), r"about 1\d0 ms late",
+    ),
+}  # fmt: skip
+
+
+def test_a_clean_log_has_no_finding(log: RobotLog, arm_model: RobotModel) -> None:
+    assert checked([log], arm_model) == []
+    assert checked([replace(log, dq=None)], arm_model) == []
+
+
+@pytest.mark.parametrize("what", MISTAKES)
+def test_a_mistake_is_told_with_joint_and_cause(
+    what: str, log: RobotLog, arm_model: RobotModel
+) -> None:
+    spoil, check, joints, sentence = MISTAKES[what]
+    findings = examine([spoil(log)], arm_model.description, arm_model).findings
+    named = [f for f in findings if f.check == check and set(joints) <= set(f.joints)]
+    assert named, [f.sentence for f in findings]
+    assert re.search(sentence, named[0].sentence), named[0].sentence
+
+
+def test_gravity_is_told_where_it_points_elsewhere(log: RobotLog, arm_model: RobotModel) -> None:
+    for gravity, words in (((0.0, 0.0, 9.81), "upside down"), ((9.81, 0.0, 0.0), "another side")):
+        other = RobotModel(arm_model.description.model_copy(update={"gravity": gravity}))
+        (finding,) = examine([log], other.description, other).findings
+        assert (finding.check, finding.changes["gravity"]) == ("gravity", (0.0, 0.0, -9.81))
+        assert words in finding.cause
+
+
+def test_all_problems_are_told_at_once_and_can_be_accepted(
+    log: RobotLog, arm_model: RobotModel
+) -> None:
+    wrong = replace(log, dq=column(log.dq, 2, -1.0), tau=column(log.tau, 1, -1.0))
+    with pytest.raises(HealthError, match=r"^2 things in the data cannot be right\.") as refused:
+        checked([wrong], arm_model)
+    message = str(refused.value)
+    assert "joint 'j2'" in message
+    assert "joint 'j3'" in message
+    assert "--accept velocity-sign" in message
+    with pytest.raises(HealthError, match=r"To go on nevertheless: --accept torque-sign\.$"):
+        checked([wrong], arm_model, ["velocity-sign"])
+    told = checked([wrong], arm_model, ["velocity-sign", "torque-sign"])
+    assert {f.check for f in told} == {"velocity-sign", "torque-sign"}
+
+
+def test_only_checks_can_be_accepted(log: RobotLog, arm_model: RobotModel) -> None:
+    with pytest.raises(ConfigError, match=r"--accept is 'everything'; the checks are time-unit, "):
+        checked([log], arm_model, ["everything"])
+
+
+def test_a_finding_survives_json() -> None:
+    finding = Finding(
+        check=CHECKS[0], severity="warning", joints=("a",), logs=("x", "y"), found="f", cause="c"
+    )
+    assert Finding.from_json(finding.to_json()) == finding
+    assert finding.sentence == "log x and 1 more, joint 'a': f: c."

@@ -1,0 +1,183 @@
+"""What is kept is made once, is whole, and can be kept anywhere."""
+
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from hesr_model.support import cache
+from hesr_model.support.cache import folder, kept
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "hesr"
+
+
+class Maker:
+    """Makes a content and counts how often."""
+
+    def __init__(self, content: bytes) -> None:
+        self.content = content
+        self.times = 0
+
+    def __call__(self) -> bytes:
+        self.times += 1
+        time.sleep(0.01)  # so that others come meanwhile
+        return self.content
+
+
+def entries(here: Path) -> list[Path]:
+    return [p for p in here.rglob("*") if p.is_file() and p.name != "lock"]
+
+
+def test_the_same_inputs_are_made_once(here: Path) -> None:
+    make = Maker(b"made")
+    assert [kept("things", ("a", b"b"), make) for _ in range(3)] == [b"made"] * 3
+    assert make.times == 1
+    assert len(entries(here)) == 1
+
+
+@pytest.mark.parametrize("other", [("a", "c"), ("ab",), ("a", "b", ""), ("b", "a"), ("", "ab")])
+def test_other_inputs_are_made_anew(other: tuple[str, ...]) -> None:
+    kept("things", ("a", "b"), Maker(b"one"))
+    assert kept("things", other, Maker(b"two")) == b"two"
+
+
+def test_kinds_are_kept_apart() -> None:
+    kept("things", ("a",), Maker(b"one"))
+    assert kept("others", ("a",), Maker(b"two")) == b"two"
+
+
+def test_twenty_at_once_make_it_once() -> None:
+    make = Maker(b"made")
+    with ThreadPoolExecutor(20) as pool:
+        got = list(pool.map(lambda _: kept("things", ("a",), make), range(20)))
+    assert got == [b"made"] * 20
+    assert make.times == 1
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: data[:-1],
+        lambda data: data[:20],
+        lambda data: data[:0],
+        lambda data: data[:-1] + bytes([data[-1] ^ 1]),
+        lambda data: bytes([data[0] ^ 1]) + data[1:],
+    ],
+    ids=["cut", "cut in the digest", "empty", "changed", "digest changed"],
+)
+def test_a_damaged_entry_is_made_again(here: Path, damage: Callable[[bytes], bytes]) -> None:
+    make = Maker(b"made of something long enough")
+    kept("things", ("a",), make)
+    (entry,) = entries(here)
+    whole = entry.read_bytes()
+    entry.write_bytes(damage(whole))
+    assert kept("things", ("a",), make) == make.content
+    assert make.times == 2
+    assert entry.read_bytes() == whole
+
+
+def test_the_entry_of_something_else_is_not_taken(here: Path) -> None:
+    kept("things", ("a",), Maker(b"one"))
+    (one,) = entries(here)
+    kept("things", ("b",), Maker(b"two"))
+    (two,) = set(entries(here)) - {one}
+    two.replace(one)
+    assert kept("things", ("a",), Maker(b"one")) == b"one"
+
+
+def test_what_fails_is_tried_again(here: Path) -> None:
+    def fail() -> bytes:
+        raise RuntimeError("no")
+
+    with pytest.raises(RuntimeError, match="no"):
+        kept("things", ("a",), fail)
+    assert entries(here) == []
+    assert kept("things", ("a",), Maker(b"made")) == b"made"
+
+
+def test_where_nothing_can_be_kept_it_is_made_every_time(here: Path) -> None:
+    folder()
+    (here / "things").write_text("in the way")
+    make = Maker(b"made")
+    assert [kept("things", ("a",), make) for _ in range(2)] == [b"made"] * 2
+    assert make.times == 2
+
+
+def test_what_was_not_used_for_longest_goes_first(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for age, name in enumerate("abc"):
+        before = set(entries(here))
+        kept("things", (name,), Maker(name.encode() * 1000))
+        (new,) = set(entries(here)) - before
+        os.utime(new, (age, age))
+    kept("things", ("a",), Maker(b""))  # used now
+    monkeypatch.setattr(cache, "LIMIT", 3500)
+    kept("things", ("d",), Maker(b"d" * 1000))
+    made = {name: Maker(name.encode() * 1000) for name in "acdb"}
+    for name, make in made.items():
+        assert kept("things", (name,), make) == make.content
+    assert {name: make.times for name, make in made.items()} == {"a": 0, "c": 0, "d": 0, "b": 1}
+
+
+# --- where ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return tmp_path / f"hesr-cache-{os.getuid()}"
+
+
+def test_the_users_own_folder_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert folder() == tmp_path / "cache" / "hesr"
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert folder() == tmp_path / ".cache" / "hesr"
+    assert folder().stat().st_mode & 0o777 == 0o700
+
+
+# Into /proc not even root can write, and on some machines a service has no other home.
+@pytest.mark.parametrize("home", [None, "", "/proc", "/dev/null", "/nowhere/at/all", "relative"])
+def test_without_a_home_there_is_a_private_folder(
+    temporary: Path, home: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("HOME", raising=False)
+    if home is not None:
+        monkeypatch.setenv("HOME", home)
+    assert [folder(), folder()] == [temporary] * 2
+    assert temporary.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can give a folder away")
+def test_a_folder_that_somebody_else_has_made_is_not_trusted(
+    temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("HOME")
+    temporary.mkdir(mode=0o700)
+    os.chown(temporary, 12345, 12345)
+    assert folder() != temporary
+
+
+@pytest.mark.parametrize("way", ["open", "link"])
+def test_a_folder_that_others_can_write_is_not_trusted(
+    temporary: Path, way: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.delenv("HOME")
+    if way == "open":
+        temporary.mkdir()
+        temporary.chmod(0o777)
+    else:
+        (tmp_path / "elsewhere").mkdir(mode=0o700)
+        temporary.symlink_to(tmp_path / "elsewhere")
+    assert folder() != temporary
+    assert folder().stat().st_mode & 0o777 == 0o700

@@ -1,0 +1,194 @@
+"""Components: what they refuse, how they move, and what they say depends on what."""
+
+import numpy as np
+import pytest
+import sympy
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from fmu_src.blocks.controller import controller_equations
+from fmu_src.blocks.velocity import velocity_equations
+from hesr_model.equations.component import Component, Equation, Quantity, previous
+from hesr_model.equations.functions import NUMPY, absolute, clip, exceeds, larger, lowered, positive
+from hesr_model.equations.memory import Relaxation, Stop
+from hesr_model.equations.over_log import clipped
+from hesr_model.equations.program import Tangent, change_of, readings
+from hesr_model.errors import ArtifactError
+from hesr_model.friction.evaluate import Stepper, predict
+from hesr_model.friction.inputs import DQ, TAU_LOAD
+from hesr_model.friction.law import FrictionLaw, LawForm
+
+X, Y = sympy.symbols("x y", real=True)
+STEPS = st.lists(st.tuples(st.floats(-2, 2), st.floats(0, 1.5)), min_size=1, max_size=70)
+
+
+def law(*memory: Relaxation | Stop, output: sympy.Expr) -> FrictionLaw:
+    form = LawForm(coefficients=(), memory=memory, output=output)
+    return FrictionLaw(name="tried", form=form, values={})
+
+
+def signal(name: str) -> Quantity:
+    return Quantity(name=name, unit="1", description="")
+
+
+# --- functions --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "expression",
+    [positive(X), larger(X, Y), clip(X, Y**2), absolute(X * Y), clip(X * Y, 1) * positive(Y)],
+)
+def test_derivatives_are_those_almost_everywhere(expression: sympy.Expr) -> None:
+    function = lowered((X, Y), (expression, expression.diff(X), expression.diff(Y)))
+    rng = np.random.default_rng(3)
+    for x, y in rng.normal(size=(50, 2)):
+        h = 1e-6
+        _, by_x, by_y = function(x, y)
+        for slope, dx, dy in ((by_x, h, 0.0), (by_y, 0.0, h)):
+            change = function(x + dx, y + dy)[0] - function(x - dx, y - dy)[0]
+            assert slope == pytest.approx(change / (2.0 * h), abs=1e-8)
+
+
+def test_the_guard_takes_what_is_no_number_for_zero() -> None:
+    assert NUMPY["positive"](np.array([np.nan, -1.0, 2.0])).tolist() == [0.0, 0.0, 2.0]
+    assert positive(sympy.Float(-3)) == 0.0
+    assert exceeds(sympy.Integer(2), sympy.Integer(2)) == 0.0
+
+
+# --- memory -----------------------------------------------------------------------------------
+
+
+@given(STEPS, st.floats(-1, 1))
+def test_the_scan_of_a_stop_is_the_loop(steps: list[tuple[float, float]], start: float) -> None:
+    way, bound = (np.array(column) for column in zip(*steps, strict=True))
+    x, expected = start, [start]
+    for a, s in steps[1:]:
+        x = min(max(x + a, -s), s)
+        expected.append(x)
+    begins = np.arange(len(way)) == 0
+    np.testing.assert_allclose(clipped(way, bound, begins, start), expected, rtol=0, atol=1e-14)
+
+
+def test_a_stop_starts_anew_with_each_record() -> None:
+    way = np.full(6, 0.3)
+    begins = np.array([True, False, False, True, False, False])
+    found = clipped(way, np.full(6, 10.0), begins, 0.25)
+    np.testing.assert_allclose(found, [0.25, 0.55, 0.85] * 2, rtol=1e-15)
+
+
+@given(st.lists(st.tuples(st.floats(-3, 3), st.floats(0, 2)), min_size=2, max_size=40))
+def test_a_stop_never_gives_energy(steps: list[tuple[float, float]]) -> None:
+    """F x v dt >= the change of F w x^2 / 2 in every step, however its bound moves."""
+    w, x = 0.5, 0.0
+    for v, s in steps:
+        after = float(NUMPY["clip"](x + v / w, s))
+        assert after * v >= w / 2.0 * (after**2 - x**2) - 1e-12
+        x = after
+
+
+def test_later_elements_see_earlier_ones_as_they_have_moved() -> None:
+    age = Relaxation(name="p", unit="1", drive=absolute(DQ), rate=sympy.Integer(2))
+    stop = Stop(name="x", unit="1", velocity=DQ, deflection=0.1, bound=age.state)
+    tried = law(age, stop, output=stop.state)
+    t = 0.1 * np.arange(40)
+    dq = np.sin(t)
+    p, x, expected = 0.0, 0.0, [0.0]
+    for v in dq[1:]:
+        p = p * np.exp(-0.2) + abs(v) * (1.0 - np.exp(-0.2)) / 2.0
+        x = min(max(x + v * 0.1 / 0.1, -p), p)
+        expected.append(x)
+    np.testing.assert_allclose(predict(tried, t=t, dq=dq), expected, rtol=1e-13, atol=1e-15)
+
+
+def test_a_rate_may_see_its_own_state() -> None:
+    """Bouc and Wen's z' = v - |v| |z| z, with the rate frozen over a step."""
+    z = sympy.Symbol("z", real=True)
+    element = Relaxation(name="z", unit="1", drive=DQ, rate=absolute(DQ) * absolute(z))
+    tried = law(element, output=element.state)
+    t = 1e-3 * np.arange(4000)
+    dq = 2.0 * np.sin(3.0 * t)
+    found = predict(tried, t=t, dq=dq)
+    stepper = Stepper(tried)
+    steps = [stepper.step(1e-3 * (k > 0), v) for k, v in enumerate(dq[:101])]
+    np.testing.assert_allclose(found[:101], steps, rtol=1e-14)
+    truth = solve_ivp(
+        lambda s, y: 2.0 * np.sin(3.0 * s) - abs(2.0 * np.sin(3.0 * s)) * abs(y) * y,
+        (0.0, t[-1]), [0.0], t_eval=t, rtol=1e-9, atol=1e-10,
+    )  # fmt: skip
+    assert np.abs(found - truth.y[0]).max() < 2e-3
+
+
+@pytest.mark.parametrize("bound", [1.0, 0.0])
+def test_the_continuous_stop_is_the_sampled_one(bound: float) -> None:
+    stop = Stop(name="x", unit="1", velocity=DQ, deflection=1e-3, bound=bound)
+    slope = lowered((DQ, stop.state), [stop.continuous()])
+    t = 1e-4 * np.arange(20000)
+    dq = 0.05 * np.sin(2.0 * np.pi * t)
+    truth = predict(law(stop, output=stop.state), t=t, dq=dq)
+    found = solve_ivp(
+        lambda s, x: [float(slope(0.05 * np.sin(2.0 * np.pi * s), x[0])[0])],
+        (0.0, t[-1]), [0.0], t_eval=t, method="LSODA", rtol=1e-6, atol=1e-8, max_step=1e-3,
+    )  # fmt: skip
+    assert np.abs(found.y[0] - truth).max() < 5e-3
+
+
+def test_the_continuous_stop_lets_go_where_its_bound_shrinks_at_rest() -> None:
+    stop = Stop(name="x", unit="1", velocity=DQ, deflection=1e-3, bound=TAU_LOAD)
+    slope = lowered((DQ, TAU_LOAD, stop.state), [stop.continuous()])
+    found = solve_ivp(
+        lambda s, x: [float(slope(0.0, 1.0 - 0.8 * min(s, 1.0), x[0])[0])],
+        (0.0, 2.0), [1.0], method="LSODA", rtol=1e-8, atol=1e-10, max_step=1e-2,
+    )  # fmt: skip
+    assert found.y[0, -1] == pytest.approx(0.2, rel=0.01)
+
+
+# --- equations --------------------------------------------------------------------------------
+
+
+def test_equations_come_in_order_and_not_in_circles() -> None:
+    a, b = (Equation(name=n, expression=e) for n, e in (("a", Y + 1), ("y", X)))
+    assert [e.name for e in Component(inputs=(signal("x"),), equations=(a, b)).ordered] == [
+        "y",
+        "a",
+    ]
+    circle = (Equation(name="x", expression=Y), Equation(name="y", expression=X))
+    with pytest.raises(ArtifactError, match=r"'x' depends on itself, by way of x, y; use previous"):
+        Component(equations=circle)
+
+
+def test_previous_needs_a_start() -> None:
+    with pytest.raises(ArtifactError, match=r"symbol 'previous\(y\)' of 'y' is neither"):
+        Component(equations=(Equation(name="y", expression=previous("y") + 1),))
+    counter = Equation(name="y", expression=previous("y") + 1, start=sympy.Integer(4))
+    assert Component(equations=(counter,)).starting == {Y: 5}
+
+
+def test_what_the_controller_depends_on_is_derived() -> None:
+    own = controller_equations(0.005)
+    used = {str(s) for s in own.sources(sympy.Symbol("tau_d", real=True))}
+    assert used == {"tau_rb", "tau_f", "friction_gain"}
+    compensation = sympy.Symbol("dq_comp", real=True)
+    now, at_start = ({str(s) for s in own.sources(compensation, starting=s)} for s in (False, True))
+    assert {"q_d", "q", "Kx"}.isdisjoint(now)
+    assert {"previous(e)", "previous(integral)"} <= now
+    assert not any(s.startswith("previous") for s in at_start)
+
+
+def test_what_needs_the_length_of_a_step_holds_between_steps() -> None:
+    assert velocity_equations().holds
+    assert not controller_equations(0.005).holds
+
+
+def test_a_tangent_goes_through_names() -> None:
+    own = Component(
+        inputs=(signal("x"),),
+        equations=(Equation(name="a", expression=X**2), Equation(
+            name="b", expression=sympy.sin(sympy.Symbol("a", real=True)), output=True)),
+    )  # fmt: skip
+    seed = sympy.Symbol("seed", real=True)
+    program = {**readings(own), **Tangent({X: seed}).of(readings(own))}
+    b = program[change_of(sympy.Symbol("b", real=True))]
+    for symbol in (change_of(sympy.Symbol("a", real=True)), sympy.Symbol("a", real=True)):
+        b = b.subs(symbol, program[symbol])
+    assert sympy.simplify(b - 2 * X * seed * sympy.cos(X**2)) == 0

@@ -1,0 +1,67 @@
+"""The joints of a model file, and by which of them a robot can be described."""
+
+from pathlib import Path
+
+import pytest
+
+from hesr_model.errors import RobotError
+from hesr_model.robots.model_file import driven_joints, joints_of
+
+LINK = """<link name="{0}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0"
+  ixz="0" iyz="0"/></inertial></link>"""
+JOINT = """<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>
+  <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/>{more}</joint>"""
+
+
+def urdf(folder: Path, *joints: dict[str, str]) -> Path:
+    """A chain of joints."""
+    links = [f"l{k}" for k in range(len(joints) + 1)]
+    parts = [LINK.format(name) for name in links] + [
+        JOINT.format(**({"more": ""} | joint), parent=links[k], child=links[k + 1])
+        for k, joint in enumerate(joints)
+    ]
+    path = folder / "chain.urdf"
+    path.write_text(f'<robot name="chain">{"".join(parts)}</robot>', encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def chain(tmp_path: Path) -> Path:
+    return urdf(
+        tmp_path, {"name": "turn", "kind": "revolute"}, {"name": "stuck", "kind": "fixed"},
+        {"name": "slide", "kind": "prismatic"},
+        {"name": "finger", "kind": "revolute", "more": '<mimic joint="turn" multiplier="2"/>'},
+        {"name": "float", "kind": "floating"},
+    )  # fmt: skip
+
+
+def test_joints_that_move_are_listed_from_base_to_tip(chain: Path) -> None:
+    found = [(joint.name, joint.freedom, joint.slides) for joint in joints_of(chain)]
+    assert found == [
+        ("turn", 1, False), ("slide", 1, True), ("finger", 0, False), ("float", 6, False)
+    ]  # fmt: skip
+
+
+def test_a_robot_is_described_by_those_of_one_freedom(chain: Path) -> None:
+    assert [joint.name for joint in driven_joints(chain)] == ["turn", "slide"]
+    assert [joint.name for joint in driven_joints(chain, ["slide"])] == ["slide"]
+    assert [joint.name for joint in driven_joints(chain, ["slide", "turn"])] == ["turn", "slide"]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "sentence"),
+    [
+        ("elbow", "has no joint 'elbow'; it has turn, slide, finger, float"),
+        ("finger", "joint 'finger' follows another"),
+        ("float", "joint 'float' has 6 degrees of freedom"),
+    ],
+)
+def test_joints_that_cannot_be_driven_are_refused(chain: Path, wanted: str, sentence: str) -> None:
+    with pytest.raises(RobotError, match=sentence):
+        driven_joints(chain, ["turn", wanted])
+
+
+def test_a_file_without_a_joint_to_drive_is_refused(tmp_path: Path) -> None:
+    path = urdf(tmp_path, {"name": "float", "kind": "floating"})
+    with pytest.raises(RobotError, match="has no revolute or prismatic joint; at least one"):
+        driven_joints(path)
