@@ -9,10 +9,11 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from multiprocessing import resource_tracker
 from pathlib import Path
+from queue import Empty
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import cloudpickle
@@ -99,6 +100,11 @@ def _environment() -> Mapping[str, str]:
 
 def _shut_down(pool: "ProcessPoolExecutor", error: object, *_: object) -> None:
     """Let idle workers end; where there is an error, stop all with what they have started."""
+    if error is not None:
+        # Its thread drops the jobs that wait, and then looks for those whose numbers it still has.
+        with suppress(Empty):
+            while True:
+                pool._work_ids.get_nowait()
     pool.shutdown(wait=True, kill_workers=error is not None)
 
 

@@ -207,7 +207,7 @@ def test_every_component_is_freed(fakes):
     assert not Fake.alive
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError, SimulationError])
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError(), SimulationError("it is off.")])
 def test_every_component_is_freed_after_an_error(fakes, error):
     def use():
         with Master(fakes({"a": "clock", "b": "clock"}, stop=50.0)) as master:
@@ -218,7 +218,7 @@ def test_every_component_is_freed_after_an_error(fakes, error):
             master.run(stop)
             raise error
 
-    with pytest.raises(error):
+    with pytest.raises(type(error)):
         use()
     assert not Fake.alive
 

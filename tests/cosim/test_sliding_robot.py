@@ -81,7 +81,7 @@ def test_from_a_log_to_an_arm_and_its_friction(tmp_path: Path, hesr: Hesr) -> No
     assert "Slope dtau/ddq at rest [N.m.s/rad (N.s/m where it slides)]" in " ".join(said.split())
     assert read_model(law).sliding == (True, False)
     said = done("evaluate", training, law, *given)
-    assert "predicted torque [N.m (N where it slides)], all rows" in " ".join(said.split())
+    assert "predicted torque [N.m (N where it slides)] over all rows" in " ".join(said.split())
 
     done("export", law, "-o", tmp_path / "Friction.fmu")
     done("export", mjcf, "-o", tmp_path / "Arm.fmu")

@@ -43,7 +43,7 @@ def scores(outcome: Outcome) -> Comparison:
 
 
 def errors(scores: Comparison, law: str, measure: str = "rmse") -> np.ndarray:
-    return np.array([getattr(score, measure) for score in scores.laws[law]])
+    return np.array(getattr(scores.laws[law], measure))
 
 
 def mean_ratio(scores: Comparison, law: str, other: str) -> float:
@@ -108,7 +108,7 @@ def test_ripple_pays_on_the_wrist_while_it_moves(scores: Comparison) -> None:
 
 def test_the_ratio_to_lugre_is_certain_where_it_is_large(scores: Comparison) -> None:
     """The intervals of J2 to J5 leave 1 out, on four logs of one robot."""
-    for joint, ratio in enumerate(scores.ratios["parfam_hx"]):
+    for joint, ratio in enumerate(scores.ratios.laws["parfam_hx"]):
         assert ratio.low < ratio.value < ratio.high
         if joint in (1, 2, 3, 4):
             assert ratio.high < 1.0
