@@ -19,7 +19,8 @@ KIND = Enumeration(
         ("fourier", "dq = sum_k a_k cos(k w t) + b_k sin(k w t), w = 2 pi / period"),
         ("sine", "dq = amplitude sin(2 pi first t)"),
         ("sweep", "dq = (amplitude + swing sin(2 pi t / swing_period + swing_phase)) sin(phi), the "
-         "frequency rising from first to last in a time of length; without swing a chirp"),
+         "frequency rising from first to last in a time of length, after which the joint rests; "
+         "without swing a chirp"),
     ),
 )  # fmt: skip
 
@@ -67,7 +68,6 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
     ]
     table = Interface(
         variables=(*outputs, kind, *scalars, *vectors, *series),
-        own=2 * (1 + joints),
         model_exchange=False,
         directional_derivatives=False,
     )

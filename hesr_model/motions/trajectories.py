@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 _AT_REST = 1e-9
 """[rad/s, rad/s2] Start values below this, relative to the largest coefficient, count as rest."""
 
+_ROUNDING = 1e-9
+"""[s] By which a sum of steps may miss the end of a motion."""
+
 _POINTS_PER_CYCLE = 256
 """Of the highest harmonic; a peak found on this grid is low by 8e-5 of itself at most."""
 
@@ -38,7 +41,7 @@ class Trajectory(ABC):
         Parameters
         ----------
         t
-            (N,) [s], from 0 to `duration`; periodic motions go on outside.
+            (N,) [s], from 0 to `duration`; outside, periodic motions go on and others rest.
 
         Returns
         -------
@@ -189,7 +192,8 @@ class Sweep(Trajectory):
         dq    = A(t) sin(phi(t)),    A(t) = amplitude + swing sin(2 pi t / swing_period + phase)
         phi   = 2 pi (first t + (last - first) t^2 / (2 length))
 
-    The position is the exact integral, by Fresnel's functions.
+    The position is the exact integral, by Fresnel's functions. The joint rests before t = 0 and
+    after the length.
 
     Attributes
     ----------
@@ -234,7 +238,9 @@ class Sweep(Trajectory):
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
         """Position, velocity and acceleration; see `Trajectory.sample`."""
-        time = np.asarray(t, dtype=float)[:, None]
+        asked = np.asarray(t, dtype=float)[:, None]
+        time = np.clip(asked, 0.0, self.length)
+        moves = np.abs(asked - time) <= _ROUNDING
         rate, slope = 2 * np.pi * self.first, 2 * np.pi * (self.last - self.first) / self.length
         slow = 2 * np.pi / self.swing_period
         wave = np.exp(1j * (rate * time + 0.5 * slope * time**2))
@@ -247,7 +253,7 @@ class Sweep(Trajectory):
         q = self.start + self.amplitude * steady + 0.5 * self.swing * (below - above)
         dq = peak * wave.imag
         ddq = slow * self.swing * swell.real * wave.imag + peak * (rate + slope * time) * wave.real
-        return q, dq, ddq
+        return q, np.where(moves, dq, 0.0), np.where(moves, ddq, 0.0)
 
 
 def chirp(*, start: Array, amplitude: Array, first: float, last: float, length: float) -> Sweep:

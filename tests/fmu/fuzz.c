@@ -96,9 +96,18 @@ static void choose_arguments(void) {
     }
 }
 
+/* How many references of inputs there are among the arguments: none where nothing is an input. */
+static size_t some(void) {
+    fmi2ValueReference v = 0;
+    while (v < VARIABLES && variables[v].role != INPUT) {
+        v++;
+    }
+    return v < VARIABLES ? n : 0;
+}
+
 /* References of inputs alone, nearly always. */
 static const fmi2ValueReference *inputs(void) {
-    for (int i = 0; i < MOST && below(200); i++) {
+    for (int i = 0; i < MOST && some() && below(200); i++) {
         while (vr[i] >= VARIABLES || variables[vr[i]].role != INPUT) {
             vr[i] = below(VARIABLES);
         }
@@ -154,7 +163,7 @@ static fmi2Status get_real(Host *h) {
 }
 
 static fmi2Status set_inputs(Host *h) {
-    return fmi2SetReal(h->c, OR_NULL(inputs()), n, OR_NULL(real));
+    return fmi2SetReal(h->c, OR_NULL(inputs()), some(), OR_NULL(real));
 }
 
 static fmi2Status set_real(Host *h) {
@@ -230,7 +239,7 @@ static fmi2Status derive(Host *h) {
         } while (below(200) && variables[unknown[i]].role != OUTPUT);
     }
     const fmi2Status status = fmi2GetDirectionalDerivative(
-        h->c, OR_NULL(unknown), below(MOST + 1), OR_NULL(inputs()), n, OR_NULL(real), real);
+        h->c, OR_NULL(unknown), below(MOST + 1), OR_NULL(inputs()), some(), OR_NULL(real), real);
     derived += status == fmi2OK;
     return status;
 }
@@ -244,7 +253,8 @@ static fmi2Status step(Host *h) {
 }
 
 static fmi2Status set_slopes(Host *h) {
-    return fmi2SetRealInputDerivatives(h->c, OR_NULL(inputs()), n, OR_NULL(integer), OR_NULL(real));
+    return fmi2SetRealInputDerivatives(h->c, OR_NULL(inputs()), some(), OR_NULL(integer),
+                                       OR_NULL(real));
 }
 
 static fmi2Status get_status(Host *h) {

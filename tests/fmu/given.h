@@ -17,7 +17,12 @@ static void start(fmi2Component c) {
         for (fmi2ValueReference v = 0; v < VARIABLES; v++) {
             const char *name = variables[v].name;
             if (strncmp(name, *one, length) == 0 && (!name[length] || name[length] == '[')) {
-                fmi2SetReal(c, &v, 1, &value);
+                const fmi2Integer choice = (fmi2Integer)value;
+                if (variables[v].type == INTEGER) {
+                    fmi2SetInteger(c, &v, 1, &choice);
+                } else {
+                    fmi2SetReal(c, &v, 1, &value);
+                }
             }
         }
     }

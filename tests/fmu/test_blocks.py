@@ -134,6 +134,50 @@ def test_fast_sweeps_at_steps_of_many_periods(fmus: Mapping[str, Path]) -> None:
         np.testing.assert_allclose(found[name], expected, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("start", [-3.0, 0.0, 1e5, 1.7e9, 1e300])
+@pytest.mark.parametrize("name", ["sweep", "chirp"])
+def test_sweeps_rest_outside_their_length(
+    fmus: Mapping[str, Path], name: str, start: float
+) -> None:
+    """At any start time, at once."""
+    motion, t = MOTIONS[name], np.array([start])
+    held = np.clip(t, 0.0, motion.duration)
+    found = run(fmus["Trajectory"], ["q", "dq", "ddq"], t=t, start=start_values(motion))
+    q, dq, ddq = motion.sample(held)
+    np.testing.assert_allclose(found["q"], q, rtol=0, atol=1e-12)
+    moves = start == held
+    np.testing.assert_allclose(found["dq"], dq * moves, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found["ddq"], ddq * moves, rtol=0, atol=1e-12)
+    for one, expected in zip(("q", "dq", "ddq"), motion.sample(t), strict=True):
+        np.testing.assert_allclose(found[one], expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "length", "swing_period"),
+    [
+        (0.1, 0.45, 42.0, 0.5),  # the swing is faster than the sweep, then slower
+        (1.0, 0.2, 20.0, 3.0),  # falling
+        (0.5, 0.5, 20.0, 2.0),  # constant, with one term that does not turn at all
+        (0.5, 0.5 + 1e-9, 20.0, 3.0),
+        (2.0, 9.0, 1.0, 1e3),
+    ],
+)
+def test_positions_of_a_sweep_are_the_integral_of_its_velocity(
+    fmus: Mapping[str, Path], first: float, last: float, length: float, swing_period: float
+) -> None:
+    """Of sweeps that Python does not make, too: Gauss's rule over panels of 5 ms."""
+    start = {"kind": "sweep", "first": first, "last": last, "length": length,
+             "swing_period": swing_period, "amplitude": (1.0, 0.0, 0.3), "swing": (0.0, 1.0, 0.7),
+             "swing_phase": (0.0, 0.4, -2.0)}  # fmt: skip
+    edges = STEP * np.arange(round(length / STEP) + 1)
+    nodes, weights = np.polynomial.legendre.leggauss(5)
+    middle = edges[:-1, None] + STEP / 2.0 * (1.0 + nodes)
+    found = run(fmus["Trajectory"], ["q"], t=edges, start=start)["q"]
+    dq = run(fmus["Trajectory"], ["dq"], t=middle.ravel(), start=start)["dq"]
+    moved = STEP / 2.0 * np.einsum("pnj,n->pj", dq.reshape(*middle.shape, N), weights)
+    np.testing.assert_allclose(found[1:], np.cumsum(moved, axis=0), rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("name", MOTIONS)
 def test_trajectories_can_begin_after_a_rest(fmus: Mapping[str, Path], name: str) -> None:
     t, rest, preview = STEP * np.arange(100), 0.0512, 0.01

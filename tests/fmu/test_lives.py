@@ -23,10 +23,13 @@ WRAPPED = ("-DWRAPPED", "-Wl,--wrap=malloc,--wrap=calloc")
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 
-KINDS = ("arm", "body", "friction", "controller", "velocity", "drive")
+KINDS = ("arm", "trajectory", "body", "friction", "controller", "velocity", "drive")
 
 
-GIVEN = {"controller": ("sample_time=0.001", "Kv=90", "Ki=900")}
+GIVEN = {
+    "controller": ("sample_time=0.001", "Kv=90", "Ki=900"),
+    "trajectory": ("kind=3", "amplitude=1", "swing=0.5"),
+}
 """What has no start value with which an FMU could begin."""
 
 
