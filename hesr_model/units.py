@@ -1,7 +1,7 @@
 """Units in which robots log, what they are in SI, and how joints that slide differ in them."""
 
-import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import pi
 
 TURNING: Mapping[str, Mapping[str, float]] = {
@@ -57,29 +57,51 @@ def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
     return unit in TURNING[quantity]
 
 
-_SLID = (
-    (re.compile(r"\(([kmµu]?)N\.m\)|\b([kmµu]?)N\.m\b"), r"\1\2N"),
-    (re.compile(r"\b([mµu]?)rad(?=\d|\b)"), r"\1m"),
-    (re.compile(r"\bkg\.m2\b"), "kg"),
-)
-
-
-def unit_of_joint(unit: str, *, slides: bool) -> str:
-    """Return a unit as it is at a joint that slides, from that at one that turns.
+@dataclass(frozen=True)
+class Unit:
+    """A unit of something at a joint, as FMI spells it: where the joint turns, and where it slides.
 
     Everything about friction is written for joints that turn. The equations of a joint that slides
     are the same ones in m and N: `N.m.s/rad` is `N.s/m` there, `1/(N.m)` is `1/N`.
-
-    Parameters
-    ----------
-    unit : in FMI's spelling, with a prefix as in `mrad` or not; or a text with units in it. What
-        is of a joint that slides already stays as it is.
-    slides : whether the joint slides; where it turns, the unit comes back unchanged.
     """
-    if slides:
-        for pattern, slid in _SLID:
-            unit = pattern.sub(slid, unit)
-    return unit
+
+    turning: str
+    sliding: str
+
+    @classmethod
+    def read(cls, symbol: str) -> "Unit":
+        """Return the unit of a joint that turns, as `mrad/s` or `rad/(s.N.m)`.
+
+        One of a joint that slides already is the same at both.
+
+        Raises
+        ------
+        ValueError
+            If it is a text instead of a unit.
+        """
+        if " " in symbol:
+            raise ValueError(f"'{symbol}' is no unit")
+        over, slash, under = symbol.partition("/")
+        below = _slid(under.removeprefix("(").removesuffix(")"))
+        brackets = "({})" if "." in below else "{}"
+        return cls(symbol, _slid(over) + slash + brackets.format(below))
+
+
+def _slid(product: str) -> str:
+    """Return one side of a fraction with m for rad, N for N.m and kg for kg.m2."""
+    factors: list[str] = []
+    for factor in product.split("."):
+        prefix, angle, power = factor.partition("rad")
+        before = factors[-1] if factors else ""
+        if (before[-1:], factor) == ("N", "m") or (before, factor) == ("kg", "m2"):
+            continue
+        factors.append(f"{prefix}m{power}" if angle else factor)
+    return ".".join(factors)
+
+
+def unit_of_joint(unit: str, *, slides: bool) -> str:
+    """Return the unit of something at a joint, from that at one that turns; see `Unit`."""
+    return Unit.read(unit).sliding if slides else unit
 
 
 def unit_of_joints(unit: str, sliding: Sequence[bool]) -> str:
@@ -89,7 +111,7 @@ def unit_of_joints(unit: str, sliding: Sequence[bool]) -> str:
 
     Parameters
     ----------
-    unit : as for `unit_of_joint`, but no text.
+    unit : at a joint that turns.
     sliding : whether each joint slides; empty if all turn.
     """
     slid = unit_of_joint(unit, slides=True)

@@ -6,7 +6,14 @@ from typing import Any
 from fmu_src.documentation.datasheet import figure
 from fmu_src.html import rendered
 from hesr_model.friction.audit.expectations import EXPECTATIONS, Expectation
-from hesr_model.friction.audit.properties import MARKS, Figure, Finding, Plot, Properties
+from hesr_model.friction.audit.properties import (
+    MARKS,
+    Figure,
+    Finding,
+    JointProperties,
+    Plot,
+    Properties,
+)
 from hesr_model.units import unit_of_joint, unit_of_joints
 
 _WIDTH, _HEIGHT = 236, 148  # of a plot, in units of its own
@@ -29,21 +36,27 @@ def section(found: Properties, *, sliding: Sequence[bool] = ()) -> str:
         joints=[joint.joint for joint in found.joints],
         tau_load=f"{figure(found.tau_load, _DIGITS)} {unit_of_joints('N.m', sliding)}",
         sizes=[
-            [(name, unit_of_joint(text, slides=s)) for name, text in _sizes(joint)]
+            [
+                (name, _size(value, unit_of_joint(unit, slides=s)))
+                for name, value, unit in _sizes(joint)
+            ]
             for joint, s in zip(found.joints, slides, strict=True)
         ],
         properties=[_property(found, e, sliding) for e in EXPECTATIONS.values()],
     )
 
 
-def _sizes(joint: Any) -> list[tuple[str, str]]:
-    inertia = "not known" if joint.inertia is None else f"{figure(joint.inertia, _DIGITS)} kg.m2"
+def _sizes(joint: JointProperties) -> list[tuple[str, float | None, str]]:
     return [
-        ("trained speed", f"{figure(joint.speed, _DIGITS)} rad/s"),
-        ("friction level", f"{figure(joint.level, _DIGITS)} N.m"),
-        ("deflection", f"{figure(1e3 * joint.deflection, _DIGITS)} mrad"),
-        ("inertia", inertia),
+        ("trained speed", joint.speed, "rad/s"),
+        ("friction level", joint.level, "N.m"),
+        ("deflection", 1e3 * joint.deflection, "mrad"),
+        ("inertia", joint.inertia, "kg.m2"),
     ]
+
+
+def _size(value: float | None, unit: str) -> str:
+    return "not known" if value is None else f"{figure(value, _DIGITS)} {unit}"
 
 
 def _property(
@@ -103,9 +116,10 @@ def svg(plot: Plot) -> str:
         for colour, curve in zip(_LINES, curves, strict=False)
     )
     parts.append(_text(_WIDTH - _RIGHT, 12, "end", labels))
+    x, y = plot.labels
     return (
         f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" width="{_WIDTH}" height="{_HEIGHT}" role="img" '
-        f'aria-label="{plot.y} over {plot.x}">{"".join(parts)}</svg>'
+        f'aria-label="{y} over {x}">{"".join(parts)}</svg>'
     )
 
 
@@ -123,10 +137,10 @@ def _frame(plot: Plot, x_range: tuple[float, float], y_range: tuple[float, float
         yield f'<path d="M{x} {_TOP}V{bottom}" stroke="var(--line)"/>'
     low, high = (figure(v, _DIGITS) for v in x_range)
     yield _text(_LEFT, _HEIGHT - 5, "start", low)
-    yield _text(_WIDTH / 2, _HEIGHT - 5, "middle", plot.x)
+    yield _text(_WIDTH / 2, _HEIGHT - 5, "middle", plot.labels[0])
     yield _text(right, _HEIGHT - 5, "end", high)
     low, high = (figure(v, _DIGITS) for v in y_range)
-    yield _text(_LEFT, 12, "start", f"{plot.y}, {low} to {high}")
+    yield _text(_LEFT, 12, "start", f"{plot.labels[1]}, {low} to {high}")
 
 
 def _text(x: float, y: float, anchor: str, text: str) -> str:

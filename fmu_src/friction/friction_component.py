@@ -31,12 +31,14 @@ _CRAWL = 0.1
 _EFFORT = {False: "torque", True: "force"}
 """What a joint that turns, or one that slides, takes to move."""
 
-_SCALE = Quantity(name="scale", unit="1", description="factor on the friction torque of joint {}")
+_SCALE = Quantity(
+    name="scale", unit="1", description="factor on the friction torque of joint {joint}"
+)
 
 POWER = Equation(
     name="power",
     unit="W",
-    description="power that the friction of {} takes",
+    description="power that the friction of {joint} takes",
     expression=sympy.Symbol(TORQUE, real=True) * DQ,
     output=True,
 )
@@ -126,11 +128,10 @@ def _of_joint(
     quantity: Quantity, joint: int, name: str, slides: bool, *, role: str,
     dependencies: tuple[str, ...] = (),
 ) -> Variable:  # fmt: skip
-    # A joint's name may have the word torque in it, so it is put in afterwards.
     return Variable(
         name=f"{quantity.name}[{joint}]",
         role="input" if role == "input" else "output",
-        description=quantity.description.replace("torque", _EFFORT[slides]).format(name),
+        description=quantity.description.format(joint=name, effort=_EFFORT[slides]),
         unit=unit_of_joint(quantity.unit, slides=slides),
         dependencies=dependencies,
     )
@@ -252,7 +253,7 @@ def law_variables(
         )
     if not exposed(law):
         yield Variable(name=own.names[_SCALE.name], role="tunable", unit=_SCALE.unit, start=1.0,
-                       description=_SCALE.description.format(joint))  # fmt: skip
+                       description=_SCALE.description.format(joint=joint))  # fmt: skip
         return
     for name, coefficient in zip(own.parameters, law.form.coefficients, strict=True):
         yield Variable(

@@ -147,10 +147,12 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
 
 
 def _units(sliding: Sequence[bool]) -> str:
-    turning = "s, rad, rad/s, N.m"
+    turning, slid = (
+        ", ".join(["s", *(unit_of_joint(unit, slides=slides) for unit in ("rad", "rad/s", "N.m"))])
+        for slides in (False, True)
+    )
     if not any(sliding):
         return turning
-    slid = unit_of_joint(turning, slides=True)
     return slid if all(sliding) else f"{turning}; {slid} of a joint that slides"
 
 

@@ -121,7 +121,7 @@ def _of_joint(
         return parts_of(law), JointProjection(joint=joint)
     except NoCounterpartError as error:
         slides = model.slides[index]
-        missing = unit_of_joint(str(error), slides=slides)
+        missing = str(error)
         trained = model.trained[index] if model.trained else None
         try:
             if project:

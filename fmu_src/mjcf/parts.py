@@ -229,7 +229,7 @@ def _bristle(
         return None
     if found <= 0.0:
         raise NoCounterpartError(
-            f"the torque of its state '{relaxation.name}' has the factor {found:g} N.m/rad, and "
+            f"the torque of its state '{relaxation.name}' has the factor {found:g}, and "
             "the stiffness of a bristle is positive"
         )
     if motion.rate == 0:
@@ -245,7 +245,7 @@ def _bristle(
     )
     if not (coulomb > 0.0 and static > 0.0):
         raise NoCounterpartError(
-            f"its state '{relaxation.name}' slides at {coulomb:g} to {static:g} N.m, a bristle at "
+            f"its state '{relaxation.name}' slides at {coulomb:g} to {static:g}, a bristle at "
             "more than 0"
         )
     # Without a peak both levels are the same, whatever the velocity beside them.

@@ -2,10 +2,12 @@
 
 from hesr_model.equations.component import Quantity
 
-_VELOCITY = Quantity(name="dq", unit="rad/s", description="velocity of {}")
-_POSITION = Quantity(name="q", unit="rad", description="position of {}")
+_VELOCITY = Quantity(name="dq", unit="rad/s", description="velocity of {joint}")
+_POSITION = Quantity(name="q", unit="rad", description="position of {joint}")
 _LOAD = Quantity(
-    name="tau_load", unit="N.m", description="load torque on {}: rigid-body torque of the motion"
+    name="tau_load",
+    unit="N.m",
+    description="load {effort} on {joint}: rigid-body {effort} of the motion",
 )
 
 DQ = _VELOCITY.symbol

@@ -72,7 +72,7 @@ class LawForm:
         torque = Equation(
             name=TORQUE,
             unit="N.m",
-            description="friction torque of {}",
+            description="friction {effort} of {joint}",
             expression=sympy.S.Zero + self.output,
             output=True,
         )
@@ -102,16 +102,11 @@ class LawForm:
 
     @cached_property
     def sliding(self) -> "LawForm":
-        """The same equations for a joint that slides: in other units, with force for torque."""
+        """The same equations for a joint that slides: in other units."""
         return replace(
             self,
             coefficients=tuple(
-                replace(
-                    c,
-                    unit=unit_of_joint(c.unit, slides=True),
-                    description=c.description.replace("torque", "force"),
-                )
-                for c in self.coefficients
+                replace(c, unit=unit_of_joint(c.unit, slides=True)) for c in self.coefficients
             ),
             memory=tuple(replace(m, unit=unit_of_joint(m.unit, slides=True)) for m in self.memory),
         )

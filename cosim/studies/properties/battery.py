@@ -150,7 +150,7 @@ def _collected(
                 deflection=float(scale.deflection[j]) if scale else 0.0,
                 inertia=None if inertia is None else float(inertia[j]),
                 findings={
-                    key: _finite(found[key][j]).of_joint(slides=sliding[j]) for key in EXPECTATIONS
+                    key: _finite(found[key][j]).at_joint(slides=sliding[j]) for key in EXPECTATIONS
                 },
             )
             for j, name in enumerate(names)

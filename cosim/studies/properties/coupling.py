@@ -127,8 +127,9 @@ def _judged(
     end = min(len(shown), int(0.2 / STEP))
     t = STEP * np.arange(end, dtype=float)
     plot = Plot(
-        x="time [s]",
-        y="velocity [rad/s]",
+        x="time",
+        y="velocity",
+        units=("s", "rad/s"),
         curves=(curve("at 1 ms", t, np.nan_to_num(shown[:end]), most=200),),
     )
     if driven:

@@ -80,9 +80,8 @@ def _broken(peaks: Array, ways: Array, level: float) -> Finding:
         wrong.append("Nothing has to be broken away: the law drives the joint.")
     elif ways[0] > _CREEPS * ways[1]:
         wrong.append(
-            "There is no break-away: the joint gives way from the first torque on, "
-            f"{1e3 * ways[0]:.2g} mrad by half the torque on the slowest ramp and "
-            f"{1e3 * ways[1]:.2g} on the next."
+            "There is no break-away: the joint gives way from the first torque on, by half the "
+            f"torque on the slowest ramp {ways[0] / ways[1]:.2g} times as far as on the next."
         )
     if peaks[0] > 0.0 and fall < FALLS:
         wrong.append(
@@ -99,8 +98,9 @@ def _broken(peaks: Array, ways: Array, level: float) -> Finding:
         ),
         reason=" ".join(wrong),
         plot=Plot(
-            x="log10 rate [N.m/s]",
-            y="break-away [N.m]",
+            x="log10 rate",
+            y="break-away",
+            units=("N.m/s", "N.m"),
             curves=(curve("", np.log10(rates), peaks),),
         ),
     )  # fmt: skip
@@ -167,10 +167,11 @@ def _drifting(t: Array, q: Array) -> list[Finding]:
                     Figure(name="drift in a minute", value=drift, unit="rad"),
                     Figure(name="rate of the second half", value=rate, unit="rad/s"),
                 ),
-                reason=f"It creeps at {1e3 * rate:.3g} mrad/s in the end." if moves else "",
+                reason="It creeps." if moves else "",
                 plot=Plot(
-                    x="time [s]",
-                    y="moved [mrad]",
+                    x="time",
+                    y="moved",
+                    units=("s", "mrad"),
                     curves=(curve("", t, 1e3 * (of_joint - of_joint[0]), most=60),),
                 ),
             )

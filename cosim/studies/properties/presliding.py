@@ -123,8 +123,9 @@ def _judged(fast: Array, slow: Array, amplitude: float) -> Finding:
         ),
         reason=" ".join(wrong),
         plot=Plot(
-            x="position [mrad]",
-            y="torque [N.m]",
+            x="position",
+            y="torque",
+            units=("mrad", "N.m"),
             curves=(
                 curve(f"{PERIOD:g} s", 1e3 * x, fast, closed=True),
                 curve(f"{SLOW_PERIOD:g} s", 1e3 * x, slow, closed=True),
@@ -170,8 +171,9 @@ def _remembered(
         ),
         reason=" ".join(wrong),
         plot=Plot(
-            x="position [mrad]",
-            y="torque [N.m]",
+            x="position",
+            y="torque",
+            units=("mrad", "N.m"),
             curves=(
                 curve("outer", 1e3 * amplitude * (2.0 * _BRANCH - 1.0), outer),
                 curve("inner", 1e3 * amplitude * into, inner),

@@ -82,7 +82,7 @@ def _lagging(dq: Array, fast: Array, slow: Array, level: float) -> Finding:
                    unit="N.m.s/rad"),
         ),
         reason=" ".join(wrong),
-        plot=Plot(x="velocity [rad/s]", y="torque [N.m]", curves=tuple(curves)),
+        plot=Plot(x="velocity", y="torque", units=("rad/s", "N.m"), curves=tuple(curves)),
     )  # fmt: skip
 
 
@@ -107,8 +107,9 @@ def chatter(bench: FrictionBench, scale: Scale, trained: list[TrainedRange]) -> 
                 ),
                 reason=f"That is {deviation / level:.0%} of the friction level." if loud else "",
                 plot=Plot(
-                    x="time [s]",
-                    y="torque [N.m]",
+                    x="time",
+                    y="torque",
+                    units=("s", "N.m"),
                     curves=(curve("at rest", t, of_joint[:_SHOWN], most=150),),
                 ),
             )
@@ -152,11 +153,7 @@ def _worked(found: list[Cycle]) -> Finding:
     given = max(0.0, -worst.work)
     share = min(found, key=lambda c: c.share)
     gives = given > PASSIVE
-    reason = (
-        f"A cycle of {worst.amplitude:.2g} rad/s at {worst.frequency:.2g} Hz gives {given:.3g} J."
-        if gives
-        else ""
-    )
+    reason = f"A cycle at {worst.frequency:.2g} Hz gives {given:.3g} J." if gives else ""
     curves = []
     for frequency in sorted({c.frequency for c in found})[::2]:
         least: dict[float, float] = {}
@@ -169,10 +166,15 @@ def _worked(found: list[Cycle]) -> Finding:
         verdict="fail" if gives else "pass",
         figures=(
             Figure(name="most energy given in a cycle", value=given, unit="J"),
+            Figure(
+                name="amplitude of that cycle",
+                value=worst.amplitude if gives else None,
+                unit="rad/s",
+            ),
             Figure(name="least share of the work that is taken", value=share.share, unit="1"),
             Figure(name="at an amplitude of", value=share.amplitude, unit="rad/s"),
             Figure(name="at a frequency of", value=share.frequency, unit="Hz"),
         ),
         reason=reason,
-        plot=Plot(x="amplitude [rad/s]", y="work taken, share", curves=tuple(curves)),
+        plot=Plot(x="amplitude", y="work taken, share", units=("rad/s", ""), curves=tuple(curves)),
     )

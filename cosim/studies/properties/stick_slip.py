@@ -86,8 +86,9 @@ def _pulled(
         ),
         reason=f"{does}; {why}.",
         plot=Plot(
-            x="time [s]",
-            y="stretch [mrad]",
+            x="time",
+            y="stretch",
+            units=("s", "mrad"),
             curves=(curve("", t, 1e3 * stretch, most=160),),
         ),
     )  # fmt: skip

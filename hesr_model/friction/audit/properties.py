@@ -44,11 +44,18 @@ class Curve:
 
 @dataclass(frozen=True, kw_only=True)
 class Plot:
-    """A small plot: names of its axes with units, and its lines."""
+    """A small plot: names of its axes, its lines, and the units of the axes."""
 
     x: str
     y: str
     curves: tuple[Curve, ...]
+    units: tuple[str, str] = ("", "")
+
+    @property
+    def labels(self) -> tuple[str, str]:
+        """Names of the axes with their units."""
+        x, y = (f" [{unit}]" if unit else "" for unit in self.units)
+        return self.x + x, self.y + y
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,19 +75,14 @@ class Finding:
     reason: str = ""
     plot: Plot | None = None
 
-    def of_joint(self, *, slides: bool) -> "Finding":
-        """Return the finding with the units of its joint; it was written for one that turns."""
-
-        def named(text: str) -> str:
-            return unit_of_joint(text, slides=slides)
-
+    def at_joint(self, *, slides: bool) -> "Finding":
+        """Return the finding with the units of its joint, from that at one that turns."""
+        figures = (replace(f, unit=unit_of_joint(f.unit, slides=slides)) for f in self.figures)
         plot = self.plot
-        return replace(
-            self,
-            figures=tuple(replace(f, unit=named(f.unit)) for f in self.figures),
-            reason=named(self.reason),
-            plot=plot and replace(plot, x=named(plot.x), y=named(plot.y)),
-        )
+        if plot:
+            x, y = (unit_of_joint(unit, slides=slides) for unit in plot.units)
+            plot = replace(plot, units=(x, y))
+        return replace(self, figures=tuple(figures), plot=plot)
 
 
 def _every(findings: Mapping[str, Finding]) -> Mapping[str, Finding]:

@@ -24,11 +24,11 @@ _KAPPA = tuple(
     for i in _ELEMENTS
 )
 _FORCE = tuple(
-    Coefficient(name=f"F_{i}", unit="N.m", description="sliding torque of an element")
+    Coefficient(name=f"F_{i}", unit="N.m", description="sliding friction of an element")
     for i in _ELEMENTS
 )
 _LOAD = tuple(
-    Coefficient(name=f"mu_{i}", unit="1", description="sliding torque of an element per load")
+    Coefficient(name=f"mu_{i}", unit="1", description="sliding friction of an element per load")
     for i in _ELEMENTS
 )
 

@@ -17,7 +17,7 @@ from hesr_model.friction.laws.stribeck import F_C, F_S, SIGMA_2, TAU_0, V_S, VEL
 
 SIGMA_0 = Coefficient(name="sigma_0", unit="N.m/rad", description="bristle stiffness")
 SIGMA_1 = Coefficient(name="sigma_1", unit="N.m.s/rad", description="bristle damping")
-MU = Coefficient(name="mu", unit="1/(N.m)", description="relative rise with the load torque")
+MU = Coefficient(name="mu", unit="1/(N.m)", description="relative rise with the load")
 
 DEFLECTION_BOUNDS = (1e-5, 0.1)
 """Bounds of the sliding deflection F_c / sigma_0 [rad]; wide, since the update is exact."""

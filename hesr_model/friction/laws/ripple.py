@@ -35,7 +35,7 @@ GAIN = 0.002
 """An order stays if it lowers the mean square on left-out logs by this share."""
 CHANCE = 18.0
 """And by this many times what a row has: the best of so many orders and lags gains by chance."""
-LAG = Coefficient(name="lag", unit="s", description="lag of the torque behind the position")
+LAG = Coefficient(name="lag", unit="s", description="lag behind the position")
 SMOOTHING = Coefficient(name="smoothing", unit="s", description="time constant over fast ripple")
 Times = tuple[float, float]
 """Lag and smoothing [s]."""
@@ -85,7 +85,7 @@ class Ripple:
     def extend(self, form: LawForm) -> LawForm:
         """Return a form with the ripple added to its output."""
         coefficients = [
-            Coefficient(name=name, unit="N.m", description="amplitude of torque ripple")
+            Coefficient(name=name, unit="N.m", description="amplitude of ripple")
             for name in self.names
         ]
         angle = self.gear_ratio * (Q - LAG.symbol * DQ)
