@@ -12,8 +12,8 @@ from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.metrics import rmse, rmse_ratio_interval, score, time_band
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.records import predict_record, record_start
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.friction.records import record_start
+from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 
 Records = Sequence[Sequence[FrictionRecord]]
 """For each joint its records, one for each log."""
@@ -181,10 +181,8 @@ def predict_model(model: FrictionModel, records: Records) -> list[list[Array]]:
             f"friction model '{model.law}' is for the joints {', '.join(model.joints)}; the robot "
             f"has {', '.join(joints)}."
         )
-    return [
-        [predict_record(law, r) for r in of_joint]
-        for law, of_joint in zip(model.laws, records, strict=True)
-    ]
+    torques = [model.predict(log) for log in zip(*records, strict=True)]
+    return [[torque[:, joint] for torque in torques] for joint in range(len(records))]
 
 
 def predict_fmu(fmu: Path, records: Records) -> list[list[Array]]:
@@ -203,7 +201,8 @@ def predict_fmu(fmu: Path, records: Records) -> list[list[Array]]:
     for log in zip(*records, strict=True):
         start: dict[str, float] = {}
         if model is not None and len(model.laws) == len(log):
-            for i, (law, record) in enumerate(zip(model.laws, log, strict=True), start=1):
+            rubbing = at_friction([replace(r, coupling=model.coupling) for r in log])
+            for i, (law, record) in enumerate(zip(model.laws, rubbing, strict=True), start=1):
                 values = record_start(law, record) if law.start_samples else ()
                 states = law.form.memory
                 start |= {f"{s.name}[{i}]": x for s, x in zip(states, values, strict=False)}

@@ -86,6 +86,10 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> Started:
                 unused=", ".join(joint.name for joint in others),
                 names=", ".join(json.dumps(joint.name, ensure_ascii=False) for joint in used),
                 ratios=", ".join(["100.0"] * len(used)),
+                matrix=[
+                    ", ".join("100.0" if i == k else "0.0" for i in range(len(used)))
+                    for k in range(len(used))
+                ],
                 columns=_columns(len(used)),
                 rate=RATE,
             )

@@ -21,6 +21,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.transmission import Coupling
 from hesr_model.support.bounded import parse_json, read_text
 from hesr_model.support.files import sha256, written_whole
 from hesr_model.support.typed_json import from_json, to_json
@@ -152,6 +153,8 @@ class _ModelFile:
     robot: str
     sample_time: float
     joints: tuple[_JointEntry, ...]
+    # Said of robots with coupled joints only.
+    coupling: Coupling | None = None
     provenance: Mapping[str, Any]
 
 
@@ -186,6 +189,7 @@ def model_to_json(model: FrictionModel) -> dict[str, Any]:
                 model.trained or nothing, model.training_rmse or nothing, strict=True,
             )
         ),
+        coupling=model.coupling,
         provenance=model.provenance,
     )  # fmt: skip
     return {"format": MODEL_FORMAT, **to_json(file, sparse=True)}
@@ -208,6 +212,7 @@ def model_from_json(path: Path, data: Mapping[str, Any]) -> FrictionModel:
             joints=tuple(j.joint for j in joints),
             laws=tuple(j.friction_law() for j in joints),
             sliding=tuple(bool(j.sliding) for j in joints),
+            coupling=file.coupling,
             sample_time=file.sample_time,
             trained=tuple(j.trained for j in joints if j.trained),
             training_rmse=tuple(j.training_rmse for j in joints if j.training_rmse is not None),

@@ -1,5 +1,6 @@
 """Commands of the single steps: identify, fit, evaluate, replay."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -322,6 +323,7 @@ def _print_audit(name: str, model: "FrictionModel", records: "Records | None" = 
     from cosim.tables.terminal import Drawn
     from hesr_model.friction.audit.audit import audit
     from hesr_model.friction.trained import outside
+    from hesr_model.rigid_body.residual import all_at_friction
 
     if not model.trained:
         return
@@ -329,9 +331,10 @@ def _print_audit(name: str, model: "FrictionModel", records: "Records | None" = 
     audits = [audit(law, trained) for law, trained in pairs]
     Console().print(Drawn(laws.audit(name, audits, model.sliding)))
     if records is not None:
+        records = [[replace(r, coupling=model.coupling) for r in of_joint] for of_joint in records]
         found = [
             {k: v for k, v in outside(trained, r).items() if k in map(str, law.form.inputs)}
-            for (law, trained), r in zip(pairs, records, strict=True)
+            for (law, trained), r in zip(pairs, all_at_friction(records), strict=True)
         ]
         if any(found):
             typer.echo(laws.leaving(model.joints, found, model.sliding))

@@ -33,7 +33,9 @@ def block(component: Component, joints: int, *, name: str, text: str, step: floa
         table=table,
         about=described(name=name, text=text, step=step),
         sources={
-            **{source: own_source(source) for source in ("equations.c", "law_math.h")},
+            **{
+                source: own_source(source) for source in ("coupling.h", "equations.c", "law_math.h")
+            },
             "equations.h": equations_header(own, table, Needs(functions=FRICTION)),
         },
         members={},

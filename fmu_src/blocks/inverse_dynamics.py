@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fmu_src.blocks.table import content, places, scalar, vector
 from fmu_src.interface import Interface, literal
 from fmu_src.package import Content
-from hesr_model.robots.robot import LINK_PARAMETERS, JointFrame, RobotModel
+from hesr_model.robots.robot import LINK_PARAMETERS, RobotModel
 
 _UNITS = ("kg", *["kg.m"] * 3, *["kg.m2"] * 6)
 
@@ -53,22 +53,22 @@ def inverse_dynamics(
     )  # fmt: skip
     first = {"POSITION": "q[1]", "VELOCITY": "dq[1]", "ACCELERATION": "ddq[1]", "TORQUE": "tau[1]",
              "PARAMETERS": "link[1].m", "ROTORS": "link[1].Ir"}  # fmt: skip
-    gravity = robot.description.gravity
     header = places(table, "PLACES_H", first, JOINTS=n)
     return content(
         table,
         name="InverseDynamics",
         text="Rigid-body torque of a motion, by the recursive Newton-Euler algorithm.",
         source="inverse_dynamics.c",
-        headers={"places.h": header, "tree.h": _tree(tree, gravity)},
+        headers={"places.h": header, "tree.h": _tree(robot)},
         step=step,
     )
 
 
-def _tree(tree: Sequence[JointFrame], gravity: Sequence[float]) -> str:
-    """Return tree.h: the joints' places, and gravity."""
+def _tree(robot: RobotModel) -> str:
+    """Return tree.h: the joints' places, what motors turn, and gravity."""
     rows = []
-    for joint in tree:
+    motors, gravity = robot.description.motors, robot.description.gravity
+    for joint in robot.tree:
         numbers = (
             _numbers(joint.rotation.ravel()),
             _numbers(joint.translation),
@@ -76,7 +76,12 @@ def _tree(tree: Sequence[JointFrame], gravity: Sequence[float]) -> str:
         )
         rows.append(f"    {{{joint.parent}, {int(joint.prismatic)}, {', '.join(numbers)}}},")
     return _TREE.format(
-        rows="\n".join(rows), **dict(zip("xyz", map(literal, gravity), strict=True))
+        rows="\n".join(rows),
+        coupled=int(motors is not None),
+        motors="\n".join(
+            f"    {_numbers(row)}," for row in (motors.forward if motors else np.eye(robot.n))
+        ),
+        **dict(zip("xyz", map(literal, gravity), strict=True)),
     )
 
 
@@ -106,6 +111,12 @@ typedef struct {{
 
 static const Joint joints[JOINTS] = {{
 {rows}
+}};
+
+/* Motors' angles over joints', each divided by its gear ratio; read where COUPLED. */
+enum {{ COUPLED = {coupled} }};
+static const double motors[JOINTS][JOINTS] = {{
+{motors}
 }};
 
 #endif

@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "component.h"
+#include "coupling.h"
 #include "equations.h"
 
 /* Where the motor of a joint is, with its friction states. */
@@ -40,6 +41,18 @@ static double input_at(const Component *component, int variable, double time) {
     return component->v[variable] + component->slope[variable] * time;
 }
 
+/* The same of a coordinate, of the joints that a vector of variables belongs to. */
+static double mixed_at(const Component *component, bool torque, int vector, int i, double time) {
+    double sum = 0.0;
+    if (!COUPLED) {
+        return input_at(component, vector + i, time);
+    }
+    for (int m = 0; m < JOINTS; m++) {
+        sum += share_of(torque, i, m) * input_at(component, vector + m, time);
+    }
+    return sum;
+}
+
 /* An inner step of h that ends at a time [s] after the beginning of the glue's; it is implicit, so
  * its inputs are those of its end. */
 static Step step_of(const Component *component, int i, double h, double time) {
@@ -53,13 +66,14 @@ static Step step_of(const Component *component, int i, double h, double time) {
         .stiffness = v[STIFFNESS + i],
         .damping = v[DAMPING + i],
         .tau_motor = input_at(component, TAU_MOTOR + i, time),
-        .q_link = input_at(component, Q_LINK + i, time),
-        .dq_link = input_at(component, DQ_LINK + i, time),
+        .q_link = mixed_at(component, false, Q_LINK, i, time),
+        .dq_link = mixed_at(component, false, DQ_LINK, i, time),
         .h = h,
         .euler = v[DISCRETISATION] == EULER,
     };
     for (int j = 2; j < joint->inputs; j++) {
-        step.u[j] = input_at(component, joint->input[j], time);
+        step.u[j] = j == LOAD ? mixed_at(component, true, TAU_LOAD, i, time)
+                              : input_at(component, joint->input[j], time);
     }
     return step;
 }

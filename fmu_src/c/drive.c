@@ -3,7 +3,10 @@
  *     inertia dq' = tau_motor - tau_f / ratio - tau_link / ratio,  q' = dq
  *     tau_link    = stiffness (q / ratio - q_link) + damping (dq / ratio - dq_link)
  *
- * and tau_f of the law at dq / ratio. An inner step of h solves for the speed at its end,
+ * and tau_f of the law at dq / ratio. Where motors turn with several joints, links and loads are
+ * those of the joints, brought to the motor by coupling.h, as tau_link is brought to the joints.
+ *
+ * An inner step of h solves for the speed at its end,
  *
  *     R(v) = inertia (v - dq) / h - tau_motor + (tau_f(v, x(v)) + tau_link(v)) / ratio = 0
  *
@@ -79,6 +82,11 @@ static Motion motion_of(const Component *component, int i) {
     return motion;
 }
 
+/* Before all joints are put, since the drive of one may turn several links. */
+static void clear_links(Component *component) {
+    memset(&component->v[TAU_LINK], 0, JOINTS * sizeof component->v[0]);
+}
+
 static void put(Component *component, int i, const Motion *motion) {
     const Joint *joint = &joints[i];
     double *v = component->v, *x = &v[joint->first_state];
@@ -86,7 +94,7 @@ static void put(Component *component, int i, const Motion *motion) {
     v[DQ + i] = motion->dq;
     v[DDQ + i] = motion->ddq;
     v[TAU_F + i] = motion->tau_f;
-    v[TAU_LINK + i] = motion->tau_link;
+    add_torque(v, TAU_LINK, i, motion->tau_link);
     for (int j = 0; j < joint->states; j++) {
         x[j] = motion->x[j];
         x[joint->states + j] = motion->dx[j];
@@ -125,6 +133,9 @@ static bool component_initialise(Component *component, void *workspace, Message 
  * those of the last step. */
 static bool component_output(Component *component, void *workspace, Message *why) {
     (void)workspace, (void)why;
+    if (component->own[STARTED] == 0.0) {
+        clear_links(component);
+    }
     for (int i = 0; i < JOINTS && component->own[STARTED] == 0.0; i++) {
         const Step step = step_of(component, i, 0.0, 0.0);
         Trial trial;
@@ -161,6 +172,7 @@ static bool component_step(Component *component, void *workspace, double step, M
             }
         }
     }
+    clear_links(component);
     for (int i = 0; i < JOINTS; i++) {
         put(component, i, &motion[i]);
     }

@@ -12,6 +12,7 @@
 #include <string.h>
 
 #include "component_alone.h"
+#include "coupling.h"
 #include "equations.h"
 
 /* What the component remembers besides its variables. */
@@ -50,7 +51,7 @@ static Place place_of(const Component *component, int i) {
         .s = &component->own[HELD + joint->first_switch],
     };
     for (int j = 0; j < joint->inputs; j++) {
-        at.u[j] = v[joint->input[j]];
+        at.u[j] = input_of(v, i, j);
     }
     return at;
 }
@@ -67,12 +68,6 @@ static double *latest_of(Component *component, int i) {
     return &component->own[LATEST + i * MAX_REMEMBERED];
 }
 
-static void put(Component *component, const Joint *joint, const double *y) {
-    for (int j = 0; j < joint->outputs; j++) {
-        component->v[joint->output[j]] = y[j];
-    }
-}
-
 /* Before the first step previous values are the starts. */
 static void start(Component *component, int i) {
     const Place at = place_of(component, i);
@@ -84,7 +79,7 @@ static void start(Component *component, int i) {
     } else {
         joint->read(at.k, at.u, at.s, x, NULL, 0.0, dx, y, NULL);
     }
-    put(component, joint, y);
+    put_outputs(component->v, i, y);
 }
 
 static bool component_initialise(Component *component, void *workspace, Message *why) {
@@ -100,6 +95,7 @@ static bool component_initialise(Component *component, void *workspace, Message 
             return false;
         }
     }
+    clear_torques(component->v);
     for (int i = 0; i < JOINTS; i++) {
         start(component, i);
     }
@@ -114,6 +110,7 @@ static bool component_output(Component *component, void *workspace, Message *why
     if (started && (HOLDS || component->own[TICKS] < 0.0)) {
         return true;
     }
+    clear_torques(component->v);
     for (int i = 0; i < JOINTS; i++) {
         if (!started) {
             start(component, i);
@@ -123,7 +120,7 @@ static bool component_output(Component *component, void *workspace, Message *why
         double y[MAX_OUTPUTS], r[MAX_REMEMBERED + 1], *x = states_of(component, i);
         at.joint->read(at.k, at.u, at.s, x, previous_of(component, i), component->own[LAST_STEP],
                        x + at.joint->states, y, r);
-        put(component, at.joint, y);
+        put_outputs(component->v, i, y);
     }
     return true;
 }
@@ -152,6 +149,7 @@ static bool can_relax(const Component *component, double step, Message *why) {
 static void sample(Component *component, double step) {
     const double euler = DISCRETISATION >= 0 && component->v[DISCRETISATION] == EULER;
     component->own[LAST_STEP] = step;
+    clear_torques(component->v);
     for (int i = 0; i < JOINTS; i++) {
         const Place at = place_of(component, i);
         const Joint *joint = at.joint;
@@ -163,7 +161,7 @@ static void sample(Component *component, double step) {
         memcpy(&component->own[BEFORE + i * MAX_STATES], x, (size_t)joint->states * sizeof *x);
         joint->step(at.k, at.u, at.s, previous_of(component, i), step, euler, x, x + joint->states,
                     y, latest_of(component, i));
-        put(component, joint, y);
+        put_outputs(component->v, i, y);
     }
 }
 
@@ -226,9 +224,19 @@ static double slope_of_step(const Component *component, int i) {
 }
 
 static void component_demand(Component *component) {
+    for (int i = 0; COUPLED && i < JOINTS; i++) {
+        component->v[joints[i].slope] = 0.0;
+    }
     for (int i = 0; i < JOINTS; i++) {
-        if (joints[i].slope >= 0) {
-            component->v[joints[i].slope] = slope_of_step(component, i);
+        if (joints[i].slope < 0) {
+            continue;
+        }
+        const double slope = slope_of_step(component, i);
+        for (int m = 0; COUPLED && m < JOINTS; m++) {
+            component->v[joints[m].slope] += forward[i][m] * forward[i][m] * slope;
+        }
+        if (!COUPLED) {
+            component->v[joints[i].slope] = slope;
         }
     }
 }
@@ -269,6 +277,7 @@ static void component_indicators(const Component *component, double rest, double
 }
 
 static void component_tangent(const Component *component, const double *seed, double *tangent) {
+    clear_torques(tangent);
     for (int i = 0; i < JOINTS; i++) {
         const Place at = place_of(component, i);
         const Joint *joint = at.joint;
@@ -276,13 +285,11 @@ static void component_tangent(const Component *component, const double *seed, do
         const double *dk = joint->constants ? no_change : &seed[joint->first_parameter];
         double du[MAX_INPUTS], ty[MAX_OUTPUTS];
         for (int j = 0; j < joint->inputs; j++) {
-            du[j] = seed[joint->input[j]];
+            du[j] = input_of(seed, i, j);
         }
         joint->tangent(at.k, at.u, at.s, &component->v[state],
                        &component->own[PREVIOUS + i * MAX_REMEMBERED], component->own[LAST_STEP],
                        dk, du, &seed[state], &tangent[state + joint->states], ty);
-        for (int j = 0; j < joint->outputs; j++) {
-            tangent[joint->output[j]] = ty[j];
-        }
+        put_outputs(tangent, i, ty);
     }
 }

@@ -106,6 +106,22 @@ static void move_link(const double *v, int i, Link *links) {
     own_needs(link, &v[PARAMETERS + 10 * i]);
 }
 
+/* Torque of the rotors on joint i; where COUPLED, motors turn with several joints. */
+static double rotors_on(const double *v, int i) {
+    double torque = 0.0;
+    if (!COUPLED) {
+        return v[ROTORS + i] * v[ACCELERATION + i];
+    }
+    for (int k = 0; k < JOINTS; k++) {
+        double turn = 0.0;
+        for (int j = 0; j < JOINTS; j++) {
+            turn += motors[k][j] * v[ACCELERATION + j];
+        }
+        torque += motors[k][i] * v[ROTORS + k] * turn;
+    }
+    return torque;
+}
+
 static bool component_initialise(Component *component, void *workspace, Message *why) {
     (void)component, (void)workspace, (void)why;
     return true;
@@ -123,7 +139,7 @@ static bool component_output(Component *component, void *workspace, Message *why
         const Link *link = &links[i];
         const Vector axis = vector(joint->axis);
         const double needed = dot(axis, joint->prismatic ? link->force : link->moment);
-        v[TORQUE + i] = needed + v[ROTORS + i] * v[ACCELERATION + i];
+        v[TORQUE + i] = needed + rotors_on(v, i);
         if (joint->parent >= 0) {
             Link *parent = &links[joint->parent];
             const Vector force = to_parent(joint, link, link->force);

@@ -9,15 +9,18 @@ import sympy
 from fmu_src.blocks.table import scalar, vector
 from fmu_src.equations.header import SOLVER, Joint, Needs, equations_header
 from fmu_src.friction.friction_component import (
+    adding,
     dependencies,
     discretisation,
     joints_of,
     law_variables,
+    mixed,
 )
 from fmu_src.interface import Interface, Variable
 from hesr_model.errors import ExportError
 from hesr_model.friction.law import TORQUE
 from hesr_model.friction.model import FrictionModel
+from hesr_model.robots.transmission import Coupling
 
 SUBSTEP = 1e-3
 """Longest inner step [s] unless set otherwise."""
@@ -136,7 +139,7 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
             "on its side of the gear",
             unit="N.m",
             dependencies=dependencies(
-                laws[joint - 1], sympy.Symbol(TORQUE, real=True), _sources(joint)
+                laws[joint - 1], sympy.Symbol(TORQUE, real=True), _sources(joint, model.coupling)
             ),
         )
         for joint, _ in enumerate(model.laws, start=1)
@@ -145,13 +148,13 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
     variables = (
         *(v for n, unit, text in _INPUTS for v in vector(n, "input", unit, text, zeros)),
         *(v for n, unit, text, deps in _OUTPUTS
-          for v in vector(n, "output", unit, text, zeros, deps)),
+          for v in _coupled(model.coupling, list(vector(n, "output", unit, text, zeros, deps)))),
         *friction,
         *_parameters(own, zeros),
         scalar("substep", "fixed", "s", "longest inner step", substep),
         choice,
         *(v for joint, law in enumerate(model.laws, start=1)
-          for v in law_variables(law, joint, laws[joint - 1], _sources(joint))),
+          for v in law_variables(law, joint, laws[joint - 1], _sources(joint, model.coupling))),
     )  # fmt: skip
     inputs = {v.name for v in variables if v.role == "input"}
     return Interface(
@@ -183,13 +186,34 @@ def _parameters(own: Motors, zeros: Sequence[float]) -> Iterator[Variable]:
     yield from vector("dq_start", "fixed", "rad/s", "speed at which the motor starts", zeros)
 
 
-def _sources(joint: int) -> dict[str, tuple[str, ...]]:
+def _sources(joint: int, coupling: Coupling | None) -> dict[str, tuple[str, ...]]:
     """Return what the inputs of laws are computed from, before the first step."""
     return {
         "dq": (f"dq_start[{joint}]", f"ratio[{joint}]"),
         "q": (f"q_start[{joint}]", f"ratio[{joint}]"),
-        "tau_load": (f"tau_load[{joint}]",),
+        "tau_load": mixed("tau_load", joint, coupling),
     }
+
+
+def _coupled(coupling: Coupling | None, outputs: Sequence[Variable]) -> Iterator[Variable]:
+    """Yield one output of all joints; of those at links, with what moves them by a coupling."""
+    for variable in outputs:
+        if coupling is None or not variable.name.startswith("tau_link["):
+            yield variable
+            continue
+        link = int(variable.name.removeprefix("tau_link[").removesuffix("]"))
+        by_motor = [outputs[i - 1].dependencies for i in adding(link, coupling)]
+        found = [
+            name
+            for motor, names in zip(adding(link, coupling), by_motor, strict=True)
+            for dependency in names
+            for name in (
+                mixed(dependency.partition("[")[0], motor, coupling)
+                if dependency.startswith(("q_link[", "dq_link["))
+                else (dependency,)
+            )
+        ]
+        yield replace(variable, dependencies=tuple(dict.fromkeys(found)))
 
 
 def _joints(model: FrictionModel) -> tuple[Joint, ...]:
@@ -201,4 +225,5 @@ def equations_to_c(model: FrictionModel, table: Interface) -> str:
     vectors = [*(n for n, *_ in (*_INPUTS, *_OUTPUTS)), "tau_f", *_NEEDED, "q_start", "dq_start"]
     places = {name.upper(): f"{name}[1]" for name in vectors}
     places |= {name.upper(): name for name in ("substep", "discretisation")}
-    return equations_header(_joints(model), table, Needs(functions=SOLVER, places=places))
+    needs = Needs(functions=SOLVER, places=places)
+    return equations_header(_joints(model), table, needs, model.coupling)

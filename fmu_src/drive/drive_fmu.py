@@ -92,7 +92,7 @@ def content(
         step=SUBSTEP,
         sources=("all.c",),
     )
-    names = ("balance.h", "drive.c", "law_math.h", "root.h")
+    names = ("balance.h", "coupling.h", "drive.c", "law_math.h", "root.h")
     sources = {name: own_source(name) for name in names}
     return Content(
         table=table,

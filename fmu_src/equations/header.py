@@ -3,9 +3,12 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from fmu_src.equations.c_functions import Functions
 from fmu_src.interface import Interface, literal
 from hesr_model.equations.component import Component
+from hesr_model.robots.transmission import Coupling
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,8 +123,19 @@ def indicators(joints: Sequence[Joint]) -> int:
     return sum(len(Functions(j.component, "").jumps.expressions) for j in joints)
 
 
-def equations_header(joints: Sequence[Joint], table: Interface, needs: Needs) -> str:
-    """Return equations.h: each distinct component is written once."""
+def equations_header(
+    joints: Sequence[Joint], table: Interface, needs: Needs, coupling: Coupling | None = None
+) -> str:
+    """Return equations.h: each distinct component is written once.
+
+    Parameters
+    ----------
+    joints : the joints.
+    table : variables of the FMU.
+    needs : which functions C calls.
+    coupling : how joints move the coordinates to which the equations belong; none where these are
+        the joints.
+    """
     distinct = list(dict.fromkeys(j.component for j in joints))
     first = {j.component: j for j in reversed(joints)}
     functions = {
@@ -148,6 +162,7 @@ def equations_header(joints: Sequence[Joint], table: Interface, needs: Needs) ->
         "EXACT": 1,
         "EULER": 2,
         "HOLDS": int(any(j.component.holds for j in joints)),
+        "COUPLED": int(coupling is not None),
         **{name: table.references[variable] for name, variable in needs.places.items()},
     }
     return _HEADER.format(
@@ -159,6 +174,22 @@ def equations_header(joints: Sequence[Joint], table: Interface, needs: Needs) ->
         ),
         arrays="\n".join(arrays),
         rows="\n".join(rows),
+        coupling=_coupling(coupling, len(joints)),
+    )
+
+
+def _coupling(coupling: Coupling | None, joints: int) -> str:
+    """Return the matrices of a coupling; where there is none nobody reads them."""
+    matrices = (
+        {"forward": coupling.forward, "backward": coupling.backward}
+        if coupling
+        else dict.fromkeys(("forward", "backward"), np.eye(joints))
+    )
+    return "\n".join(
+        f"static const double {name}[JOINTS][JOINTS] = {{\n"
+        + "\n".join(f"    {{{', '.join(literal(float(x)) for x in row)}}}," for row in matrix)
+        + "\n};"
+        for name, matrix in matrices.items()
     )
 
 
@@ -269,6 +300,9 @@ typedef struct {{
 static const Joint joints[JOINTS] = {{
 {rows}
 }};
+
+/* Where COUPLED: motions of the equations' coordinates from those of the joints, and torques. */
+{coupling}
 
 #endif
 """

@@ -36,6 +36,21 @@ def require_numbers(model: FrictionModel) -> None:
             )
 
 
+def require_uncoupled(model: FrictionModel, form: str) -> None:
+    """Refuse a model whose friction sits on motors that turn with several joints.
+
+    Raises
+    ------
+    ExportError
+        Naming the law, and `form`, which has one law for each joint by itself.
+    """
+    if model.coupling:
+        raise ExportError(
+            f"law '{model.law}': motors of '{model.robot}' turn with several joints, which {form} "
+            "cannot say; export it as an FMU (--format fmu, or drive)."
+        )
+
+
 def shown(expression: sympy.Expr) -> str:
     """Return an expression for people, cut where it is long."""
     text = str(sympy.sstr(expression)).replace("absolute(", "abs(")

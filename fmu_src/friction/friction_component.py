@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from math import inf
 
+import numpy as np
 import sympy
 
 from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, indicators, own_size
@@ -12,9 +13,10 @@ from fmu_src.interface import Enumeration, Interface, Variable
 from hesr_model.equations.component import Component, Equation, Quantity, Relaxation
 from hesr_model.equations.memory import Element
 from hesr_model.errors import ExportError
-from hesr_model.friction.inputs import DQ, INPUTS, QUANTITIES
+from hesr_model.friction.inputs import DQ, INPUTS, QUANTITIES, TAU_LOAD
 from hesr_model.friction.law import TORQUE, FrictionLaw
 from hesr_model.friction.model import FrictionModel
+from hesr_model.robots.transmission import Coupling
 from hesr_model.units import unit_of_joint
 
 DISCRETISATION = Enumeration(
@@ -24,6 +26,9 @@ DISCRETISATION = Enumeration(
         ("euler", "explicit Euler, requires rate * step < 1"),
     ),
 )
+
+_NONE = 1e-12
+"""Of a coupling's inverse: a smaller share is rounding."""
 
 _CRAWL = 0.1
 """Speed at whose steady state a state's nominal value is taken [rad/s]."""
@@ -91,7 +96,7 @@ def interface(model: FrictionModel, more: tuple[Equation, ...] = ()) -> Interfac
             name,
             slides,
             role="output",
-            dependencies=dependencies(joints[joint - 1], equation.symbol),
+            dependencies=_output_dependencies(model, joints, joint, equation),
         )
         for equation in joints[0].component.outputs
         for joint, (name, slides) in numbered
@@ -103,7 +108,7 @@ def interface(model: FrictionModel, more: tuple[Equation, ...] = ()) -> Interfac
             description=f"slope of tau[{joint}] over dq[{joint}] held over the last step, the "
             "states following; in model exchange that at the last event, the states at rest",
             unit=unit_of_joint("N.m.s/rad", slides=slides),
-            dependencies=dependencies(joints[joint - 1], sympy.Symbol(TORQUE, real=True)),
+            dependencies=_output_dependencies(model, joints, joint, joints[0].component.outputs[0]),
         )
         for joint, (_, slides) in numbered
     ]
@@ -115,13 +120,46 @@ def interface(model: FrictionModel, more: tuple[Equation, ...] = ()) -> Interfac
     own = [
         v
         for joint, law in enumerate(model.laws, start=1)
-        for v in law_variables(law, joint, joints[joint - 1])
+        for v in law_variables(law, joint, joints[joint - 1], _mixed_inputs(model.coupling, joint))
     ]
     return Interface(
         variables=(*inputs, *outputs, *slopes, choice, *own),
         indicators=indicators(joints),
         own=own_size(joints),
     )
+
+
+def mixed(name: str, coordinate: int, coupling: Coupling | None) -> tuple[str, ...]:
+    """Return the joints' variables of which a signal of a friction coordinate is made."""
+    if coupling is None:
+        return (f"{name}[{coordinate}]",)
+    matrix = coupling.backward if name == TAU_LOAD.name else coupling.forward
+    return tuple(f"{name}[{m + 1}]" for m in np.flatnonzero(np.abs(matrix[coordinate - 1]) > _NONE))
+
+
+def adding(joint: int, coupling: Coupling | None) -> tuple[int, ...]:
+    """Return the friction coordinates whose torques add to that of a joint."""
+    if coupling is None:
+        return (joint,)
+    return tuple(int(i) + 1 for i in np.flatnonzero(coupling.forward[:, joint - 1]))
+
+
+def _mixed_inputs(coupling: Coupling | None, coordinate: int) -> dict[str, tuple[str, ...]]:
+    return {q.name: mixed(q.name, coordinate, coupling) for q in QUANTITIES}
+
+
+def _output_dependencies(
+    model: FrictionModel, joints: tuple[Joint, ...], joint: int, output: Equation
+) -> tuple[str, ...]:
+    """Return the variables of which an output is made; the torque is the sum of coordinates'."""
+    torque = output.symbol == joints[0].component.outputs[0].symbol
+    coordinates = adding(joint, model.coupling) if torque else (joint,)
+    found = [
+        name
+        for i in coordinates
+        for name in dependencies(joints[i - 1], output.symbol, _mixed_inputs(model.coupling, i))
+    ]
+    return tuple(dict.fromkeys(found))
 
 
 def _of_joint(
@@ -287,4 +325,4 @@ def _per_second(unit: str) -> str:
 def equations_to_c(model: FrictionModel, table: Interface, more: tuple[Equation, ...] = ()) -> str:
     """Return equations.h of a friction FMU."""
     needs = Needs(functions=FRICTION, places={"DISCRETISATION": "discretisation"})
-    return equations_header(joints_of(model, more), table, needs)
+    return equations_header(joints_of(model, more), table, needs, model.coupling)

@@ -135,7 +135,7 @@ def _component(
         step=model.sample_time,
         sources=("all.c",),
     )
-    sources = {name: own_source(name) for name in ("equations.c", "law_math.h")}
+    sources = {name: own_source(name) for name in ("coupling.h", "equations.c", "law_math.h")}
     return table, about, sources | {"equations.h": equations_to_c(model, table, more)}
 
 

@@ -19,6 +19,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.phases import near_reversals
+from hesr_model.robots.transmission import Coupling
 
 SETTINGS: Mapping[str, str] = {
     "hold": "inputs of the step's beginning, held",
@@ -50,6 +51,17 @@ class Motion:
         """Yield (dq, q, tau_load) of each joint, each (N,) [rad/s, rad, N.m]."""
         return zip(self.dq.T, self.q.T, self.tau_load.T, strict=True)
 
+    def at_friction(self, coupling: Coupling | None) -> "Motion":
+        """Return the motion of the coordinates on which friction sits."""
+        if coupling is None:
+            return self
+        return Motion(
+            t=self.t,
+            dq=coupling.motion(self.dq),
+            q=coupling.motion(self.q),
+            tau_load=coupling.torque(self.tau_load),
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Error:
@@ -80,12 +92,14 @@ def torques(model: FrictionModel, motion: "Motion", setting: str, *, substeps: i
     SimulationError
         If the laws' discretisation is not stable at the motion's steps.
     """
+    own = motion.at_friction(model.coupling)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # callers look for it
         columns = [
-            _torque(law, motion.t, inputs, setting, substeps)
-            for law, inputs in zip(model.laws, motion.by_joint(), strict=True)
+            _torque(law, own.t, inputs, setting, substeps)
+            for law, inputs in zip(model.laws, own.by_joint(), strict=True)
         ]
-    return np.column_stack(columns)
+        torque = np.column_stack(columns)
+        return torque if model.coupling is None else model.coupling.at_joints(torque)
 
 
 def errors(motion: "Motion", torque: Array, truth: Array) -> tuple[Error, ...]:

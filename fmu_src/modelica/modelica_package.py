@@ -10,7 +10,7 @@ import numpy as np
 import sympy
 
 from fmu_src.documentation import datasheet
-from fmu_src.friction.defined import require_numbers
+from fmu_src.friction.defined import require_numbers, require_uncoupled
 from fmu_src.friction.friction_component import nominal
 from fmu_src.friction.reference import reference_motion
 from fmu_src.modelica.annotations import TEMPLATES, joint_html, law_title, package_html
@@ -78,6 +78,7 @@ def package(model: FrictionModel, name: str) -> str:
                 f"Modelica: joint '{joint}' slides, and the package has rotational flanges; export "
                 "its law as a friction FMU (--format fmu), which Modelica tools import."
             )
+    require_uncoupled(model, "a Modelica package")
     require_numbers(model)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),

@@ -13,7 +13,8 @@ from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.trained import TrainedRange
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.residual import FrictionRecord, at_friction
+from hesr_model.robots.transmission import Coupling
 from hesr_model.support.bounded import require_printable
 
 
@@ -29,6 +30,8 @@ class FrictionModel:
     laws : the law of each joint; that of a joint that slides is made one of its units.
     sliding : whether each joint slides, so that its position is in m and its torque a force in N;
         where none does or nothing is given, it is empty.
+    coupling : how joints move the coordinates on which friction sits, where these are not the
+        joints themselves; laws, trained ranges and training errors are of these coordinates.
     sample_time : sample period at which the laws were made [s].
     trained : ranges of the records that each law was fitted to; empty where they are not known.
     training_rmse : error of each law on those records [N.m]; empty where it is not known.
@@ -45,6 +48,7 @@ class FrictionModel:
     joints: tuple[str, ...]
     laws: tuple[FrictionLaw, ...]
     sliding: tuple[bool, ...] = ()
+    coupling: Coupling | None = None
     sample_time: float
     trained: tuple[TrainedRange, ...] = ()
     training_rmse: tuple[float, ...] = ()
@@ -74,6 +78,11 @@ class FrictionModel:
             raise ArtifactError(
                 f"friction model '{self.law}': {len(self.training_rmse)} training errors for "
                 f"{len(self.joints)} joints."
+            )
+        if self.coupling and len(self.coupling.matrix) != len(self.joints):
+            raise ArtifactError(
+                f"friction model '{self.law}': a coupling of {len(self.coupling.matrix)} joints "
+                f"for {len(self.joints)} joints."
             )
         if not 0.0 < self.sample_time < inf:
             raise ArtifactError(
@@ -137,8 +146,9 @@ class FrictionModel:
         """
         if records is not None:
             self._require_joints(records)
-            columns = [predict_record(law, r) for law, r in zip(self.laws, records, strict=True)]
-            return np.column_stack(columns)
+            moved = at_friction([replace(r, coupling=self.coupling) for r in records])
+            columns = [predict_record(law, r) for law, r in zip(self.laws, moved, strict=True)]
+            return self._at_joints(np.column_stack(columns))
         if t is None or dq is None:
             raise TypeError("predict() takes the records of a log, or the arrays 't' and 'dq'")
         time = np.asarray(t, dtype=float)
@@ -152,11 +162,17 @@ class FrictionModel:
                 f"friction model '{self.law}': time must increase, but t[{row}] is {time[row]:g} s "
                 f"after {time[row - 1]:g} s."
             )
+        if self.coupling:
+            speed, position = self.coupling.motion(speed), self.coupling.motion(position)
+            load = self.coupling.torque(load)
         columns = [
             predict(law, t=time, dq=speed[:, k], q=position[:, k], tau_load=load[:, k])
             for k, law in enumerate(self.laws)
         ]
-        return np.column_stack(columns)
+        return self._at_joints(np.column_stack(columns))
+
+    def _at_joints(self, torque: NDArray[np.float64]) -> NDArray[np.float64]:
+        return torque if self.coupling is None else self.coupling.at_joints(torque)
 
     def _rows(self, name: str, values: ArrayLike | None, count: int) -> NDArray[np.float64]:
         shape = (count, len(self.joints))

@@ -19,6 +19,7 @@ from hesr_model.health.findings import Finding
 from hesr_model.health.torque import sign_change
 from hesr_model.logs.log_format import column_names
 from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.transmission import onto
 
 Array = NDArray[np.float64]
 
@@ -42,6 +43,8 @@ _TILTED = np.radians(20.0)
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rows:
     """Rows of several logs: q, v, a, tau, (N, n) each [rad, rad/s, rad/s2, N.m], and the gravity.
+
+    Torques are those that were logged, of motors where logs are of these, divided by the gears.
 
     Attributes
     ----------
@@ -84,6 +87,8 @@ def check_causes(motions: Sequence[Motionwise], model: RobotModel) -> list[Findi
     moves = np.any([motion.moves for motion in motions], axis=0)
     moves &= np.any([np.ptp(motion.tau, axis=0) > 0.0 for motion in motions], axis=0)
     rows = pooled(motions, model.description.gravity)
+    logged = model.description.logged
+    rows = replace(rows, tau=logged.torque(rows.tau)) if logged else rows
     logs = tuple(dict.fromkeys(motion.log.name for motion in motions))
     findings: list[Finding] = []
     now = _unexplained(rows, model, moves)
@@ -139,11 +144,16 @@ def _either(best: Mistake) -> str:
 
 def _unexplained(rows: Rows, model: RobotModel, moves: NDArray[np.bool_]) -> Array:
     """Deviation (n,) of the torques from what they can be, over their own; 1 at rest."""
-    torques = _torques(rows, model)
+    torques, logged = _torques(rows, model), model.description.logged
+    v = onto(logged, rows.v)
+    if logged:
+        torques = Torques(
+            gravity=logged.torque(torques.gravity), inertial=logged.torque(torques.inertial)
+        )
     left = np.ones(rows.q.shape[1])
     for j in np.flatnonzero(moves):
         deviation = float(np.std(rows.tau[:, j]))
-        left[j] = _left(rows.tau[:, j], torques, rows.v, int(j)) / max(deviation, 1e-12)
+        left[j] = _left(rows.tau[:, j], torques, v, int(j)) / max(deviation, 1e-12)
     return left
 
 

@@ -12,6 +12,7 @@ from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.identification import LEAST_PEAK
 from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.transmission import Coupling
 
 Array = NDArray[np.float64]
 
@@ -119,6 +120,23 @@ class Torques:
         gravity = model.torque(model.nominal_parameters, q, nothing, nothing)
         whole = model.torque(model.nominal_parameters, q, v, a)
         return cls(gravity=gravity - gravity.mean(axis=0), inertial=whole - gravity)
+
+
+def as_logged(
+    motion: Motionwise, torques: Torques, coupling: Coupling | None
+) -> tuple[Motionwise, Torques]:
+    """Bring velocities and torques to what was logged, where that is motors, not joints.
+
+    Where a motor turns with several joints, a mistake in its column shows at the motor only.
+    """
+    if coupling is None:
+        return motion, torques
+    return (
+        replace(motion, v=coupling.motion(motion.v), tau=coupling.torque(motion.tau)),
+        Torques(
+            gravity=coupling.torque(torques.gravity), inertial=coupling.torque(torques.inertial)
+        ),
+    )
 
 
 def rubbing(v: Array) -> Array:

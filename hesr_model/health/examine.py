@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from hesr_model.health.causes import check_causes
-from hesr_model.health.evidence import Motionwise, Torques, motionwise
+from hesr_model.health.evidence import Motionwise, Torques, as_logged, motionwise
 from hesr_model.health.findings import Finding, merged, require_known, require_sound
 from hesr_model.health.positions import check_columns, check_jumps, check_limits, check_time
 from hesr_model.health.torque import Explained, check_torque, explained
@@ -68,14 +68,15 @@ def examine(
         findings += check_jumps(log, robot)
         parts += motionwise(log, robot.log.filter_cutoff)
     torques = [Torques.of(model, part.q, part.v, part.a) for part in parts] if model else []
-    fits = [explained(part, torque) for part, torque in zip(parts, torques, strict=False)]
+    logged = [as_logged(*both, robot.logged) for both in zip(parts, torques, strict=False)]
+    fits = [explained(part, torque) for part, torque in logged]
     broken = {name for f in findings if f.check in ("wrap", "spikes") for name in f.joints}
     for part in parts:
         findings += check_velocity(part, robot, broken)
         findings += check_limits(part, model) if model else []
         findings += check_columns(part, robot)
     if model and not _hopeless(findings):
-        for part, torque, fit in zip(parts, torques, fits, strict=True):
+        for (part, torque), fit in zip(logged, fits, strict=True):
             findings += check_torque(part, torque, fit, model)
         findings = _caused(findings, check_causes(parts, model))
     return Examination(

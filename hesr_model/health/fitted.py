@@ -9,7 +9,7 @@ from hesr_model.friction.laws.lugre import STATIC_RATIO_BOUNDS
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health.findings import Finding
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
 from hesr_model.robots.robot import RobotModel
 
 Array = NDArray[np.float64]
@@ -73,6 +73,7 @@ def check_laws(
     models: Mapping[str, FrictionModel], records: Sequence[Sequence[FrictionRecord]]
 ) -> Iterator[Finding]:
     """Check laws, fitted to records [joint][log]: errors as large as friction, bounds."""
+    records = all_at_friction(records)
     for name, model in models.items():
         for j, joint in enumerate(model.joints):
             deviation = float(np.std(np.concatenate([record.tau for record in records[j]])))

@@ -144,11 +144,12 @@ class RobotLog:
         samples = logged.complete() if robot.log.missing == "drop" else logged
         units, n = robot.log.units, len(robot.joints)
         _require_reasonable(path, samples, robot.joints)
+        dq = None if samples.dq is None else samples.dq * units.factors("dq", n)
         log = cls(
             name=path.stem,
             t=samples.t,
-            q=samples.q * units.factors("q", n) + (robot.log.zero or 0.0),
-            dq=None if samples.dq is None else samples.dq * units.factors("dq", n),
+            q=_of_joints(samples.q * units.factors("q", n), robot) + (robot.log.zero or 0.0),
+            dq=None if dq is None else _of_joints(dq, robot),
             tau=_torque(path, samples, robot),
             path=path,
             sha256=sha256(path),
@@ -197,8 +198,23 @@ def require_moving(logs: Sequence[RobotLog], joints: Sequence[str]) -> None:
             )
 
 
+def _of_joints(motion: Array, robot: RobotDescription) -> Array:
+    """Motion (N, n) [rad, s; m] of the joints, from that of the motors where these were logged."""
+    if robot.transmission is None or robot.transmission.logs == "joint":
+        return motion
+    return np.asarray(np.linalg.solve(np.array(robot.transmission.matrix), motion.T).T)
+
+
 def _torque(path: Path, samples: Samples, robot: RobotDescription) -> Array:
-    """Torque (N, n) [N.m], from currents where the file holds these."""
+    """Torque of the joints (N, n) [N.m; N], which motors have by the transmission's transpose."""
+    torque = _effort(path, samples, robot)
+    if robot.transmission is None or robot.transmission.logs == "joint":
+        return torque
+    return np.asarray(torque @ np.array(robot.transmission.matrix))
+
+
+def _effort(path: Path, samples: Samples, robot: RobotDescription) -> Array:
+    """Torque (N, n) [N.m] as logged, from currents where the file holds these."""
     units, gains, n = robot.log.units, robot.log.torque_per_ampere, len(robot.joints)
     if not samples.is_current:
         return np.asarray(samples.effort * units.factors("tau", n))

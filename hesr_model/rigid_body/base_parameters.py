@@ -42,11 +42,15 @@ def dependence(model: RobotModel, base: tuple[int, ...]) -> Array:
 def offsets_apart(model: RobotModel, base: tuple[int, ...]) -> NDArray[np.bool_]:
     """Whether a constant torque [N.m] of each joint is told from those of the base columns, (n,).
 
+    Of each friction coordinate, where joints are coupled.
+
     It is not where gravity is constant, as on a vertical sliding joint: a weight and an offset of
     friction then are one number, whatever the motion.
     """
     columns = at_random_states(model)[:, list(base)]
-    constant = np.tile(np.eye(model.n), (_RANDOM_STATES, 1)) / np.sqrt(_RANDOM_STATES)
+    coupling = model.description.coupling
+    each = np.eye(model.n) if coupling is None else coupling.forward.T
+    constant = np.tile(each, (_RANDOM_STATES, 1)) / np.sqrt(_RANDOM_STATES)
     left = constant - columns @ np.linalg.lstsq(columns, constant, rcond=None)[0]
     return np.asarray(np.linalg.norm(left, axis=0) > np.sqrt(_RANK_TOLERANCE))
 

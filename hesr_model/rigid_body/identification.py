@@ -22,7 +22,13 @@ from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body import physical as consistent
 from hesr_model.rigid_body.base_parameters import at_random_states, base_columns
 from hesr_model.rigid_body.least_squares import Block, solve
-from hesr_model.rigid_body.observations import averaged, friction_columns, peaks, per_joint, stacked
+from hesr_model.rigid_body.observations import (
+    averaged,
+    friction_columns,
+    per_joint,
+    rubbing_speeds,
+    stacked,
+)
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support.typed_json import Numbers
 
@@ -62,8 +68,9 @@ class RigidBody:
     friction
         (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] of the stacked fit: what was
         estimated along with the parameters, not the friction model. Zero by the paper's method.
+        At friction coordinates (`robots.transmission`), as a rule the joints.
     rmse
-        (n,) [N.m] residual of the fit over the rows it used.
+        (n,) [N.m] residual of the fit over the rows it used, there, too.
     rows
         Samples that were offered to the fit.
     logs
@@ -279,7 +286,8 @@ def _require_samples(motions: Sequence[Motion], unknowns: int) -> None:
 
 
 def _require_speed(motions: Sequence[Motion], model: RobotModel) -> None:
-    for joint, peak in zip(model.description.joints, peaks(motions), strict=True):
+    peaks = np.max(np.abs(rubbing_speeds(motions, model)), axis=0)
+    for joint, peak in zip(model.description.joints, peaks, strict=True):
         if not peak > LEAST_PEAK:
             raise FitError(
                 f"{_named(motions)}: joint '{joint}' is never faster than {peak:.2g} rad/s; "

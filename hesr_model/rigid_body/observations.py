@@ -11,6 +11,7 @@ from hesr_model.rigid_body.base_parameters import offsets_apart
 from hesr_model.rigid_body.forward_reverse import matched
 from hesr_model.rigid_body.least_squares import Block
 from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.transmission import onto
 
 Array = NDArray[np.float64]
 
@@ -21,15 +22,15 @@ SLOW_SHARE = 0.25
 """Of a joint's peak speed: for joints that hardly pass `SLOW`, such as a lift, less is slow."""
 
 
-def peaks(motions: Sequence[Motion]) -> Array:
-    """Highest speed of each joint in any of the motions, (n,) [rad/s]."""
-    fastest: Array = np.max([np.max(np.abs(motion.dq), axis=0) for motion in motions], axis=0)
-    return fastest
+def rubbing_speeds(motions: Sequence[Motion], model: RobotModel) -> Array:
+    """Velocities of the friction coordinates over all motions, (N, n) [rad/s; m/s]."""
+    return onto(model.description.coupling, np.concatenate([motion.dq for motion in motions]))
 
 
-def slow_speeds(motions: Sequence[Motion]) -> Array:
-    """Speed (n,) [rad/s] below which a joint's rows are dropped."""
-    return np.minimum(SLOW, SLOW_SHARE * peaks(motions))
+def slow_speeds(motions: Sequence[Motion], model: RobotModel) -> Array:
+    """Speed (n,) [rad/s] below which the rows of a friction coordinate are dropped."""
+    fastest: Array = np.max(np.abs(rubbing_speeds(motions, model)), axis=0)
+    return np.minimum(SLOW, SLOW_SHARE * fastest)
 
 
 def friction_columns(model: RobotModel, base: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -63,7 +64,7 @@ def stacked(
     base: tuple[int, ...],
     friction: NDArray[np.bool_],
 ) -> list[Block]:
-    """One block per joint: base columns, then those of friction.
+    """One block per friction coordinate, as a rule a joint: base columns, then those of friction.
 
     Parameters
     ----------
@@ -78,7 +79,10 @@ def stacked(
         for name in ("q", "dq", "ddq", "tau")
     )
     rigid = model.regressor(q, dq, ddq)[:, :, list(base)]
-    slow = slow_speeds(motions)
+    coupling = model.description.coupling
+    if coupling is not None:
+        dq, tau, rigid = coupling.motion(dq), coupling.torque(tau), coupling.torque(rigid)
+    slow = slow_speeds(motions, model)
     blocks = []
     for joint in range(n):
         rows = np.abs(dq[:, joint]) > slow[joint]
@@ -96,7 +100,7 @@ def averaged(
     model: RobotModel,
     base: tuple[int, ...],
 ) -> list[Block]:
-    """One block per joint: means of forward and reversed rows, where velocities are opposite.
+    """One block per friction coordinate: means of forward and reversed rows of opposite velocity.
 
     Raises
     ------
@@ -116,9 +120,12 @@ def averaged(
     ]
     matrix = np.concatenate(matrices)
     target = np.concatenate([0.5 * (pair.forward.tau + pair.backward.tau) for pair in pairs])
-    forward = np.concatenate([pair.forward.dq for pair in pairs])
-    backward = np.concatenate([pair.backward.dq for pair in pairs])
-    slow = slow_speeds([*motions, *counterparts])
+    coupling = model.description.coupling
+    if coupling is not None:
+        matrix, target = coupling.torque(matrix), coupling.torque(target)
+    forward = rubbing_speeds([pair.forward for pair in pairs], model)
+    backward = rubbing_speeds([pair.backward for pair in pairs], model)
+    slow = slow_speeds([*motions, *counterparts], model)
     kept = (np.minimum(np.abs(forward), np.abs(backward)) > slow) & (forward * backward < 0)
     for joint, rows in zip(model.description.joints, kept.T, strict=True):
         if not np.any(rows):

@@ -22,7 +22,13 @@ from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.base_parameters import at_random_states, dependence
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.least_squares import Block, Solution, solve
-from hesr_model.rigid_body.observations import friction_columns, per_joint, slow_speeds, stacked
+from hesr_model.rigid_body.observations import (
+    friction_columns,
+    per_joint,
+    rubbing_speeds,
+    slow_speeds,
+    stacked,
+)
 from hesr_model.robots.robot import LINK_PARAMETERS, RobotModel
 
 Array = NDArray[np.float64]
@@ -148,7 +154,7 @@ def identify_payload_motions(
         block.matrix[:, : len(unloaded.base)]
         for block in stacked(motions, model, unloaded.base, friction)
     ]
-    covariance = _covariance(blocks, solution, _kept(motions, segments)) + _inherited(
+    covariance = _covariance(blocks, solution, _kept(motions, segments, model)) + _inherited(
         blocks, solution, carried, unloaded.standard_errors
     )
     payload = Payload(
@@ -219,10 +225,12 @@ def _segments(motions: Sequence[Motion]) -> NDArray[np.int_]:
     return np.concatenate(parts)
 
 
-def _kept(motions: Sequence[Motion], segments: NDArray[np.int_]) -> list[NDArray[np.int_]]:
-    """Segments of the rows that `stacked` keeps, one array per joint."""
-    speed = np.abs(np.concatenate([motion.dq for motion in motions]))
-    return [segments[rows] for rows in (speed > slow_speeds(motions)).T]
+def _kept(
+    motions: Sequence[Motion], segments: NDArray[np.int_], model: RobotModel
+) -> list[NDArray[np.int_]]:
+    """Segments of the rows that `stacked` keeps, one array per block."""
+    speed = np.abs(rubbing_speeds(motions, model))
+    return [segments[rows] for rows in (speed > slow_speeds(motions, model)).T]
 
 
 def _covariance(

@@ -7,11 +7,8 @@ one is fitted, its torque is subtracted from the logs and the rigid body is iden
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.records import predict_record
 from hesr_model.logs.robot_log import RobotLog, parts_of
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import friction_records
@@ -51,8 +48,7 @@ def identify_again(
 
     def without_friction(log: RobotLog) -> RobotLog:
         records = friction_records(log, model, rigid_body)
-        predicted = [predict_record(law, r) for law, r in zip(friction.laws, records, strict=True)]
-        return replace(log, tau=log.tau - np.column_stack(predicted))
+        return replace(log, tau=log.tau - friction.predict(records))
 
     return identify(
         [without_friction(log) for log in parts_of(logs)],

@@ -1,7 +1,7 @@
 """The friction residual: what is left of the measured torque without the rigid body (eq. 8)."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.transmission import Coupling
 from hesr_model.units import unit_of_joint
 
 Array = NDArray[np.float64]
@@ -39,6 +40,9 @@ class FrictionRecord:
         Turns of the motor per turn of the joint, where the robot file gives it.
     sliding
         Whether the joint slides, so that positions are in m and torques are forces in N.
+    coupling
+        Of all joints of the robot, where friction does not sit on the joints themselves; None where
+        it does, and in records that `at_friction` has brought there.
     """
 
     log: str
@@ -50,6 +54,41 @@ class FrictionRecord:
     tau: Array
     gear_ratio: float | None = None
     sliding: bool = False
+    coupling: Coupling | None = None
+
+
+def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
+    """Bring the records of all joints in one log to where friction sits.
+
+    Laws are fitted and run there, one per coordinate (`robots.transmission`); the names of the
+    joints stay. Records that are there already are returned as they are.
+    """
+    coupling = records[0].coupling if records else None
+    if coupling is None:
+        return list(records)
+
+    def moved(name: str, over: Callable[[Array], Array]) -> Array:
+        return over(np.column_stack([getattr(record, name) for record in records]))
+
+    dq, q = moved("dq", coupling.motion), moved("q", coupling.motion)
+    load, tau = moved("tau_load", coupling.torque), moved("tau", coupling.torque)
+    return [
+        replace(
+            record,
+            dq=np.ascontiguousarray(dq[:, k]),
+            q=np.ascontiguousarray(q[:, k]),
+            tau_load=np.ascontiguousarray(load[:, k]),
+            tau=np.ascontiguousarray(tau[:, k]),
+            coupling=None,
+        )
+        for k, record in enumerate(records)
+    ]
+
+
+def all_at_friction(records: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
+    """Bring records [joint][log] to where friction sits; see `at_friction`."""
+    moved = [at_friction(log) for log in zip(*records, strict=True)]
+    return [list(of_joint) for of_joint in zip(*moved, strict=True)]
 
 
 def friction_records(
@@ -67,6 +106,7 @@ def friction_records(
     motion = smooth(log, model.description.log.filter_cutoff)
     load = rigid_body.torque(model, motion)
     ratios = model.description.gear_ratio or (None,) * model.n
+    coupling = model.description.coupling
     return [
         FrictionRecord(
             log=log.name,
@@ -78,6 +118,7 @@ def friction_records(
             tau=motion.tau[:, k] - load[:, k],
             gear_ratio=ratios[k],
             sliding=model.tree[k].prismatic,
+            coupling=coupling,
         )
         for k, joint in enumerate(model.description.joints)
     ]

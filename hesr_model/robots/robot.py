@@ -9,11 +9,12 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from hesr_model.errors import RobotError
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.robots.model_file import load, motion_subspace, require_one_axis, set_joint
+from hesr_model.robots.transmission import Coupling, Transmission
 from hesr_model.support.config import Config, PrintableName, RelativePath, read_toml
 
 Array = NDArray[np.float64]
@@ -41,6 +42,9 @@ class RobotDescription(Config):
         Whether a rotor inertia per joint, reflected through its gear, is a parameter.
     gear_ratio
         Turns of the motor per turn of each joint, where known: laws with motor ripple need it.
+        Where there is a transmission they are those of its diagonal.
+    transmission
+        How motors move joints, where a motor turns with more than one, or logs are of motors.
     """
 
     name: PrintableName
@@ -50,7 +54,36 @@ class RobotDescription(Config):
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     rotor_inertia: bool = True
     gear_ratio: tuple[Annotated[float, Field(gt=0)], ...] | None = None
+    transmission: Transmission | None = None
     log: LogFormat = LogFormat()
+
+    @model_validator(mode="after")
+    def _one_gear_per_joint(self) -> Self:
+        if self.transmission is None:
+            return self
+        ratios = tuple(float(ratio) for ratio in np.abs(self.transmission.ratios))
+        if self.gear_ratio not in (None, ratios):
+            raise ValueError(
+                "'gear_ratio' is not what the diagonal of 'transmission.matrix' says; leave it out"
+            )
+        object.__setattr__(self, "gear_ratio", ratios)
+        return self
+
+    @property
+    def coupling(self) -> Coupling | None:
+        """Friction coordinates over joints; None where each joint has its own."""
+        return Coupling.of(self.transmission.coordinates) if self.transmission else None
+
+    @property
+    def motors(self) -> Coupling | None:
+        """Motors over joints, each divided by its gear ratio; None where nothing is coupled."""
+        return Coupling.of(self.transmission.motors) if self.transmission else None
+
+    @property
+    def logged(self) -> Coupling | None:
+        """What was logged over joints: motors where logs are of these; None for joints."""
+        of_motors = self.transmission and self.transmission.logs == "motor"
+        return self.motors if of_motors else None
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -79,6 +112,7 @@ class RobotDescription(Config):
             Naming the key, the entries found and the entries needed.
         """
         lists = {
+            "transmission.matrix": self.transmission and self.transmission.matrix,
             "gear_ratio": self.gear_ratio,
             "log.torque_per_ampere": self.log.torque_per_ampere,
             "log.zero": self.log.zero,
@@ -122,7 +156,8 @@ class RobotModel:
     """Rigid-body dynamics of a described robot, linear in its parameters (eq. 5).
 
     tau = Y(q, dq, ddq) pi, with ten standard parameters per link (`LINK_PARAMETERS`) and, where
-    the description says so, one rotor inertia per joint, whose column of Y is ddq of the joint.
+    the description says so, one rotor inertia per joint, whose column of Y is ddq of the joint, or
+    that of its motor where motors turn with several joints.
 
     Raises
     ------
@@ -147,6 +182,8 @@ class RobotModel:
         self._model.gravity.linear = np.array(description.gravity)
         slides = [joint.prismatic for joint in self.tree]
         description.log.units.require_fitting(description.joints, slides)
+        if description.transmission:
+            description.transmission.require_turning(description.joints, slides)
 
     def _reduced(self, model: Any) -> Any:
         """Lock every joint that the description does not list."""
@@ -259,7 +296,11 @@ class RobotModel:
             )
         if self.description.rotor_inertia:
             joints = np.arange(self.n)
-            out[:, joints, links + joints] = ddq
+            motors = self.description.motors
+            if motors is None:
+                out[:, joints, links + joints] = ddq
+            else:
+                out[:, :, links:] = motors.motion(ddq)[:, None, :] * motors.forward.T
         return out
 
     def torque(self, parameters: Array, q: Array, dq: Array, ddq: Array) -> Array:

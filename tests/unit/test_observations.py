@@ -30,10 +30,12 @@ def lift(make_motion: MakeMotion) -> Motion:
     return replace(motion, dq=dq)
 
 
-def test_what_is_slow_is_a_tenth_or_a_quarter_of_the_peak(lift: Motion) -> None:
+def test_what_is_slow_is_a_tenth_or_a_quarter_of_the_peak(
+    lift: Motion, arm_model: RobotModel
+) -> None:
     twice = replace(lift, dq=2.0 * lift.dq)
-    np.testing.assert_allclose(slow_speeds([lift]), [0.1, 0.1, 0.075], rtol=1e-12)
-    np.testing.assert_allclose(slow_speeds([lift, twice]), [0.1, 0.1, 0.1], rtol=1e-12)
+    np.testing.assert_allclose(slow_speeds([lift], arm_model), [0.1, 0.1, 0.075], rtol=1e-12)
+    np.testing.assert_allclose(slow_speeds([lift, twice], arm_model), [0.1, 0.1, 0.1], rtol=1e-12)
 
 
 def test_rows_of_a_joint_are_those_at_which_it_is_not_slow(

@@ -15,7 +15,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import training_error
 from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained import TrainedRange
-from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
 from hesr_model.support import parallel
 from hesr_model.support.progress import Progress, counted, unheard
 
@@ -148,6 +148,8 @@ def fit_models(
         If the records do not determine a law, or none of them where `left_out` is given.
     """
     registered = {law: (variants or {}).get(law, law) for law in laws}
+    coupling = records[0][0].coupling
+    records = all_at_friction(records)
     jobs = {
         (law, joint): partial(
             _fitted, registered[law], of_joint, seed=seed, options=(options or {}).get(law)
@@ -179,6 +181,7 @@ def fit_models(
             joints=joints,
             laws=tuple(done[law, joint] for joint in range(len(records))),
             sliding=tuple(of_joint[0].sliding for of_joint in records),
+            coupling=coupling,
             sample_time=round(float(np.median(periods)), 9),
             trained=tuple(TrainedRange.of(of_joint) for of_joint in records),
             training_rmse=tuple(

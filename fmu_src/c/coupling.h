@@ -1,0 +1,58 @@
+/* Joints that motors move together: equations belong to coordinates, variables to joints.
+ *
+ *     u = C q,  du = C dq,  tau_u = C'^-1 tau_q;  tau_q = C' tau_u
+ *
+ * The generated equations.h has C as `forward` and C'^-1 as `backward`. Without a coupling,
+ * coordinate i is joint i.
+ */
+#ifndef COUPLING_H
+#define COUPLING_H
+
+#include "equations.h"
+
+/* The inputs of a joint that a coupling mixes: velocity, position and load torque, in this order.
+ */
+enum { LOAD = 2, MIXED = 3 };
+
+/* Share of joint m in the signal of coordinate i that is a motion, or a torque. */
+static inline double share_of(bool torque, int i, int m) {
+    return torque ? backward[i][m] : forward[i][m];
+}
+
+/* Input j of coordinate i, of the values v of all variables. */
+static inline double input_of(const double *v, int i, int j) {
+    double sum = 0.0;
+    if (!COUPLED || j >= MIXED) {
+        return v[joints[i].input[j]];
+    }
+    for (int m = 0; m < JOINTS; m++) {
+        sum += share_of(j == LOAD, i, m) * v[joints[m].input[j]];
+    }
+    return sum;
+}
+
+/* Add the torque of coordinate i to those of the joints, in a vector of variables. */
+static inline void add_torque(double *v, int vector, int i, double torque) {
+    for (int m = 0; m < JOINTS; m++) {
+        v[vector + m] += (COUPLED ? forward[i][m] : (double)(i == m)) * torque;
+    }
+}
+
+/* Set the torques of all joints to zero, before coordinates add theirs. */
+static inline void clear_torques(double *v) {
+    for (int m = 0; COUPLED && m < JOINTS; m++) {
+        v[joints[m].output[0]] = 0.0;
+    }
+}
+
+/* Put the outputs y of coordinate i into the values v of variables; the first one is a torque. */
+static inline void put_outputs(double *v, int i, const double *y) {
+    for (int m = 0; COUPLED && m < JOINTS; m++) {
+        v[joints[m].output[0]] += forward[i][m] * y[0];
+    }
+    for (int j = COUPLED ? 1 : 0; j < joints[i].outputs; j++) {
+        v[joints[i].output[j]] = y[j];
+    }
+}
+
+#endif

@@ -1,0 +1,153 @@
+"""How motors move joints: gears, and motors that turn with more than one joint.
+
+A transmission says how far each motor turns for the joints, theta = R q (Siciliano et al.,
+Robotics, section 7.2). By virtual work torques go the other way, tau_q = R' tau_motor. What rubs,
+rotors and the teeth of gears, sits on *friction coordinates* u, which are motors, each divided by
+its own gear ratio, or joints::
+
+    u = C q,   C[i, j] = R[i, j] / R[i, i],   tau_q = C' tau_u
+
+so that coefficients keep the scale of a joint, and C is the identity where nothing is coupled.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from hesr_model.errors import ArtifactError, RobotError
+from hesr_model.support.config import Config
+
+Array = NDArray[np.float64]
+
+Side = Literal["motor", "joint"]
+
+_MOST_CONDITION = 1e8
+"""Of the matrix, its rows divided by the gear ratios; a real gear is far below."""
+
+
+class Transmission(Config):
+    """The table ``[transmission]`` of a robot file.
+
+    Attributes
+    ----------
+    matrix
+        (n, n) turns of each motor (row) per turn of each joint (column): gear ratios on the
+        diagonal, negative where a motor turns against its joint, couplings beside it.
+    logs
+        Whether positions, velocities and torques in the logs are those of motors or of joints.
+        Where a motor's position is 0, the joints stand at `LogFormat.zero`.
+    friction
+        Where friction sits, for all or one per joint: at the motors, or at the joint itself.
+    """
+
+    matrix: tuple[tuple[float, ...], ...] = Field(min_length=1)
+    logs: Side = "joint"
+    friction: Side | tuple[Side, ...] = "motor"
+
+    @model_validator(mode="after")
+    def _can_be(self) -> "Transmission":
+        n = len(self.matrix)
+        if any(len(row) != n for row in self.matrix):
+            raise ValueError(f"its matrix has {n} rows; each needs {n} entries, one per joint")
+        for k, row in enumerate(self.matrix, start=1):
+            if row[k - 1] == 0.0:
+                raise ValueError(f"the gear ratio of motor {k}, on the matrix's diagonal, is 0")
+        if not isinstance(self.friction, str) and len(self.friction) != n:
+            raise ValueError(f"'friction' has {len(self.friction)} entries; {n} are needed, or one")
+        for what, matrix in (("matrix", self.motors), ("friction", self.coordinates)):
+            if np.linalg.cond(matrix) > _MOST_CONDITION:
+                raise ValueError(f"its {what} does not tell the joints apart (it is singular)")
+        return self
+
+    @property
+    def ratios(self) -> Array:
+        """Turns (n,) of each motor per turn of its own joint, signed."""
+        return np.diag(np.array(self.matrix))
+
+    @property
+    def motors(self) -> Array:
+        """Motors' angles over joints' (n, n) [rad/rad], each divided by its own gear ratio."""
+        return np.array(self.matrix) / self.ratios[:, None]
+
+    @property
+    def coordinates(self) -> Array:
+        """Friction coordinates over joints' angles, (n, n) [rad/rad]."""
+        n = len(self.matrix)
+        sides = (self.friction,) * n if isinstance(self.friction, str) else self.friction
+        at_motor = np.array([side == "motor" for side in sides])
+        return np.where(at_motor[:, None], self.motors, np.eye(n))
+
+    def require_turning(self, joints: Sequence[str], slides: Sequence[bool]) -> None:
+        """Check that only joints of one kind are coupled.
+
+        Raises
+        ------
+        RobotError
+            Naming a motor and the joint of the other kind that moves it.
+        """
+        for i, j in np.argwhere(np.array(self.matrix) != 0.0):
+            if slides[i] != slides[j]:
+                raise RobotError(
+                    f"key 'transmission.matrix' couples the motor of joint '{joints[i]}' to joint "
+                    f"'{joints[j]}'; one of them slides and the other turns, which cannot be."
+                )
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """Coordinates u = C q of a robot whose joints are coupled.
+
+    Attributes
+    ----------
+    matrix
+        C, (n, n) [rad/rad; m/m].
+    """
+
+    matrix: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        n = len(self.matrix)
+        square = n > 0 and all(len(row) == n for row in self.matrix)
+        if not square or not np.linalg.cond(self.forward) < _MOST_CONDITION:
+            raise ArtifactError(
+                f"a coupling of joints must be a regular square matrix; found is {self.matrix}."
+            )
+
+    @classmethod
+    def of(cls, matrix: Array) -> "Coupling | None":
+        """Return the coupling of a matrix (n, n) without unit; None where nothing is coupled."""
+        if np.array_equal(matrix, np.eye(len(matrix))):
+            return None
+        return cls(tuple(tuple(float(entry) for entry in row) for row in matrix))
+
+    @cached_property
+    def forward(self) -> Array:
+        """C, (n, n) without unit: motions of the coordinates from those of the joints."""
+        return np.array(self.matrix)
+
+    @cached_property
+    def backward(self) -> Array:
+        """C'^-1, (n, n) without unit: torques at the coordinates from those at the joints."""
+        return np.asarray(np.linalg.inv(self.forward.T))
+
+    def motion(self, joints: Array) -> Array:
+        """Positions, velocities or accelerations (N, n) of u from those of q [rad, s; m]."""
+        return np.asarray(joints @ self.forward.T)
+
+    def torque(self, joints: Array) -> Array:
+        """Torques (N, n) [N.m; N] at u that are those at q, or a regressor's rows (N, n, P)."""
+        return np.asarray(np.einsum("ij,kj...->ki...", self.backward, joints))
+
+    def at_joints(self, torque: Array) -> Array:
+        """Torques (N, n) [N.m; N] at the joints from those at u."""
+        return np.asarray(torque @ self.forward)
+
+
+def onto(coupling: Coupling | None, motion: Array) -> Array:
+    """Motion (N, n) [rad, s; m] of friction coordinates; that of the joints without a coupling."""
+    return motion if coupling is None else coupling.motion(motion)

@@ -1,0 +1,64 @@
+"""A measured log of motors, one of which turns with two joints."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.scoring import predict_fmu
+from fmu_src.friction.friction_fmu import export_bare
+from hesr_model.friction.fitting.fit import fit
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import identify
+from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.robots.robot import RobotDescription, RobotModel
+
+LOG = Path(__file__).parents[2].parent / "shared" / "data" / "tx40" / "tx40_first.csv"
+TRAINED = 0.6
+
+Records = list[FrictionRecord]
+
+
+@pytest.fixture(scope="module")
+def coupled() -> RobotDescription:
+    return RobotDescription.read(Path(__file__).with_name("tx40.toml"))
+
+
+@pytest.fixture(scope="module")
+def log(coupled: RobotDescription) -> RobotLog:
+    if not LOG.is_file():
+        pytest.skip(f"the measured TX40 log is not beside the repository, at {LOG}")
+    return RobotLog.read(LOG, coupled)
+
+
+def trained(log: RobotLog, robot: RobotDescription) -> tuple[Records, Records]:
+    """Records of the first 60 % and of the rest, by a body identified on the first."""
+    model = RobotModel(robot)
+    rows = round(TRAINED * len(log.t))
+    first, rest = log.rows(slice(rows)), log.rows(slice(rows, None))
+    body = identify([first], model)
+    return friction_records(first, model, body), friction_records(rest, model, body)
+
+
+def errors(predicted: np.ndarray, records: Records) -> np.ndarray:
+    measured = np.column_stack([record.tau for record in records])
+    return np.asarray(np.sqrt(np.mean((predicted - measured) ** 2, axis=0)))
+
+
+def test_one_friction_of_motor_6_holds_both_joints_that_turn_it(
+    coupled: RobotDescription, log: RobotLog, tmp_path: Path
+) -> None:
+    first, rest = trained(log, coupled)
+    model = fit("lugre", first, robot=coupled.name)
+    fmu = export_bare(model, tmp_path / "lugre.fmu")
+    found = errors(
+        np.column_stack([of_joint[0] for of_joint in predict_fmu(fmu, [[r] for r in rest])]), rest
+    )
+    # The same torques of joints, without a word about motors.
+    alone = coupled.model_copy(update={"transmission": None})
+    first, rest = trained(log, alone)
+    uncoupled = errors(fit("lugre", first, robot=coupled.name).predict(rest), rest)
+    assert found[4] <= 1.8
+    assert found[4] <= 0.5 * uncoupled[4]
+    assert found[5] <= 1.0
+    assert np.all(found[:4] <= 1.1 * uncoupled[:4])
