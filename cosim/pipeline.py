@@ -1,7 +1,6 @@
 """The steps of a study, from its logs to its closed loop."""
 
 import logging
-import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -50,11 +49,20 @@ def records_of(names: Iterable[str], records: LogRecords) -> list[list[FrictionR
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """The steps of a study."""
+    """The steps of a study.
+
+    Attributes
+    ----------
+    study, path : the study and its file.
+    progress : told how far it has come.
+    kept : folder in which what is done is kept until the run has ended, so that a run that was
+        stopped or killed goes on from there; None for none.
+    """
 
     study: Study
     path: Path
     progress: Stages
+    kept: Path | None = None
 
     def __post_init__(self) -> None:
         study = self.study
@@ -194,13 +202,15 @@ class Job:
         from cosim.studies.properties.inertia import standing_inertia
         from hesr_model.friction.audit.properties import write_properties
 
-        # The battery asks what a law is, so that it moves the coordinates on which friction sits.
-        alone = {law: replace(fitted, coupling=None) for law, fitted in models.items()}
         subjects = [
             Subject(name=law, model=fitted, inertia=standing_inertia(robot, body, fitted))
-            for law, fitted in alone.items()
+            for law, fitted in models.items()
         ]
-        listed = run_battery(subjects, progress=partial(self.progress, "testing the laws"))
+        listed = run_battery(
+            subjects,
+            progress=partial(self.progress, "testing the laws"),
+            kept=self.kept and self.kept / "properties",
+        )
         found = dict(zip(models, listed, strict=True))
         write_properties(folder / "properties.json", found)
         return found
@@ -211,10 +221,8 @@ class Job:
         body: RigidBody,
         folder: Path,
         models: Mapping[str, FrictionModel],
-        *,
-        kept: Path,
     ) -> "LoopOutcome | None":
-        """Run the loop of the study; what is done of it survives an interrupt in `kept`."""
+        """Run the loop of the study."""
         if self.study.tracking is None or self.study.twin is None:
             return None
         from cosim.studies.whole_loop import run_loop
@@ -229,11 +237,10 @@ class Job:
             body,
             folder,
             friction=laws,
-            kept=kept,
+            kept=self.kept,
             progress=self.progress,
         )
         write_json(folder / "closed_loop.json", to_json(outcome))
-        shutil.rmtree(kept, ignore_errors=True)
         return outcome
 
     def rigid_body(self, logs: Mapping[str, RobotLog], model: RobotModel) -> RigidBody:
@@ -277,6 +284,7 @@ class Job:
             provenance=source,
             progress=partial(self.progress, what),
             left_out=left_out,
+            kept=self.kept and self.kept / "laws",
         )
 
     def fit_all(

@@ -1,5 +1,6 @@
 """The main job: a study's logs in; rigid body, laws, FMUs and their scores out."""
 
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -67,6 +68,10 @@ def run_study(
 ) -> Outcome:
     """Run a study and write everything that it makes into a folder, or nothing on an error.
 
+    What takes long (laws of single joints, rows of the closed loop, findings of the property
+    battery) is kept beside the folder when it is done: a run that was stopped or killed goes on
+    from there. The battery comes last.
+
     The scores are those of the FMUs, driven through FMPy over the test logs.
 
     Parameters
@@ -90,7 +95,8 @@ def run_study(
             update={"laws": QUICK_LAWS, "variants": {}, "refinement": None, "tracking": None}
         )
     targets(platforms)
-    job = Job(study=study, path=path, progress=progress)
+    kept = unfinished(output)
+    job = Job(study=study, path=path, progress=progress, kept=kept)
     model = RobotModel(job.robot)
     with folder_written_whole(output) as folder:
         files = job.log_files(folder)
@@ -108,13 +114,15 @@ def run_study(
         models, left_out = job.fit_all(records, source)
         findings += told(check_laws(models, records_of(study.logs.training, records)))
         write_findings(folder, findings)
-        found = {} if quick else job.properties(model, rigid_body, models, folder)
         for law, fitted in counted(models.items(), partial(job.progress, "building FMUs")):
             write_model(folder / "laws" / f"{law}.json", fitted)
-            path_of_fmu = folder / "fmus" / f"{law}.fmu"
-            export_fmu(fitted, path_of_fmu, platforms=platforms, properties=found.get(law))
+            export_fmu(fitted, folder / "fmus" / f"{law}.fmu", platforms=platforms)
         comparisons, predictions = job.compare(models, records, files, folder / "fmus")
-        loop = job.closed_loop(model, rigid_body, folder, models, kept=unfinished(output))
+        loop = job.closed_loop(model, rigid_body, folder, models)
+        found = {} if quick else job.properties(model, rigid_body, models, folder)
+        for law, of_law in counted(found.items(), partial(job.progress, "documenting FMUs")):
+            path_of_fmu = folder / "fmus" / f"{law}.fmu"
+            export_fmu(models[law], path_of_fmu, platforms=platforms, properties=of_law)
         write_json(
             folder / "evaluation.json", {name: to_json(c) for name, c in comparisons.items()}
         )
@@ -132,6 +140,7 @@ def run_study(
             left_out=left_out,
             source=source,
         )
+    shutil.rmtree(kept, ignore_errors=True)
     from cosim.report import write_report  # draws, which takes long to load
 
     write_report(output, progress=job.progress)
@@ -147,7 +156,7 @@ def run_study(
 
 
 def unfinished(output: Path) -> Path:
-    """Return where finished rows of the closed loop are kept until a run is done."""
+    """Return where what is finished is kept until a run is done."""
     return output.parent / f".{output.name}-unfinished"
 
 

@@ -30,7 +30,7 @@ def run(
     """Do the whole job: identify, fit, build FMUs and score them.
 
     The scores are those of the FMUs on motions that the laws have not seen. A run that was
-    interrupted in its closed loop goes on there when it is started again.
+    interrupted or killed goes on from what it had finished when it is started again.
 
     Example: hesr run tests/real/ur10e_study.toml -o results/ur10e
     """
@@ -95,12 +95,17 @@ def _going_on(kept: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as interrupt:
-        rows = len(list(kept.glob("*.json")))
-        if not rows:
+        found = {
+            "laws of joints": "laws/*.json",
+            "finished rows of the closed loop": "*.json",
+            "tested laws": "properties/*.json",
+        }
+        counts = {what: len(list(kept.glob(pattern))) for what, pattern in found.items()}
+        finished = [f"{count} {what}" for what, count in counts.items() if count]
+        if not finished:
             raise
         raise Interrupted(
-            f"{rows} finished rows of the closed loop are kept in {kept}: the same command goes on "
-            "from there",
+            f"{', '.join(finished)} are kept in {kept}: the same command goes on from there",
             interrupt,
         ) from interrupt
 

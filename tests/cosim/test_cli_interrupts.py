@@ -98,13 +98,16 @@ def test_in_the_closed_loop_it_says_what_the_next_run_goes_on_from(tmp_path: Pat
         wait_for(lambda: len(list(kept.glob("*.json"))) >= 2, process)
         said = ended(process, signal.SIGINT, tmp_path)
     one_sentence(said, STOPPED)
-    found = re.search(r"and (\d+) finished rows of the closed loop are kept in (\S+): the", said)
+    found = re.search(r"(\d+) finished rows of the closed loop are kept in (\S+): the", said)
     assert found
     assert said.endswith("the same command goes on from there.\n")
     assert found[2] == str(kept)
     rows = int(found[1])
-    assert rows == len(list(kept.iterdir())) >= 2  # nothing half-written among them either
-    assert contents(tmp_path, without=[p.name for p in kept.iterdir()]) == before
+    assert rows == len(list(kept.glob("*.json"))) >= 2
+    assert "and 3 laws of joints, " in said
+    assert {p.suffix for p in kept.rglob("*") if p.is_file()} == {".json"}
+    assert not list(kept.rglob(".*"))  # nothing half-written among them
+    assert contents(tmp_path, without=[p.name for p in kept.rglob("*")]) == before
     # It does go on from there.
     with started(*command, "--verbose", folder=tmp_path) as process:
         assert process.stderr

@@ -332,9 +332,10 @@ def test_progress_is_told_for_every_step(
         "identifying the rigid body",
         "refining the rigid body",
         "fitting laws",
-        "testing the laws",
         "building FMUs",
         "replaying the FMUs",
+        "testing the laws",
+        "documenting FMUs",
         "writing the report",
     ]
     for step in steps:

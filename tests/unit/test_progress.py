@@ -1,6 +1,15 @@
+import time
 from collections.abc import Iterator
+from pathlib import Path
 
-from hesr_model.support.progress import counted, unheard
+from hesr_model.support.progress import (
+    counted,
+    into_file,
+    step,
+    steps_told,
+    unheard,
+    watched,
+)
 
 
 def test_items_are_counted_before_each_and_after_the_last() -> None:
@@ -17,3 +26,26 @@ def test_items_are_counted_before_each_and_after_the_last() -> None:
 
 def test_nobody_hears_what_is_told_to_nobody() -> None:
     assert list(counted([1, 2, 3], unheard)) == [1, 2, 3]
+
+
+def test_steps_inside_a_job_are_told_to_whom_it_names(tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    step(1, 2)
+    with steps_told(lambda *now: told.append(now)):
+        step(1, 2)
+    step(2, 2)
+    assert told == [(1, 2)]
+
+
+def test_shares_of_jobs_in_other_processes_are_summed(tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    files = [tmp_path / "a", tmp_path / "b"]
+    with watched(files, lambda *now: told.append(now)):
+        tell = into_file(files[0])
+        tell(1, 4)
+        tell(1, 8)  # a second search within the fit begins anew
+        assert files[0].read_text() == "25"
+        while (25, 200) not in told:
+            time.sleep(0.01)
+    assert told[0] == (0, 200)
+    assert told[-1] == (200, 200)

@@ -1,8 +1,12 @@
 """Run all experiments on one model or FMU, and on many of them side by side."""
 
+import hashlib
+import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.metadata import version
 from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,10 +30,18 @@ from cosim.studies.properties.stick_slip import stick_slip
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.reference import UNKNOWN_SPEED
-from hesr_model.errors import ConfigError, SimulationError
+from hesr_model.artifacts import model_to_json
+from hesr_model.errors import ArtifactError, ConfigError, SimulationError
 from hesr_model.friction.audit.audit import loads_of
 from hesr_model.friction.audit.expectations import EXPECTATIONS
-from hesr_model.friction.audit.properties import Figure, Finding, JointProperties, Properties
+from hesr_model.friction.audit.properties import (
+    Figure,
+    Finding,
+    JointProperties,
+    Properties,
+    read_properties,
+    write_properties,
+)
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.support import parallel
@@ -70,6 +82,7 @@ def run_battery(
     load: float = 0.0,
     workers: int | None = None,
     progress: Progress = unheard,
+    kept: Path | None = None,
 ) -> list[Properties]:
     """Put models or FMUs to the test, each in a process of its own.
 
@@ -80,6 +93,8 @@ def run_battery(
     workers : processes; one for each core where not given, none of its own for 1. The result does
         not depend on it.
     progress : told how many are done.
+    kept : folder into which the findings on each model are written when they are complete, and from
+        which they are read where they stand there already.
 
     Raises
     ------
@@ -90,14 +105,31 @@ def run_battery(
     """
     for subject in subjects:
         _require_inertia(subject)
-    jobs = [partial(measure, subject, load=load) for subject in subjects]
+    jobs = [partial(_measured, subject, load=load, kept=kept) for subject in subjects]
     with parallel.results_of(jobs, workers) as results:
         return [next(results) for _ in counted(jobs, progress)]
 
 
+def _measured(subject: Subject, *, load: float, kept: Path | None) -> Properties:
+    """Put one model or FMU to the test, or read what was found when it was."""
+    if kept is None or subject.model is None or subject.fmu is not None:
+        return measure(subject, load=load)
+    about = [model_to_json(subject.model), subject.inertia, load, version("hesr")]
+    key = hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()[:24]
+    path = kept / f"{key}.json"
+    with suppress(ArtifactError):  # there is none, or none that is whole
+        return read_properties(path)[subject.name]
+    found = measure(subject, load=load)
+    write_properties(path, {subject.name: found})
+    return found
+
+
 def measure(subject: Subject, *, load: float = 0.0) -> Properties:
-    """Put one model or FMU to the test; arguments and errors are those of `run_battery`."""
-    model = subject.model
+    """Put one model or FMU to the test; arguments and errors are those of `run_battery`.
+
+    Of robots with coupled joints, the coordinates on which friction sits move one at a time.
+    """
+    model = subject.model and replace(subject.model, coupling=None)
     with TemporaryDirectory(prefix="hesr-") as folder:
         fmu = subject.fmu
         if fmu is None:

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from hesr_model.artifacts import provenance as source_of
 from hesr_model.errors import FitError
+from hesr_model.friction.fitting.kept import keep, key_of, read_kept
 from hesr_model.friction.fitting.uncertainty import with_standard_errors
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -17,7 +20,7 @@ from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
 from hesr_model.support import parallel
-from hesr_model.support.progress import Progress, counted, unheard
+from hesr_model.support.progress import Progress, into_file, steps_told, unheard, watched
 
 
 def fit_joint(
@@ -119,6 +122,7 @@ def fit_models(
     workers: int | None = None,
     progress: Progress = unheard,
     left_out: Callable[[str, FitError], None] | None = None,
+    kept: Path | None = None,
 ) -> dict[str, FrictionModel]:
     """Fit several laws to every joint.
 
@@ -132,9 +136,11 @@ def fit_models(
     variants : name in the registry of each variant, a law with other options.
     provenance : JSON data that the models carry.
     workers : processes; one for each core where not given, none of its own for 1.
-    progress : told how many fits are done.
+    progress : told how far the fits are, `progress.PARTS` for each, by starts and candidates.
     left_out : told of each law that the records do not determine, and why; the others are fitted
         nevertheless. Where not given, the first such law ends it all.
+    kept : folder into which each joint's law is written when it is fitted, and from which it is
+        read where it stands there already, so that a run that was killed goes on.
 
     Returns
     -------
@@ -150,24 +156,35 @@ def fit_models(
     registered = {law: (variants or {}).get(law, law) for law in laws}
     coupling = records[0][0].coupling
     records = all_at_friction(records)
-    jobs = {
-        (law, joint): partial(
-            _fitted, registered[law], of_joint, seed=seed, options=(options or {}).get(law)
-        )
-        for law in laws
-        for joint, of_joint in enumerate(records)
-    }
     done: dict[tuple[str, int], FrictionLaw] = {}
     failed: dict[str, FitError] = {}
-    with parallel.results_of(list(jobs.values()), workers) as results:
-        for law, joint in counted(jobs, progress):
-            result = next(results)
-            if isinstance(result, FrictionLaw):
-                done[law, joint] = result
-            else:
-                failed.setdefault(law, result)
-                if left_out is None:
-                    raise result
+    with TemporaryDirectory(prefix="hesr-") as told:
+        jobs = {
+            (law, joint): partial(
+                _fitted,
+                registered[law],
+                of_joint,
+                kept=kept,
+                told=Path(told, f"{law}.{joint}"),
+                seed=seed,
+                options=(options or {}).get(law),
+            )
+            for law in laws
+            for joint, of_joint in enumerate(records)
+        }
+        files = [Path(told, f"{law}.{joint}") for law, joint in jobs]
+        with (
+            watched(files, progress),
+            parallel.results_of(list(jobs.values()), workers) as results,
+        ):
+            for law, joint in jobs:
+                result = next(results)
+                if isinstance(result, FrictionLaw):
+                    done[law, joint] = result
+                else:
+                    failed.setdefault(law, result)
+                    if left_out is None:
+                        raise result
     for law, reason in failed.items():
         if left_out is None or len(failed) == len(laws):
             raise reason
@@ -194,9 +211,28 @@ def fit_models(
     }
 
 
-def _fitted(law: str, records: Sequence[FrictionRecord], **settings: Any) -> FrictionLaw | FitError:
+def _fitted(
+    law: str,
+    records: Sequence[FrictionRecord],
+    *,
+    kept: Path | None,
+    told: Path,
+    seed: int,
+    options: Mapping[str, Any] | None,
+) -> FrictionLaw | FitError:
     """Fit one law to one joint, or return why that cannot be: the other fits go on."""
-    try:
-        return fit_joint(law, records, **settings)
-    except FitError as error:
-        return error
+    name = f"{law}.{records[0].joint}.{key_of(law, records, seed, options)}.json"
+    path = kept / "".join(c if c.isalnum() or c in "._-" else "_" for c in name) if kept else None
+    tell = into_file(told)
+    fitted = read_kept(path) if path else None
+    if fitted is None:
+        try:
+            with steps_told(tell):
+                fitted = fit_joint(law, records, seed=seed, options=options)
+        except FitError as error:
+            return error
+        if path:
+            period = float(np.median(np.concatenate([np.diff(r.t) for r in records])))
+            keep(path, fitted, records[0], round(period, 9))
+    tell(1, 1)
+    return fitted

@@ -20,6 +20,7 @@ from hesr_model.equations.over_log import Array, Discretisation, StatesOverLog
 from hesr_model.friction.fitting.samples import Samples, non_negative_least_squares
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import LawForm
+from hesr_model.support.progress import step
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,9 +122,14 @@ class Separable:
         """
         if not len(self.bounds):
             return np.zeros(0)
+        generations = iter(range(1, effort + 2))
+
+        def told(*_: object) -> None:
+            step(next(generations, effort), effort + 1)
+
         best = differential_evolution(
             lambda point: self.solve(point)[1], self.bounds, rng=rng, popsize=10, maxiter=effort,
-            tol=1e-4,
+            tol=1e-4, callback=told,
         )  # fmt: skip
         return np.asarray(best.x)
 

@@ -14,6 +14,7 @@ from hesr_model.friction.laws.networks.training import Network, path
 from hesr_model.friction.laws.parfam import evolve, family
 from hesr_model.friction.laws.parfam.features import HysteresisFeatures
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.progress import counted, step
 
 MAX_HIDDEN = 16
 """Largest hidden layer."""
@@ -82,7 +83,10 @@ class MlpH(Estimator):
         }
         choices = [(cell, hidden) for cell in inputs for hidden in self.hidden]
         costs = np.array(
-            [left_out(cell.z, y, samples.folds, starts[hidden]) for cell, hidden in choices]
+            [
+                left_out(cell.z, y, samples.folds, starts[hidden])
+                for cell, hidden in counted(choices, step)
+            ]
         )
         for place in np.argsort(costs, axis=None):
             i, decay = np.unravel_index(place, costs.shape)

@@ -18,6 +18,7 @@ from hesr_model.friction.laws.networks.inputs import Inputs, candidates, first_t
 from hesr_model.friction.laws.parfam.family import hysteresis_state
 from hesr_model.friction.laws.parfam.features import HysteresisFeatures
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.progress import counted, step
 
 MAX_CENTRES = 40
 """Largest network; it still runs in microseconds and lowers to C in a second."""
@@ -100,7 +101,9 @@ class RbfnnH(Estimator):
         self, inputs: Sequence[Inputs], samples: Samples, rng: np.random.Generator
     ) -> Iterator[FrictionLaw]:
         choices = [(cell, count) for cell in inputs for count in self.centres]
-        costs = np.array([left_out(cell.z, samples, count, rng) for cell, count in choices])
+        costs = np.array(
+            [left_out(cell.z, samples, count, rng) for cell, count in counted(choices, step)]
+        )
         for place in np.argsort(costs, axis=None):
             i, factor, ridge = np.unravel_index(place, costs.shape)
             cell, count = choices[i]

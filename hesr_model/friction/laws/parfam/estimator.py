@@ -18,6 +18,7 @@ from hesr_model.friction.laws.parfam.features import HysteresisFeatures
 from hesr_model.friction.laws.parfam.trial import Trial, extended, pose, with_unit
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.progress import step
 
 COEFFICIENTS = 11
 """Numbers of the largest law: alpha, beta, four linear, one gain, four of the argument."""
@@ -133,10 +134,13 @@ class ParFamH(Estimator):
         tau = features.samples.tau
         rows = slice(None, None, max(1, len(tau) // evolve.ROWS))
         found: list[Candidate] = []
-        for cell in calibrate.distinct(calibrate.profile(features), self.cells):
+        cells = calibrate.distinct(calibrate.profile(features), self.cells)
+        searches = len(cells) * len(self.functions)
+        for i, cell in enumerate(cells):
             columns = features.columns(cell.alpha, cell.beta)[rows]
             found.append(evolve.linear(cell, columns, tau[rows]))
-            for g in self.functions:
+            for k, g in enumerate(self.functions):
+                step(i * len(self.functions) + k, 2 * searches)  # what is found is refined yet
                 starts = evolve.starting_points(rng, self.starts, 4)
                 found += evolve.search(cell, g, columns, tau[rows], starts, keep=3)
         return [

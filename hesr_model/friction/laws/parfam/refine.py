@@ -16,6 +16,7 @@ from hesr_model.friction.laws.parfam.calibrate import bounds
 from hesr_model.friction.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.friction.laws.parfam.features import HysteresisFeatures
 from hesr_model.friction.trained import TrainedRange
+from hesr_model.support.progress import step
 
 SIGNIFICANCE = 2.0
 """A coefficient stays if it differs from zero by this many standard errors."""
@@ -59,8 +60,14 @@ def select(
         If every candidate explodes.
     """
     looked = list(found)
-    for evaluations, keep in ROUNDS:
-        looked = distinct([Refinement(features, k).run(evaluations)[0] for k in looked])[:keep]
+    for i, (evaluations, keep) in enumerate(ROUNDS):
+        refined: list[Candidate] = []
+        for k in looked:
+            # The other half of the work has found the candidates.
+            share = (i + len(refined) / len(looked)) / len(ROUNDS)
+            step(round(1000 * (1.0 + share)), 2000)
+            refined.append(Refinement(features, k).run(evaluations)[0])
+        looked = distinct(refined)[:keep]
     best = looked[0].cost
     hopeful = [k for k in looked if k.cost <= HOPEFUL * best]
     # Should they all explode: the others, and linear laws, which hardly do.

@@ -1,0 +1,60 @@
+"""Fits that survive the run that made them: each joint's law is written when it is fitted.
+
+A file is found by a hash of all that the fit depends on, so that no law is taken for another's.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from hesr_model.artifacts import read_model, write_model
+from hesr_model.errors import ArtifactError
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
+from hesr_model.rigid_body.residual import FrictionRecord
+
+_COLUMNS = ("t", "dq", "q", "tau_load", "tau")
+_VERSIONED = ("hesr", "numpy", "scipy", "sympy")
+
+
+def key_of(
+    law: str, records: Sequence[FrictionRecord], seed: int, options: Mapping[str, Any] | None
+) -> str:
+    """Return the hash of a fit: law, options, seed, versions, and every row of the records."""
+    about = [law, dict(options or {}), seed, [version(name) for name in _VERSIONED]]
+    key = hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode())
+    for record in records:
+        key.update(repr((record.joint, record.gear_ratio, record.sliding)).encode())
+        for name in _COLUMNS:
+            key.update(getattr(record, name).tobytes())
+    return key.hexdigest()[:24]
+
+
+def read_kept(path: Path) -> FrictionLaw | None:
+    """Return the law that a run has left in a file; None where there is none that is whole."""
+    if path.is_file():
+        with suppress(ArtifactError):
+            return read_model(path).laws[0]
+    return None
+
+
+def keep(path: Path, law: FrictionLaw, record: FrictionRecord, sample_time: float) -> None:
+    """Write the law of one joint, sampled each `sample_time` [s], as a friction model of its own.
+
+    `hesr evaluate` reads it, should the run never end.
+    """
+    write_model(
+        path,
+        FrictionModel(
+            law=law.name,
+            robot="robot",
+            joints=(record.joint,),
+            laws=(law,),
+            sliding=(record.sliding,),
+            sample_time=sample_time,
+        ),
+    )

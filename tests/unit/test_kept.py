@@ -1,0 +1,84 @@
+"""Fits that were finished before a run was killed are not made again."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hesr_model.friction.fitting.fit import fit_models
+from hesr_model.friction.fitting.kept import key_of
+from hesr_model.rigid_body.residual import FrictionRecord
+
+LAWS = ("stribeck", "lugre")
+
+
+def records() -> list[list[FrictionRecord]]:
+    t = np.arange(1500) * 0.01
+    made = []
+    for k in range(2):
+        dq = np.sin(2.0 * t + k) + 0.4 * np.sin(5.3 * t)
+        tau = 8.0 * np.tanh(30.0 * dq) + 3.0 * dq
+        tau += np.random.default_rng(k).normal(0.0, 0.2, len(t))
+        made.append(
+            [FrictionRecord(log="a", joint=f"j/{k}", t=t, dq=dq, q=dq, tau_load=dq, tau=tau)]
+        )
+    return made
+
+
+def fitted(kept: Path | None, **more: object) -> object:
+    settings = {"robot": "r", "seed": 1, "workers": 1, "kept": kept} | more
+    models = fit_models(LAWS, records(), **settings)  # type: ignore[arg-type]
+    return {law: model.laws for law, model in models.items()}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+def test_a_killed_fit_goes_on_where_it_was(tmp_path: Path) -> None:
+    kept = tmp_path / "laws"
+    program = (
+        "import sys; from pathlib import Path\n"
+        f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from test_kept import fitted\n"
+        "fitted(Path(sys.argv[1]))"
+    )
+    process = subprocess.Popen([sys.executable, "-c", program, str(kept)])
+    while len(list(kept.glob("[!.]*.json"))) < 2:
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    files = {path: path.stat().st_mtime_ns for path in kept.glob("[!.]*.json")}
+    assert 2 <= len(files) <= 4
+    damaged = sorted(files)[0]
+    damaged.write_text("{", encoding="utf-8")
+    told: list[tuple[int, int]] = []
+    found = fitted(kept, progress=lambda *now: told.append(now))
+    assert found == fitted(None)
+    untouched = set(files) - {damaged}
+    assert all(path.stat().st_mtime_ns == files[path] for path in untouched)
+    assert len(list(kept.glob("[!.]*.json"))) == 4
+    assert damaged.stat().st_size > 2
+    assert told[0] == (0, 400)
+    assert told[-1] == (400, 400)
+    assert told == sorted(told)
+
+
+def test_a_law_is_kept_for_one_fit_only() -> None:
+    [[one], [other]] = records()
+    key = key_of("lugre", [one], 1, {"a": 1})
+    assert key == key_of("lugre", [replace(one)], 1, {"a": 1})
+    others = {
+        key_of("stribeck", [one], 1, {"a": 1}),
+        key_of("lugre", [other], 1, {"a": 1}),
+        key_of("lugre", [one], 2, {"a": 1}),
+        key_of("lugre", [one], 1, {"a": 2}),
+        key_of("lugre", [one, one], 1, {"a": 1}),
+        key_of("lugre", [replace(one, tau=one.tau + 1e-12)], 1, {"a": 1}),
+    }
+    assert len(others) == 6
+    assert key not in others
