@@ -26,6 +26,7 @@ class Format(StrEnum):
     DRIVE = "drive"
     MJCF = "mjcf"
     MODELICA = "modelica"
+    C = "c"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +63,8 @@ def export(
         typer.Option(
             "--format",
             help="Of a friction model: fmu (velocity in, torque out), drive (an FMU with the "
-            "rotor: torque in, velocity out), mjcf (actuators for MuJoCo) or modelica.",
+            "rotor: torque in, velocity out), mjcf (actuators for MuJoCo), modelica, or c (one header "
+            "without FMI).",
         ),
     ] = Format.FMU,
     platform: Platforms = None,
@@ -269,9 +271,16 @@ def _modelica(model: "FrictionModel", request: _Request) -> None:
     export_modelica(model, request.output)
 
 
+def _c(model: "FrictionModel", request: _Request) -> None:
+    from fmu_src.one_file.c_header import export_c
+
+    export_c(model, request.output)
+
+
 _WRITERS: Mapping[Format, Callable[["FrictionModel", _Request], None]] = {
     Format.FMU: _fmu,
     Format.DRIVE: _drive,
     Format.MJCF: _mjcf,
     Format.MODELICA: _modelica,
+    Format.C: _c,
 }

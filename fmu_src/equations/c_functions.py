@@ -14,7 +14,7 @@ import sympy
 from sympy.printing.c import C99CodePrinter
 
 from fmu_src.interface import literal
-from hesr_model.equations.component import Component, Quantity, in_order, previous
+from hesr_model.equations.component import Component, Quantity, previous
 from hesr_model.equations.functions import positive
 from hesr_model.equations.memory import DT, EULER, Relaxation
 from hesr_model.equations.program import (
@@ -23,9 +23,10 @@ from hesr_model.equations.program import (
     Tangent,
     change_of,
     moved,
-    needed,
     readings,
+    sampled,
     step,
+    straight_line,
 )
 from hesr_model.errors import ExportError
 
@@ -209,19 +210,13 @@ class Functions:
         head = f"static int {self.name}_refused(const double *u, const char **needed)"
         return "\n".join([head, "{", *(f"    {line}" for line in (*lines, "return -1;")), "}", ""])
 
-    def _step(self) -> dict[sympy.Symbol, sympy.Expr]:
-        """Return what a step assigns: states, then readings of the moved ones."""
-        after = {m.state: moved(m) for m in self.component.memory}
-        own = step(self.component.memory)
-        return own | {s: e.xreplace(after) for s, e in readings(self.component).items()}
-
     @property
     def _moved_targets(self) -> dict[str, sympy.Symbol]:
         return {f"x[{i}]": moved(m) for i, m in enumerate(self.component.memory)}
 
     def step(self) -> str:
         """Move the states x by dt, and write the readings of the end of the step."""
-        own = self._step()
+        own = sampled(self.component)
         return self._written(
             True, own, {**self._moved_targets, **self._reading_targets},
             "step(IN(k), IN(u), IN(s), IN(p), double dt, double euler, double *x, OUT(dx), "
@@ -271,7 +266,7 @@ class Functions:
 
         Nothing is held: a solver inside an FMU tries inputs of its own.
         """
-        own = self._step()
+        own = sampled(self.component)
         changes = Tangent({s: self._seeds[s] for s in self._inputs}).of(own)
         targets = {f"moved[{i}]": moved(m) for i, m in enumerate(self.component.memory)}
         targets |= {f"dx[{i}]": m.derivative for i, m in enumerate(self.component.memory)}
@@ -291,14 +286,8 @@ def _function(
     places: Mapping[sympy.Symbol, tuple[str, str]],
 ) -> str:
     """Return a C function that computes targets by a program, common subexpressions shared."""
-    own = needed(program, targets.values())
-    names = {symbol: f"a_{i}" for i, symbol in enumerate(own)}
-    shared, results = sympy.cse(
-        list(own.values()), symbols=sympy.numbered_symbols("t"), order="none"
-    )
-    lines = dict(zip(own, results, strict=True)) | dict(shared)
-    lines = {symbol: lines[symbol] for symbol in in_order(lines)}
-    known = {s: name for s, (name, _) in places.items() if s not in own}
+    lines, names = straight_line(program, targets.values())
+    known = {s: name for s, (name, _) in places.items() if s not in names}
     printer = _Printer({**known, **names})
     used = set().union(*(e.free_symbols for e in lines.values()), targets.values()) - set(lines)
     reads = [
@@ -311,7 +300,7 @@ def _function(
         for symbol, e in lines.items()
     ]
     # What nothing moves has no name: its change is none.
-    writes = [f"{place} = {_c(printer, s) if s in own or s in known else '0.0'};"
+    writes = [f"{place} = {_c(printer, s) if s in names or s in known else '0.0'};"
               for place, s in targets.items()]  # fmt: skip
     signature = re.sub(r"IN\((\w+)\)", r"const double *\1", signature)
     signature = re.sub(r"OUT\((\w+)\)", r"double *\1", signature)

@@ -73,13 +73,16 @@ def export_fmu(
     return write_fmu(whole, path, platforms=platforms, progress=progress)
 
 
-def export_bare(model: FrictionModel, path: Path) -> Path:
-    """Write the same FMU for linux64 without its documentation, to try the law in.
+def export_bare(
+    model: FrictionModel, path: Path, *, platforms: Sequence[str] = ("linux64",)
+) -> Path:
+    """Write the same FMU without its documentation, to try the law in.
 
     Arguments and errors are those of `export_fmu`.
     """
     table, about, sources = _component(model)
-    return write_fmu(Content(table=table, about=about, sources=sources, members={}), path)
+    bare = Content(table=table, about=about, sources=sources, members={})
+    return write_fmu(bare, path, platforms=platforms)
 
 
 def live_of(model: FrictionModel) -> dict[str, Any]:

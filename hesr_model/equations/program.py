@@ -125,3 +125,29 @@ def needed(
         waiting |= (assignments[symbol].free_symbols & assignments.keys()) - keep
     kept = {s: e for s, e in assignments.items() if s in keep}
     return {s: kept[s] for s in in_order(kept)}
+
+
+def straight_line(
+    assignments: Assignments, wanted: Iterable[sympy.Symbol]
+) -> tuple[dict[sympy.Symbol, sympy.Expr], dict[sympy.Symbol, str]]:
+    """Return what the wanted symbols rest on, common subexpressions shared, ready to be printed.
+
+    Returns
+    -------
+    The assignments in order, and short names `a_0`, `a_1`, .. for those that were given; shared
+    subexpressions are called `t0`, `t1`, ..
+    """
+    own = needed(assignments, wanted)
+    shared, results = sympy.cse(
+        list(own.values()), symbols=sympy.numbered_symbols("t"), order="none"
+    )
+    lines = dict(zip(own, results, strict=True)) | dict(shared)
+    names = {symbol: f"a_{i}" for i, symbol in enumerate(own)}
+    return {symbol: lines[symbol] for symbol in in_order(lines)}, names
+
+
+def sampled(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
+    """Return what a step assigns: states by their `moved` symbols, then readings of these."""
+    after = {m.state: moved(m) for m in component.memory}
+    own = step(component.memory)
+    return own | {s: e.xreplace(after) for s, e in readings(component).items()}

@@ -43,6 +43,14 @@ def test_modelica(hesr, tmp_path):
     assert '\npackage Friction "' in path.read_text()
 
 
+def test_a_c_header_and_its_data(hesr, tmp_path):
+    path = tmp_path / "friction.h"
+    answer = hesr("export", TABLE_1, "--format", "c", "-o", path)
+    assert (answer.code, answer.out) == (0, f"written to {path}.\n"), answer.err
+    assert "static inline bool friction_step(friction_state *state, " in path.read_text()
+    assert path.with_suffix(".csv").read_text().startswith("t,dq[1],dq[2],dq[3],q[1],")
+
+
 def test_mjcf_says_how_far_off_a_projection_is(hesr, tmp_path):
     path = tmp_path / "friction.xml"
     answer = hesr("export", TABLE_1, "--format", "mjcf", "-o", path)

@@ -1,0 +1,79 @@
+"""Test data that stand beside a file of code: inputs, and the torques of the law in NumPy."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from fmu_src.friction.reference import reference_motion
+from fmu_src.friction.settings import Motion, torques
+from hesr_model.errors import ExportError, SimulationError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.support.files import written_whole
+
+_ROWS = 1000
+_PERIODS = 2.5
+_PHASE = 0.35
+_HALVINGS = 12
+
+
+def write_beside(path: Path, text: str, model: FrictionModel) -> Path:
+    """Write a file of code, and its test data under the same name in .csv; both or none.
+
+    Raises
+    ------
+    ExportError
+        If the model gives no torque that is finite on the motion of the data.
+    ArtifactError
+        If a file cannot be written.
+    """
+    rows = reference_rows(model)
+    with written_whole(path) as code, written_whole(path.with_suffix(".csv")) as data:
+        code.write_text(text, encoding="utf-8", newline="\n")
+        data.write_text(rows, encoding="utf-8", newline="\n")
+    return path
+
+
+def reference_rows(model: FrictionModel) -> str:
+    """Return the data as CSV: t, then dq[i], q[i], tau_load[i] and tau[i] of all joints.
+
+    Row 0 is read with the start values of the states; to each further row the states move with the
+    inputs of that row held. Inputs are numbers of single precision, so that each precision gets the
+    same ones.
+    """
+    motion, torque = _motion(model)
+    joints = range(1, len(model.joints) + 1)
+    names = ["t", *(f"{name}[{i}]" for name in ("dq", "q", "tau_load", "tau") for i in joints)]
+    columns = np.column_stack([motion.t, motion.dq, motion.q, motion.tau_load, torque])
+    # Adding zero turns a negative zero into a plain one.
+    lines = [",".join(f"{value + 0.0:.17g}" for value in row) for row in columns.tolist()]
+    return "\n".join([",".join(names), *lines, ""])
+
+
+def _motion(model: FrictionModel) -> tuple[Motion, np.ndarray]:
+    """Return inputs and torque; the step is shorter where Euler is not stable at the law's own."""
+    for halved in range(_HALVINGS):
+        step = model.sample_time / 2**halved
+        motion = reference_motion(
+            model,
+            frequency=_PERIODS / (_ROWS * step),
+            periods=_PERIODS,
+            rows=_ROWS,
+            phase=_PHASE,
+            lead_in=0.1 * _ROWS * step,
+        )
+        inputs: Mapping[str, np.ndarray] = {
+            name: getattr(motion, name).astype(np.float32).astype(float)
+            for name in ("dq", "q", "tau_load")
+        }
+        motion = Motion(t=motion.t, **inputs)
+        try:
+            torque = torques(model, motion, "direct")
+        except SimulationError:
+            continue
+        if np.all(np.isfinite(torque)):
+            return motion, torque
+    raise ExportError(
+        f"friction model '{model.law}': it has no finite torque on a motion of up to "
+        f"{np.abs(motion.dq).max():g} rad/s, so there are no test data for its code."
+    )

@@ -1,0 +1,250 @@
+"""The C header: the bits of the FMU on two processors, and a Cortex-M7 without operating system."""
+
+import ctypes
+import os
+import shutil
+import subprocess
+import zipfile
+from ctypes import POINTER, c_bool, c_double, c_size_t
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from c_hosts import build_host
+from one_file_laws import STEP, inputs, maxwell_slip, torques_of
+from fmpy import read_model_description
+
+from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.one_file.c_header import export_c
+from fmu_src.toolchain import TARGETS, build, compile_c
+from hesr_model.errors import ArtifactError, ExportError
+from hesr_model.friction.model import FrictionModel
+
+HERE = Path(__file__).parent
+QEMU = shutil.which("qemu-aarch64")
+ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")  # of Debian's libc6-arm64-cross
+M7_COMPILER, M7_MACHINE = shutil.which("arm-none-eabi-gcc"), shutil.which("qemu-system-arm")
+
+LIBRARY = """
+#include "law.h"
+#define EXPORT __attribute__((visibility("default")))
+EXPORT size_t size(void) { return sizeof(law_state); }
+EXPORT void init(law_state *s) { law_init(s); }
+EXPORT bool step(law_state *s, const double *dq, const double *q, const double *load, double dt,
+                 double *tau) { return law_step(s, dq, q, load, dt, tau); }
+EXPORT size_t batch(law_state *s, size_t n, const double *dq, const double *q, const double *load,
+                    double dt, double *tau) { return law_batch(s, n, dq, q, load, dt, tau); }
+"""
+
+
+class Law:
+    """A header that is compiled for this machine."""
+
+    def __init__(self, model: FrictionModel, folder: Path) -> None:
+        export_c(model, folder / "law.h")
+        (folder / "law.c").write_text(LIBRARY, encoding="utf-8")
+        file = folder / "law.so"
+        file.write_bytes(build(folder / "law.c", "law", TARGETS["linux64"]))
+        self._library = ctypes.CDLL(str(file))
+        self._library.size.restype = self._library.batch.restype = c_size_t
+        self._library.step.restype = c_bool
+        self.joints = len(model.joints)
+
+    def state(self, robots: int = 1):
+        size = self._library.size()
+        state = (ctypes.c_char * (size * robots))()
+        for i in range(robots):
+            self._library.init(ctypes.byref(state, i * size))
+        return state
+
+    def step(self, state, dq, q, load, dt: float) -> np.ndarray | None:
+        tau = np.full(self.joints, np.nan)
+        moved = self._library.step(
+            state, *map(_pointer, (dq, q, load)), c_double(dt), _pointer(tau)
+        )
+        return tau if moved else None
+
+    def batch(self, state, dq, q, load, dt: float) -> tuple[int, np.ndarray]:
+        tau = np.full(dq.shape, np.nan)
+        rows = map(_pointer, (dq, q, load))
+        count = self._library.batch(state, c_size_t(len(dq)), *rows, c_double(dt), _pointer(tau))
+        return count, tau
+
+
+def _pointer(values: np.ndarray):
+    return np.ascontiguousarray(values).ctypes.data_as(POINTER(c_double))
+
+
+@pytest.fixture(scope="module")
+def every(every_model, tmp_path_factory) -> Law:
+    return Law(every_model, tmp_path_factory.mktemp("header"))
+
+
+def test_every_law_has_the_bits_of_the_fmu(every, every_model, every_fmu) -> None:
+    rows = inputs(len(every_model.joints), seconds=4.0)
+    state = every.state()
+    found = np.array([every.step(state, *row, STEP) for row in zip(*rows, strict=True)])
+    np.testing.assert_array_equal(found, torques_of(every_fmu, rows))
+
+
+def test_the_laws_of_table_1_by_eulers_step(table1, table1_fmu, tmp_path) -> None:
+    law, rows = Law(table1, tmp_path), inputs(3)
+    state = law.state()
+    found = np.array([law.step(state, *row, STEP) for row in zip(*rows, strict=True)])
+    np.testing.assert_array_equal(found, torques_of(table1_fmu, rows))
+
+
+def test_a_step_that_is_not_possible_changes_nothing(table1, tmp_path) -> None:
+    law, rows = Law(table1, tmp_path), np.full((3, 3), 0.3)
+    state = law.state()
+    law.step(state, *rows, STEP)
+    before = bytes(state)
+    assert law.step(state, *rows, 0.2) is None  # alpha of joint 2 is 19.62 1/s
+    assert law.step(state, *rows, -STEP) is None
+    assert law.step(state, rows[0] * np.nan, *rows[1:], STEP) is None
+    assert bytes(state) == before
+    assert law.step(state, *rows, 0.0) is not None
+    assert bytes(state) == before  # reading moves nothing
+
+
+def test_a_batch_is_its_robots_one_by_one(every) -> None:
+    rows = inputs(every.joints, seconds=0.5)
+    rows = [row[::10] for row in rows]  # each row another robot
+    states = every.state(len(rows[0]))
+    for _ in range(3):
+        count, tau = every.batch(states, *rows, STEP)
+    assert count == len(tau)
+    for i, row in enumerate(zip(*rows, strict=True)):
+        state = every.state()
+        for _ in range(3):
+            alone = every.step(state, *row, STEP)
+        np.testing.assert_array_equal(alone, tau[i])
+
+
+def test_the_data_beside_the_header_are_the_torques_of_the_fmu(every_model, every_fmu, tmp_path):
+    path = export_c(every_model, tmp_path / "law.h").with_suffix(".csv")
+    table = np.genfromtxt(path, delimiter=",", skip_header=1)
+    rows, tau = np.split(table[:, 1:], 4, axis=1)[:3], np.split(table[:, 1:], 4, axis=1)[3]
+    found = torques_of(every_fmu, [row[1:] for row in rows])
+    assert np.all(np.abs(found - tau[1:]).max(axis=0) <= 1e-12 * np.abs(tau).max(axis=0))
+    assert np.ptp(tau, axis=0).min() > 0.1
+
+
+def test_two_headers_stand_in_one_c_plus_plus_program(table1, make_model, tmp_path) -> None:
+    export_c(table1, tmp_path / "one.h")
+    export_c(make_model(maxwell_slip()), tmp_path / "two.h")
+    text = '#include "one.h"\n#include "two.h"\nint main() { one_state a; two_state b; '
+    text += "one_init(&a); two_init(&b); return 0; }\n"
+    (tmp_path / "both.cpp").write_text(text, encoding="utf-8")
+    flags = ("-x", "c++", "-std=c++17", "-O1", "-Wall", "-Wextra", "-Werror",
+             "-Wno-unused-function", "-c")  # fmt: skip
+    compile_c(tmp_path / "both.cpp", flags, tmp_path / "both.o")
+
+
+# --- other processors -------------------------------------------------------------------------
+
+
+def _program(model: FrictionModel, folder: Path, triple: str, steps: int) -> Path:
+    export_c(model, folder / "law.h")
+    source = folder / "host.c"
+    source.write_text((HERE / "header_host.c").read_text(encoding="utf-8"), encoding="utf-8")
+    flags = ("-target", triple, "-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra",
+             "-Werror", f"-DSTEPS={steps}")  # fmt: skip
+    compile_c(source, flags, folder / "host", ("-lm",))
+    return folder / "host"
+
+
+def _lines(*command: object) -> list[str]:
+    result = subprocess.run([str(part) for part in command], capture_output=True, text=True,
+                            check=False, timeout=120)  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    return result.stdout.splitlines()
+
+
+@pytest.mark.skipif(
+    QEMU is None or not ARM_LIBRARIES.is_dir(),
+    reason="qemu-user and the C library of 64-bit ARM are not installed",
+)
+def test_the_bits_of_the_fmu_on_arm_linux(every_law, make_model, tmp_path) -> None:
+    """Both run on the same emulated processor with the same C library."""
+    triple, run = "aarch64-linux-gnu.2.17", (QEMU, "-L", ARM_LIBRARIES)
+    names = ("parfam_cos", "viscous", "elements", "fitted_lugre_load_ripple")
+    chosen = make_model(*(every_law[name] for name in names), maxwell_slip())
+    fmu = export_bare(chosen, tmp_path / "F.fmu", platforms=["aarch64-linux"])
+    with zipfile.ZipFile(fmu) as archive:
+        library = archive.extract("binaries/aarch64-linux/friction_by_hand.so", tmp_path)
+    about = read_model_description(str(fmu))
+    tau = [v.valueReference for v in about.modelVariables if v.name.startswith("tau[")]
+    host = build_host("host.c", tmp_path, triple)
+    expected = _lines(*run, host, library, about.guid, len(tau), tau[0], 500)
+    (tmp_path / "header").mkdir()
+    assert _lines(*run, _program(chosen, tmp_path / "header", triple, 500)) == expected
+
+
+@pytest.mark.skipif(
+    M7_COMPILER is None or M7_MACHINE is None,
+    reason="gcc-arm-none-eabi and qemu-system-arm are not installed",
+)
+def test_a_cortex_m7_without_operating_system(table1, tmp_path, capsys) -> None:
+    steps, m7 = 500, HERE / "m7"
+    here = _lines(_program(table1, tmp_path, "x86_64-linux-gnu.2.17", steps))
+    command = [
+        M7_COMPILER, "-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-std=c99", "-O2",
+        "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", f"-DSTEPS={steps}", "-DCOUNTER",
+        f"-I{tmp_path}", f"-I{m7}", "--specs=rdimon.specs", "-nostartfiles", f"-T{m7 / 'mps2.ld'}",
+        HERE / "header_host.c", m7 / "start.c", "-lm", "-o", tmp_path / "m7.elf",
+    ]  # fmt: skip
+    assert _lines(*command) == []
+    *lines, counted = _lines(
+        M7_MACHINE, "-machine", "mps2-an500", "-nographic", "-semihosting",
+        "-icount", "shift=0", "-kernel", tmp_path / "m7.elf",
+    )  # fmt: skip
+    found, expected = (np.array([row.split() for row in text], float) for text in (lines, here))
+    # The C libraries differ in the last digits.
+    assert np.all(np.abs(found - expected).max(axis=0) <= 1e-13 * np.abs(expected).max(axis=0))
+    with capsys.disabled():
+        print(f"\nTable I, three joints, on a Cortex-M7: {counted}")  # noqa: T201
+    assert 100 < int(counted.split()[0]) < 3000
+
+
+# --- what is refused --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("law.c", "a C header ends in .h, found '.c'"),
+        ("my-law.h", "the functions get the name of the file, but 'my-law' is no name in C"),
+    ],
+)
+def test_names_that_are_none(table1, tmp_path, name, sentence) -> None:
+    with pytest.raises(ExportError) as caught:
+        export_c(table1, tmp_path / name)
+    assert sentence in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_data_that_cannot_be_written_leave_no_header(table1, tmp_path) -> None:
+    (tmp_path / "law.csv").mkdir()
+    with pytest.raises(ArtifactError, match="cannot be written"):
+        export_c(table1, tmp_path / "law.h")
+    assert os.listdir(tmp_path) == ["law.csv"]
+
+
+def test_a_law_without_finite_torques_has_no_code(make_model, make_law, tmp_path) -> None:
+    law = make_law("viscous")
+    law = replace(law, values=law.values | {"sigma_2": 1e99, "F_c": 1e99})
+    law = replace(law, form=replace(law.form, output=law.form.output**5))
+    with pytest.raises(ExportError, match="it has no finite torque on a motion of up to"):
+        export_c(make_model(law), tmp_path / "law.h")
+    assert not list(tmp_path.iterdir())
+
+
+def test_texts_that_would_end_a_comment_do_not(make_law, tmp_path) -> None:
+    model = FrictionModel(
+        law="x", robot="a */ b", joints=("j \\",), laws=(make_law("bare"),), sample_time=STEP
+    )
+    law = Law(model, tmp_path)
+    one = np.ones(1)
+    assert law.step(law.state(), one, one, one, STEP) == [3.0]
