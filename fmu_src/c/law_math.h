@@ -61,4 +61,20 @@ static inline double share_slope(double z, double e, double euler) {
     return (1.0 + e + e / z) / z;
 }
 
+/* sin(x) / x, continued by 1 at 0. */
+static inline double cardinal_sine(double x) {
+    if (fabs(x) < SHARE_SERIES_BELOW) {
+        return 1.0 - x * x / 6.0 * (1.0 - x * x / 20.0);
+    }
+    return sin(x) / x;
+}
+
+/* Its derivative. */
+static inline double cardinal_slope(double x) {
+    if (fabs(x) < SHARE_SERIES_BELOW) {
+        return -x / 3.0 * (1.0 - x * x / 10.0);
+    }
+    return (cos(x) - cardinal_sine(x)) / x;
+}
+
 #endif

@@ -148,6 +148,9 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
     def _print_larger(self, expr: sympy.Expr) -> Any:
         return self._applied("max", expr)
 
+    def _print_cardinal_sine(self, expr: sympy.Expr) -> Any:
+        return self._applied("sinc", expr)
+
     def _print_clip(self, expr: sympy.Expr) -> Any:
         return self._applied("clip", expr)
 

@@ -39,7 +39,8 @@ class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
     def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
         super().__init__({"strict": False})
         self._names = names
-        own = ("sgn", "positive", "clip", "exceeds", "decay", "share", "share_slope")
+        own = ("sgn", "positive", "clip", "exceeds", "decay", "share", "share_slope",
+               "cardinal_sine", "cardinal_slope")  # fmt: skip
         self.known_functions |= {name: name for name in own}
         self.known_functions |= {"absolute": "fabs", "larger": "fmax"}
 

@@ -16,6 +16,7 @@ from fmu_src.friction.reference import reference_motion
 from fmu_src.modelica.annotations import TEMPLATES, joint_html, law_title, package_html
 from fmu_src.modelica.printer import FUNCTIONS, Equations, equations
 from hesr_model.equations.functions import sgn
+from hesr_model.equations.memory import DT
 from hesr_model.errors import ExportError, HesrError
 from hesr_model.friction.audit.audit import Audit
 from hesr_model.friction.inputs import INPUTS, TAU_LOAD
@@ -212,7 +213,7 @@ def _joints(
 
 
 def _parts(form: LawForm) -> list[sympy.Expr]:
-    return [form.output, *(part for m in form.memory for part in m.parts)]
+    return [form.output.subs(DT, 0), *(part for m in form.memory for part in m.parts)]
 
 
 def _modifications(law: FrictionLaw) -> list[str]:

@@ -14,7 +14,7 @@ from sympy.printing.codeprinter import CodePrinter
 from sympy.printing.precedence import PRECEDENCE
 
 from hesr_model.equations.functions import absolute, sgn
-from hesr_model.equations.memory import Relaxation
+from hesr_model.equations.memory import DT, Relaxation
 from hesr_model.equations.program import Jumps
 from hesr_model.errors import ExportError
 from hesr_model.friction.law import LawForm
@@ -128,7 +128,7 @@ def equations(form: LawForm) -> Equations:
     ]
     return Equations(
         signs={s.name: _sign(text(e)) for e, s in zip(bends, signs, strict=True)},
-        lines=tuple(_wrapped(line) for line in (*lines, f"tau = {text(form.output)}")),
+        lines=tuple(_wrapped(line) for line in (*lines, f"tau = {text(form.output.subs(DT, 0))}")),
     )
 
 

@@ -196,8 +196,9 @@ class Component:
 
     @cached_property
     def holds(self) -> bool:
-        """Whether outputs move by steps only, as what depends on the step's length does."""
-        return any(DT in e.expression.free_symbols for e in self.equations)
+        """Whether outputs move by steps only, as what is made of a step's length and the past."""
+        timed = any(DT in e.expression.free_symbols for e in self.equations)
+        return timed and bool(self.remembered)
 
     def sources(self, expression: sympy.Expr, *, starting: bool = False) -> frozenset[sympy.Symbol]:
         """Return the inputs, parameters and states of which an expression is made, via names.

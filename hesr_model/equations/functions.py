@@ -150,6 +150,38 @@ class share_slope(_Real):  # noqa: N801
     latex_form = r"\varphi'\left({}\right)"
 
 
+class cardinal_sine(_Real):  # noqa: N801
+    """sin(x) / x, continued by 1 at 0: what a wave's mean over a step is of its middle value."""
+
+    nargs = 1
+    latex_form = r"\operatorname{{sinc}}{power}\left({}\right)"
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        """Return the derivative."""
+        del argindex
+        return cardinal_slope(self.args[0])
+
+
+class cardinal_slope(_Real):  # noqa: N801
+    """Derivative of `cardinal_sine`; it is not differentiated again."""
+
+    nargs = 1
+    latex_form = r"\operatorname{{sinc}}'\left({}\right)"
+
+
+def _cardinal_sine(x: Any) -> Any:
+    small = np.abs(x) < _SERIES_BELOW
+    series = 1.0 - x**2 / 6.0 * (1.0 - x**2 / 20.0)
+    return np.where(small, series, np.sin(x) / np.where(small, 1.0, x))
+
+
+def _cardinal_slope(x: Any) -> Any:
+    small = np.abs(x) < _SERIES_BELOW
+    series = -x / 3.0 * (1.0 - x**2 / 10.0)
+    quotient = (np.cos(x) - _cardinal_sine(x)) / np.where(small, 1.0, x)
+    return np.where(small, series, quotient)
+
+
 def _share(z: Any, e: Any, euler: Any) -> Any:
     small = np.abs(z) < _SERIES_BELOW
     series = 1.0 - z / 2.0 * (1.0 - z / 3.0 * (1.0 - z / 4.0 * (1.0 - z / 5.0)))
@@ -174,6 +206,8 @@ NUMPY: Mapping[str, Callable[..., Any]] = {
     "decay": lambda z, euler: np.where(euler, -z, np.expm1(-z)),
     "share": _share,
     "share_slope": _share_slope,
+    "cardinal_sine": _cardinal_sine,
+    "cardinal_slope": _cardinal_slope,
 }
 """By name what the functions above are on arrays."""
 

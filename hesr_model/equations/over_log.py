@@ -4,7 +4,7 @@ Relaxations compose to relaxations and clips to clips, so a log runs without a P
 relaxation whose rate sees its own state goes row by row.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
 from hesr_model.equations.functions import NUMPY, lowered
-from hesr_model.equations.memory import Element, Relaxation, Stop
+from hesr_model.equations.memory import Element, Stop
 from hesr_model.errors import SimulationError
 
 Array = NDArray[np.float64]
@@ -27,9 +27,15 @@ class StatesOverLog:
     ----------
     memory : its elements.
     arguments : symbols of all that they read besides states: numbers, then inputs.
+    read : symbols that are asked for; a stop's derivative that is not among them is left at 0.
     """
 
-    def __init__(self, memory: Sequence[Element], arguments: Sequence[sympy.Symbol]) -> None:
+    def __init__(
+        self,
+        memory: Sequence[Element],
+        arguments: Sequence[sympy.Symbol],
+        read: Collection[sympy.Symbol],
+    ) -> None:
         self._memory = tuple(memory)
         states = {m.state for m in memory}
         self._alone = [
@@ -39,12 +45,21 @@ class StatesOverLog:
         self._parts = lowered(
             arguments, [part for i in self._alone for part in self._memory[i].parts]
         )
+        self._groups = tuple(_groups(self._memory))
+        # Stops that read what moves before them go together, too.
         self._later = {
-            i: lowered((*arguments, *(e.state for e in memory[: i + 1])), m.parts)
-            for i, m in enumerate(memory)
-            if i not in self._alone
+            i: lowered(
+                (*arguments, *(e.state for e in memory[: i + 1])),
+                [part for m in memory[i:end] for part in m.parts],
+            )
+            for i, end in self._groups
+            if any(k not in self._alone for k in range(i, end))
         }
-        own = {i: m for i, m in enumerate(memory) if not _plain(m, i in self._alone)}
+        own = {
+            i: m
+            for i, m in enumerate(memory)
+            if (m.derivative in read if isinstance(m, Stop) else i not in self._alone)
+        }
         self._derivatives = {
             i: lowered((*arguments, *(e.state for e in memory[: i + 1])), [m.continuous()])
             for i, m in own.items()
@@ -80,20 +95,29 @@ class StatesOverLog:
         """
         alone = dict(zip(self._alone, self.parts(values, dt.shape), strict=True))
         states: list[Array] = []
-        found: list[Array] = []
-        for i, (element, x0) in enumerate(zip(self._memory, start, strict=True)):
-            x: Array
-            if i in alone:
-                first, second = alone[i]
-                x = run(element, first, second, dt, begins, x0, discretisation)
-            elif element.state in sympy.Tuple(*element.parts).free_symbols:
-                x = self._row_by_row(i, values, states, dt, begins, x0, discretisation)
+        for i, end in self._groups:
+            element, x0 = self._memory[i], start[i]
+            if i in self._later and element.state in sympy.Tuple(*element.parts).free_symbols:
+                states.append(self._row_by_row(i, values, states, dt, begins, x0, discretisation))
+                continue
+            parts = (
+                self._later_parts(i, values, [*states, np.zeros_like(dt)])
+                if i in self._later
+                else [alone[k] for k in range(i, end)]
+            )
+            if isinstance(element, Stop):
+                way, bound = (np.stack(columns) for columns in zip(*parts, strict=True))
+                states += list(clipped(way * dt, bound, begins, np.array(start[i:end])))
             else:
-                first, second = self._later_parts(i, values, [*states, np.zeros_like(dt)])
-                x = run(element, first, second, dt, begins, x0, discretisation)
-            states.append(x)
+                states.append(run(*parts[0], dt, begins, x0, discretisation))
+        found: list[Array] = []
+        for i, x in enumerate(states):
+            element = self._memory[i]
             if i in self._derivatives:
-                dx = np.broadcast_to(self._derivatives[i](*values, *states)[0], dt.shape)
+                own = self._derivatives[i](*values, *states[: i + 1])[0]
+                dx = np.broadcast_to(own, dt.shape)
+            elif isinstance(element, Stop):
+                dx = np.zeros_like(dt)
             else:
                 dx = alone[i][0] - alone[i][1] * x
             found += [x, dx]
@@ -101,10 +125,10 @@ class StatesOverLog:
 
     def _later_parts(
         self, i: int, values: Sequence[Any], states: Sequence[Any]
-    ) -> tuple[Array, Array]:
-        first, second = self._later[i](*values, *states)
+    ) -> list[tuple[Array, Array]]:
         shape = np.broadcast_shapes(*(np.shape(v) for v in (*values, *states)))
-        return np.broadcast_to(first, shape), NUMPY["positive"](np.broadcast_to(second, shape))
+        found = [np.broadcast_to(e, shape) for e in self._later[i](*values, *states)]
+        return [(b, NUMPY["positive"](r)) for b, r in zip(found[::2], found[1::2], strict=True)]
 
     def _row_by_row(
         self, i: int, values: Sequence[Any], states: Sequence[Array], dt: Array,
@@ -126,18 +150,31 @@ class StatesOverLog:
         return found
 
 
-def _plain(element: Element, alone: bool) -> bool:
-    """Whether x' follows from the parts that were computed for the step."""
-    return alone and isinstance(element, Relaxation)
+def _groups(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
+    """Yield first and last but one of what moves together: one relaxation, or stops in a row.
+
+    None of the stops reads the state of another.
+    """
+    i = 0
+    while i < len(memory):
+        end, states = i + 1, {memory[i].state}
+        while (
+            isinstance(memory[i], Stop)
+            and end < len(memory)
+            and isinstance(memory[end], Stop)
+            and not states & sympy.Tuple(*memory[end].parts).free_symbols
+        ):
+            states.add(memory[end].state)
+            end += 1
+        yield i, end
+        i = end
 
 
 def run(
-    element: Element, first: Array, second: Array, dt: Array, begins: NDArray[np.bool_],
-    start: float, discretisation: Discretisation,
+    first: Array, second: Array, dt: Array, begins: NDArray[np.bool_], start: float,
+    discretisation: Discretisation,
 ) -> Array:  # fmt: skip
-    """Return one state over a log, (N,), from its two parts, each (N,); see `StatesOverLog`."""
-    if isinstance(element, Stop):
-        return clipped(first * dt, np.asarray(second), begins, start)
+    """Return a relaxation's state over a log, (N,), from its drive and rate, each (N,)."""
     a, c = step_coefficients(first, second, dt, discretisation)
     return recurrence(np.where(begins, 0.0, a), np.where(begins, start, c), start)
 
@@ -191,30 +228,56 @@ def recurrence(a: Array, c: Array, start: float) -> Array:
     return np.asarray(solution[:, 0])
 
 
-def clipped(way: Array, bound: Array, begins: NDArray[np.bool_], start: float) -> Array:
+def clipped(way: Array, bound: Array, begins: NDArray[np.bool_], start: Array) -> Array:
     """Solve x[k] = clip(x[k-1] + way[k], -bound[k], bound[k]), x = start where a record begins.
 
     Parameters
     ----------
-    way, bound : (N,) of each step; the bound is not negative.
+    way, bound : (E, N) of each step of each element; bounds are not negative.
     begins : (N,) True where a record begins, as the first row does.
-    start : value there.
+    start : (E,) values there.
 
     Returns
     -------
-    (N,) array, by a prefix scan: after x -> clip(x + a, l, u) the map x -> clip(x + b, m, v) gives
-    clip(x + a + b, clip(l + b, m, v), clip(u + b, m, v)).
+    (E, N) array. Clips compose to clips, so rows go in blocks, all blocks at once.
     """
-    shift = np.where(begins, 0.0, way)
-    low, high = np.where(begins, start, -bound), np.where(begins, start, bound)
-    distance = 1
-    while distance < len(shift):
-        b, least, most = shift[distance:], low[distance:], high[distance:]
-        low, high = (
-            np.concatenate([old[:distance], np.clip(old[:-distance] + b, least, most)])
-            for old in (low, high)
-        )
-        shift = np.concatenate([shift[:distance], shift[:-distance] + b])
-        distance *= 2
-    # From the first row on, at which both limits are the start, they are one.
-    return low
+    at = np.asarray(start, dtype=float)[:, None]
+    low, high = np.where(begins, at, -bound), np.where(begins, at, bound)
+    return _clips(np.where(begins, 0.0, way), low, high, np.zeros(len(way)))
+
+
+_BLOCK = 24
+
+
+def _clips(shift: Array, low: Array, high: Array, x: Array) -> Array:
+    """Return x[k] = clip(x[k-1] + shift[k], low[k], high[k]), all (E, N), from x (E,) on.
+
+    After x -> clip(x + a, l, u) the map x -> clip(x + b, m, v) gives
+    clip(x + a + b, clip(l + b, m, v), clip(u + b, m, v)); so what a block does is one such map.
+    """
+    elements, rows = shift.shape
+    if rows <= 2 * _BLOCK:
+        found = np.empty_like(shift)
+        for k in range(rows):
+            x = np.minimum(np.maximum(x + shift[:, k], low[:, k]), high[:, k])
+            found[:, k] = x
+        return found
+    blocks = -(-rows // _BLOCK)
+
+    def in_blocks(values: Array, beyond: float) -> Array:
+        whole = np.full((elements, blocks * _BLOCK), beyond)
+        whole[:, :rows] = values
+        return np.ascontiguousarray(whole.reshape(elements, blocks, _BLOCK).transpose(2, 0, 1))
+
+    a, lower, upper = in_blocks(shift, 0.0), in_blocks(low, -np.inf), in_blocks(high, np.inf)
+    total, least, most = a[0], lower[0], upper[0]
+    for k in range(1, _BLOCK):
+        least, most = (np.minimum(np.maximum(e + a[k], lower[k]), upper[k]) for e in (least, most))
+        total = total + a[k]
+    ends = _clips(total, least, most, x)
+    now = np.concatenate([x[:, None], ends[:, :-1]], axis=1)
+    found = np.empty_like(a)
+    for k in range(_BLOCK):
+        np.minimum(np.maximum(now + a[k], lower[k]), upper[k], out=found[k])
+        now = found[k]
+    return found.transpose(1, 2, 0).reshape(elements, -1)[:, :rows]

@@ -5,14 +5,17 @@ inputs of sample k held, and the torque of sample k is read. At the first sample
 have their start values.
 """
 
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import sympy
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 
 from hesr_model.equations.functions import lowered
+from hesr_model.equations.memory import DT, Stop
 from hesr_model.equations.over_log import Array, StatesOverLog
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw, LawForm
@@ -22,7 +25,8 @@ from hesr_model.friction.law import FrictionLaw, LawForm
 def _functions(form: LawForm) -> tuple[StatesOverLog, Any]:
     arguments = (*(c.symbol for c in form.coefficients), *INPUTS)
     states = tuple(s for m in form.memory for s in (m.state, m.derivative))
-    return StatesOverLog(form.memory, arguments), lowered((*arguments, *states), (form.output,))
+    memory = StatesOverLog(form.memory, arguments, form.output.free_symbols)
+    return memory, lowered((*arguments, *states, DT), (form.output,))
 
 
 def numbers(law: FrictionLaw) -> tuple[np.float64, ...]:
@@ -68,14 +72,15 @@ def predict(
     inputs = [zero if u is None else np.asarray(u, dtype=float) for u in (dq, q, tau_load)]
     memory, output = _functions(law.form)
     values = (*numbers(law), *inputs)
+    dt = np.diff(time, prepend=time[0])
     states = memory(
         values,
-        np.diff(time, prepend=time[0]),
+        dt,
         np.arange(len(time)) == 0,
         law.start if start is None else start,
         law.discretisation,
     )
-    return np.array(np.broadcast_to(output(*values, *states)[0], time.shape))
+    return np.array(np.broadcast_to(output(*values, *states, dt)[0], time.shape))
 
 
 def estimated_start(
@@ -84,14 +89,35 @@ def estimated_start(
     """Return the start of the state that explains the first torques of a log best.
 
     Of `law.start_samples` rows; the state is searched between the limits that it can reach in the
-    log. A law without such samples, whose memory is not one relaxation, or one whose parts see its
-    state, keeps its own start.
+    log; stops share one number, the share of their bounds at which they are. A law without such
+    samples, whose memory is otherwise not one relaxation, or one whose parts see its state, keeps
+    its own start.
 
     Parameters
     ----------
     law : the law of one joint.
     t, dq, q, tau_load, tau : (N,) rows of the log [s, rad/s, rad, N.m, N.m]; tau is friction.
     """
+    first = slice(0, law.start_samples)
+
+    def error(start: tuple[float, ...]) -> float:
+        predicted = predict(
+            law, t=t[first], dq=dq[first], q=q[first], tau_load=tau_load[first], start=start
+        )
+        return float(np.sum((predicted - tau[first]) ** 2))
+
+    if law.start_samples and law.form.stops:
+        inputs = dict(zip(INPUTS, (dq[0], q[0], tau_load[0]), strict=True))
+        bounds = _bounds(law, inputs)
+
+        def deflected(share: float) -> tuple[float, ...]:
+            return tuple(
+                x if bound is None else share * bound
+                for x, bound in zip(law.start, bounds, strict=True)
+            )
+
+        found = minimize_scalar(lambda u: error(deflected(u)), bounds=(-1.0, 1.0), method="bounded")
+        return deflected(float(found.x))
     if not law.start_samples or len(law.form.memory) != 1 or not law.form.relaxations:
         return law.start
     parts = _functions(law.form)[0].parts((*numbers(law), dq, q, tau_load), t.shape)
@@ -100,20 +126,23 @@ def estimated_start(
     b, r = parts[0]
     moving = r > 1e-9 * max(float(r.max()), 1e-300)
     limit = float(np.max(np.abs(b[moving] / r[moving]), initial=0.0))
-    first = slice(0, law.start_samples)
-
-    def error(x: float) -> float:
-        predicted = predict(
-            law, t=t[first], dq=dq[first], q=q[first], tau_load=tau_load[first], start=(x,)
-        )
-        return float(np.sum((predicted - tau[first]) ** 2))
-
     grid = np.linspace(-limit, limit, 41)
-    best = int(np.argmin([error(float(x)) for x in grid]))
+    best = int(np.argmin([error((float(x),)) for x in grid]))
     low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
     if low == high:
         return law.start
-    return (float(minimize_scalar(error, bounds=(low, high), method="bounded").x),)
+    best_of_all = minimize_scalar(lambda x: error((x,)), bounds=(low, high), method="bounded")
+    return (float(best_of_all.x),)
+
+
+def _bounds(law: FrictionLaw, inputs: Mapping[sympy.Symbol, float]) -> list[float | None]:
+    """Return the bound of each stop where a log starts, None for what is no stop."""
+    at = {c.symbol: law.values[c.name] for c in law.form.coefficients}
+    at |= inputs
+    at |= {m.state: x for m, x in zip(law.form.memory, law.start, strict=True)}
+    return [
+        max(float(m.bound.subs(at)), 0.0) if isinstance(m, Stop) else None for m in law.form.memory
+    ]
 
 
 class Stepper:
@@ -142,4 +171,4 @@ class Stepper:
         )
         states = [float(row[1]) for row in rows]
         self.x = states[::2]
-        return float(self._output(*values, *states)[0])
+        return float(self._output(*values, *states, dt)[0])

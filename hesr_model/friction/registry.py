@@ -21,6 +21,7 @@ MODULES = (
     "parfam.estimator",
     "strain_wave",
     "parfam.extended",
+    "stops.estimator",
 )
 """Modules of `hesr_model.friction` whose import registers estimators."""
 

@@ -61,20 +61,24 @@ def test_the_guard_takes_what_is_no_number_for_zero() -> None:
 
 @given(STEPS, st.floats(-1, 1))
 def test_the_scan_of_a_stop_is_the_loop(steps: list[tuple[float, float]], start: float) -> None:
+    steps = steps * 60  # more rows than go in one block
     way, bound = (np.array(column) for column in zip(*steps, strict=True))
-    x, expected = start, [start]
-    for a, s in steps[1:]:
-        x = min(max(x + a, -s), s)
-        expected.append(x)
+    expected = [[start], [-start]]
+    for x, sign in zip(expected, (1.0, -1.0), strict=True):
+        for a, s in steps[1:]:
+            x.append(min(max(x[-1] + sign * a, -s), s))
     begins = np.arange(len(way)) == 0
-    np.testing.assert_allclose(clipped(way, bound, begins, start), expected, rtol=0, atol=1e-14)
+    found = clipped(
+        np.stack([way, -way]), np.stack([bound, bound]), begins, np.array([start, -start])
+    )
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
 
 
 def test_a_stop_starts_anew_with_each_record() -> None:
     way = np.full(6, 0.3)
     begins = np.array([True, False, False, True, False, False])
-    found = clipped(way, np.full(6, 10.0), begins, 0.25)
-    np.testing.assert_allclose(found, [0.25, 0.55, 0.85] * 2, rtol=1e-15)
+    found = clipped(way[None], np.full((1, 6), 10.0), begins, np.array([0.25]))
+    np.testing.assert_allclose(found, [[0.25, 0.55, 0.85] * 2], rtol=1e-15)
 
 
 @given(st.lists(st.tuples(st.floats(-3, 3), st.floats(0, 2)), min_size=2, max_size=40))

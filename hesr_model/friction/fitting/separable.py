@@ -16,6 +16,7 @@ from scipy.optimize import differential_evolution
 from scipy.optimize import least_squares as minimise_squares
 
 from hesr_model.equations.functions import lowered
+from hesr_model.equations.memory import DT
 from hesr_model.equations.over_log import Array, Discretisation, StatesOverLog
 from hesr_model.friction.fitting.samples import Samples, non_negative_least_squares
 from hesr_model.friction.inputs import INPUTS
@@ -105,7 +106,7 @@ class Separable:
         start = (0.0,) * len(self.form.memory)
         states = self._memory(values, s.dt, s.begins, start, self.discretisation)
         columns = np.empty((len(s.dq), len(self.space.linear)), order="F")
-        for i, column in enumerate(self._columns(*values, *states)):
+        for i, column in enumerate(self._columns(*values, *states, s.dt)):
             columns[:, i] = column
         return columns
 
@@ -209,4 +210,5 @@ def _compiled(form: LawForm, space: SearchSpace) -> tuple[StatesOverLog, Any]:
         raise ValueError(f"not linear in {sorted(map(str, mixed)) or 'an offset'}: {output}")
     states = tuple(s for m in memory for s in (m.state, m.derivative))
     arguments = (*searched, *INPUTS)
-    return StatesOverLog(memory, arguments), lowered((*arguments, *states), columns)
+    read = set().union(*(e.free_symbols for e in columns))
+    return StatesOverLog(memory, arguments, read), lowered((*arguments, *states, DT), columns)

@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from hesr_model.equations.over_log import Array
+from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.records import predict_record
+from hesr_model.friction.records import record_start
 from hesr_model.rigid_body.residual import FrictionRecord
 
 MOST_COEFFICIENTS = 64
@@ -34,19 +35,18 @@ def with_standard_errors(law: FrictionLaw, records: Sequence[FrictionRecord]) ->
     if len(law.values) > MOST_COEFFICIENTS:
         return law
     names, columns = [], []
+    # Where a log starts is held: it is measured, and no coefficient.
+    starts = [record_start(law, r) for r in records]
     for name, value in law.values.items():
         step = _STEP * max(abs(value), 1e-3)
         if value:  # laws divide by some of their coefficients, so none may become zero
             step = min(step, 0.5 * abs(value))
-        sides = [
-            np.concatenate([predict_record(_moved(law, name, value + d), r) for r in records])
-            for d in (step, -step)
-        ]
+        sides = [_predicted(_moved(law, name, value + d), records, starts) for d in (step, -step)]
         column = (sides[0] - sides[1]) / (2.0 * step)
         if np.abs(column).max() > _NONE:
             names.append(name)
             columns.append(column)
-    predicted = np.concatenate([predict_record(law, r) for r in records])
+    predicted = _predicted(law, records, starts)
     residual = predicted - np.concatenate([r.tau for r in records])
     errors = standard_errors(np.stack(columns, axis=1), residual)
     return replace(law, standard_errors=dict(zip(names, map(float, errors), strict=True)))
@@ -83,6 +83,16 @@ def correlation_length(residual: Array) -> float:
     negative = np.flatnonzero(correlation <= 0.0)
     stop = int(negative[0]) if len(negative) else len(correlation)
     return float(max(1.0, 1.0 + 2.0 * correlation[1:stop].sum()))
+
+
+def _predicted(
+    law: FrictionLaw, records: Sequence[FrictionRecord], starts: Sequence[tuple[float, ...]]
+) -> Array:
+    parts = [
+        predict(law, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load, start=start)
+        for r, start in zip(records, starts, strict=True)
+    ]
+    return np.concatenate(parts)
 
 
 def _moved(law: FrictionLaw, name: str, value: float) -> FrictionLaw:

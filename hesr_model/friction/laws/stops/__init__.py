@@ -1,0 +1,1 @@
+"""ParFam-S: stops with symbolic bounds, whose passivity is certified."""

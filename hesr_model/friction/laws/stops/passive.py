@@ -1,0 +1,93 @@
+"""The part of the certificate that is a condition on numbers: ripple that lags against v f(v).
+
+Ripple U'(q) of the joint angle is lossless; taken `lag` late, and at the end of a step over which q
+moves, it is U' at another angle. It gives at most sum_k A_k min(n_k c |v|, 2) |dq|, where c is the
+mean distance in time between the angle that is used and those that are passed; viscous friction
+takes v f(v) |dq| / |v|. So f(v) >= sum_k A_k min(n_k c, 2 / |v|) at all speeds is enough.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import minimize
+
+from hesr_model.equations.over_log import Array
+
+SPEEDS = np.concatenate([[0.0], np.geomspace(1e-4, 1e6, 241)])
+"""Speeds [rad/s] at which the condition is looked at; between them all terms are monotonic."""
+
+
+def distance(lag: float, window: float) -> float:
+    """Return c [s]: the largest mean of |lag - u| over u in (0, h), for any h up to the window."""
+    if window <= 0.0:
+        return abs(lag)
+    if lag <= 0.0 or lag >= window:
+        at_end = abs(lag - window / 2.0)
+    else:
+        at_end = (lag**2 + (window - lag) ** 2) / (2.0 * window)
+    return max(abs(lag), at_end)
+
+
+def needed(frequencies: Sequence[int], lag: float, window: float) -> Array:
+    """Return (S, K): what f must be at each of `SPEEDS` per N.m of each wave [s/rad]."""
+    speeds = np.maximum(SPEEDS, 1e-300)[:, None]
+    return np.asarray(np.minimum(np.asarray(frequencies) * distance(lag, window), 2.0 / speeds))
+
+
+def constrained(
+    gram: Array, moment: Array, x: Array, viscous: Array, waves: Array, *, free: int
+) -> Array:
+    """Return coefficients that explain rows best among those that are certified.
+
+    A cone problem: the amplitudes of waves stand under a root, everything else is linear.
+
+    Parameters
+    ----------
+    gram, moment : (K, K) and (K,) of the normal equations.
+    x : (K,) the solution without this condition; the last `free` have any sign, the last of all of
+        them are cosines and sines in pairs.
+    viscous : (S, V) terms of f at each speed; their coefficients stand before the free ones.
+    waves : (S, W) of `needed`.
+    free : how many of the last ones may have any sign.
+    """
+    first = len(x) - free
+    f, a = slice(first - viscous.shape[1], first), slice(len(x) - 2 * waves.shape[1], len(x))
+
+    def margin(y: Array) -> Array:
+        return np.asarray(viscous @ y[f] - waves @ np.hypot(*y[a].reshape(-1, 2).T))
+
+    if margin(x).min() >= 0.0:
+        return x
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+    # From half the ripple that is allowed, at which the root has a slope.
+    share = np.min((viscous @ x[f]) / np.maximum(waves @ np.hypot(*x[a].reshape(-1, 2).T), 1e-300))
+    start = x.copy()
+    start[a] *= 0.5 * max(float(share), 0.0)
+
+    def slope(y: Array) -> Array:
+        found = np.zeros((len(viscous), len(y)))
+        found[:, f] = viscous
+        pairs = y[a].reshape(-1, 2)
+        unit = pairs / np.maximum(np.hypot(*pairs.T), 1e-12)[:, None]
+        found[:, a] = -(waves[:, :, None] * unit).reshape(len(viscous), -1)
+        return found
+
+    size = max(float(x @ gram @ x), np.finfo(float).tiny)
+    best = minimize(
+        lambda z: float(scale * z @ gram @ (scale * z) / 2.0 - moment @ (scale * z)) / size,
+        start / scale,
+        jac=lambda z: scale * (gram @ (scale * z) - moment) / size,
+        bounds=[(0.0, None)] * first + [(None, None)] * free,
+        constraints={
+            "type": "ineq",
+            "fun": lambda z: margin(scale * z),
+            "jac": lambda z: slope(scale * z) * scale,
+        },
+        method="SLSQP", options={"maxiter": 200, "ftol": 1e-10},
+    )  # fmt: skip
+    y = np.asarray(scale * best.x)
+    y[:first] = np.maximum(y[:first], 0.0)
+    # To the last bit: what rounding is over, the ripple loses.
+    least = np.min((viscous @ y[f]) / np.maximum(waves @ np.hypot(*y[a].reshape(-1, 2).T), 1e-300))
+    y[a] *= min(1.0, max(0.0, float(least))) * (1.0 - 1e-9)
+    return y
