@@ -63,8 +63,8 @@ def export(
         typer.Option(
             "--format",
             help="Of a friction model: fmu (velocity in, torque out), drive (an FMU with the "
-            "rotor: torque in, velocity out), mjcf (actuators for MuJoCo), modelica, or c (one header "
-            "without FMI).",
+            "rotor: torque in, velocity out), mjcf (actuators for MuJoCo), modelica, or c (one "
+            "header without FMI).",
         ),
     ] = Format.FMU,
     platform: Platforms = None,

@@ -112,7 +112,9 @@ def test_nothing_stays_behind(friction_fmu, folder):
     assert not list(folder.iterdir())
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), SimulationError("it is off."), ValueError()])
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), SimulationError("it is off."), ValueError()]
+)
 def test_nothing_stays_behind_after_an_error(friction_fmu, folder, error):
     def use():
         with Component(friction_fmu) as friction:

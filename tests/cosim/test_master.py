@@ -207,7 +207,9 @@ def test_every_component_is_freed(fakes):
     assert not Fake.alive
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError(), SimulationError("it is off.")])
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), ValueError(), SimulationError("it is off.")]
+)
 def test_every_component_is_freed_after_an_error(fakes, error):
     def use():
         with Master(fakes({"a": "clock", "b": "clock"}, stop=50.0)) as master:
