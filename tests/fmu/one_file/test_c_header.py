@@ -1,7 +1,6 @@
 """The C header: the bits of the FMU on two processors, and a Cortex-M7 without operating system."""
 
 import ctypes
-import os
 import shutil
 import subprocess
 import zipfile
