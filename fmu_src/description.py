@@ -227,9 +227,9 @@ def _unknowns(
     for variable in unknowns:
         names = (*variable.dependencies, *(variable.initial_dependencies if initially else ()))
         numbers = sorted(
-            table.references[name] + 1
+            table.places[name] + 1
             for name in dict.fromkeys(names)
-            if table.variables[table.references[name]].role in known
+            if table.variables[table.places[name]].role in known
         )
         ET.SubElement(
             parent,
@@ -241,4 +241,4 @@ def _unknowns(
 
 def _index(table: Interface, name: str) -> str:
     """FMI counts ScalarVariables from 1."""
-    return str(table.references[name] + 1)
+    return str(table.places[name] + 1)

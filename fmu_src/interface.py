@@ -1,12 +1,15 @@
 """The interface of an FMU: one table of variables, from which the XML and the C both come.
 
-The position of a variable in the table is its FMI value reference and its index in the C struct.
+The position of a variable in the table is its place in the C struct; what a value reference stands
+for is a table of its own, so that one of FMI 3.0 can stand for an array.
 """
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby, product
 from typing import Literal
 
 from hesr_model.errors import ExportError
@@ -75,7 +78,7 @@ class Variable:
 
 @dataclass(frozen=True, kw_only=True)
 class Interface:
-    """All variables of an FMU in the order of their value references.
+    """All scalar variables of an FMU in the order of their places.
 
     Attributes
     ----------
@@ -111,9 +114,33 @@ class Interface:
             seen.add(variable.name)
 
     @cached_property
-    def references(self) -> dict[str, int]:
-        """Value reference of each name."""
-        return {variable.name: i for i, variable in enumerate(self.variables)}
+    def places(self) -> dict[str, int]:
+        """Place of each variable, in FMI 2.0 its value reference, and first place of each array."""
+        found = {one.name: one.place for one in self.arrays}
+        return found | {variable.name: i for i, variable in enumerate(self.variables)}
+
+    @cached_property
+    def arrays(self) -> tuple["Array", ...]:
+        """The variables in their order, those together that are an array.
+
+        Elements of one array stand one after the other, from `[1]` or `[1,1]` on with the last
+        index running first, with one role and one unit; what stands otherwise is scalars.
+        """
+        found: list[Array] = []
+        counts = Counter(_split(v.name)[0] for v in self.variables)
+        for (name, *_), group in groupby(enumerate(self.variables), lambda pair: _alike(pair[1])):
+            places, elements = zip(*group, strict=True)
+            indices = [_split(v.name)[1] for v in elements]
+            shape = indices[-1]
+            whole = list(product(*(range(1, size + 1) for size in shape)))
+            if name and indices == whole and len(whole) == counts[name]:
+                found.append(Array(name=name, shape=shape, place=places[0], elements=elements))
+            else:
+                found += [
+                    Array(name=v.name, shape=(), place=place, elements=(v,))
+                    for place, v in zip(places, elements, strict=True)
+                ]
+        return tuple(found)
 
     @cached_property
     def derivatives(self) -> tuple[Variable, ...]:
@@ -121,21 +148,62 @@ class Interface:
         return tuple(v for v in self.variables if v.derivative_of)
 
     def first(self, names: Sequence[str]) -> int:
-        """Value reference of the first of `names`, which must stand one after the other."""
-        start = self.references[names[0]]
+        """Place of the first of `names`, which must stand one after the other."""
+        start = self.places[names[0]]
         if [v.name for v in self.variables[start : start + len(names)]] != list(names):
             raise ValueError(f"{names} are not consecutive variables")
         return start
+
+
+@dataclass(frozen=True, kw_only=True)
+class Array:
+    """A variable with a shape: () for a scalar.
+
+    Attributes
+    ----------
+    name : without indices, as `dq`; that of the element for a scalar.
+    shape : sizes of its dimensions.
+    place : of its first element; the others follow it, the last index running first.
+    elements : its scalars.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    place: int
+    elements: tuple[Variable, ...]
+
+
+def _split(name: str) -> tuple[str, tuple[int, ...]]:
+    """Return the name of an array and the indices of an element; no name for a scalar."""
+    array, _, indices = name.removesuffix("]").rpartition("[")
+    if not name.endswith("]"):
+        return "", ()
+    return array, tuple(map(int, indices.split(",")))
+
+
+def _alike(variable: Variable) -> tuple[object, ...]:
+    array, indices = _split(variable.name)
+    return array, len(indices), variable.role, variable.unit, variable.enumeration
 
 
 def _odd(twice: bool) -> str:
     return "used twice" if twice else "not a structured name of FMI"
 
 
-def to_c(interface: Interface, guid: str, step: float) -> str:
-    """Return interface.h: GUID, preferred step [s] and tables of variables of the C side."""
+def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) -> str:
+    """Return interface.h: GUID, preferred step [s] and tables of variables of the C side.
+
+    Parameters
+    ----------
+    interface : the variables.
+    guid : what a host must name.
+    step : preferred step [s].
+    arrays : whether a value reference stands for a whole array, as in FMI 3.0, or for a scalar.
+    """
     rows = []
-    felt = {
+    shaped = [(a.place, len(a.elements)) for a in interface.arrays]
+    references = shaped if arrays else [(place, 1) for place in range(len(interface.variables))]
+    used = {
         name
         for v in interface.variables
         if v.computed
@@ -148,12 +216,12 @@ def to_c(interface: Interface, guid: str, step: float) -> str:
             else "REAL, 0, 0"
         )
         start = literal(variable.start)
-        counts = int(variable.role != "input" or variable.name in felt)
+        counts = int(variable.role != "input" or variable.name in used)
         rows.append(
             f'    {{"{variable.name}", {start}, {variable.role.upper()}, {kind}, {counts}}},'
         )
     derivatives = interface.derivatives
-    states = [interface.references[v.derivative_of or ""] for v in derivatives]
+    states = [interface.places[v.derivative_of or ""] for v in derivatives]
     nominals = [literal(interface.variables[i].nominal) for i in states]
     watched = [i for i, v in enumerate(interface.variables)
                if v.role in ("output", "local", "state")]  # fmt: skip
@@ -169,8 +237,10 @@ def to_c(interface: Interface, guid: str, step: float) -> str:
         derivable=int(interface.directional_derivatives),
         inner_steps=int(interface.inner_steps),
         rows="\n".join(rows),
+        references=len(references),
+        reference_rows=", ".join(f"{{{place}, {size}}}" for place, size in references),
         state_list=_list(states),
-        derivative_list=_list([interface.references[v.name] for v in derivatives]),
+        derivative_list=_list([interface.places[v.name] for v in derivatives]),
         nominal_list=_list(nominals),
         watched_list=_list(watched),
     )
@@ -182,7 +252,7 @@ def _list(items: Sequence[object]) -> str:
 
 
 _INTERFACE = """\
-/* Generated: the variables of the FMU; an index is an FMI value reference. */
+/* Generated: the variables of the FMU, and where value references lead among them. */
 #ifndef INTERFACE_H
 #define INTERFACE_H
 
@@ -194,11 +264,13 @@ _INTERFACE = """\
 enum {{ VARIABLES = {variables}, STATES = {states}, INDICATORS = {indicators} }};
 enum {{ OWN = {own}, WATCHED = {watched} }};
 enum {{ MODEL_EXCHANGE = {model_exchange}, DIRECTIONAL_DERIVATIVES = {derivable} }};
-enum {{ INNER_STEPS = {inner_steps} }};
+enum {{ INNER_STEPS = {inner_steps}, REFERENCES = {references} }};
 
 static const Variable variables[VARIABLES] = {{
 {rows}
 }};
+
+static const Reference references[REFERENCES] = {{{reference_rows}}};
 
 /* Continuous states, their derivatives and nominal values; what must stay finite. An array has one
  * element where the list is empty. */

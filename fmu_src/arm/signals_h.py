@@ -27,7 +27,7 @@ def to_h(signals: Signals, table: Interface, *, state: int, digest: str) -> str:
     state : how many numbers MuJoCo's integration state has.
     digest : hash of the compiled model, by which models with equal signals differ.
     """
-    at = table.references
+    at = table.places
     rows = _rows(signals, at)
     arrays = []
     for name, (kind, _, empty) in _TABLES.items():

@@ -45,7 +45,7 @@ def places(table: Interface, guard: str, first: Mapping[str, str], **sizes: int)
     first : name in C to name of the first variable.
     sizes : further constants.
     """
-    constants = {name: table.references[variable] for name, variable in first.items()} | sizes
+    constants = {name: table.places[variable] for name, variable in first.items()} | sizes
     lines = ",\n".join(f"    {name} = {value}" for name, value in constants.items())
     return (
         "/* Generated: where the first variable of each kind stands; other joints follow it. */\n"

@@ -71,11 +71,10 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
         model_exchange=False,
         directional_derivatives=False,
     )
-    first = {"POSITION": "q[1]", "VELOCITY": "dq[1]", "ACCELERATION": "ddq[1]",
-             "POSITION_AHEAD": "q_ahead[1]", "VELOCITY_AHEAD": "dq_ahead[1]",
-             "ACCELERATION_AHEAD": "ddq_ahead[1]", "KIND": "kind", "A": "a[1,1]", "B": "b[1,1]",
-             **{name.upper(): name for name, *_ in _SCALARS},
-             **{name.upper(): f"{name}[1]" for name, *_ in _PARAMETERS}}  # fmt: skip
+    first = {"POSITION": "q", "VELOCITY": "dq", "ACCELERATION": "ddq", "POSITION_AHEAD": "q_ahead",
+             "VELOCITY_AHEAD": "dq_ahead", "ACCELERATION_AHEAD": "ddq_ahead",
+             **{name.upper(): name for name in ("kind", "a", "b")},
+             **{name.upper(): name for name, *_ in (*_SCALARS, *_PARAMETERS)}}  # fmt: skip
     kinds = {name.upper(): i for i, (name, _) in enumerate(KIND.items, start=1)}
     header = places(table, "MOTION_H", first, JOINTS=joints, HARMONICS=HARMONICS, **kinds)
     return content(

@@ -1,9 +1,11 @@
 /* The seam between FMI and the equations of a component.
  *
- * A component is a plain struct of doubles: one for each variable of the interface, whose index is
- * its FMI value reference, and what it remembers besides. It holds no pointers, so its state is a
- * copy of it. The glue (fmi2*.c) knows only what is declared here, and a component knows nothing of
- * FMI.
+ * A component is a plain struct of doubles: one for each scalar variable of the interface, whose
+ * index is its place in the generated table, and what it remembers besides. It holds no pointers,
+ * so its state is a copy of it. The glue (fmi2*.c) knows only what is declared here, and a
+ * component knows nothing of FMI.
+ *
+ * Value references are the glue's alone: a table leads from each to its first place.
  *
  * The generated interface.h defines MODEL_GUID, the PREFERRED_STEP, how many VARIABLES, STATES and
  * INDICATORS there are, how many doubles the component remembers besides (OWN), whether it makes

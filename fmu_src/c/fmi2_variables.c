@@ -17,6 +17,15 @@ static int settable(Role role) {
     }
 }
 
+/* The place of a variable; without arrays a value reference stands for one. */
+static int first_of(fmi2ValueReference vr) {
+    return references[vr].first;
+}
+
+static const Variable *variable_of(fmi2ValueReference vr) {
+    return &variables[first_of(vr)];
+}
+
 /* Whether all value references stand for variables of a type; tells the host if not. */
 static bool known(const Instance *instance, const char *function, Type type,
                   const fmi2ValueReference vr[], size_t n, const void *value) {
@@ -25,7 +34,7 @@ static bool known(const Instance *instance, const char *function, Type type,
         return false;
     }
     for (size_t i = 0; i < n; i++) {
-        if (vr[i] >= VARIABLES || variables[vr[i]].type != type) {
+        if (vr[i] >= REFERENCES || variable_of(vr[i])->type != type) {
             complain(instance, "%s: there is no variable of this type with value reference %u.",
                      function, vr[i]);
             return false;
@@ -37,9 +46,9 @@ static bool known(const Instance *instance, const char *function, Type type,
 static bool all_settable(const Instance *instance, const char *function,
                          const fmi2ValueReference vr[], size_t n) {
     for (size_t i = 0; i < n; i++) {
-        if (!(settable(variables[vr[i]].role) & instance->memory.mode)) {
+        if (!(settable(variable_of(vr[i])->role) & instance->memory.mode)) {
             complain(instance, "%s: %s cannot be set in this state of the instance.", function,
-                     variables[vr[i]].name);
+                     variable_of(vr[i])->name);
             return false;
         }
     }
@@ -58,7 +67,7 @@ static size_t first_odd(const fmi2Real value[], size_t n) {
 static fmi2Status refuse_number(const Instance *instance, const char *function,
                                 fmi2ValueReference vr, fmi2Real value) {
     return refuse(instance, "%s: %s is %g; a finite number is needed.", function,
-                  variables[vr].name, value);
+                  variable_of(vr)->name, value);
 }
 
 /* What is computed on demand alone may still not be finite. After a failure or the end, it is what
@@ -67,9 +76,9 @@ static fmi2Status demanded_are_finite(const Instance *instance, const fmi2ValueR
                                       size_t n) {
     const Component *component = &instance->memory.component;
     for (size_t i = 0; (instance->memory.mode & RUNNING) && i < n; i++) {
-        if (variables[vr[i]].role == ON_DEMAND && !isfinite(component->v[vr[i]])) {
-            return refuse(instance, "%s became %g at time %.9g.", variables[vr[i]].name,
-                          component->v[vr[i]], component->time);
+        if (variable_of(vr[i])->role == ON_DEMAND && !isfinite(component->v[first_of(vr[i])])) {
+            return refuse(instance, "%s became %g at time %.9g.", variable_of(vr[i])->name,
+                          component->v[first_of(vr[i])], component->time);
         }
     }
     return fmi2OK;
@@ -90,7 +99,7 @@ static fmi2Status read(fmi2Component c, const char *function, Type type,
     const bool discrete = instance->memory.type == fmi2CoSimulation ||
                           (instance->memory.mode & (INITIALISING | AT_EVENT));
     for (size_t i = 0; discrete && i < n; i++) {
-        demanded = demanded || variables[vr[i]].role == ON_DEMAND;
+        demanded = demanded || variable_of(vr[i])->role == ON_DEMAND;
     }
     if (demanded && status == fmi2OK) {
         component_demand(&instance->memory.component);
@@ -102,7 +111,7 @@ FMI2_STATUS(fmi2GetReal)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]) {
     const fmi2Status status = read(c, "fmi2GetReal", REAL, vr, n, value);
     for (size_t i = 0; status == fmi2OK && i < n; i++) {
-        value[i] = ((const Instance *)c)->memory.component.v[vr[i]];
+        value[i] = ((const Instance *)c)->memory.component.v[first_of(vr[i])];
     }
     return status;
 }
@@ -111,7 +120,7 @@ FMI2_STATUS(fmi2GetInteger)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Integer value[]) {
     const fmi2Status status = read(c, "fmi2GetInteger", INTEGER, vr, n, value);
     for (size_t i = 0; status == fmi2OK && i < n; i++) {
-        value[i] = (fmi2Integer)((const Instance *)c)->memory.component.v[vr[i]];
+        value[i] = (fmi2Integer)((const Instance *)c)->memory.component.v[first_of(vr[i])];
     }
     return status;
 }
@@ -132,8 +141,8 @@ FMI2_STATUS(fmi2SetReal)
         return refuse_number(instance, function, vr[odd], value[odd]);
     }
     for (size_t i = 0; i < n; i++) {
-        instance->memory.component.v[vr[i]] = value[i];
-        instance->memory.stale |= variables[vr[i]].felt;
+        instance->memory.component.v[first_of(vr[i])] = value[i];
+        instance->memory.stale |= variable_of(vr[i])->used;
     }
     return fmi2OK;
 }
@@ -150,7 +159,7 @@ FMI2_STATUS(fmi2SetInteger)
         return failed(instance);
     }
     for (size_t i = 0; i < n; i++) {
-        const Variable *variable = &variables[vr[i]];
+        const Variable *variable = variable_of(vr[i]);
         if (value[i] < variable->low || value[i] > variable->high) {
             complain(instance, "%s: %s is %d; needed is %d to %d.", function, variable->name,
                      value[i], variable->low, variable->high);
@@ -158,8 +167,8 @@ FMI2_STATUS(fmi2SetInteger)
         }
     }
     for (size_t i = 0; i < n; i++) {
-        instance->memory.component.v[vr[i]] = value[i];
-        instance->memory.stale |= variables[vr[i]].felt;
+        instance->memory.component.v[first_of(vr[i])] = value[i];
+        instance->memory.stale |= variable_of(vr[i])->used;
     }
     return fmi2OK;
 }
@@ -213,9 +222,9 @@ FMI2_STATUS(fmi2SetRealInputDerivatives)
         return failed(instance);
     }
     for (size_t i = 0; i < n; i++) {
-        if (variables[vr[i]].role != INPUT || order[i] != 1) {
+        if (variable_of(vr[i])->role != INPUT || order[i] != 1) {
             complain(instance, "%s: only first derivatives of inputs can be set, not of %s.",
-                     function, variables[vr[i]].name);
+                     function, variable_of(vr[i])->name);
             return failed(instance);
         }
     }
@@ -224,7 +233,7 @@ FMI2_STATUS(fmi2SetRealInputDerivatives)
         return refuse_number(instance, function, vr[odd], value[odd]);
     }
     for (size_t i = 0; i < n; i++) {
-        instance->memory.component.slope[vr[i]] = value[i];
+        instance->memory.component.slope[first_of(vr[i])] = value[i];
     }
     instance->memory.sloped = true;
     return fmi2OK;
@@ -242,18 +251,18 @@ static bool differentiable(const Instance *instance, const char *function,
                            const fmi2ValueReference unknowns[], size_t n_unknown,
                            const fmi2ValueReference knowns[], size_t n_known) {
     for (size_t i = 0; i < n_unknown; i++) {
-        const Role role = variables[unknowns[i]].role;
+        const Role role = variable_of(unknowns[i])->role;
         if (role != OUTPUT && role != LOCAL) {
             complain(instance, "%s: %s is no continuous output and no state derivative.", function,
-                     variables[unknowns[i]].name);
+                     variable_of(unknowns[i])->name);
             return false;
         }
     }
     for (size_t i = 0; i < n_known; i++) {
-        const Role role = variables[knowns[i]].role;
+        const Role role = variable_of(knowns[i])->role;
         if (role != INPUT && role != STATE && role != TUNABLE) {
             complain(instance, "%s: nothing can be derived with respect to %s.", function,
-                     variables[knowns[i]].name);
+                     variable_of(knowns[i])->name);
             return false;
         }
     }
@@ -288,18 +297,18 @@ FMI2_STATUS(fmi2GetDirectionalDerivative)
         return status;
     }
     for (size_t i = 0; i < n_known; i++) {
-        seed[knowns[i]] += d_known[i];
+        seed[first_of(knowns[i])] += d_known[i];
     }
     component_tangent(&instance->memory.component, seed, tangent);
     for (size_t i = 0; i < n_unknown; i++) {
-        if (!isfinite(tangent[unknowns[i]])) {
+        if (!isfinite(tangent[first_of(unknowns[i])])) {
             return refuse(instance, "%s: the derivative of %s is %g at time %.9g.", function,
-                          variables[unknowns[i]].name, tangent[unknowns[i]],
+                          variable_of(unknowns[i])->name, tangent[first_of(unknowns[i])],
                           instance->memory.component.time);
         }
     }
     for (size_t i = 0; i < n_unknown; i++) {
-        d_unknown[i] = tangent[unknowns[i]];
+        d_unknown[i] = tangent[first_of(unknowns[i])];
     }
     return fmi2OK;
 }

@@ -1,4 +1,5 @@
-/* What the glue and the component know of a variable. The generated interface.h fills a table. */
+/* What the glue and the component know of a scalar variable, and how the glue finds those that a
+ * host asks for. The generated interface.h fills a table of each. */
 #ifndef VARIABLE_H
 #define VARIABLE_H
 
@@ -23,7 +24,12 @@ typedef struct {
     Role role;
     Type type;
     int low, high; /* bounds of an INTEGER */
-    int felt;      /* whether what is computed depends on it directly, be it at the start only */
+    int used;      /* whether what is computed depends on it directly, be it at the start only */
 } Variable;
+
+/* What a value reference stands for: variables from a place on, one or those of an array. */
+typedef struct {
+    int first, size;
+} Reference;
 
 #endif

@@ -32,7 +32,7 @@ def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
         about=about,
         model=model,
         titles=list(dict.fromkeys(title(law) for law in model.laws)),
-        substep=table.variables[table.references["substep"]].start,
+        substep=table.variables[table.places["substep"]].start,
         discretisation=model.laws[0].discretisation,
         loaded=[
             name

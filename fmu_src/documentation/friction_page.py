@@ -52,7 +52,7 @@ def to_html(
     """
     units = {name: unit_of_joints(unit, model.sliding) for name, unit in _UNITS.items()}
     used = {symbol for law in model.laws for symbol in law.form.inputs}
-    start = table.variables[table.references["discretisation"]].start
+    start = table.variables[table.places["discretisation"]].start
     return rendered(
         "index.html.j2",
         about=about,

@@ -158,12 +158,12 @@ def equations_header(
     constants = _sizes(joints) | {
         "DISCRETISATION": -1,
         "SAMPLED": int(bool(sample_time)),
-        "SAMPLE_TIME_PLACE": table.references[sample_time] if sample_time else 0,
+        "SAMPLE_TIME_PLACE": table.places[sample_time] if sample_time else 0,
         "EXACT": 1,
         "EULER": 2,
         "HOLDS": int(any(j.component.holds for j in joints)),
         "COUPLED": int(coupling is not None),
-        **{name: table.references[variable] for name, variable in needs.places.items()},
+        **{name: table.places[variable] for name, variable in needs.places.items()},
     }
     return _HEADER.format(
         constants=",\n".join(f"    {name} = {value}" for name, value in constants.items()),
@@ -225,7 +225,7 @@ def _row(
         str(table.first(joint.parameters) if joint.parameters else 0),
         f"constants_{i}" if joint.constants else "NULL",
         str(len(component.remembered)),
-        str(table.references[joint.slope] if joint.slope else -1),
+        str(table.places[joint.slope] if joint.slope else -1),
         str(len(own.jumps.expressions)),
         str(before),
         f"{own.name}_names",
@@ -242,8 +242,8 @@ def _wanted(function: str, own: Functions) -> bool:
 
 def _arrays(joint: Joint, i: int, own: Functions, table: Interface) -> list[str]:
     component = joint.component
-    reads = [table.references[joint.names[q.name]] for q in own.gathers]
-    writes = [table.references[joint.names[e.name]] for e in component.outputs]
+    reads = [table.places[joint.names[q.name]] for q in own.gathers]
+    writes = [table.places[joint.names[e.name]] for e in component.outputs]
     lines = [_array("int", f"inputs_{i}", reads), _array("int", f"outputs_{i}", writes)]
     if joint.constants:
         lines.append(_array("double", f"constants_{i}", map(literal, joint.constants)))

@@ -153,6 +153,26 @@ def test_table_of_variables():
     assert '#define MODEL_GUID "{guid}"' in text
 
 
+def test_value_references_lead_to_places_of_scalars_or_of_arrays():
+    def many(name, unit="rad"):
+        return Variable(name=name, role="input", description="", unit=unit)
+
+    rows = [many(f"a[{i},{k}]") for i in (1, 2) for k in (1, 2, 3)]
+    mixed = [many("q[1]"), many("q[2]", "m")]  # FMI 3.0 has one unit for an array
+    odd = [many("u[2]"), many("u[3]")]
+    table = Interface(variables=(many("x"), *rows, *mixed, *odd, many("w.v[1]")))
+    found = [(a.name, a.shape, a.place) for a in table.arrays]
+    assert found == [
+        ("x", (), 0), ("a", (2, 3), 1), ("q[1]", (), 7), ("q[2]", (), 8), ("u[2]", (), 9),
+        ("u[3]", (), 10), ("w.v", (1,), 11),
+    ]  # fmt: skip
+    assert (table.places["a"], table.places["a[2,1]"]) == (1, 4)
+    assert "references[REFERENCES] = {{0, 1}, {1, 1}, " in to_c(table, "", 0.1)
+    text = to_c(table, "", 0.1, arrays=True)
+    assert "REFERENCES = 7 }" in text
+    assert "references[REFERENCES] = {{0, 1}, {1, 6}, {7, 1}, {8, 1}," in text
+
+
 @pytest.mark.parametrize("name", ["a b", "1a", "a[x]", 'a"', "der(a", "a..b", ""])
 def test_names_that_fmi_does_not_allow_are_refused(name):
     with pytest.raises(ExportError, match="not a structured name"):

@@ -79,7 +79,7 @@ def live_data(model: FrictionModel, table: Interface, module: bytes) -> dict[str
             {
                 "name": model.joints[joint - 1],
                 "references": {
-                    name: table.references[f"{name}[{joint}]"]
+                    name: table.places[f"{name}[{joint}]"]
                     for name in (*(u.name for u in INPUTS), "tau")
                 },
                 "units": {
@@ -132,7 +132,7 @@ def _coefficients(law: FrictionLaw, joint: int, table: Interface) -> Iterator[Kn
         law.form.coefficients if exposed(law) else (None,),
         strict=True,
     ):
-        reference = table.references[name]
+        reference = table.places[name]
         variable = table.variables[reference]
         factor = coefficient is None or _is_factor(law.form, coefficient.symbol)
         low, high, scale = ends(variable.start, factor=factor)
