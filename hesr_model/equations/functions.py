@@ -5,6 +5,7 @@ a step with a value in between; equations of machines need the derivative almost
 real argument, so these functions are defined here, each with its NumPy counterpart.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -210,6 +211,27 @@ NUMPY: Mapping[str, Callable[..., Any]] = {
     "cardinal_slope": _cardinal_slope,
 }
 """By name what the functions above are on arrays."""
+
+
+def _share_of_one(z: float, e: float, euler: float) -> float:
+    if euler:
+        return 1.0
+    if abs(z) < _SERIES_BELOW:
+        return 1.0 - z / 2.0 * (1.0 - z / 3.0 * (1.0 - z / 4.0 * (1.0 - z / 5.0)))
+    return -e / z
+
+
+SCALAR: Mapping[str, Callable[..., float]] = {
+    "sgn": lambda x: float((x > 0.0) - (x < 0.0)),
+    "absolute": abs,
+    "positive": lambda x: x if x > 0.0 else 0.0,
+    "larger": lambda a, b: a if a > b or a != a else b,
+    "clip": lambda x, b: -b if x < -b else b if x > b else x,
+    "exceeds": lambda a, b: 1.0 if a > b else 0.0,
+    "decay": lambda z, euler: -z if euler else math.expm1(-z),
+    "share": _share_of_one,
+}
+"""The same on one number, a hundred times as quick there."""
 
 
 def lowered(arguments: Sequence[sympy.Symbol], expressions: Sequence[sympy.Expr]) -> Any:

@@ -1,7 +1,7 @@
 """The states of a component over whole logs at once, in NumPy.
 
 Relaxations compose to relaxations and clips to clips, so a log runs without a Python loop; only a
-relaxation whose rate sees its own state goes row by row.
+relaxation whose rate sees its own state goes row by row, by a scalar function without NumPy.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -12,8 +12,8 @@ import sympy
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
-from hesr_model.equations.functions import NUMPY, lowered
-from hesr_model.equations.memory import Element, Stop
+from hesr_model.equations.functions import NUMPY, SCALAR, lowered, positive
+from hesr_model.equations.memory import DT, EULER, Element, Stop
 from hesr_model.errors import SimulationError
 
 Array = NDArray[np.float64]
@@ -60,6 +60,11 @@ class StatesOverLog:
             for i, m in enumerate(memory)
             if (m.derivative in read if isinstance(m, Stop) else i not in self._alone)
         }
+        self._steps = {
+            i: _scalar_step((*arguments, *(e.state for e in memory[:i])), m)
+            for i, m in enumerate(memory)
+            if m.state in sympy.Tuple(*m.parts).free_symbols
+        }
         self._derivatives = {
             i: lowered((*arguments, *(e.state for e in memory[: i + 1])), [m.continuous()])
             for i, m in own.items()
@@ -97,7 +102,7 @@ class StatesOverLog:
         states: list[Array] = []
         for i, end in self._groups:
             element, x0 = self._memory[i], start[i]
-            if i in self._later and element.state in sympy.Tuple(*element.parts).free_symbols:
+            if i in self._steps:
                 states.append(self._row_by_row(i, values, states, dt, begins, x0, discretisation))
                 continue
             parts = (
@@ -134,8 +139,25 @@ class StatesOverLog:
         self, i: int, values: Sequence[Any], states: Sequence[Array], dt: Array,
         begins: NDArray[np.bool_], x0: float, discretisation: Discretisation,
     ) -> Array:  # fmt: skip
+        columns = [np.broadcast_to(v, dt.shape).tolist() for v in (*values, *states, dt)]
+        function, euler = self._steps[i], float(discretisation == "euler")
+        x, z, found = x0, 0.0, []
+        try:
+            for begin, *row in zip(begins.tolist(), *columns, strict=True):
+                x, z = (x0, 0.0) if begin else function(*row, euler, x)
+                if euler and z >= 1.0:
+                    raise _unstable(z)
+                found.append(x)
+            return np.array(found, dtype=float)
+        except (ArithmeticError, ValueError, TypeError):  # where NumPy goes on with inf or nan
+            return self._in_arrays(i, values, states, dt, begins, x0, discretisation)
+
+    def _in_arrays(
+        self, i: int, values: Sequence[Any], states: Sequence[Array], dt: Array,
+        begins: NDArray[np.bool_], x0: float, discretisation: Discretisation,
+    ) -> Array:  # fmt: skip
         columns = [np.broadcast_to(v, dt.shape) for v in (*values, *states)]
-        rows = np.stack(columns, axis=1) if columns else np.empty((len(dt), 0))
+        rows = np.stack(columns, axis=1)
         function = self._later[i]
         x, found = x0, np.empty_like(dt)
         for k, row in enumerate(rows):
@@ -153,21 +175,38 @@ class StatesOverLog:
 def _groups(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
     """Yield first and last but one of what moves together: one relaxation, or stops in a row.
 
-    None of the stops reads the state of another.
+    None of the stops reads its own state or that of another one.
     """
     i = 0
     while i < len(memory):
         end, states = i + 1, {memory[i].state}
-        while (
-            isinstance(memory[i], Stop)
-            and end < len(memory)
-            and isinstance(memory[end], Stop)
-            and not states & sympy.Tuple(*memory[end].parts).free_symbols
-        ):
+        while end < len(memory) and all(isinstance(memory[k], Stop) for k in (i, end)):
             states.add(memory[end].state)
+            read = sympy.Tuple(*(part for m in memory[i : end + 1] for part in m.parts))
+            if states & read.free_symbols:
+                break
             end += 1
         yield i, end
         i = end
+
+
+def _scalar_step(arguments: Sequence[sympy.Symbol], element: Element) -> Any:
+    """Return a function of arguments, dt, euler and state: the state after, and rate times dt."""
+    first, second = element.parts
+    guarded = positive(second)
+    return sympy.lambdify(
+        [*arguments, DT, EULER, element.state],
+        (element.sampled(first, guarded), guarded * DT),
+        modules=[dict(SCALAR), "math"],
+        cse=True,
+    )
+
+
+def _unstable(z: float) -> SimulationError:
+    return SimulationError(
+        f"Euler needs 0 <= rate * step < 1, found {z:.3g}; take a smaller step or the 'exact' "
+        "discretisation."
+    )
 
 
 def run(
@@ -199,10 +238,7 @@ def step_coefficients(
         # exp rather than 1 + expm1, which the share has its own of: fitted laws depend on the bits.
         return np.exp(-z), b * dt * NUMPY["share"](z, np.expm1(-z), False)
     if np.any(z >= 1.0):
-        raise SimulationError(
-            f"Euler needs 0 <= rate * step < 1, found {float(z.max()):.3g}; take a smaller step or "
-            "the 'exact' discretisation."
-        )
+        raise _unstable(float(z.max()))
     return 1.0 - z, b * dt
 
 

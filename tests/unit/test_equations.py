@@ -12,7 +12,7 @@ from fmu_src.blocks.velocity import velocity_equations
 from hesr_model.equations.component import Component, Equation, Quantity, previous
 from hesr_model.equations.functions import NUMPY, absolute, clip, exceeds, larger, lowered, positive
 from hesr_model.equations.memory import Relaxation, Stop
-from hesr_model.equations.over_log import clipped
+from hesr_model.equations.over_log import Discretisation, StatesOverLog, clipped
 from hesr_model.equations.program import Tangent, change_of, readings
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.evaluate import Stepper, predict
@@ -121,6 +121,40 @@ def test_a_rate_may_see_its_own_state() -> None:
         (0.0, t[-1]), [0.0], t_eval=t, rtol=1e-9, atol=1e-10,
     )  # fmt: skip
     assert np.abs(found - truth.y[0]).max() < 2e-3
+
+
+@pytest.mark.parametrize("discretisation", ["exact", "euler"])
+def test_the_scalar_loop_is_the_recursion_and_starts_anew(discretisation: Discretisation) -> None:
+    """Bouc and Wen's, by hand; two records, after a state that it also sees."""
+    p, z = sympy.symbols("p z", real=True)
+    age = Relaxation(name="p", unit="1", drive=1.0, rate=2.0)
+    rate = 60 * absolute(DQ) * absolute(z) + 40 * DQ * z - p
+    memory = (age, Relaxation(name="z", unit="1", drive=100 * DQ, rate=rate))
+    dq = 0.3 * np.sin(0.05 * np.arange(300))
+    dt, begins = np.full(300, 1e-3), np.isin(np.arange(300), (0, 170))
+    found = StatesOverLog(memory, [DQ])([dq], dt, begins, (0.5, 0.1), discretisation)
+    before = np.nan
+    for v, first, age_there, x in zip(dq, begins, found[0], found[2], strict=True):
+        r = 0.0
+        if not first:
+            r = max(60 * abs(v) * abs(before) + 40 * v * before - age_there, 0.0)
+        fall = 1e-3 * r if discretisation == "euler" else -np.expm1(-1e-3 * r)
+        filled = 1e-3 if discretisation == "euler" or r == 0.0 else fall / r
+        expected = 0.1 if first else (1.0 - fall) * before + 100 * v * filled
+        assert x == pytest.approx(expected, rel=1e-12, abs=1e-14)
+        before = x
+
+
+def test_a_rate_without_a_value_is_handed_on_as_in_arrays() -> None:
+    """A division by nothing makes a guarded rate of no number, and a root of -1 too."""
+    z = sympy.Symbol("z", real=True)
+    for rate in (z / DQ, sympy.sqrt(DQ - 2) + z):
+        memory = (Relaxation(name="z", unit="1", drive=DQ, rate=rate),)
+        dq, begins = np.array([0.0, 1.0, 0.0, 1.0]), np.arange(4) == 0
+        with np.errstate(all="ignore"):
+            x = StatesOverLog(memory, [DQ])([dq], np.full(4, 0.1), begins, (0.5,), "exact")[0]
+        assert x[0] == 0.5
+        assert np.isfinite(x).all()
 
 
 @pytest.mark.parametrize("bound", [1.0, 0.0])
