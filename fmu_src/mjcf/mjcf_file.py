@@ -122,7 +122,7 @@ def _of_joint(
         return parts_of(law), JointProjection(joint=joint)
     except NoCounterpartError as error:
         slides = model.slides[index]
-        missing = str(error)
+        missing = error.at_joint(slides=slides)
         trained = model.trained[index] if model.trained else None
         try:
             if project:

@@ -25,12 +25,21 @@ from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import DQ, INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.units import unit_of_joint
 
 Values = Mapping[sympy.Symbol, float]
 
 
 class NoCounterpartError(ExportError):
-    """A law has something for which MuJoCo has no part; the text says what."""
+    """A law has something for which MuJoCo has no part; the text says what, with `{unit}` in it."""
+
+    def __init__(self, text: str, unit: str = "1") -> None:
+        super().__init__(text.replace("{unit}", unit))
+        self._text, self._unit = text, unit
+
+    def at_joint(self, *, slides: bool) -> str:
+        """Return the text in the unit of the joint."""
+        return self._text.replace("{unit}", unit_of_joint(self._unit, slides=slides))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,8 +238,9 @@ def _bristle(
         return None
     if found <= 0.0:
         raise NoCounterpartError(
-            f"the torque of its state '{relaxation.name}' has the factor {found:g}, and "
-            "the stiffness of a bristle is positive"
+            f"the torque of its state '{relaxation.name}' has the factor {found:g} {{unit}}, and "
+            "the stiffness of a bristle is positive",
+            "N.m/rad",
         )
     if motion.rate == 0:
         raise NoCounterpartError(f"{own} never relaxes, a bristle in proportion to the speed")
@@ -245,8 +255,9 @@ def _bristle(
     )
     if not (coulomb > 0.0 and static > 0.0):
         raise NoCounterpartError(
-            f"its state '{relaxation.name}' slides at {coulomb:g} to {static:g}, a bristle at "
-            "more than 0"
+            f"its state '{relaxation.name}' slides at {coulomb:g} to {static:g} {{unit}}, a "
+            "bristle at more than 0",
+            "N.m",
         )
     # Without a peak both levels are the same, whatever the velocity beside them.
     stribeck = 1.0 if motion.stribeck is None else motion.stribeck
