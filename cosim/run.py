@@ -12,6 +12,7 @@ from cosim.health import told, write_findings
 from cosim.pipeline import Job, records_of
 from cosim.scoring import Comparison
 from cosim.study import Study
+from cosim.verdict import Verdict, verdict, write_verdict
 from fmu_src import export_fmu
 from fmu_src.toolchain import targets
 from hesr_model.artifacts import provenance, write_json, write_model, write_rigid_body
@@ -45,6 +46,7 @@ class Outcome:
     fmus : path of each law's FMU.
     left_out : why a law of the study was not fitted, by law.
     properties : what the property battery found, by law; empty for a quick run.
+    verdict : which FMU to take and why, in words.
     loop : what the closed loop gave, None where the study has none.
     """
 
@@ -54,6 +56,7 @@ class Outcome:
     fmus: Mapping[str, Path]
     left_out: Mapping[str, str]
     properties: "Mapping[str, Properties]"
+    verdict: Verdict
     loop: "LoopOutcome | None" = None
 
 
@@ -123,6 +126,16 @@ def run_study(
         for law, of_law in counted(found.items(), partial(job.progress, "documenting FMUs")):
             path_of_fmu = folder / "fmus" / f"{law}.fmu"
             export_fmu(models[law], path_of_fmu, platforms=platforms, properties=of_law)
+        first = next(iter(study.logs.test.values()))
+        words = verdict(
+            comparisons,
+            models,
+            records_of(study.logs.training, records),
+            records_of(first, records),
+            found,
+            gear_ratio=job.robot.gear_ratio is not None,
+        )
+        write_verdict(folder, words)
         write_json(
             folder / "evaluation.json", {name: to_json(c) for name, c in comparisons.items()}
         )
@@ -151,6 +164,7 @@ def run_study(
         fmus={law: output / "fmus" / f"{law}.fmu" for law in models},
         left_out=left_out,
         properties=found,
+        verdict=words,
         loop=loop,
     )
 

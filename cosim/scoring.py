@@ -65,12 +65,15 @@ class Comparison:
     tau_std : standard deviation of the measured friction of each joint [N.m].
     laws : scores of each law.
     ratios : of each other law to the reference.
+    leading : for each joint the law of the least error, and those whose ratio to it may be 1 by
+        its interval; empty in results of earlier versions.
     """
 
     joints: tuple[str, ...]
     tau_std: tuple[float, ...]
     laws: Mapping[str, LawScores]
     ratios: Ratios
+    leading: tuple[tuple[str, ...], ...] = ()
 
 
 def by_joint(logs: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
@@ -107,7 +110,22 @@ def compare(records: Records, predictions: Mapping[str, Sequence[Sequence[Array]
                 if law != reference
             },
         ),
+        leading=tuple(
+            _leading({law: row[j] for law, row in errors.items() if law != ORACLE}, of_joint)
+            for j, of_joint in enumerate(records)
+        ),
     )
+
+
+def _leading(
+    errors: Mapping[str, list[Array]], records: Sequence[FrictionRecord]
+) -> tuple[str, ...]:
+    """Return the laws of a joint that none is better than beyond chance, the best one first."""
+    if not errors:
+        return ()
+    best = min(errors, key=lambda law: rmse(np.concatenate(errors[law])))
+    others = (law for law in errors if law != best)
+    return (best, *(k for k in others if _ratio(errors[k], errors[best], records).low <= 1.0))
 
 
 def _ratio(errors: list[Array], below: list[Array], records: Sequence[FrictionRecord]) -> Ratio:

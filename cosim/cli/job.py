@@ -66,6 +66,7 @@ def run(
                     "folder": str(folder),
                     "fmus": {law: str(path) for law, path in outcome.fmus.items()},
                     "left_out": outcome.left_out,
+                    "verdict": to_json(outcome.verdict),
                     "evaluation": {name: to_json(c) for name, c in outcome.comparisons.items()},
                     "closed_loop": to_json(outcome.loop) if outcome.loop else None,
                 },
@@ -85,6 +86,8 @@ def run(
     console.print("The figures are those of the FMUs, run through FMPy over the test logs:")
     for fmu in outcome.fmus.values():
         console.print(f"  {fmu}", soft_wrap=True, highlight=False)
+    for sentence in outcome.verdict.sentences:
+        console.print(sentence, soft_wrap=True, highlight=False, markup=False)
     report = folder / "report.html"
     console.print(f"Everything is in {folder}; look at {report}.", soft_wrap=True, highlight=False)
 

@@ -21,7 +21,9 @@ def errors(
     inputs: Mapping[str, str] | None = None,
     sliding: Sequence[bool] = (),
 ) -> ResultTable:
-    """Return laws by joints of one measure on one test set; the best law of a joint stands out.
+    """Return laws by joints of one measure on one test set, the least error first.
+
+    The best law of a joint stands out where no other may be as good, by the intervals.
 
     Parameters
     ----------
@@ -34,16 +36,16 @@ def errors(
     values = {law: getattr(of_law, measure) for law, of_law in scores.laws.items()}
     columns = list(zip(*values.values(), strict=True))
     places = [decimals(column) for column in columns]
-    own = [values[law] for law in values if law != ORACLE] or list(values.values())
-    best = [min((v for v in of_joint if v is not None), default=None)
-            for of_joint in zip(*own, strict=True)]  # fmt: skip
     whole = measure == "rmse"
     ratios = scores.ratios.laws if whole else {}
+    alone = [of_joint[0] if len(of_joint) == 1 else "" for of_joint in scores.leading]
+    best = alone if whole and len(values) > 1 and alone else [""] * len(scores.joints)
     rows = []
     if whole:
         cells = [fixed(s, n) for s, n in zip(scores.tau_std, places, strict=True)]
         rows.append(TableRow(head="(std of friction)", quiet=True, cells=cells))
-    for label, laws in _by_inputs(list(values), inputs).items():
+    ranked = sorted(values, key=lambda law: _relative(scores, law))
+    for label, laws in _by_inputs(ranked, inputs).items():
         if label is not None:
             rows.append(TableRow(head=f"inputs {label}" if label else "for comparison"))
         rows += [
@@ -53,7 +55,7 @@ def errors(
                     fixed(
                         value,
                         places[k],
-                        best=value is not None and value == best[k] and law != ORACLE,
+                        best=law == best[k],
                         notes=_notes(ratios[law][k]) if law in ratios else (),
                     )
                     for k, value in enumerate(values[law])
@@ -69,6 +71,12 @@ def errors(
         head=("law", *joints(len(scores.joints))),
         rows=rows,
     )
+
+
+def _relative(scores: Comparison, law: str) -> tuple[bool, float]:
+    """Return what laws are sorted by: their errors over friction's size; the truth comes last."""
+    pairs = zip(scores.laws[law].rmse, scores.tau_std, strict=True)
+    return law == ORACLE, sum(error / max(size, 1e-300) for error, size in pairs)
 
 
 def _notes(ratio: Ratio) -> tuple[str, str]:

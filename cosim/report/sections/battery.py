@@ -7,8 +7,6 @@ from cosim.report.results import Results
 from cosim.tables.properties import properties
 from cosim.tables.table import PAPERS, title
 from fmu_src.documentation.properties_sheet import section as sheet
-from hesr_model.friction.audit.expectations import EXPECTATIONS
-from hesr_model.friction.audit.properties import Properties
 
 
 def section(results: Results, pictures: Pictures) -> Section | None:
@@ -37,14 +35,6 @@ def section(results: Results, pictures: Pictures) -> Section | None:
             paragraph("Those of other laws stand in the documentation of their FMUs.", note=True),
         ),
     )  # fmt: skip
-
-
-def passed(found: Properties) -> int:
-    """Return how many properties a law has on all of its joints."""
-    return sum(
-        all(joint.findings[key].verdict in ("pass", "not applicable") for joint in found.joints)
-        for key in EXPECTATIONS
-    )
 
 
 def _sheet(results: Results, law: str) -> Markup:

@@ -13,10 +13,10 @@ from cosim.health import read_findings
 from cosim.report.markup import Pictures, joined, paragraph, render
 from cosim.report.results import Results
 from cosim.report.sections.audit import audited, passive
-from cosim.report.sections.battery import passed
 from cosim.report.sections.tracking import of_scheme, outer
 from cosim.scoring import ORACLE
 from cosim.tables.table import PAPERS, decimals, title
+from cosim.verdict import VERDICT, read_verdict
 from hesr_model.friction.audit.expectations import EXPECTATIONS
 
 _FEW = 3  # joints whose figures stand side by side
@@ -38,6 +38,7 @@ def summary(results: Results, pictures: Pictures) -> Markup:
     ]
     return joined(
         _warnings(results),
+        _words(results),
         paragraph(_done(results)),
         *(
             paragraph(f"The law {law} was left out: {why}")
@@ -62,6 +63,22 @@ def _warnings(results: Results) -> Markup:
             for finding in findings
         )
     )
+
+
+def _words(results: Results) -> Markup:
+    """Say which FMU to take, and link the files that stand beside the page."""
+    found = read_verdict(results.folder)
+    files = [
+        *(f"fmus/{law}.fmu" for law in results.models),
+        *("evaluation.json", "rigid_body.json", VERDICT, "health.json"),
+    ]
+    there = [file for file in files if (results.folder / file).is_file()]
+    links = Markup(", ").join(Markup('<a href="{0}">{0}</a>').format(file) for file in there)
+    listed = Markup("<p>Files beside this page: {}.</p>").format(links) if there else Markup()
+    if found is None:
+        return listed
+    said = Markup("").join(Markup("<p>{}</p>").format(s) for s in found.sentences)
+    return Markup('<div class="verdict">{}{}</div>').format(said, listed)
 
 
 def _done(results: Results) -> str:
@@ -187,7 +204,7 @@ def _honest(results: Results) -> list[str]:
             f"any law; {title(results.best)} is {above:.0f}\u00a0% above that on average."
         )
     if PAPERS in results.properties:
-        counts = {law: passed(found) for law, found in results.properties.items()}
+        counts = {law: found.passed for law, found in results.properties.items()}
         most = max(counts, key=lambda law: counts[law])
         said.append(
             f"Of the {len(EXPECTATIONS)} properties of friction the paper’s law has "

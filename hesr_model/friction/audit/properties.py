@@ -131,6 +131,14 @@ class Properties:
     tau_load: float
     joints: tuple[JointProperties, ...]
 
+    @property
+    def passed(self) -> int:
+        """How many properties the law has on all of its joints."""
+        return sum(
+            all(joint.findings[key].verdict in ("pass", "not applicable") for joint in self.joints)
+            for key in EXPECTATIONS
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class _File:
