@@ -18,6 +18,7 @@ from hesr_model.artifacts import write_json
 from hesr_model.equations.over_log import Array
 from hesr_model.errors import ConfigError, FitError, HesrError, LogError
 from hesr_model.friction.fitting.fit import fit_models
+from hesr_model.friction.fitting.per_log import with_own
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator, registry
 from hesr_model.logs.robot_log import RobotLog
@@ -285,6 +286,7 @@ class Job:
             progress=partial(self.progress, what),
             left_out=left_out,
             kept=self.kept and self.kept / "laws",
+            per_log=study.per_log,
         )
 
     def fit_all(
@@ -315,6 +317,8 @@ class Job:
     ) -> tuple[dict[str, Comparison], Predictions]:
         """Score the FMUs on every test set and on its bands; of a twin the truth as well.
 
+        Where logs may differ by day, the same stands there with what is each log's own fitted.
+
         Returns the scores, and the torques on the test sets.
         """
         comparisons, predictions = {}, {}
@@ -325,6 +329,14 @@ class Job:
             if self.study.twin:
                 predicted[ORACLE] = self._true_friction([files[log] for log in logs])
             comparisons[name], predictions[name] = compare(tested, predicted), predicted
+            if per_log := self.study.per_log:
+                comparisons[name] = replace(comparisons[name], per_log=())
+                fitted = {
+                    law: [with_own(p, r, per_log) for p, r in zip(whole, tested, strict=True)]
+                    for law, whole in predicted.items()
+                }
+                fitted_name = f"{name}, {' and '.join(per_log)} of each log fitted"
+                comparisons[fitted_name] = replace(compare(tested, fitted), per_log=per_log)
             for band in self.study.bands:
                 if band.test == name:
                     parts = {

@@ -67,6 +67,8 @@ class Comparison:
     ratios : of each other law to the reference.
     leading : for each joint the law of the least error, and those whose ratio to it may be 1 by
         its interval; empty in results of earlier versions.
+    per_log : what of each test log was fitted before it was compared; empty where nothing was,
+        None in a study that fits nothing of the kind.
     """
 
     joints: tuple[str, ...]
@@ -74,6 +76,7 @@ class Comparison:
     laws: Mapping[str, LawScores]
     ratios: Ratios
     leading: tuple[tuple[str, ...], ...] = ()
+    per_log: tuple[str, ...] | None = None
 
 
 def by_joint(logs: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:

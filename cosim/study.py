@@ -7,6 +7,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, model_validator
 
 from cosim.closed_loop import Tracking
+from hesr_model.friction.fitting.per_log import Nuisance
 from hesr_model.support.config import Config, RelativePath
 
 # Names that become names of files.
@@ -131,6 +132,8 @@ class Study(Config):
     laws : names in the registry; all laws if left out.
     options : hyper-parameters of estimators, by law.
     variants : further rows, by their name.
+    per_log : what may differ by log where laws are trained, as on logs of several days: the offset
+        of the torque, the level of friction.
     physical : whether the rigid body must be one that can exist.
     refinement : whether the rigid body is identified again once friction is known.
     bands : parts of test sets that are scored by themselves.
@@ -145,6 +148,7 @@ class Study(Config):
     laws: tuple[str, ...] = ()
     options: Mapping[str, Mapping[str, Any]] = {}
     variants: Mapping[Annotated[str, Field(pattern=_NAME)], Variant] = {}
+    per_log: tuple[Nuisance, ...] = ()
     physical: bool = False
     refinement: RefinementStudy | None = None
     bands: tuple[Band, ...] = ()

@@ -67,10 +67,20 @@ def errors(
     words = MEASURES[measure].format(speed=speed)
     small = f"; small: ratio to {title(scores.ratios.reference)} with its 95\u00a0% interval"
     return ResultTable(
-        caption=f"{name}: RMSE of the predicted torque [{unit}] {words}{small if ratios else ''}",
+        caption=f"{name}: RMSE of the predicted torque [{unit}] {words}{small if ratios else ''}"
+        f"{_sight(scores.per_log)}",
         head=("law", *joints(len(scores.joints))),
         rows=rows,
     )
+
+
+def _sight(per_log: Sequence[str] | None) -> str:
+    """Say whether figures are blind, in a study where some are not."""
+    if per_log is None:
+        return ""
+    if not per_log:
+        return "; blind: nothing of these logs was fitted"
+    return f"; not blind: {' and '.join(per_log)} of each log were fitted to it"
 
 
 def _relative(scores: Comparison, law: str) -> tuple[bool, float]:

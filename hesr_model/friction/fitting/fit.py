@@ -1,6 +1,7 @@
 """Fit laws to all joints of a robot, each joint and law in a process of its own."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from hesr_model.artifacts import provenance as source_of
 from hesr_model.errors import FitError
 from hesr_model.friction.fitting.kept import keep, key_of, read_kept
+from hesr_model.friction.fitting.per_log import Nuisance, OwnOfLog, own_of_logs, without_own
 from hesr_model.friction.fitting.uncertainty import with_standard_errors
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -21,6 +23,7 @@ from hesr_model.friction.trained import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
 from hesr_model.support import parallel
 from hesr_model.support.progress import Progress, into_file, steps_told, unheard, watched
+from hesr_model.support.typed_json import to_json
 
 
 def fit_joint(
@@ -123,6 +126,7 @@ def fit_models(
     progress: Progress = unheard,
     left_out: Callable[[str, FitError], None] | None = None,
     kept: Path | None = None,
+    per_log: Sequence[Nuisance] = (),
 ) -> dict[str, FrictionModel]:
     """Fit several laws to every joint.
 
@@ -141,6 +145,9 @@ def fit_models(
         nevertheless. Where not given, the first such law ends it all.
     kept : folder into which each joint's law is written when it is fitted, and from which it is
         read where it stands there already, so that a run that was killed goes on.
+    per_log : what may differ by log and is taken out of the records first
+        (`hesr_model.friction.fitting.per_log`); it stands in the models' provenance, and their
+        training errors are without it.
 
     Returns
     -------
@@ -156,6 +163,10 @@ def fit_models(
     registered = {law: (variants or {}).get(law, law) for law in laws}
     coupling = records[0][0].coupling
     records = all_at_friction(records)
+    own = {of_joint[0].joint: own_of_logs(of_joint, per_log) for of_joint in records}
+    if per_log:
+        records = [without_own(of_joint, own[of_joint[0].joint]) for of_joint in records]
+        provenance = {**(provenance or {}), "per_log": to_json(_Own(joints=own))["joints"]}
     done: dict[tuple[str, int], FrictionLaw] = {}
     failed: dict[str, FitError] = {}
     with TemporaryDirectory(prefix="hesr-") as told:
@@ -209,6 +220,11 @@ def fit_models(
         for law in laws
         if law not in failed
     }
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Own:
+    joints: Mapping[str, Mapping[str, OwnOfLog]]
 
 
 def _fitted(
