@@ -128,7 +128,7 @@ class Interface:
         """
         found: list[Array] = []
         counts = Counter(_split(v.name)[0] for v in self.variables)
-        for (name, *_), group in groupby(enumerate(self.variables), lambda pair: _alike(pair[1])):
+        for (name, _), group in groupby(enumerate(self.variables), lambda pair: _alike(pair[1])):
             places, elements = zip(*group, strict=True)
             indices = [_split(v.name)[1] for v in elements]
             shape = indices[-1]
@@ -181,9 +181,9 @@ def _split(name: str) -> tuple[str, tuple[int, ...]]:
     return array, tuple(map(int, indices.split(",")))
 
 
-def _alike(variable: Variable) -> tuple[object, ...]:
+def _alike(variable: Variable) -> tuple[str, object]:
     array, indices = _split(variable.name)
-    return array, len(indices), variable.role, variable.unit, variable.enumeration
+    return array, (len(indices), variable.role, variable.unit, variable.enumeration)
 
 
 def _odd(twice: bool) -> str:

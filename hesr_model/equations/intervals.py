@@ -109,8 +109,8 @@ def _extended(e: sympy.Expr, known: dict[sympy.Expr, Interval]) -> Interval:
     if isinstance(e, sympy.Pow) and e.exp.is_number:
         return _power(*arguments[0], float(e.exp))
     if name in _RISING:
-        low, high = zip(*arguments, strict=True)
-        return _RISING[name](*low), _RISING[name](*high)
+        lows, highs = zip(*arguments, strict=True)
+        return _RISING[name](*lows), _RISING[name](*highs)
     if name in ("absolute", "cosh"):
         low, high = arguments[0]
         function = np.abs if name == "absolute" else np.cosh

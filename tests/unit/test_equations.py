@@ -132,7 +132,7 @@ def test_the_scalar_loop_is_the_recursion_and_starts_anew(discretisation: Discre
     memory = (age, Relaxation(name="z", unit="1", drive=100 * DQ, rate=rate))
     dq = 0.3 * np.sin(0.05 * np.arange(300))
     dt, begins = np.full(300, 1e-3), np.isin(np.arange(300), (0, 170))
-    found = StatesOverLog(memory, [DQ])([dq], dt, begins, (0.5, 0.1), discretisation)
+    found = StatesOverLog(memory, [DQ], ())([dq], dt, begins, (0.5, 0.1), discretisation)
     before = np.nan
     for v, first, age_there, x in zip(dq, begins, found[0], found[2], strict=True):
         r = 0.0
@@ -152,7 +152,7 @@ def test_a_rate_without_a_value_is_handed_on_as_in_arrays() -> None:
         memory = (Relaxation(name="z", unit="1", drive=DQ, rate=rate),)
         dq, begins = np.array([0.0, 1.0, 0.0, 1.0]), np.arange(4) == 0
         with np.errstate(all="ignore"):
-            x = StatesOverLog(memory, [DQ])([dq], np.full(4, 0.1), begins, (0.5,), "exact")[0]
+            x = StatesOverLog(memory, [DQ], ())([dq], np.full(4, 0.1), begins, (0.5,), "exact")[0]
         assert x[0] == 0.5
         assert np.isfinite(x).all()
 
