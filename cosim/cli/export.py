@@ -27,6 +27,8 @@ class Format(StrEnum):
     MJCF = "mjcf"
     MODELICA = "modelica"
     C = "c"
+    TORCH = "torch"
+    JAX = "jax"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,8 +65,8 @@ def export(
         typer.Option(
             "--format",
             help="Of a friction model: fmu (velocity in, torque out), drive (an FMU with the "
-            "rotor: torque in, velocity out), mjcf (actuators for MuJoCo), modelica, or c (one "
-            "header without FMI).",
+            "rotor: torque in, velocity out), mjcf (actuators for MuJoCo), modelica, c (one header "
+            "without FMI), torch or jax (one batched, differentiable file).",
         ),
     ] = Format.FMU,
     platform: Platforms = None,
@@ -277,10 +279,24 @@ def _c(model: "FrictionModel", request: _Request) -> None:
     export_c(model, request.output)
 
 
+def _torch(model: "FrictionModel", request: _Request) -> None:
+    from fmu_src.one_file.tensors import export_torch
+
+    export_torch(model, request.output)
+
+
+def _jax(model: "FrictionModel", request: _Request) -> None:
+    from fmu_src.one_file.tensors import export_jax
+
+    export_jax(model, request.output)
+
+
 _WRITERS: Mapping[Format, Callable[["FrictionModel", _Request], None]] = {
     Format.FMU: _fmu,
     Format.DRIVE: _drive,
     Format.MJCF: _mjcf,
     Format.MODELICA: _modelica,
     Format.C: _c,
+    Format.TORCH: _torch,
+    Format.JAX: _jax,
 }

@@ -51,6 +51,15 @@ def test_a_c_header_and_its_data(hesr, tmp_path):
     assert path.with_suffix(".csv").read_text().startswith("t,dq[1],dq[2],dq[3],q[1],")
 
 
+@pytest.mark.parametrize("library", ["torch", "jax"])
+def test_tensor_code_and_its_data(hesr, tmp_path, library):
+    path = tmp_path / "friction.py"
+    answer = hesr("export", TABLE_1, "--format", library, "-o", path)
+    assert (answer.code, answer.out) == (0, f"written to {path}.\n"), answer.err
+    assert f"\nimport {library}\n" in path.read_text()
+    assert len(path.with_suffix(".csv").read_text().splitlines()) == 1001
+
+
 def test_mjcf_says_how_far_off_a_projection_is(hesr, tmp_path):
     path = tmp_path / "friction.xml"
     answer = hesr("export", TABLE_1, "--format", "mjcf", "-o", path)

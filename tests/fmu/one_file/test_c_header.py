@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from c_hosts import build_host
+from documents import blocks
 from fmpy import read_model_description
 from one_file_laws import STEP, inputs, maxwell_slip, torques_of
 
@@ -139,6 +140,41 @@ def test_two_headers_stand_in_one_c_plus_plus_program(table1, make_model, tmp_pa
     flags = ("-x", "c++", "-std=c++17", "-O1", "-Wall", "-Wextra", "-Werror",
              "-Wno-unused-function", "-c")  # fmt: skip
     compile_c(tmp_path / "both.cpp", flags, tmp_path / "both.o")
+
+
+CONTROLLER = """
+#include <stdio.h>
+int main(void) {
+    const double q[3] = {0.1, 0.2, 0.3}, dq[3] = {0.4, -0.5, 0.6}, model[3] = {1.0, 2.0, 3.0};
+    const double feedback[3] = {0.1, 0.2, 0.3};
+    double tau[3], rubbing[3];
+    friction_state other;
+    start();
+    friction_init(&other);
+    for (int k = 0; k < 50; k++) {
+        control(q, dq, model, feedback, tau);
+        friction_step(&other, dq, q, model, 0.005, rubbing);
+    }
+    for (int i = 0; i < 3; i++) {
+        if (tau[i] != model[i] + feedback[i] + rubbing[i] || rubbing[i] == 0.0) {
+            return 1;
+        }
+    }
+    puts("well");
+    return 0;
+}
+"""
+
+
+def test_the_controller_of_the_documentation(table1, tmp_path) -> None:
+    export_c(table1, tmp_path / "friction.h")
+    [block] = (b for b in blocks("c") if "friction_init(&friction)" in b.text)
+    source = tmp_path / "controller.c"
+    source.write_text(block.text + CONTROLLER, encoding="utf-8")
+    flags = ("-target", "x86_64-linux-gnu.2.17", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror",
+             "-Wno-unused-function")  # fmt: skip
+    compile_c(source, flags, tmp_path / "controller", ("-lm",))
+    assert _lines(tmp_path / "controller") == ["well"]
 
 
 # --- other processors -------------------------------------------------------------------------

@@ -1,0 +1,148 @@
+"""SymPy to Python on batches of tensors: the step of a law for PyTorch and JAX alike.
+
+Both have the functions that are used under the same names, in a module that is called `xp`. What
+neither has under one name stands in the template of the file.
+"""
+
+from collections.abc import Mapping
+from math import frexp, ldexp
+
+import sympy
+from sympy.printing.codeprinter import CodePrinter
+from sympy.printing.precedence import PRECEDENCE
+
+from hesr_model.equations.component import Component
+from hesr_model.equations.memory import DT, EULER
+from hesr_model.equations.program import moved, sampled, straight_line
+from hesr_model.errors import ExportError
+from hesr_model.friction.inputs import INPUTS, Q
+from hesr_model.friction.law import LawForm
+
+_SHARED = ("exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "sqrt")
+_ARCS = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2"}
+_OWN = ("positive", "larger", "clip", "exceeds")
+
+_HALF = sympy.Rational(1, 2)
+_HIGH_BITS = 12
+"""Of a factor on the position, half of what single precision has: its products are exact."""
+_DIGITS = 40
+
+
+class _turned(sympy.Function):  # type: ignore[misc] # noqa: N801 - SymPy is not typed
+    """factor * position less whole turns; printed so that the product loses nothing."""
+
+    nargs = 2
+
+
+class _Printer(CodePrinter):  # type: ignore[misc]
+    """Python on tensors; the rate of a relaxation's step is known when the file is written."""
+
+    language = "Python"
+
+    def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
+        super().__init__()
+        self._names = names
+        self.known_functions = {name: f"xp.{name}" for name in _SHARED}
+        self.known_functions |= {name: f"xp.{other}" for name, other in _ARCS.items()}
+        self.known_functions |= {name: f"_{name}" for name in _OWN}
+        self.known_functions |= {"sgn": "xp.sign", "absolute": "xp.abs", "Abs": "xp.abs"}
+
+    def _print_Symbol(self, expr: sympy.Symbol) -> str:
+        return self._names.get(expr, expr.name)
+
+    _print_Dummy = _print_Symbol
+
+    def _print_Float(self, expr: sympy.Expr) -> str:
+        return repr(float(expr))
+
+    _print_Rational = _print_Float
+    _print_NumberSymbol = _print_Float
+    _print_Pi = _print_Float
+    _print_Exp1 = _print_Float
+
+    def _print_Pow(self, expr: sympy.Pow) -> str:
+        if expr.is_number:
+            return self._print_Float(expr)
+        if expr.exp == _HALF:
+            return f"xp.sqrt({self._print(expr.base)})"
+        if expr.exp.could_extract_minus_sign():
+            return f"1.0/{self.parenthesize(expr.base**-expr.exp, PRECEDENCE['Mul'])}"
+        if expr.exp == 2:
+            return f"_square({self._print(expr.base)})"
+        base = self.parenthesize(expr.base, PRECEDENCE["Pow"])
+        return f"{base}**{self.parenthesize(expr.exp, PRECEDENCE['Pow'])}"
+
+    def _print_Function(self, expr: sympy.Function) -> str:
+        if expr.is_number:
+            return self._print_Float(expr)
+        name = expr.func.__name__
+        if name not in self.known_functions:
+            raise ExportError(f"friction law: '{expr}' has no counterpart in tensor code.")
+        arguments = ", ".join(map(self._print, expr.args))
+        return f"{self.known_functions[name]}({arguments})"
+
+    _print_exp = _print_Function
+    _print_Abs = _print_Function
+
+    def _print_decay(self, expr: sympy.Function) -> str:
+        return f"_decay({self._print(expr.args[0])})"
+
+    def _print_share(self, expr: sympy.Function) -> str:
+        z, e, _ = map(self._print, expr.args)
+        return f"_share({z}, {e})"
+
+    def _print__turned(self, expr: sympy.Function) -> str:
+        factor, position = expr.args
+        # With more digits than a double has, since the whole turns that are left out have them.
+        turns = (sympy.Rational(float(factor)) / (2 * sympy.pi)).evalf(_DIGITS)
+        mantissa, exponent = frexp(float(turns))
+        high = ldexp(round(ldexp(mantissa, _HIGH_BITS)), exponent - _HIGH_BITS)
+        return f"_wrapped({self._print(position)}, {high!r}, {float(turns - high)!r})"
+
+
+def law_function(form: LawForm, name: str) -> str:
+    """Return the text of `name(c, dq, q, tau_load, dt, x_0, ..)`: the torque, and the states moved.
+
+    Raises
+    ------
+    ExportError
+        If an expression has a function that there is none of for tensors.
+    """
+    component: Component = form.component
+    program = {symbol: _wrapped(e) for symbol, e in sampled(component).items()}
+    torque = component.outputs[0].symbol
+    ends = [moved(m) for m in form.memory]
+    lines, names = straight_line(program, (torque, *ends))
+    states = [f"x_{i}" for i, _ in enumerate(form.memory)]
+    known = {c.symbol: f'c["{c.name}"]' for c in form.coefficients}
+    known |= {m.state: x for m, x in zip(form.memory, states, strict=True)}
+    known |= {symbol: symbol.name for symbol in (*INPUTS, DT, EULER)}
+    printer = _Printer(known | names)
+
+    def text(expression: sympy.Expr) -> str:
+        try:
+            return str(printer.parenthesize(expression, 0))
+        except NotImplementedError as error:
+            raise ExportError(
+                f"friction law: '{expression}' has no counterpart in tensor code."
+            ) from error
+
+    body = [f"{names.get(symbol, str(symbol))} = {text(e)}" for symbol, e in lines.items()]
+    ended = "".join(f"{names[symbol]}, " for symbol in ends)
+    arguments = ", ".join(("c", *(symbol.name for symbol in INPUTS), DT.name, *states))
+    result = f"return {names[torque]}, ({ended.rstrip(' ')})"
+    return "\n".join([f"def {name}({arguments}):", *(f"    {line}" for line in (*body, result))])
+
+
+def _wrapped(expression: sympy.Expr) -> sympy.Expr:
+    """Return an expression in which sines of many turns of the position are of less than one."""
+
+    def wave(node: sympy.Expr) -> sympy.Expr:
+        angle = sympy.expand(node.args[0])
+        factor = angle.coeff(Q, 1)
+        rest = sympy.expand(angle - factor * Q)
+        if not factor.is_number or factor == 0 or Q in rest.free_symbols:
+            return node
+        return node.func(_turned(sympy.Float(factor), Q) + rest)
+
+    return expression.replace(lambda node: isinstance(node, sympy.cos | sympy.sin), wave)
