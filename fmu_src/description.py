@@ -23,7 +23,7 @@ _BASE: Mapping[str, Mapping[str, int]] = {
 _FACTOR = re.compile(r"([A-Za-z]+|1)(-?[0-9]+)?")
 
 
-_CATEGORIES: Mapping[str, str] = {
+CATEGORIES: Mapping[str, str] = {
     "logEvents": "initialisation, end and, in model exchange, changes of sign",
     "logStatusDiscard": "why a call was refused; the simulation can go on",
     "logStatusError": "why a call failed",
@@ -124,7 +124,7 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
     _units(root, table)
     _types(root, table)
     categories = ET.SubElement(root, "LogCategories")
-    for name, text in _CATEGORIES.items():
+    for name, text in CATEGORIES.items():
         ET.SubElement(categories, "Category", name=name, description=text)
     ET.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(about.step))
     variables = ET.SubElement(root, "ModelVariables")

@@ -7,14 +7,19 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Literal
 
 from fmu_src import exported
 from fmu_src.description import Description, to_xml
+from fmu_src.description3 import Arrays, build_description, to_xml3
 from fmu_src.interface import Interface, to_c
 from fmu_src.toolchain import Target, build, targets
 from hesr_model.errors import ExportError
 from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Progress, counted, unheard
+
+Version = Literal[2, 3]
+"""Of FMI."""
 
 _HERE = Path(__file__).parent
 _C = _HERE / "c"
@@ -39,6 +44,19 @@ _ALL_C = """\
 #endif
 
 """
+
+_INSIDE = """\
+/* The glue of FMI 3.0 calls that of FMI 2.0, which nobody else sees. */
+#define FMI2_EXPORT static __attribute__((unused))
+
+"""
+
+_FOLDERS = {
+    "linux64": ("x86_64-linux",),
+    "win64": ("x86_64-windows",),
+    "darwin64": ("x86_64-darwin", "aarch64-darwin"),
+}
+"""Folders of FMI 3.0 where they are not those of FMI 2.0."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,6 +108,7 @@ def write_fmu(
     *,
     platforms: Sequence[str] = ("linux64",),
     progress: Progress = unheard,
+    fmi: Version = 2,
 ) -> Path:
     """Compile a component with the FMI glue and write both as an FMU.
 
@@ -99,6 +118,7 @@ def write_fmu(
     path : the FMU to write, ending in .fmu.
     platforms : names of `toolchain.TARGETS`, or "all".
     progress : told for how many of them it is built.
+    fmi : version of FMI; 3 has arrays for numbered variables.
 
     Returns
     -------
@@ -114,29 +134,34 @@ def write_fmu(
     wanted = check_request(path, platforms)
     _require_libraries(content, wanted)
     table, about = content.table, content.about
-    guid, sources = translation_unit(table, about, content.sources)
+    guid, sources = translation_unit(table, about, content.sources, fmi)
     members: dict[str, bytes] = {
-        "modelDescription.xml": to_xml(table, about, guid),
+        "modelDescription.xml": (to_xml3 if fmi == 3 else to_xml)(table, about, guid),
         "documentation/licenses/license.txt": (_HERE / "templates/license.txt").read_bytes(),
         **content.members,
     }
     members |= {f"sources/{name}": text.encode() for name, text in sorted(sources.items())}
-    with TemporaryDirectory(prefix="hesr-") as folder:
+    if fmi == 3:
+        members["sources/buildDescription.xml"] = build_description(about)
+    with TemporaryDirectory(prefix="hesr-") as home:
         for name, text in sources.items():
-            Path(folder, name).write_text(text, encoding="utf-8")
+            Path(home, name).write_text(text, encoding="utf-8")
         for target in counted(wanted, progress):
             own = content.libraries.get(target.folder)
-            library = _built(Path(folder, "all.c"), about.identifier, target, own)
-            members[f"binaries/{target.folder}/{about.identifier}{target.suffix}"] = library
-            if own:
-                members[f"binaries/{target.folder}/{own.name}"] = own.content
+            library = _built(Path(home, "all.c"), about.identifier, target, own)
+            for folder in (
+                _FOLDERS.get(target.folder, (target.folder,)) if fmi == 3 else (target.folder,)
+            ):
+                members[f"binaries/{folder}/{about.identifier}{target.suffix}"] = library
+                if own:
+                    members[f"binaries/{folder}/{own.name}"] = own.content
     write_archive(members, path, about.created)
     exported.remember(path)
     return path
 
 
 def translation_unit(
-    table: Interface, about: Description, own: Mapping[str, str]
+    table: Interface, about: Description, own: Mapping[str, str], fmi: Version = 2
 ) -> tuple[str, dict[str, str]]:
     """Return an FMU's GUID and the texts of all its C files by name; all.c includes the others.
 
@@ -145,8 +170,11 @@ def translation_unit(
     table : its variables.
     about : what the description says of it.
     own : the component's own files; see `Content.sources`.
+    fmi : version of FMI.
     """
-    sources = _sources(own)
+    sources = _sources(own, fmi)
+    if fmi == 3:
+        sources["extents.h"] = Arrays(table).to_c()
     guid = _guid(table, about, sources)
     return guid, sources | {"interface.h": to_c(table, guid, about.step)}
 
@@ -193,10 +221,13 @@ def _built(source: Path, identifier: str, target: Target, own: Binary | None) ->
     return build(source, identifier, target, flags)
 
 
-def _sources(own: Mapping[str, str]) -> dict[str, str]:
-    files = {name: own_source(name) for name in _GLUE} | dict(own)
+def _sources(own: Mapping[str, str], fmi: Version) -> dict[str, str]:
+    glue = (*_GLUE, "fmi3.h", "fmi3.c") if fmi == 3 else _GLUE
+    files = {name: own_source(name) for name in glue} | dict(own)
     parts = [name for name in files if name.endswith(".c")]
-    files["all.c"] = _ALL_C + "".join(f'#include "{name}"\n' for name in parts)
+    files["all.c"] = (
+        (_INSIDE if fmi == 3 else "") + _ALL_C + "".join(f'#include "{name}"\n' for name in parts)
+    )
     return files
 
 

@@ -16,6 +16,7 @@ from hesr_model.errors import ConfigError
 from hesr_model.support.progress import Progress, Stages
 
 if TYPE_CHECKING:
+    from fmu_src.package import Version
     from hesr_model.friction.model import FrictionModel
 
 
@@ -42,6 +43,7 @@ class _Request:
     project: bool
     properties: bool
     power: bool
+    fmi: "Version"
     progress: Stages
 
     @property
@@ -102,6 +104,12 @@ def export(
         bool,
         typer.Option("--power", help="FMU: the power that the friction takes as an output, too."),
     ] = False,
+    fmi: Annotated[
+        str,
+        typer.Option(
+            metavar="2|3", help="FMU and drive: version of FMI; 3 has arrays, dq for dq[i]."
+        ),
+    ] = "2",
     signals: Annotated[
         Path | None,
         typer.Option(
@@ -137,6 +145,7 @@ def export(
             project=project,
             properties=properties,
             power=power,
+            fmi=_version(fmi),
             progress=progress,
         )
         _refuse_others(request, platform, kind, of_robot=of_robot)
@@ -159,6 +168,7 @@ def _refuse_others(
         "--project": (request.project, (Format.MJCF,)),
         "--properties": (request.properties, (Format.FMU,)),
         "--power": (request.power, (Format.FMU,)),
+        "--fmi": (request.fmi != 2, (Format.FMU, Format.DRIVE)),
         "--platform": (platform is not None, (Format.FMU, Format.DRIVE)),
     }
     for option, (present, formats) in given.items():
@@ -167,6 +177,14 @@ def _refuse_others(
         if present and kind not in formats:
             allowed = " or ".join(f"--format {f}" for f in formats)
             raise ConfigError(f"{option} needs {allowed}, but the format is '{kind}'.")
+
+
+def _version(text: str) -> "Version":
+    if text == "2":
+        return 2
+    if text == "3":
+        return 3
+    raise ConfigError(f"--fmi is '{text}'; versions of FMI are 2 and 3.")
 
 
 def _robot(model: Path, request: _Request, signals: Path | None, *, python: bool) -> None:
@@ -198,7 +216,12 @@ def _law(model: str, kind: Format, request: _Request) -> None:
         _WRITERS[kind](read_model(file), request)
 
     if kind in (Format.FMU, Format.DRIVE) and not request.properties:
-        options = {"format": kind, "platforms": request.platforms, "motor": request.motor}
+        options = {
+            "format": kind,
+            "platforms": request.platforms,
+            "motor": request.motor,
+            "fmi": request.fmi,
+        }
         exported(file, options, request.output, write)
     else:
         write()
@@ -222,6 +245,7 @@ def _fmu(model: "FrictionModel", request: _Request) -> None:
         properties=found,
         power=request.power,
         progress=request.building,
+        fmi=request.fmi,
     )
 
 
@@ -241,6 +265,7 @@ def _drive(model: "FrictionModel", request: _Request) -> None:
         ratio=motor["ratio"],
         platforms=request.platforms,
         progress=request.building,
+        fmi=request.fmi,
     )
 
 

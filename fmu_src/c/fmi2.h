@@ -4,7 +4,9 @@
 
 #include <stddef.h>
 
-#if defined _WIN32
+/* FMI 3.0's glue defines it otherwise. */
+#if defined FMI2_EXPORT
+#elif defined _WIN32
 #define FMI2_EXPORT __declspec(dllexport)
 #elif defined __GNUC__
 #define FMI2_EXPORT __attribute__((visibility("default")))

@@ -12,7 +12,7 @@ from fmu_src.drive.drive_component import SUBSTEP, equations_to_c, interface, mo
 from fmu_src.friction.defined import require_numbers
 from fmu_src.friction.embedded import EMBEDDED_MODEL
 from fmu_src.friction.friction_fmu import date_of
-from fmu_src.package import Content, check_request, own_source, write_fmu
+from fmu_src.package import Content, Version, check_request, own_source, write_fmu
 from hesr_model.artifacts import model_to_json
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
@@ -29,6 +29,7 @@ def export_drive(
     ratio: Sequence[float] | None = None,
     platforms: Sequence[str] = ("linux64",),
     progress: Progress = unheard,
+    fmi: Version = 2,
 ) -> Path:
     """Write a friction model with the motors of its joints as an FMI 2.0 FMU for co-simulation.
 
@@ -44,6 +45,7 @@ def export_drive(
     ratio : (n,) turns of the motor for one of the joint; 1 where not given.
     platforms : names of `toolchain.TARGETS`, or "all".
     progress : told for how many of them it is built.
+    fmi : version of FMI.
 
     Returns
     -------
@@ -59,7 +61,7 @@ def export_drive(
     """
     check_request(path, platforms)
     own = content(model, inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio)
-    return write_fmu(own, path, platforms=platforms, progress=progress)
+    return write_fmu(own, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
 def content(

@@ -22,7 +22,7 @@ from fmu_src.friction.embedded import EMBEDDED_MODEL
 from fmu_src.friction.friction_component import POWER, equations_to_c, interface
 from fmu_src.friction.reference import reference_files
 from fmu_src.interface import Interface
-from fmu_src.package import Content, check_request, own_source, translation_unit, write_fmu
+from fmu_src.package import Content, Version, check_request, own_source, translation_unit, write_fmu
 from hesr_model.artifacts import model_to_json
 from hesr_model.equations.component import Equation
 from hesr_model.errors import ExportError
@@ -42,8 +42,9 @@ def export_fmu(
     properties: Properties | None = None,
     power: bool = False,
     progress: Progress = unheard,
+    fmi: Version = 2,
 ) -> Path:
-    """Write a friction model as an FMI 2.0 FMU for co-simulation and model exchange.
+    """Write a friction model as an FMU of FMI 2.0, or 3.0, for co-simulation and model exchange.
 
     The same model gives the same bytes. The date in it is that of SOURCE_DATE_EPOCH, else that of
     the model's provenance ("created"), else a fixed one.
@@ -56,6 +57,7 @@ def export_fmu(
     properties : what the property battery found on the model, for the documentation.
     power : whether the power that the friction takes is an output, too.
     progress : told for how many platforms it is built.
+    fmi : version of FMI.
 
     Returns
     -------
@@ -70,11 +72,15 @@ def export_fmu(
     """
     check_request(path, platforms)
     whole = content(model, properties, power=power)
-    return write_fmu(whole, path, platforms=platforms, progress=progress)
+    return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
 def export_bare(
-    model: FrictionModel, path: Path, *, platforms: Sequence[str] = ("linux64",)
+    model: FrictionModel,
+    path: Path,
+    *,
+    platforms: Sequence[str] = ("linux64",),
+    fmi: Version = 2,
 ) -> Path:
     """Write the same FMU without its documentation, to try the law in.
 
@@ -82,7 +88,7 @@ def export_bare(
     """
     table, about, sources = _component(model)
     bare = Content(table=table, about=about, sources=sources, members={})
-    return write_fmu(bare, path, platforms=platforms)
+    return write_fmu(bare, path, platforms=platforms, fmi=fmi)
 
 
 def live_of(model: FrictionModel) -> dict[str, Any]:

@@ -51,6 +51,14 @@ def test_a_c_header_and_its_data(hesr, tmp_path):
     assert path.with_suffix(".csv").read_text().startswith("t,dq[1],dq[2],dq[3],q[1],")
 
 
+def test_fmi_3(hesr, tmp_path):
+    fmu = tmp_path / "Friction.fmu"
+    answer = hesr("export", TABLE_1, "--fmi", "3", "-o", fmu)
+    assert (answer.code, answer.out) == (0, f"written to {fmu}.\n"), answer.err
+    with ZipFile(fmu) as archive:
+        assert b'fmiVersion="3.0"' in archive.read("modelDescription.xml")
+
+
 @pytest.mark.parametrize("library", ["torch", "jax"])
 def test_tensor_code_and_its_data(hesr, tmp_path, library):
     path = tmp_path / "friction.py"
@@ -97,6 +105,11 @@ def test_properties_stand_in_the_pages_of_the_fmu(hesr, tmp_path):
         (
             ["--format", "drive", "--inertia", "heavy", "-o", "D.fmu"],
             "--inertia is 'heavy'; needed are numbers with commas between them, as 3,3,0.6.",
+        ),
+        (["--fmi", "4", "-o", "F.fmu"], "--fmi is '4'; versions of FMI are 2 and 3."),
+        (
+            ["--fmi", "3", "--format", "modelica", "-o", "F.mo"],
+            "--fmi needs --format fmu or --format drive, but the format is 'modelica'.",
         ),
         (["--inertia", "3", "-o", "F.fmu"], "--inertia needs --format drive, but the format is "),
         (["--project", "-o", "F.fmu"], "--project needs --format mjcf, but the format is 'fmu'."),

@@ -1,0 +1,259 @@
+"""modelDescription.xml of FMI 3.0: the same interface, with arrays where variables are numbered."""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from xml.etree import ElementTree as ET
+
+from fmu_src.description import CATEGORIES, Description, si_exponents
+from fmu_src.interface import ATTRIBUTES, Interface, Role, Variable
+
+_NUMBERED = re.compile(r"(der\()?(\w+)\[(\d+)\](\))?", re.ASCII)
+_INDICATORS = "event_indicator"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Array:
+    """A variable of FMI 3.0.
+
+    Attributes
+    ----------
+    name : as `dq`, or that of its only element.
+    place : of the first element among the variables, its value reference.
+    elements : one after the other.
+    shaped : whether it is an array; a single variable otherwise.
+    """
+
+    name: str
+    place: int
+    elements: tuple[Variable, ...]
+    shaped: bool
+
+
+@dataclass(frozen=True)
+class Arrays:
+    """The variables of an interface as FMI 3.0 has them."""
+
+    table: Interface
+
+    @cached_property
+    def all(self) -> tuple[Array, ...]:
+        """Arrays where all variables of one name, numbered from 1, stand in order and are alike."""
+        groups: dict[str, list[Variable]] = {}
+        for variable in self.table.variables:
+            groups.setdefault(_stem(variable.name), []).append(variable)
+        found = []
+        for stem, group in groups.items():
+            if self._is_array(stem, group):
+                place = self.table.references[group[0].name]
+                found.append(Array(name=stem, place=place, elements=tuple(group), shaped=True))
+                continue
+            found += [
+                Array(name=v.name, place=self.table.references[v.name], elements=(v,), shaped=False)
+                for v in group
+            ]
+        return tuple(sorted(found, key=lambda array: array.place))
+
+    @cached_property
+    def of(self) -> dict[str, Array]:
+        """The array of each variable of the interface."""
+        return {v.name: array for array in self.all for v in array.elements}
+
+    def _is_array(self, stem: str, group: Sequence[Variable]) -> bool:
+        first = self.table.references[group[0].name]
+        numbered = [
+            (m := _NUMBERED.fullmatch(v.name)) is not None
+            and int(m[3]) == i + 1
+            and self.table.references[v.name] == first + i
+            for i, v in enumerate(group)
+        ]
+        like = {(v.role, v.unit, v.nominal, v.enumeration, bool(v.derivative_of)) for v in group}
+        return all(numbered) and len(like) == 1 and stem != group[0].name
+
+    def to_c(self) -> str:
+        """Return extents.h: how many elements the variable that begins at a place has, or 0."""
+        extents = ["0"] * len(self.table.variables)
+        for array in self.all:
+            extents[array.place] = str(len(array.elements))
+        return _EXTENTS.format(", ".join(extents))
+
+
+_EXTENTS = """\
+/* Generated: how many elements the variable of FMI 3.0 has that begins at a place, 0 within one. */
+static const int extents[VARIABLES] = {{{}}};
+"""
+
+
+def _stem(name: str) -> str:
+    match = _NUMBERED.fullmatch(name)
+    return f"{match[1] or ''}{match[2]}{match[4] or ''}" if match else name
+
+
+def to_xml3(table: Interface, about: Description, token: str) -> bytes:
+    """Return modelDescription.xml of FMI 3.0."""
+    root = ET.Element(
+        "fmiModelDescription",
+        fmiVersion="3.0",
+        modelName=about.name,
+        instantiationToken=token,
+        description=about.text,
+        version=about.version,
+        license="MIT",
+        generationTool=f"HESR {about.version}",
+        generationDateAndTime=about.created,
+        variableNamingConvention="structured",
+    )
+    common = {
+        "modelIdentifier": about.identifier,
+        "canGetAndSetFMUState": "true",
+        "canSerializeFMUState": "true",
+        "providesDirectionalDerivatives": str(table.directional_derivatives).lower(),
+    }
+    if table.model_exchange:
+        ET.SubElement(root, "ModelExchange", common, needsCompletedIntegratorStep="true")
+    ET.SubElement(
+        root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true",
+        hasEventMode="true",
+    )  # fmt: skip
+    definitions = ET.SubElement(root, "UnitDefinitions")
+    for name in dict.fromkeys(v.unit for v in table.variables if v.unit):
+        unit = ET.SubElement(definitions, "Unit", name=name)
+        ET.SubElement(unit, "BaseUnit", {b: str(e) for b, e in si_exponents(name).items()})
+    # Units by types, since fmi-sim knows none at a variable.
+    types = ET.SubElement(root, "TypeDefinitions")
+    for name in dict.fromkeys(v.unit for v in table.variables if v.unit):
+        ET.SubElement(types, "Float64Type", name=_type_of(name), unit=name)
+    categories = ET.SubElement(root, "LogCategories")
+    for name, text in CATEGORIES.items():
+        ET.SubElement(categories, "Category", name=name, description=text)
+    ET.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(about.step))
+    arrays = Arrays(table)
+    variables = ET.SubElement(root, "ModelVariables")
+    for array in arrays.all:
+        variables.append(_variable(array, arrays))
+    time = len(table.variables)
+    ET.SubElement(
+        variables, "Float64", name="time", valueReference=str(time), causality="independent",
+        variability="continuous", description="simulation time",
+    )  # fmt: skip
+    if table.indicators and table.model_exchange:
+        indicator = ET.SubElement(
+            variables, "Float64", name=_INDICATORS, valueReference=str(time + 1),
+            causality="local", variability="continuous", initial="calculated",
+            description="positive while the signs that are held agree with the inputs",
+        )  # fmt: skip
+        ET.SubElement(indicator, "Dimension", start=str(table.indicators))
+    _structure(root, arrays)
+    ET.indent(root)
+    written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return written + b"\n"
+
+
+def _type_of(unit: str) -> str:
+    """Return the name of the type of all variables of a unit."""
+    return "number" if unit == "1" else f"number in {unit}"
+
+
+def _variable(array: Array, arrays: Arrays) -> ET.Element:
+    first = array.elements[0]
+    causality, variability, initial = ATTRIBUTES[first.role]
+    attributes = {
+        "name": array.name,
+        "valueReference": str(array.place),
+        "description": _description(array),
+        "causality": causality,
+        "variability": variability,
+    }
+    if initial:
+        attributes["initial"] = initial
+    if first.enumeration:
+        items = first.enumeration.items
+        choices = ", ".join(f"{i} = {name}" for i, (name, _) in enumerate(items, 1))
+        attributes |= {
+            "description": f"{first.description}: {choices}",
+            "min": "1",
+            "max": str(len(items)),
+            "start": str(int(first.start)),
+        }
+        return ET.Element("Int32", attributes)
+    attributes["declaredType"] = _type_of(first.unit or "1")
+    if not first.computed:
+        attributes["start"] = " ".join(repr(float(v.start)) for v in array.elements)
+    if first.nominal != 1.0:
+        attributes["nominal"] = repr(first.nominal)
+    if first.derivative_of:
+        attributes["derivative"] = str(arrays.of[first.derivative_of].place)
+    element = ET.Element("Float64", attributes)
+    if array.shaped:
+        ET.SubElement(element, "Dimension", start=str(len(array.elements)))
+    return element
+
+
+def _description(array: Array) -> str:
+    """Return the texts of all elements, what they share once: 'velocity of a, b'."""
+    texts = [v.description for v in array.elements]
+    if len(texts) == 1:
+        return texts[0]
+    words = [text.split(" ") for text in texts]
+    if len({len(w) for w in words}) > 1:
+        return "; ".join(texts)
+    return " ".join(
+        column[0] if len(set(column)) == 1 else ", ".join(c.rstrip(":") for c in column)
+        for column in zip(*words, strict=True)
+    )
+
+
+def _structure(root: ET.Element, arrays: Arrays) -> None:
+    structure = ET.SubElement(root, "ModelStructure")
+    table = arrays.table
+    outputs = [a for a in arrays.all if a.elements[0].role in ("output", "on_demand")]
+    # States of a co-simulation are its own.
+    derivatives = table.derivatives if table.model_exchange else ()
+    rates = list(dict.fromkeys(arrays.of[v.name] for v in derivatives))
+    moving: tuple[Role, ...] = ("input", "state")
+    _unknowns(structure, "Output", outputs, arrays, moving)
+    _unknowns(structure, "ContinuousStateDerivative", rates, arrays, moving)
+    _unknowns(
+        structure, "InitialUnknown", dict.fromkeys((*outputs, *rates)), arrays,
+        (*moving, "fixed", "tunable"), initially=True,
+    )  # fmt: skip
+    if table.indicators and table.model_exchange:
+        ET.SubElement(structure, "EventIndicator", valueReference=str(len(table.variables) + 1))
+
+
+def _unknowns(
+    structure: ET.Element,
+    kind: str,
+    unknowns: Iterable[Array],
+    arrays: Arrays,
+    known: tuple[Role, ...],
+    *,
+    initially: bool = False,
+) -> None:
+    table = arrays.table
+    for array in unknowns:
+        names = [n for v in array.elements for n in v.dependencies]
+        if initially:
+            names += [n for v in array.elements for n in v.initial_dependencies]
+        places = {
+            arrays.of[name].place
+            for name in names
+            if table.variables[table.references[name]].role in known
+        }
+        ET.SubElement(
+            structure, kind, valueReference=str(array.place),
+            dependencies=" ".join(map(str, sorted(places))),
+        )  # fmt: skip
+
+
+def build_description(about: Description) -> bytes:
+    """Return sources/buildDescription.xml."""
+    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    build = ET.SubElement(root, "BuildConfiguration", modelIdentifier=about.identifier)
+    files = ET.SubElement(build, "SourceFileSet", language="C99")
+    for source in about.sources:
+        ET.SubElement(files, "SourceFile", name=source)
+    ET.indent(root)
+    written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return written + b"\n"

@@ -1,0 +1,253 @@
+"""FMI 3.0: the same component behind other calls, through FMPy's importer and fmi-sim."""
+
+import shutil
+import subprocess
+from collections.abc import Callable
+from ctypes import c_double, c_uint32
+from pathlib import Path
+from zipfile import ZipFile
+
+import numpy as np
+import pytest
+from fmpy import extract, read_model_description, simulate_fmu
+from fmpy.fmi2 import FMU2Slave
+from fmpy.fmi3 import FMU3Model, FMU3Slave
+
+from fmu_src.blocks.controller import controller
+from fmu_src.blocks.trajectory import trajectory
+from fmu_src.blocks.velocity import velocity
+from fmu_src.drive.drive_fmu import content as drive
+from fmu_src.friction.friction_fmu import content as friction
+from fmu_src.package import Content, write_fmu
+
+FMI_SIM = Path(__file__).parents[2] / ".tools/interop/bin/fmi-sim"
+STEP = 0.004
+COMPONENTS: dict[str, Callable[..., Content]] = {
+    "friction": lambda model: friction(model),
+    "drive": lambda model: drive(model, inertia=(3.0, 3.0, 0.6), stiffness=(1e4, 2e4, 1e4)),
+    "controller": lambda _: controller(3),
+    "velocity": lambda _: velocity(3),
+    "trajectory": lambda _: trajectory(3),
+}
+
+
+@pytest.fixture(scope="module", params=[*COMPONENTS, "laws"])
+def pair(request, table1, make_model, make_law, tmp_path_factory) -> tuple[Path, Path]:
+    """The FMU of a component in FMI 2.0 and in 3.0."""
+    folder = tmp_path_factory.mktemp("fmi3")
+    if request.param == "laws":  # with jumps, without parameters of its own, with several states
+        own = friction(make_model(*map(make_law, ("viscous", "gaussians", "elements"))))
+    else:
+        own = COMPONENTS[request.param](table1)
+    return tuple(write_fmu(own, folder / f"F{v}.fmu", fmi=v) for v in (2, 3))
+
+
+class Old:
+    """An FMU of FMI 2.0 by names."""
+
+    def __init__(self, fmu: Path, folder: Path) -> None:
+        about = read_model_description(str(fmu))
+        self.variables = {v.name: v for v in about.modelVariables}
+        self.fmu = FMU2Slave(
+            guid=about.guid, unzipDirectory=extract(str(fmu), str(folder)), instanceName="two",
+            modelIdentifier=about.coSimulation.modelIdentifier,
+        )  # fmt: skip
+        self.fmu.instantiate()
+        self.fmu.setupExperiment(startTime=0.0)
+        self.fmu.enterInitializationMode()
+
+    def get(self, names: list[str]) -> list[float]:
+        return self.fmu.getReal([self.variables[n].valueReference for n in names])
+
+    def set(self, names: list[str], values: list[float]) -> None:
+        self.fmu.setReal([self.variables[n].valueReference for n in names], values)
+
+
+class New:
+    """An FMU of FMI 3.0 by names."""
+
+    def __init__(self, fmu: Path, folder: Path, kind: type = FMU3Slave) -> None:
+        about = read_model_description(str(fmu))
+        self.variables = {v.name: v for v in about.modelVariables}
+        interface = about.coSimulation if kind is FMU3Slave else about.modelExchange
+        self.said: list[str] = []
+        self.fmu = kind(
+            guid=about.guid, unzipDirectory=extract(str(fmu), str(folder)), instanceName="three",
+            modelIdentifier=interface.modelIdentifier,
+        )  # fmt: skip
+        self.fmu.instantiate(loggingOn=False)
+        self.fmu.enterInitializationMode(startTime=0.0)
+
+    def size(self, name: str) -> int:
+        return int(np.prod([int(d.start) for d in self.variables[name].dimensions] or [1]))
+
+    def get(self, name: str) -> list[float]:
+        reference = self.variables[name].valueReference
+        return list(self.fmu.getFloat64([reference], nValues=self.size(name)))
+
+    def set(self, name: str, values: list[float]) -> None:
+        self.fmu.setFloat64([self.variables[name].valueReference], values)
+
+
+def elements(new: New, name: str) -> list[str]:
+    """Names in FMI 2.0 of a variable's elements."""
+    if not new.variables[name].dimensions:
+        return [name]
+    numbers = range(1, new.size(name) + 1)
+    if name.startswith("der("):
+        return [f"{name[:-1]}[{i}])" for i in numbers]
+    return [f"{name}[{i}]" for i in numbers]
+
+
+def both(pair: tuple[Path, Path], folder: Path) -> tuple[Old, New]:
+    return Old(pair[0], folder / "two"), New(pair[1], folder / "three")
+
+
+def numbers(new: New, *causalities: str) -> list[str]:
+    return [
+        name for name, v in new.variables.items()
+        if v.causality in causalities and v.type == "Float64" and name != "event_indicator"
+    ]  # fmt: skip
+
+
+def test_every_variable_is_there_once(pair, tmp_path) -> None:
+    old, new = both(pair, tmp_path)
+    known = [e for name in new.variables if name not in ("time", "event_indicator")
+             for e in elements(new, name)]  # fmt: skip
+    assert sorted(known) == sorted(old.variables)
+
+
+def test_steps_give_the_same_bits(pair, tmp_path) -> None:
+    old, new = both(pair, tmp_path)
+    inputs, computed = numbers(new, "input"), numbers(new, "output", "local")
+    rng = np.random.default_rng(5)
+    moved = set()
+    for name in new.variables:  # a trajectory rests else
+        if name.startswith(("a[", "amplitude")):
+            values = [0.3] * new.size(name)
+            old.set(elements(new, name), values)
+            new.set(name, values)
+    for k in range(300):
+        for name in inputs if k % 3 == 0 else []:
+            values = (0.3 * rng.normal(size=new.size(name))).tolist()
+            old.set(elements(new, name), values)
+            new.set(name, values)
+        if k == 0:
+            old.fmu.exitInitializationMode()
+            new.fmu.exitInitializationMode()
+        for name in computed:
+            found = new.get(name)
+            assert found == old.get(elements(new, name)), name
+            if any(found):
+                moved.add(name)
+        old.fmu.doStep(k * STEP, STEP)
+        assert new.fmu.doStep(k * STEP, STEP)[:3] == (False, False, False)
+    assert new.get("time") == [pytest.approx(300 * STEP)]
+    assert moved & set(numbers(new, "output"))
+    new.fmu.terminate()
+
+
+def test_a_state_comes_back_from_its_bytes(pair, tmp_path) -> None:
+    _, new = both(pair, tmp_path)
+    new.fmu.exitInitializationMode()
+    outputs = numbers(new, "output")
+    new.fmu.doStep(0.0, STEP)
+    state = new.fmu.getFMUState()
+    saved = new.fmu.serializeFMUState(state)
+    new.fmu.doStep(STEP, STEP)
+    after = [new.get(name) for name in outputs]
+    new.fmu.setFMUState(new.fmu.deserializeFMUState(saved))
+    new.fmu.doStep(STEP, STEP)
+    assert [new.get(name) for name in outputs] == after
+
+
+@pytest.fixture(scope="module")
+def friction3(table1, tmp_path_factory) -> Path:
+    return write_fmu(friction(table1), tmp_path_factory.mktemp("friction") / "F3.fmu", fmi=3)
+
+
+def test_arrays_of_the_description(friction3) -> None:
+    about = read_model_description(str(friction3), validate=True)
+    shapes = {v.name: [d.start for d in v.dimensions] for v in about.modelVariables}
+    assert [shapes[n] for n in ("dq", "q", "tau_load", "tau")] == [[3]] * 4
+    [dq] = (v for v in about.modelVariables if v.name == "dq")
+    assert (dq.declaredType.unit, dq.start) == ("rad/s", "0.0 0.0 0.0")
+    assert dq.description == "velocity of joint1, joint2, joint3"
+    with ZipFile(friction3) as archive:
+        names = archive.namelist()
+    assert "binaries/x86_64-linux/friction_parfam_h.so" in names
+    assert "sources/buildDescription.xml" in names
+
+
+def test_slopes_and_model_exchange(friction3, table1_fmu, tmp_path) -> None:
+    """Derivatives, and slopes over a direction, as the FMU of FMI 2.0 has them."""
+    old, new = Old(table1_fmu, tmp_path / "two"), New(friction3, tmp_path / "three", FMU3Model)
+    speed = [0.3, -0.4, 0.5]
+    new.set("dq", speed)
+    old.set(elements(new, "dq"), speed)
+    new.fmu.exitInitializationMode()
+    old.fmu.exitInitializationMode()
+    assert new.fmu.updateDiscreteStates()[:5] == (False, False, False, False, False)
+    new.fmu.enterContinuousTimeMode()
+    rates = [f"der(h[{i}])" for i in (1, 2, 3)]
+    assert [new.get(name)[0] for name in rates] == old.get(rates)
+    seed, (tau, dq) = [1.0, 2.0, 3.0], (new.variables[n].valueReference for n in ("tau", "dq"))
+    found = (c_double * 3)()
+    new.fmu.fmi3GetDirectionalDerivative(
+        new.fmu.component, (c_uint32 * 1)(tau), 1, (c_uint32 * 1)(dq), 1, (c_double * 3)(*seed), 3,
+        found, 3,
+    )  # fmt: skip
+    names = (*elements(new, "tau"), *elements(new, "dq"))
+    reference = [old.variables[n].valueReference for n in names]
+    assert list(found) == old.fmu.getDirectionalDerivative(reference[:3], reference[3:], seed)
+
+
+def test_a_solver_runs_it(friction3, table1_fmu) -> None:
+    t = np.arange(0.0, 1.0, STEP)
+    speed = np.column_stack([np.sin(6 * t + i) for i in range(3)])
+    three = np.array(list(zip(t, map(tuple, speed), strict=True)),
+                     dtype=[("time", float), ("dq", float, (3,))])  # fmt: skip
+    two = np.array([(a, *b) for a, b in zip(t, speed, strict=True)],
+                   dtype=[("time", float), *((f"dq[{i}]", float) for i in (1, 2, 3))])  # fmt: skip
+    options = {"fmi_type": "ModelExchange", "stop_time": 0.9, "output_interval": STEP}
+    new = simulate_fmu(str(friction3), input=three, output=["tau"], **options)
+    old = simulate_fmu(str(table1_fmu), input=two, output=["tau[1]", "tau[2]", "tau[3]"], **options)
+    expected = np.column_stack([old[f"tau[{i}]"] for i in (1, 2, 3)])
+    np.testing.assert_array_equal(new["tau"], expected)
+
+
+def test_what_does_not_fit_is_refused(friction3, tmp_path) -> None:
+    new = New(friction3, tmp_path)
+    for name, values in (("dq", [0.1]), ("h[1]", [0.1, 0.2])):
+        with pytest.raises(Exception, match="failed with status 3"):
+            new.set(name, values)
+    with pytest.raises(Exception, match="failed with status 3"):
+        new.fmu.getFloat64([10**6], nValues=1)
+    with pytest.raises(Exception, match="failed with status 3"):
+        new.fmu.getFloat64([new.variables["dq"].valueReference], nValues=2)
+    assert new.get("dq") == [0.0, 0.0, 0.0]
+
+
+@pytest.mark.skipif(not FMI_SIM.exists(), reason="fmi-sim is not there: run `make interop` first")
+def test_fmi_sim_runs_one_joint_in_silence(make_model, make_law, tmp_path) -> None:
+    """It knows no arrays of several elements as outputs, so it gets one joint."""
+    fmu = write_fmu(friction(make_model(make_law("viscous"))), tmp_path / "F.fmu", fmi=3)
+    answer = subprocess.run(
+        [FMI_SIM, "--model", fmu, "-o", "out.csv", "-q", "co-simulation", "--output-interval",
+         "0.005", "-f", "0.1"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (answer.returncode, answer.stderr) == (0, "")
+    assert len((tmp_path / "out.csv").read_text().splitlines()) > 10
+
+
+def test_c_compiles_with_other_compilers(friction3, tmp_path) -> None:
+    gcc = shutil.which("gcc")
+    if gcc is None:
+        pytest.skip("gcc is not installed")
+    with ZipFile(friction3) as archive:
+        archive.extractall(tmp_path)
+    flags = ["-std=c99", "-O1", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror"]
+    command = [gcc, *flags, "sources/all.c", "-o", "x.so", "-lm"]
+    answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stderr
