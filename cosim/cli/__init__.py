@@ -4,6 +4,7 @@ import sys
 from typing import NoReturn
 
 from cosim.cli import (
+    audit,
     check,
     excite,
     export,
@@ -24,6 +25,7 @@ from cosim.cli.last_resort import errors_said, plain_where_needed
 
 __all__ = [
     "app",
+    "audit",
     "check",
     "excite",
     "export",

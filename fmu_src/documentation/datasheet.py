@@ -11,6 +11,7 @@ from hesr_model.equations.functions import lowered
 from hesr_model.equations.over_log import Array
 from hesr_model.errors import SimulationError
 from hesr_model.friction.audit.audit import REACH, Audit, audit
+from hesr_model.friction.audit.certificate import Certificate, certify
 from hesr_model.friction.audit.cycles import ENCODER
 from hesr_model.friction.evaluate import numbers
 from hesr_model.friction.inputs import INPUTS
@@ -71,6 +72,36 @@ def audits(model: FrictionModel, seen: Sequence[TrainedRange]) -> tuple[Audit, .
         If a law has no audit, because it is not stable or not finite in its range.
     """
     return tuple(audit(law, range_) for law, range_ in zip(model.laws, seen, strict=True))
+
+
+def certificates(model: FrictionModel, seen: Sequence[TrainedRange]) -> tuple[Certificate, ...]:
+    """Return what is known of the passivity of each joint's law, cycles being within its range."""
+    return tuple(certify(law, range_) for law, range_ in zip(model.laws, seen, strict=True))
+
+
+def certified(found: Certificate, *, slides: bool = False) -> str:
+    """Return a certificate in words.
+
+    Parameters
+    ----------
+    found : of one joint.
+    slides : whether the joint slides.
+    """
+    if found.verdict == "proven":
+        if found.largest_step is None:
+            reach = "in continuous time"
+        elif found.largest_step == np.inf:
+            reach = "at any step"
+        else:
+            reach = f"up to steps of {1e3 * found.largest_step:.3g} ms"
+        said = f"passive, proven {reach}: {found.storage}; " + "; ".join(found.rests_on)
+    elif found.cycle is not None:
+        said = f"not passive, refuted by a cycle: {found.cycle.text}"
+    else:
+        said = f"open: no cycle was found that gives energy, and no proof: {found.rests_on[0]}"
+    for unit in ("N.m.s/rad", "N.m", "rad/s"):
+        said = said.replace(unit, unit_of_joint(unit, slides=slides)) if slides else said
+    return f"{said}."
 
 
 def audit_rows(found: Sequence[Audit], sliding: Sequence[bool] = ()) -> dict[str, list[str]]:

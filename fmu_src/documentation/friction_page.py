@@ -159,13 +159,17 @@ def _trained_rows(
 
 def _measured(model: FrictionModel) -> dict[str, Any]:
     """Return what is measured on the laws; a sentence in the place of what cannot be."""
-    found: dict[str, Any] = {"audit": {}, "verdicts": [], "refused": "", "rates": [],
-                             "costs": None, "costs_refused": ""}  # fmt: skip
+    found: dict[str, Any] = {"audit": {}, "certified": [], "verdicts": [], "refused": "",
+                             "rates": [], "costs": None, "costs_refused": ""}  # fmt: skip
     motion = reference_motion(model)
     try:
         seen = datasheet.ranges(model, motion)
         found["rates"] = [
             _rate_rows(law, range_) for law, range_ in zip(model.laws, seen, strict=True)
+        ]
+        found["certified"] = [
+            datasheet.certified(c, slides=slides)
+            for c, slides in zip(datasheet.certificates(model, seen), model.slides, strict=True)
         ]
         audits = datasheet.audits(model, seen)
         found["audit"] = datasheet.audit_rows(audits, model.sliding)

@@ -5,6 +5,7 @@ import pytest
 
 from hesr_model.errors import ArtifactError, HesrError
 from hesr_model.friction.evaluate import predict
+from hesr_model.friction.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.lugre import LuGre
 from hesr_model.rigid_body.residual import FrictionRecord
@@ -123,3 +124,18 @@ def test_a_joint_that_never_reverses_is_refused() -> None:
     one_way = FrictionRecord(**(vars(data) | {"dq": np.abs(data.dq)}))
     with pytest.raises(HesrError, match="'j1' never reverses"):
         fitted(one_way)
+
+
+@pytest.mark.parametrize("name", ["lugre_textbook", "lugre_passive"])
+def test_static_friction_of_the_textbook_is_not_below_coulomb(name: str) -> None:
+    """On data whose level rises with speed, where plain LuGre makes it lower."""
+    t = 0.01 * np.arange(2500)
+    dq = 0.6 * np.sin(0.9 * t) * np.sin(0.31 * t)
+    q = np.cumsum(dq) * 0.01
+    tau = 4.0 * np.tanh(dq / 0.02) + 6.0 * dq / (1.0 + np.abs(dq) / 0.1)
+    record = FrictionRecord(
+        log="made", joint="j1", t=t, dq=dq, q=q, tau_load=np.zeros_like(t), tau=tau
+    )
+    plain, own = (fit_joint(law, [record], seed=0).values for law in ("lugre", name))
+    assert plain["F_s"] < plain["F_c"]
+    assert own["F_s"] >= own["F_c"] * (1.0 - 1e-9)

@@ -4,7 +4,7 @@ from cosim.report.markup import Pictures, Section, details, joined, paragraph, t
 from cosim.report.results import Results
 from cosim.tables.laws import audit
 from cosim.tables.table import ResultTable, TableCell, TableRow, fixed, number, title
-from fmu_src.documentation.datasheet import audits
+from fmu_src.documentation.datasheet import audits, certificates, certified
 from hesr_model.errors import SimulationError
 from hesr_model.friction.audit.audit import Audit
 from hesr_model.friction.audit.cycles import ENCODER
@@ -71,6 +71,27 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                         for law, of_law in found.items()
                     ],
                 )
+            ),
+            details(
+                "Certificates: proven, refuted by a cycle, or open",
+                table(
+                    ResultTable(
+                        caption="Passivity of each law and joint",
+                        head=("law", "joint", "certificate"),
+                        rows=[
+                            TableRow(head=title(law), cells=(joint, certified(c, slides=slides)))
+                            for law in found
+                            for model in (results.models[law],)
+                            for joint, c, slides in zip(
+                                results.joints,
+                                certificates(model, model.trained),
+                                model.slides,
+                                strict=True,
+                            )
+                        ],
+                        numeric=False,
+                    )
+                ),
             ),
             details(
                 "All figures of every law",

@@ -120,3 +120,67 @@ class LuGreLoadRipple(LuGreLoad):
     ripple = True
     typical: ClassVar[Mapping[str, Any]] = {"ripple": {"gear_ratio": 100, "orders": [2]}}
     start_samples = 5
+
+
+RATIO_TEXTBOOK = (1.0, 5.0)
+"""Bounds of F_s / F_c where static friction is what its name says."""
+SIGMA_T = Coefficient(
+    name="sigma_t", unit="N.m.s/rad", description="viscous friction that thins with speed"
+)
+V_T = Coefficient(name="v_t", unit="rad/s", description="speed of shear thinning")
+S_2 = Coefficient(name="s_2", unit="N.m.s/rad", description="viscous friction above what is needed")
+THINNING_BOUNDS = (1e-2, 3.0)
+"""Bounds of the speed of shear thinning [rad/s]."""
+
+
+@register
+class LuGreTextbook(OneForm):
+    """LuGre with F_s >= F_c and viscous friction that may thin: + sigma_t v / (1 + |v|/v_t)."""
+
+    name = "lugre_textbook"
+    title = "LuGre, F_s >= F_c"
+
+    @staticmethod
+    def core(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        no_structure("lugre_textbook", structure)
+        thin = SIGMA_T.symbol * DQ / (1 + absolute(DQ) / V_T.symbol)
+        return LawForm(
+            coefficients=(*COEFFICIENTS, SIGMA_T, V_T), memory=(bristle(),), output=torque() + thin
+        )
+
+    def space(self) -> SearchSpace:
+        """Search the bristle and the speed of thinning; everything else is linear."""
+        plain = bristle_space(("F_c", "sigma_1", "sigma_2", "sigma_t", "tau_0"), non_negative=4)
+        bounds = dict(plain.bounds) | {"ratio": RATIO_TEXTBOOK, "v_t": THINNING_BOUNDS}
+        return replace(plain, bounds=tuple(bounds.items()))
+
+
+@register
+class LuGrePassive(OneForm):
+    """LuGre that is passive: sigma_2 = s_2 + sigma_1 (F_s/F_c - 1) with s_2 >= 0, F_s >= F_c.
+
+    Source: N. Barabanov, R. Ortega, Necessary and sufficient conditions for passivity of the LuGre
+    friction model, 2000; in continuous time.
+    """
+
+    name = "lugre_passive"
+    title = "LuGre, passive"
+
+    @staticmethod
+    def core(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        no_structure("lugre_passive", structure)
+        needed = SIGMA_1.symbol * (F_S.symbol / F_C.symbol - 1)
+        swapped = tuple(S_2 if c is SIGMA_2 else c for c in COEFFICIENTS)
+        return LawForm(
+            coefficients=swapped,
+            memory=(bristle(),),
+            output=torque().subs(SIGMA_2.symbol, S_2.symbol + needed),
+        )
+
+    def space(self) -> SearchSpace:
+        """Search the bristle; everything else is linear, since F_s/F_c is searched."""
+        plain = bristle_space(("F_c", "sigma_1", "s_2", "tau_0"), non_negative=3)
+        bounds = dict(plain.bounds) | {"ratio": RATIO_TEXTBOOK}
+        return replace(plain, bounds=tuple(bounds.items()))

@@ -1,0 +1,271 @@
+"""Is a law passive? Proven by a storage function, refuted by a cycle that gives energy, or open.
+
+A storage function S >= 0 with tau dq >= dS over every motion proves that a law never gives more
+than it was given. Here S is a sum of k x^2 over stops and bristles, tau is taken after the states
+have moved, dq = v dt of that step, and what is a torque of position alone (an offset, ripple
+without lag) stands beside it: it does no work over a closed way.
+
+    stop       F x, F >= 0                 S = F w x^2 / 2, any step: a clip is a projection on a
+                                           set that holds 0, however its bound moves
+    bristle    c x, x' = b v - |v| k(v) x  S = c x^2 / (2 b), any step of an exact relaxation
+    with       + d x'                      f >= d (max k / min k - 1): Barabanov and Ortega (2000),
+                                           in continuous time
+    f(v) v     f >= 0
+    ripple     see `laws.stops.passive`: f at every speed above what its lag gives
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import inf
+from typing import Literal
+
+import numpy as np
+import sympy
+
+from hesr_model.equations.functions import cardinal_sine, lowered
+from hesr_model.equations.memory import DT, Element, Relaxation, Stop
+from hesr_model.equations.over_log import Array
+from hesr_model.friction.audit.attack import Attack, attack
+from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws.stops.passive import SPEEDS, distance
+from hesr_model.friction.trained import TrainedRange
+
+Verdict = Literal["proven", "refuted", "open"]
+_ROUNDING = 1e-9  # of the largest term, by which a condition may fail
+_STEPS = np.geomspace(1e-6, 10.0, 141)  # [s] among which the largest certified one is
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """What is known of a law's passivity.
+
+    Attributes
+    ----------
+    verdict : proven, refuted by `cycle`, or open.
+    storage : storage function, as text; empty where there is none.
+    rests_on : conditions on numbers that hold, as text; for an open law the one that does not.
+    largest_step : up to which the sampled law is proven [s]: inf for any; None where it is proven
+        in continuous time only, or not at all.
+    cycle : that gives energy.
+    """
+
+    verdict: Verdict
+    storage: str = ""
+    rests_on: tuple[str, ...] = ()
+    largest_step: float | None = None
+    cycle: Attack | None = None
+
+
+class _UnprovenError(Exception):
+    """A condition of the proof does not hold; its text says which."""
+
+
+def certify(law: FrictionLaw, trained: TrainedRange) -> Certificate:
+    """Prove a law's passivity, refute it by a cycle, or say why neither was possible.
+
+    Parameters
+    ----------
+    law : of one joint.
+    trained : ranges within which cycles are looked for; a proof holds for all inputs.
+    """
+    try:
+        return _Proof(law).certificate()
+    except _UnprovenError as reason:
+        cycle = attack(law, trained)
+        return Certificate(
+            verdict="refuted" if cycle else "open", rests_on=(str(reason),), cycle=cycle
+        )
+
+
+def storage(law: FrictionLaw) -> Mapping[str, float]:
+    """Return the factor k of k x^2 of each state in the storage function; 0 for a state without.
+
+    Its unit is J per square of the state's. For a law that is proven.
+    """
+    proof = _Proof(law)
+    proof.certificate()
+    return {m.name: proof.stored.get(m.name, 0.0) for m in law.form.memory}
+
+
+class _Proof:
+    def __init__(self, law: FrictionLaw) -> None:
+        self.law = law
+        numbers = {c.symbol: sympy.Float(law.values[c.name]) for c in law.form.coefficients}
+        self.memory: tuple[Element, ...] = tuple(m.subs(numbers) for m in law.form.memory)
+        self.output = law.form.output.subs(numbers)
+        self.stored: dict[str, float] = {}
+        self.texts: list[str] = []
+        self.conditions: list[str] = []
+        self.step: float | None = inf
+
+    def certificate(self) -> Certificate:
+        states = {s: 0 for m in self.memory for s in (m.state, m.derivative)}
+        damping = 0.0
+        for element in self.memory:
+            damping += self._element(element)
+        rest = self.output.subs(states)
+        linear = sum(self.output.diff(s) * s for s in states if self.output.has(s))
+        if sympy.expand(self.output - rest - linear) != 0:
+            raise _UnprovenError("the torque is not linear in the states")
+        if TAU_LOAD in rest.free_symbols:
+            raise _UnprovenError("the load is in the torque itself, not in a bound")
+        terms = sympy.Add.make_args(sympy.expand_mul(rest))
+        waves = [term for term in terms if Q in term.free_symbols]
+        self._viscous(sympy.Add(*(t for t in terms if Q not in t.free_symbols)), waves, damping)
+        return Certificate(
+            verdict="proven",
+            storage=f"S = {' + '.join(self.texts)}" if self.texts else "S = 0",
+            rests_on=tuple(self.conditions),
+            largest_step=self.step,
+        )
+
+    def _element(self, element: Element) -> float:
+        """Look at one element; return what it asks of f [N.m.s/rad]."""
+        x = element.state
+        factor, rate_factor = self.output.diff(x), self.output.diff(element.derivative)
+        if factor == 0 and rate_factor == 0:
+            return 0.0
+        if not factor.is_number or not rate_factor.is_number:
+            raise _UnprovenError(f"what {x} is multiplied by depends on inputs or states")
+        force, damper = float(factor), float(rate_factor)
+        if force < 0.0:
+            raise _UnprovenError(f"the factor of {x} is negative, {force:.3g}")
+        if isinstance(element, Stop):
+            if element.velocity != DQ or damper != 0.0:
+                raise _UnprovenError(f"{x} is a stop that the joint's velocity alone does not move")
+            k = force * float(element.deflection) / 2.0
+            self.conditions.append(f"F({x}) = {force:.3g} >= 0, bound {_text(element.bound)} >= 0")
+        else:
+            k = self._bristle(element, force)
+        self.stored[element.name] = k
+        self.texts.append(f"{k:.3g} {x}^2")
+        if damper == 0.0:
+            return 0.0
+        return self._damper(element, damper)
+
+    def _bristle(self, element: Relaxation, force: float) -> float:
+        x = element.state
+        gain = sympy.simplify(element.drive / DQ)
+        if not gain.is_number or float(gain) <= 0.0:
+            raise _UnprovenError(f"the drive of {x} is not proportional to the velocity")
+        if not element.rate.free_symbols <= {DQ}:
+            raise _UnprovenError(f"the rate of {x} depends on more than the velocity")
+        rate = _values(element.rate, np.concatenate([-SPEEDS[::-1], SPEEDS]))
+        if rate.min() < 0.0:
+            raise _UnprovenError(f"the rate of {x} is negative at some speed")
+        self.conditions.append(f"F({x}) = {force:.3g} >= 0, rate of {x} >= 0")
+        if self.law.discretisation != "exact":
+            self.step = None
+        return force / (2.0 * float(gain))
+
+    def _damper(self, element: Element, damper: float) -> float:
+        """Barabanov and Ortega: d (max k / min k - 1), of the rate |v| k(v)."""
+        if not isinstance(element, Relaxation) or damper < 0.0:
+            raise _UnprovenError(f"the factor of {element.derivative} is negative, {damper:.3g}")
+        speeds = SPEEDS[1:]
+        k = np.concatenate([_values(element.rate, s * speeds) / speeds for s in (1.0, -1.0)])
+        if k.min() <= 0.0:
+            raise _UnprovenError(f"{element.name} has no steady deflection at some speed")
+        self.step = None
+        return damper * (float(k.max() / k.min()) - 1.0) * float(element.drive.diff(DQ))
+
+    def _viscous(self, steady: sympy.Expr, waves: list[sympy.Expr], damping: float) -> None:
+        speeds = SPEEDS[1:]
+        if not steady.free_symbols <= {DQ}:
+            raise _UnprovenError("the torque beside the states depends on more than the velocity")
+        ahead, back = _values(steady, speeds), _values(steady, -speeds)
+        # An offset that divides torques ahead from those back does no work over a closed way.
+        low, high = float(back.max()), float(ahead.min())
+        scale = max(float(np.abs([ahead, back]).max()), 1e-12)
+        if low > high + _ROUNDING * scale:
+            v = (speeds[ahead.argmin()], speeds[back.argmax()])
+            raise _UnprovenError(
+                f"ahead at {v[0]:.3g} rad/s friction is {low - high:.3g} N.m less than back at "
+                f"{v[1]:.3g} rad/s"
+            )
+        least = low if low == high else float(_values(steady, np.zeros(1))[0])
+        offset = min(max(least, low), high)
+        f = np.minimum(ahead - offset, offset - back) / speeds
+        known = float(f.min())
+        if f.min() < -_ROUNDING * scale:
+            raise _UnprovenError(f"viscous friction is negative, {known:.3g} N.m.s/rad")
+        self.conditions.append(f"f(v) >= {max(known, 0.0):.3g} N.m.s/rad at all speeds")
+        if damping > 0.0:
+            if np.min(f - damping) < -_ROUNDING * damping:
+                raise _UnprovenError(
+                    f"Barabanov and Ortega ask for {damping:.3g} N.m.s/rad of viscous friction, "
+                    f"there is {known:.3g}"
+                )
+            self.conditions.append(f"of which Barabanov and Ortega ask for {damping:.3g}")
+        if waves:
+            self._ripple(waves, f - damping)
+
+    def _ripple(self, waves: list[sympy.Expr], f: Array) -> None:
+        found: dict[tuple[float, float, float, float], list[float]] = {}
+        for term in waves:
+            wave = next(iter(term.atoms(sympy.cos, sympy.sin)), None)
+            if wave is None or len(term.atoms(sympy.cos, sympy.sin)) != 1:
+                raise _UnprovenError("the torque of position is no sum of waves")
+            argument, factor = wave.args[0], term / wave
+            n = argument.diff(Q)
+            lag = -argument.subs({DT: 0, Q: 0}).diff(DQ)
+            if not n.is_number or float(n) == 0.0 or not (lag / n).is_number:
+                raise _UnprovenError("the argument of a wave is not linear in angle and speed")
+            means = list(factor.atoms(cardinal_sine))
+            window = -1.0
+            if means:
+                window = _window(means[0])
+                factor = factor / means[0]
+            amplitude, smoothing = factor, 0.0
+            if not factor.is_number:
+                amplitude = factor.subs(DQ, 0)
+                slow = sympy.simplify((amplitude / factor - 1) / DQ**2)
+                if not (amplitude.is_number and slow.is_number and slow >= 0):
+                    raise _UnprovenError("the amplitude of a wave is no smoothed one")
+                smoothing = float(sympy.sqrt(slow)) / abs(float(n))
+            key = (abs(float(n)), float(lag / n), smoothing, window)
+            found.setdefault(key, []).append(float(amplitude))
+        groups = [(float(np.hypot(a[0], a[1])) if len(a) == 2 else sum(map(abs, a)), *key)
+                  for key, a in found.items()]  # fmt: skip
+        if all(window >= 0.0 for *_, window in groups):
+            if not _holds(groups, f, inf):
+                raise _UnprovenError("ripple that lags gives more than viscous friction takes")
+        else:
+            steps = [h for h in _STEPS if _holds(groups, f, float(h))]
+            if not steps:
+                raise _UnprovenError("ripple that lags gives more than viscous friction takes")
+            self.step = None if self.step is None else min(self.step, float(steps[-1]))
+        self.conditions.append(
+            "f(v) >= sum_k A_k min(n_k c, 2/|v|) at all speeds, of lag, sampling and smoothing"
+        )
+
+
+def _holds(groups: Sequence[tuple[float, ...]], f: Array, step: float) -> bool:
+    speeds, need = SPEEDS[1:], np.zeros_like(f)
+    for amplitude, n, lag, smoothing, window in groups:
+        c = distance(lag, window if window >= 0.0 else step)
+        need += amplitude * np.minimum(n * c, 2.0 / speeds)
+        need += amplitude * np.minimum(n * smoothing / 2.0, 1.0 / speeds)
+    return bool(np.all(f >= need * (1.0 - 1e-6)))
+
+
+def _window(mean: sympy.Expr) -> float:
+    """Return the step [s] up to which a wave is not averaged."""
+    for part in mean.atoms(sympy.Function):
+        if part.func.__name__ == "positive":
+            return -float(part.args[0].subs(DT, 0))
+    return 0.0
+
+
+def _values(expression: sympy.Expr, speeds: Array) -> Array:
+    with np.errstate(all="ignore"):
+        found = np.broadcast_to(lowered([DQ], [expression])(speeds)[0], speeds.shape)
+    if not np.all(np.isfinite(found)):
+        raise _UnprovenError("the law is no number at some speeds")
+    return np.asarray(found, dtype=float)
+
+
+def _text(expression: sympy.Expr) -> str:
+    shown = expression.xreplace({n: sympy.Float(n, 4) for n in expression.atoms(sympy.Float)})
+    return str(sympy.sstr(shown)).replace("absolute(", "abs(")

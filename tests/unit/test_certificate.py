@@ -1,0 +1,250 @@
+"""Certificates of passivity: proofs that hold on random steps, and cycles that give energy."""
+
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+import pytest
+import sympy
+
+from hesr_model.artifacts import read_model
+from hesr_model.equations.functions import absolute, sgn
+from hesr_model.equations.memory import Relaxation, Stop
+from hesr_model.equations.over_log import StatesOverLog
+from hesr_model.friction.audit.attack import attack
+from hesr_model.friction.audit.certificate import Certificate, certify, storage
+from hesr_model.friction.evaluate import Stepper, predict
+from hesr_model.friction.inputs import DQ, INPUTS, TAU_LOAD, Q
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.registry import registry
+from hesr_model.friction.trained import TrainedRange
+from hesr_model.support.files import models_folder
+
+TRAINED = TrainedRange(
+    sample_time=0.01, dq=(-1.0, 1.0), q=(-1.0, 1.0), tau_load=(-20.0, 30.0), tau=(-20.0, 20.0)
+)
+STEPS, SOAK = 10_000, 1_000_000
+
+
+def law_of(name: str, structure: dict[str, object] | None = None, **values: float) -> FrictionLaw:
+    form = registry()[name].form(structure or {})
+    return FrictionLaw(name=name, structure=structure or {}, form=form, values=values)
+
+
+def own(output: sympy.Expr, *memory: Relaxation | Stop, **values: float) -> FrictionLaw:
+    coefficients = tuple(Coefficient(name=k, unit="1", description="any") for k in values)
+    form = LawForm(coefficients=coefficients, memory=memory, output=output)
+    return FrictionLaw(name="own", form=form, values=values)
+
+
+STOPS = {
+    "stops": [["1", 0], ["p", 2], ["load", 4], ["root", 1], ["plus", 0], ["minus", 8]],
+    "viscous": ["1", "a"],
+}
+STOP_VALUES = {
+    "F_1": 2.0, "F_p_3": 1.0, "F_load_5": 3.0, "F_root_2": 1.0, "F_plus_1": 0.5, "F_minus_9": 0.4,
+    "sigma_2": 1.0, "sigma_a": 20.0, "tau_0": 0.3, "v_a": 0.1, "v_s": 0.1, "T": 0.05,
+    "load_scale": 20.0,
+}  # fmt: skip
+LUGRE = {"sigma_0": 5e3, "sigma_1": 0.0, "sigma_2": 3.0, "F_c": 4.0, "F_s": 6.0, "v_s": 0.05,
+         "tau_0": 0.2}  # fmt: skip
+WAVES = {"ripple200_cos": 0.3, "ripple200_sin": -0.4, "lag": 0.004}
+
+
+def stops() -> FrictionLaw:
+    return law_of("parfam_s", STOPS, **STOP_VALUES)
+
+
+def rippled(window: float = 0.015, **changed: float) -> FrictionLaw:
+    structure = {**STOPS, "ripple": [200], "window": window}
+    return law_of("parfam_s", structure, **STOP_VALUES | WAVES | changed)
+
+
+def dahl() -> FrictionLaw:
+    numbers = {f"kappa_{i}": 10.0 ** (5 - i) for i in range(1, 6)}
+    numbers |= {f"F_{i}": float(i) for i in range(1, 6)}
+    return law_of("dahl", **numbers, sigma_2=2.0, tau_0=-0.4)
+
+
+def worst_step(law: FrictionLaw, count: int, seed: int) -> float:
+    """Least tau dq - dS of random steps, over the size of what is compared; a proof's is >= 0.
+
+    Steps of 1 us to 10 s, velocities of ten decades, loads that jump.
+    """
+    rng = np.random.default_rng(seed)
+    k = storage(law)
+    factors = [k[m.name] for m in law.form.memory]
+    dt = 10.0 ** rng.uniform(-6.0, 1.0, count)
+    v = rng.choice([-1.0, 1.0], count) * 10.0 ** rng.uniform(-7.0, 2.0, count)
+    load = 30.0 * rng.normal(size=count)
+    dt[0] = 0.0
+    t, q = np.cumsum(dt), np.zeros(count)
+    tau = predict(law, t=t, dq=v, q=q, tau_load=load) - law.values["tau_0"]
+    arguments = (*(c.symbol for c in law.form.coefficients), *INPUTS)
+    memory = StatesOverLog(law.form.memory, arguments, ())
+    values = (*law.values.values(), v, q, load)
+    begins = np.arange(count) == 0
+    states = memory(values, np.diff(t, prepend=0.0), begins, law.start, "exact")[::2]
+    stored = sum(f * x**2 for f, x in zip(factors, states, strict=True))
+    power = tau * v * np.diff(t, prepend=0.0)
+    margin = power[1:] - np.diff(stored)
+    size = np.maximum(np.maximum(stored[1:], stored[:-1]), np.abs(power[1:]))
+    return float(np.min(margin / size))
+
+
+# --- proofs -----------------------------------------------------------------------------------
+
+PROVEN = [stops(), dahl(), law_of("lugre", **LUGRE)]
+
+
+@pytest.mark.parametrize(
+    "law", [stops(), dahl(), law_of("lugre", **LUGRE)], ids=lambda law: law.name
+)
+def test_what_is_proven_holds_on_random_steps(law: FrictionLaw) -> None:
+    assert certify(law, TRAINED).largest_step == inf
+    assert worst_step(law, STEPS, 0) > -1e-9
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize(
+    "law", [stops(), dahl(), law_of("lugre", **LUGRE)], ids=lambda law: law.name
+)
+def test_what_is_proven_holds_on_a_million_steps(law: FrictionLaw) -> None:
+    assert worst_step(law, SOAK, 1) > -1e-9
+
+
+def test_a_proof_says_what_it_rests_on() -> None:
+    found = certify(stops(), TRAINED)
+    assert found.verdict == "proven"
+    assert found.storage.startswith("S = 3e-05 x_1^2")
+    assert any("F(x_load_5) = 3 >= 0" in said for said in found.rests_on)
+    assert any("f(v) >= 1 N.m.s/rad" in said for said in found.rests_on)
+
+
+def broken(**changed: float) -> FrictionLaw:
+    return replace(stops(), values=STOP_VALUES | changed)
+
+
+@pytest.mark.parametrize(
+    ("law", "why"),
+    [
+        (broken(F_1=-0.1), "the factor of x_1 is negative"),
+        (broken(sigma_2=-0.5), "friction is"),
+        (law_of("lugre", **LUGRE | {"sigma_1": 10.0}), "Barabanov and Ortega ask for"),
+        (
+            own(
+                TAU_LOAD * sympy.Symbol("x", real=True),
+                Stop(name="x", unit="1", velocity=DQ, deflection=1e-3, bound=1),
+            ),
+            "what x is multiplied by",
+        ),
+        (
+            own(
+                sympy.Symbol("x", real=True) ** 2,
+                Stop(name="x", unit="1", velocity=DQ, deflection=1e-3, bound=1),
+            ),
+            "what x is multiplied by",
+        ),
+        (
+            own(
+                sympy.Symbol("x", real=True),
+                Stop(name="x", unit="1", velocity=-DQ, deflection=1e-3, bound=1),
+            ),
+            "a stop that the joint's velocity alone",
+        ),
+        (own(Q * DQ), "no sum of waves"),
+        (own(DQ + TAU_LOAD), "the load is in the torque itself"),
+    ],
+)
+def test_what_is_not_proven_has_a_reason(law: FrictionLaw, why: str) -> None:
+    found = certify(law, TRAINED)
+    assert found.verdict != "proven"
+    assert why in found.rests_on[0]
+
+
+def test_barabanov_and_ortega() -> None:
+    """Passive from sigma_2 = sigma_1 (F_s - F_c)/F_c on, in continuous time."""
+    enough = 10.0 * (6.0 - 4.0) / 4.0
+    proven = certify(law_of("lugre", **LUGRE | {"sigma_1": 10.0, "sigma_2": enough}), TRAINED)
+    assert (proven.verdict, proven.largest_step) == ("proven", None)
+    less = certify(law_of("lugre", **LUGRE | {"sigma_1": 10.0, "sigma_2": 0.999 * enough}), TRAINED)
+    assert less.verdict != "proven"
+
+
+# --- ripple -----------------------------------------------------------------------------------
+
+
+def test_ripple_with_a_window_is_certified_at_any_step() -> None:
+    found = certify(rippled(), TRAINED)
+    assert (found.verdict, found.largest_step) == ("proven", inf)
+
+
+def test_ripple_that_lags_too_much_is_not() -> None:
+    assert certify(rippled(lag=0.2, sigma_a=0.0), TRAINED).verdict != "proven"
+
+
+def test_sampled_ripple_without_a_mean_is_certified_up_to_a_step() -> None:
+    x = Stop(name="x", unit="1", velocity=DQ, deflection=1e-3, bound=1)
+    law = own(x.state + 20.0 * DQ + 0.5 * sympy.cos(200 * (Q - 0.004 * DQ)), x)
+    found = certify(law, TRAINED)
+    # 20 = .5 * 200 * (mean distance of the lag from (0, h)): h = 0.4 s and lag.
+    assert found.verdict == "proven"
+    assert found.largest_step == pytest.approx(0.4, rel=0.15)
+
+
+@pytest.mark.parametrize("dt", [1e-4, 0.004, 0.05, 2.0])
+def test_no_closed_way_gives_energy(dt: float) -> None:
+    """Random ways that close, with ripple and a moving load: the work of the tenth round."""
+    law, rng = rippled(), np.random.default_rng(0)
+    for _ in range(10):
+        dq = rng.normal(size=30) * 10.0 ** rng.uniform(-4.0, 1.0)
+        dq -= dq.mean()
+        load = 30.0 * rng.normal(size=30)
+        stepper, q = Stepper(law), 0.0
+        for _ in range(10):
+            work = 0.0
+            for v, tau_load in zip(dq, load, strict=True):
+                q += v * dt
+                work += stepper.step(dt, float(v), q, float(tau_load)) * v * dt
+        assert work > -1e-12
+
+
+# --- refutations ------------------------------------------------------------------------------
+
+
+def test_table_i_is_refuted_by_its_cycles() -> None:
+    model = read_model(models_folder() / "uf850" / "table1.json")
+    still = replace(TRAINED, sample_time=0.005, dq=(-1.2, 1.2), tau_load=(0.0, 0.0))
+    found = [certify(law, still) for law in model.laws]
+    energies = [c.cycle.energy if c.cycle else 0.0 for c in found]
+    assert [c.verdict for c in found[:2]] == ["refuted", "refuted"]
+    assert energies[:2] == pytest.approx([12.4, 20.6], abs=0.05)
+
+
+def test_load_as_a_factor_is_refuted_and_as_a_bound_is_not() -> None:
+    x = Stop(name="x", unit="1", velocity=DQ, deflection=1e-4, bound=1)
+    factor = own((2.0 + absolute(TAU_LOAD)) * x.state + DQ, x)
+    found = certify(factor, TRAINED)
+    assert found.verdict == "refuted"
+    assert found.cycle is not None
+    assert found.cycle.swing > 0.0
+    assert found.cycle.energy > 1e-7
+    assert f"{found.cycle.energy:.3g} J a cycle" in found.cycle.text
+    bound = replace(x, bound=2.0 + absolute(TAU_LOAD))
+    assert attack(own(x.state + DQ, bound), TRAINED) is None
+    assert certify(own(x.state + DQ, bound), TRAINED).verdict == "proven"
+
+
+def test_what_drives_at_low_speed_is_refuted() -> None:
+    found = certify(own(DQ - 0.1 * sgn(DQ)), TRAINED)
+    assert found.verdict == "refuted"
+    assert "less than back" in found.rests_on[0]
+
+
+def test_an_offset_is_no_drive() -> None:
+    assert certify(own(DQ + 3.0), TRAINED) == Certificate(
+        verdict="proven",
+        storage="S = 0",
+        rests_on=("f(v) >= 1 N.m.s/rad at all speeds",),
+        largest_step=inf,
+    )
