@@ -22,7 +22,7 @@ def audit(
         ),
     ],
 ) -> None:
-    """Prove that laws are passive, or show the cycle that gives energy.
+    """Prove that laws are passive, or refute it by a cycle.
 
     Joint by joint: proven, with the storage function and the signs it rests on; refuted, by a cycle
     that gives energy; or open, with the condition that does not hold. Then the figures of the

@@ -78,20 +78,25 @@ class FrictionBench:
         self._time = 0.0
         return self._outputs.read().copy()
 
-    def step(self, dt: float, dq: Array, q: Array) -> Array:
+    def step(self, dt: float, dq: Array, q: Array, load: Array | None = None) -> Array:
         """Hold velocities dq (n,) [rad/s] at places q (n,) [rad] for a time [s]; return the torque.
 
-        It is (n,) [N.m], good until the next step.
+        It is (n,) [N.m], good until the next step. A load (n,) [N.m] is that of the start where not
+        given.
         """
         n, inputs = self.joints, self._inputs
         inputs.values[:n] = dq
         inputs.values[n : 2 * n] = q
+        if load is not None:
+            inputs.values[2 * n :] = load
         inputs.write()
         self._component.step(self._time, dt)
         self._time += dt
         return self._outputs.read()
 
-    def move(self, dt: Array, dq: Array, q: Array | None = None) -> Array:
+    def move(
+        self, dt: Array, dq: Array, q: Array | None = None, load: Array | None = None
+    ) -> Array:
         """Hold velocities one after the other.
 
         Parameters
@@ -100,6 +105,7 @@ class FrictionBench:
         dq : (K, n) [rad/s].
         q : (K, n) position that the FMU is told [rad]; where not given it is told that the joint
             stays at its place, so that what depends on position does not mix in.
+        load : (K, n) [N.m]; that of the start where not given.
 
         Returns
         -------
@@ -110,7 +116,8 @@ class FrictionBench:
         for k, seconds in enumerate(dt.tolist()):
             parts = 1 if self.exact else max(1, int(np.ceil(seconds / _SUBSTEP)))
             for _ in range(parts):
-                tau[k] = self.step(seconds / parts, dq[k], told[k])
+                held = None if load is None else load[k]
+                tau[k] = self.step(seconds / parts, dq[k], told[k], held)
         return tau
 
 

@@ -118,7 +118,7 @@ def hold(bench: DriveBench, scale: Scale) -> list[Finding]:
 
 def dither(bench: DriveBench, scale: Scale) -> list[Finding]:
     """Bear a constant load and a small one to and fro for a minute."""
-    load = LOAD * scale.level
+    load = LOAD * scale.bears
     bench.start(load=scale.load, torque=scale.offset)
     _put_on(bench, scale, load)
     rows = round((MINUTE + _SETTLING) * FREQUENCY * _PER_PERIOD)
@@ -126,7 +126,7 @@ def dither(bench: DriveBench, scale: Scale) -> list[Finding]:
     wave = np.sin(2.0 * np.pi / _PER_PERIOD * (np.arange(rows) + 0.5))
 
     def shake(k: int) -> None:
-        bench.torque[:] = scale.offset + load + DITHER * wave[k] * scale.level
+        bench.torque[:] = scale.offset + load + DITHER * wave[k] * scale.bears
 
     q = bench.run(dt, shake)[0]
     # The middle of each period: what drifts, not what swings.

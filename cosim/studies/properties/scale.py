@@ -52,6 +52,12 @@ class Scale:
         """Whether slow steady sliding to and fro gives energy, (n,) without unit."""
         return np.asarray((self.steady[_SHARES <= SLIDING * 1.001] < 0.0).any(axis=0))
 
+    @property
+    def bears(self) -> Array:
+        """(n,) [N.m] what friction bears at rest: the level, or less where it rises with speed."""
+        slowest = np.abs(self.steady[0])
+        return np.where(slowest > _NO_FRICTION, np.minimum(self.level, slowest), self.level)
+
     def steady_at(self, speeds: Array, joint: int) -> Array:
         """Return the steady torque (N,) [N.m] of a joint at speeds (N,) [rad/s].
 

@@ -6,6 +6,7 @@ from cosim.batch import Array
 from cosim.studies.properties.bench import FrictionBench
 from cosim.studies.properties.curves import curve
 from cosim.studies.properties.scale import Scale
+from hesr_model.friction.audit.attack import loaded_motions
 from hesr_model.friction.audit.cycles import (
     AMPLITUDES,
     FREQUENCIES,
@@ -24,6 +25,7 @@ _PERIODS = (1.0, 50.0)  # [s] of it
 _ROWS = 500  # of a period
 _TURNS = 3  # periods, of which the last is measured
 _ROUNDING = 1e-9  # [N.m]
+_ANGLES, _PHASES, _LOADED_TURNS = (1e-5, 1e-4, 1e-3), (0.5 * np.pi, 1.5 * np.pi), 20
 _SHOWN = 400  # rows of the noisy rest that are drawn
 
 
@@ -136,7 +138,38 @@ def work(
             tau = _run(bench, motions, held, trained[0].sample_time)
             for joint, motion in enumerate(motions):
                 found[joint] += cycles(motion, float(held[joint]), tau[:, :, joint])
+    if any(len(of_joint) > 1 for of_joint in loads):
+        for joint, under_load in enumerate(_with_moving_load(bench, trained)):
+            found[joint] += under_load if len(loads[joint]) > 1 else []
     return [_worked(of_joint) for of_joint in found]
+
+
+def _with_moving_load(bench: FrictionBench, trained: list[TrainedRange]) -> list[list[Cycle]]:
+    """Return cycles in which loads move at twice the motion's rate, for each joint."""
+    found: list[list[Cycle]] = [[] for _ in trained]
+    of_joints = (loaded_motions(r, _ANGLES, _PHASES, _LOADED_TURNS) for r in trained)
+    for motions in zip(*of_joints, strict=True):
+        dq, q, load = (
+            np.column_stack([getattr(m, part) for m in motions]) for part in ("dq", "q", "load")
+        )
+        bench.start(load=load[0], exact=False, dq=dq[0])
+        dt = np.full(len(dq), trained[0].sample_time)
+        tau = bench.move(dt, dq, q, load)
+        for joint, motion in enumerate(motions):
+            rows = slice(-motion.rows, None)
+            power = np.abs(tau[rows, joint] * motion.dq[rows]).sum() * trained[0].sample_time
+            given = motion.given(tau[:, joint])
+            found[joint].append(
+                Cycle(
+                    amplitude=motion.cycle.amplitude,
+                    frequency=motion.cycle.frequency,
+                    tau_load=motion.cycle.mean,
+                    swing=motion.cycle.swing,
+                    work=-given if given else 0.0,
+                    share=-given / power if given else 1.0,
+                )
+            )
+    return found
 
 
 def _run(bench: FrictionBench, motions: list[ClosedMotions], load: Array, sample: float) -> Array:
@@ -153,12 +186,13 @@ def _worked(found: list[Cycle]) -> Finding:
     given = max(0.0, -worst.work)
     share = min(found, key=lambda c: c.share)
     gives = given > PASSIVE
-    reason = f"A cycle at {worst.frequency:.2g} Hz gives {given:.3g} J." if gives else ""
+    swings = f" while the load swings by {worst.swing:.3g} N.m" if worst.swing else ""
+    reason = f"A cycle at {worst.frequency:.2g} Hz gives {given:.3g} J{swings}." if gives else ""
     curves = []
-    for frequency in sorted({c.frequency for c in found})[::2]:
+    for frequency in sorted({c.frequency for c in found if not c.swing})[::2]:
         least: dict[float, float] = {}
         for c in found:
-            if c.frequency == frequency:
+            if c.frequency == frequency and not c.swing:
                 least[c.amplitude] = min(least.get(c.amplitude, 1.0), c.share)
         x, y = (np.array(part) for part in zip(*sorted(least.items()), strict=True))
         curves.append(curve(f"{frequency:.2g} Hz", x, y))

@@ -1,6 +1,7 @@
 """Cycles on which a law may give energy: sines, also with a load that moves at twice their rate."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -90,32 +91,69 @@ def _still(law: FrictionLaw, trained: TrainedRange) -> list[Attack]:
     return found
 
 
-def _moving(law: FrictionLaw, trained: TrainedRange) -> list[Attack]:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoadedMotion:
+    """A small sine, and a load that moves at twice its rate, until it has settled.
+
+    Attributes
+    ----------
+    dq, q, load : (K,) velocity [rad/s], position [rad] and load [N.m], a sample time apart.
+    rows : of a cycle.
+    cycle : what is known of it, without its energy.
+    """
+
+    dq: Array
+    q: Array
+    load: Array
+    rows: int
+    cycle: Attack
+
+    def given(self, tau: Array) -> float:
+        """Return the energy [J] that a torque (K,) [N.m] gives in the last cycle.
+
+        It is 0 where the cycle before says otherwise, or where there is none but rounding.
+        """
+        power = tau * self.dq / (self.rows * self.cycle.frequency)
+        last, before = power[-self.rows :].sum(), power[-2 * self.rows : -self.rows].sum()
+        moved = np.abs(power[-self.rows :]).sum()
+        settled = last < -_LEAST * moved and abs(last - before) < _ALIKE * abs(last)
+        return -float(last) if settled else 0.0
+
+
+def loaded_motions(
+    trained: TrainedRange,
+    angles: Sequence[float] = ANGLES,
+    phases: Sequence[float] = PHASES,
+    turns: int = _CYCLES,
+) -> Iterator[LoadedMotion]:
+    """Yield motions of several amplitudes [rad] and phases [rad] of the load, `turns` cycles each.
+
+    Loads stay within those that were trained.
+    """
     rows = 2 * max(8, round(0.5 / (_FREQUENCY * trained.sample_time)))
     frequency = 1.0 / (rows * trained.sample_time)
-    angle = 2.0 * np.pi * np.arange(rows * _CYCLES) / rows
-    t: Array = trained.sample_time * np.arange(len(angle), dtype=float)
-    low, high = trained.tau_load
-    swing = max(abs(low), abs(high)) / 2.0
-    found = []
-    for reach, phase, mean in product(ANGLES, PHASES, (0.0, swing)):
+    angle = 2.0 * np.pi * np.arange(rows * turns, dtype=float) / rows
+    swing = max(map(abs, trained.tau_load)) / 2.0
+    for reach, phase, mean in product(angles, phases, (0.0, swing)):
         amplitude = reach * 2.0 * np.pi * frequency
-        q = trained.middle + reach * np.sin(angle)
-        load = mean + swing * np.cos(2.0 * angle + phase)
-        dq = amplitude * np.cos(angle)
-        power = _run(law, t, dq, q, load) * dq * trained.sample_time
-        if not np.all(np.isfinite(power)):
-            continue
-        last, before = power[-rows:].sum(), power[-2 * rows : -rows].sum()
-        moved = np.abs(power[-rows:]).sum()
-        if last < -_LEAST * moved and abs(last - before) < _ALIKE * abs(last):
-            found.append(
-                Attack(
-                    energy=-float(last), amplitude=amplitude, frequency=frequency,
-                    mean=mean, swing=swing, phase=float(phase),
-                )
-            )  # fmt: skip
-    return found
+        yield LoadedMotion(
+            dq=amplitude * np.cos(angle),
+            q=trained.middle + reach * np.sin(angle),
+            load=mean + swing * np.cos(2.0 * angle + phase),
+            rows=rows,
+            cycle=Attack(
+                energy=0.0, amplitude=amplitude, frequency=frequency,
+                mean=mean, swing=swing, phase=float(phase),
+            ),
+        )  # fmt: skip
+
+
+def _moving(law: FrictionLaw, trained: TrainedRange) -> Iterator[Attack]:
+    for motion in loaded_motions(trained):
+        t: Array = trained.sample_time * np.arange(len(motion.dq), dtype=float)
+        energy = motion.given(_run(law, t, motion.dq, motion.q, motion.load))
+        if energy > 0.0:
+            yield replace(motion.cycle, energy=energy)
 
 
 def _run(law: FrictionLaw, t: Array, dq: Array, q: Array, load: Array) -> Array:

@@ -27,7 +27,7 @@ _ROUNDING = 1e-9  # least share of the work that is not taken for rounding
 
 @dataclass(frozen=True, kw_only=True)
 class Cycle:
-    """A motion dq = amplitude cos(2 pi frequency t) at constant load, and the law's work in it.
+    """A motion dq = amplitude cos(2 pi frequency t) at a load, and the law's work in it.
 
     Attributes
     ----------
@@ -36,6 +36,7 @@ class Cycle:
     tau_load : load torque [N.m].
     work : that the law takes out of one settled cycle [J]; negative is generated energy.
     share : work over the integral of |tau dq|, from 1 (a brake) to -1 (a motor).
+    swing : amplitude of the load about `tau_load`, at twice the frequency [N.m].
     """
 
     amplitude: float
@@ -43,6 +44,7 @@ class Cycle:
     tau_load: float
     work: float
     share: float
+    swing: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -196,8 +196,8 @@ _ALL = (
         shows="drift in a minute",
         unit="mrad",
         factor=1e3,
-        measured="A JointDrive bears half its friction level, and on top of it a fifth to and fro "
-        "at 5 Hz, for 60 s.",
+        measured="A JointDrive bears half of what its friction bears in the slowest sliding, its "
+        "level at most, and on top of it a fifth to and fro at 5 Hz, for 60 s.",
         expected=f"Below break-away it stays: less than {1e6 * HELD:.0f} urad. Laws that are "
         "plastic from the first deflection on, as LuGre and Dahl, walk.",
         sources=(_ELASTOPLASTIC,),
@@ -245,7 +245,8 @@ _ALL = (
         shows="most energy given in a cycle",
         unit="J",
         measured="Sines of 0.05 to 2 Hz and of 1 to 100 % of the trained speed, at the law's own "
-        "sample time and, where it uses it, at the trained loads.",
+        "sample time and, where it uses it, at the trained loads; also sines of 10 urad to 1 mrad "
+        "while the load moves at twice their rate.",
         expected="None gives energy: friction is passive.",
         sources=(
             _by(
