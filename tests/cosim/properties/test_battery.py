@@ -269,3 +269,20 @@ def test_something_has_to_be_put_to_the_test() -> None:
     with pytest.raises(ConfigError) as caught:
         measure(Subject(name="nothing", model=None))
     assert str(caught.value) == "nothing: there is neither a model nor an FMU."
+
+
+def test_a_load_that_is_a_factor_gives_energy_where_it_moves() -> None:
+    """Half of its motions hold the load as before, and take energy."""
+    dahl = law("dahl_load", kappa_1=5e3, F_1=2.0, mu_1=1.0)
+    work = measure(Subject(name="load", model=model(dahl))).joints[0].findings["work"]
+    assert work.verdict == "fail"
+    assert "while the load swings by 10 N.m." in work.reason
+
+
+def test_dither_is_scaled_to_what_slow_sliding_bears() -> None:
+    """A level that rises with speed tenfold is not what a joint bears at rest."""
+    rising = law("lugre", F_c=8.0, F_s=0.8, sigma_0=8e5, v_s=0.02)
+    found = measure(Subject(name="rising", model=model(rising), inertia=(0.7,))).joints[0]
+    drift = found.findings["dither"].figures[0].value
+    assert drift is not None
+    assert abs(drift) < 0.01
