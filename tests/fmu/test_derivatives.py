@@ -8,7 +8,7 @@ import pytest
 from fmu_src.friction.friction_fmu import export_bare
 
 OK, ERROR = 0, 3
-STEP = 2e-4  # short enough for Euler with every law
+STEP = 2e-5  # short enough for Euler with every law
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,47 @@
+"""The command `hesr audit`: proofs and cycles, and what it cannot read."""
+
+from pathlib import Path
+
+import pytest
+from small_study import Hesr, hesr_here
+
+from hesr_model.artifacts import write_model
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import registry
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+def test_table_i_is_refuted_by_its_cycles(hesr: Hesr) -> None:
+    answer = hesr("audit", "uf850-table1")
+    assert answer.code == 0, answer.err
+    said = " ".join(answer.out.split())
+    assert "joint1: not passive, refuted by a cycle: 12.4 J a cycle" in said
+    assert "joint2: not passive, refuted by a cycle: 20.6 J a cycle" in said
+    assert "joint3: open: no cycle was found that gives energy, and no proof" in said
+
+
+def test_a_law_of_stops_is_proven(hesr: Hesr, tmp_path: Path) -> None:
+    structure = {"stops": [["1", 0]], "viscous": ["1"]}
+    law = FrictionLaw(
+        name="parfam_s",
+        structure=structure,
+        form=registry()["parfam_s"].form(structure),
+        values={"F_1": 2.0, "sigma_2": 3.0, "tau_0": 0.1},
+    )
+    model = FrictionModel(
+        law="parfam_s", robot="bench", joints=("j1",), laws=(law,), sample_time=0.01
+    )
+    write_model(tmp_path / "law.json", model)
+    said = " ".join(hesr("audit", tmp_path / "law.json").out.split())
+    assert "j1: passive, proven at any step: S = 3e-05 x_1^2; F(x_1) = 2 >= 0" in said
+
+
+def test_what_is_no_law_is_refused(hesr: Hesr) -> None:
+    answer = hesr("audit", "lugre")
+    assert answer.code == 2
+    assert "'lugre' is neither a friction model (.json), nor an FMU (.fmu)" in answer.err
