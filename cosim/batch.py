@@ -47,6 +47,7 @@ class Batch:
     Attributes
     ----------
     values : (n,) the buffer.
+    library, instance, references, fail : as given.
     """
 
     def __init__(
@@ -57,15 +58,15 @@ class Batch:
         values: Array,
         fail: Callable[[str, int], None],
     ) -> None:
-        self.values = values
-        self._references = (ctypes.c_uint32 * len(references))(*references)
-        self._fail = fail
+        self.values, self.fail = values, fail
+        self.library, self.instance = library, instance
+        self.references = np.array(references, dtype=np.uint32)
         # A function that is looked up by index is a new object, whose prototype is ours to leave
         # open: arguments that are C objects already are then passed as they are.
         self._set, self._get = library["fmi2SetReal"], library["fmi2GetReal"]
         self._arguments: tuple[Any, ...] = (
             ctypes.c_void_p(instance),
-            ctypes.cast(self._references, ctypes.c_void_p),
+            ctypes.c_void_p(self.references.ctypes.data),
             ctypes.c_size_t(len(references)),
             ctypes.c_void_p(values.ctypes.data),
         )
@@ -74,11 +75,11 @@ class Batch:
         """Set the variables to `values`."""
         status = self._set(*self._arguments)
         if status > WARNING:
-            self._fail("fmi2SetReal", status)
+            self.fail("fmi2SetReal", status)
 
     def read(self) -> Array:
         """Read the variables into `values`, (n,) in their units, and return these."""
         status = self._get(*self._arguments)
         if status > WARNING:
-            self._fail("fmi2GetReal", status)
+            self.fail("fmi2GetReal", status)
         return self.values

@@ -23,7 +23,10 @@ from fmpy.fmi2 import (
 
 from cosim.batch import WARNING, Array, Batch
 
-BINARIES = f"binaries/{fmpy.platform}/"
+PLATFORM: str = fmpy.platform
+"""This platform, as FMI 2.0 names it."""
+
+BINARIES = f"binaries/{PLATFORM}/"
 """Folder of the binaries for this platform, in an FMU."""
 
 SUFFIX: str = fmpy.sharedLibraryExtension

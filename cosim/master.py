@@ -7,13 +7,15 @@ from pathlib import Path
 from types import TracebackType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.batch import Array, Buffer
+from cosim.loaded import Loaded
+from cosim.native import native
 from cosim.slave import Component
+from cosim.stepping import Layout, Readable, Station
 from cosim.system import SystemSpec, Value
 from cosim.wiring import Element, Wiring
-from hesr_model.errors import HesrError, SimulationError
+from hesr_model.errors import ConfigError, HesrError, SimulationError
 from hesr_model.logs.tables import write_table
 from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Progress, unheard
@@ -63,42 +65,6 @@ class Result:
             write_table(temporary, {"t": self.t} | self.signals)
 
 
-@dataclass(kw_only=True, eq=False)
-class _Station:
-    """A component at its place in the system.
-
-    Attributes
-    ----------
-    slave : the component.
-    every : its step in communication steps.
-    inputs : buffer of its connected inputs.
-    sources : (n,) for each of them the place of the output that feeds it.
-    outputs : buffer of its outputs, a part of the values of the system.
-    """
-
-    slave: Component
-    every: int
-    inputs: Buffer
-    sources: NDArray[np.intp]
-    outputs: Buffer
-
-    def set_inputs(self, values: Array) -> None:
-        """Set the connected inputs."""
-        if self.sources.size:
-            # All places are valid; without that promise NumPy would go through a copy.
-            values.take(self.sources, out=self.inputs.values, mode="clip")
-            self.inputs.write()
-
-    def step(self, k: int, step: float) -> None:
-        """Step to the end of communication step k, whose size is `step` [s]."""
-        self.slave.step((k + 1 - self.every) * step, self.every * step)
-
-    def read_outputs(self) -> None:
-        """Read the outputs."""
-        if self.outputs.values.size:
-            self.outputs.read()
-
-
 class Master:
     """A system that is loaded and checked; a context manager that frees every FMU on any way out.
 
@@ -106,6 +72,10 @@ class Master:
     ----------
     spec : the system.
     path : its file, for messages.
+    native : whether its steps are run in C where all of its FMUs are in this process; the results
+        are the same.
+    loaded : lends FMUs that are loaded already and keeps them for the next system; each is loaded
+        for this one alone where not given.
 
     Raises
     ------
@@ -115,15 +85,23 @@ class Master:
         On entering, if an FMU cannot be loaded.
     """
 
-    def __init__(self, spec: SystemSpec, path: Path = Path("system")) -> None:
-        self.spec, self._path = spec, path
+    def __init__(
+        self,
+        spec: SystemSpec,
+        path: Path = Path("system"),
+        *,
+        native: bool = True,
+        loaded: Loaded | None = None,
+    ) -> None:
+        self.spec, self._path, self._native, self._loaded = spec, path, native, loaded
         self._cleanup = ExitStack()
 
     def __enter__(self) -> "Master":
         """Load all FMUs and check the wiring."""
         with ExitStack() as cleanup:
+            lend = self._loaded.lend if self._loaded else Component
             self._slaves = {
-                c.name: cleanup.enter_context(Component(c.fmu, name=c.name))
+                c.name: cleanup.enter_context(lend(c.fmu, name=c.name))
                 for c in self.spec.components
             }
             variables = {name: slave.variables for name, slave in self._slaves.items()}
@@ -145,34 +123,44 @@ class Master:
         """Give every output that is needed a place, those of a component side by side."""
         wiring = self._wiring
         wanted = [*wiring.sources.values(), *wiring.observed, *(e for e, _ in wiring.limited)]
-        self._names: list[Element] = [
+        names: list[Element] = [
             element
             for name in self._slaves
             for element in dict.fromkeys(wanted)
             if element[0] == name
         ]
-        place = {element: i for i, element in enumerate(self._names)}
-        self._values = np.zeros(len(place))
-        self._zeros = np.zeros_like(self._values)
-        self._stations = []
+        place = {element: i for i, element in enumerate(names)}
+        values = np.zeros(len(place))
+        stations = []
         for component in self.spec.components:
             slave = self._slaves[component.name]
-            own = [element for element in self._names if element[0] == component.name]
+            own = [element for element in names if element[0] == component.name]
             fed = [into for into in wiring.sources if into[0] == component.name]
             start = place[own[0]] if own else 0
-            values = self._values[start : start + len(own)]
-            self._stations.append(
-                _Station(
+            part = values[start : start + len(own)]
+            stations.append(
+                Station(
                     slave=slave,
                     every=self.spec.every(component),
                     inputs=slave.batch([variable for _, variable in fed]),
                     sources=np.array([place[wiring.sources[into]] for into in fed], dtype=np.intp),
-                    outputs=slave.batch([variable for _, variable in own], values),
+                    outputs=slave.batch([variable for _, variable in own], part),
                 )
             )
-        self._rows = np.array([place[e] for e in wiring.observed], dtype=np.intp)
-        self._limited = np.array([place[e] for e, _ in wiring.limited], dtype=np.intp)
-        self._low, self._high = np.array([b for _, b in wiring.limited]).reshape(-1, 2).T
+        self._single: dict[Element, Buffer] = {}
+        low, high = np.array([b for _, b in wiring.limited]).reshape(-1, 2).T
+        self._layout = Layout(
+            stations=tuple(stations),
+            order=self.spec.order,
+            step=self.spec.step,
+            values=values,
+            names=tuple(names),
+            rows=np.array([place[e] for e in wiring.observed], dtype=np.intp),
+            limited=np.array([place[e] for e, _ in wiring.limited], dtype=np.intp),
+            low=low,
+            high=high,
+        )
+        self._stepper = (native(self._layout) if self._native else None) or Readable(self._layout)
 
     def run(
         self,
@@ -189,43 +177,72 @@ class Master:
         progress : told how far the run has come.
         start : start values of components for this run, beside those of the system.
         """
-        steps, step, values = self.spec.steps, self.spec.step, self._values
-        kept = np.empty((steps + 1, len(self._rows)))
-        advance = self._gauss_seidel if self.spec.order == "gauss_seidel" else self._jacobi
-        done, failure = 0, None
+        steps, step, stepper = self.spec.steps, self.spec.step, self._stepper
+        kept = np.empty((steps + 1, len(self._layout.rows)))
+        failure = None
+        stepper.begin(kept)
         try:
             self._initialise(start or {})
-            for k in range(steps + 1):
-                if k > 0:
-                    advance(k - 1)
-                if values.dot(self._zeros) != 0.0:  # infinity and NaN times zero are NaN
+            for k in range(0, steps + 1, _TELL_EVERY):
+                progress(k, steps)
+                stepper.advance(stop := min(k + _TELL_EVERY, steps + 1))
+                if stepper.done < stop:
                     break
-                values.take(self._rows, out=kept[k], mode="clip")
-                done = k + 1
-                if self._limited.size:
-                    self._require_limits(k * step)
-                if k % _TELL_EVERY == 0:
-                    progress(k, steps)
         except SimulationError as error:
             failure = error
+        done = stepper.done
         # Where one component gives what is no number, another may be the one that complains.
         failure = self._not_finite(done * step) or failure
         progress(steps, steps)
         signals = {".".join(e): kept[:done, i] for i, e in enumerate(self._wiring.observed)}
         return Result(t=step * np.arange(done, dtype=float), signals=signals, failure=failure)
 
+    def require_start(self, start: Mapping[str, Mapping[str, Value]], path: Path) -> None:
+        """Check that start values for a run fit the system.
+
+        Raises
+        ------
+        ConfigError
+            Naming the file that asks for them, and the component or variable.
+        """
+        try:
+            self._wiring.started(start)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from error
+        for name, values in start.items():
+            variables = self._slaves[name].variables
+            for variable in variables.expanded(values):
+                if variables[variable].causality in ("output", "local", "independent"):
+                    raise ConfigError(
+                        f"{path}: '{name}.{variable}' cannot be varied: its FMU calculates it."
+                    )
+
+    def require_alike(self, one: str, other: str, path: Path) -> None:
+        """Check that two observed signals have as many elements as each other.
+
+        Raises
+        ------
+        ConfigError
+            If not, naming the file that asks for it.
+        """
+        counts = [len(self._wiring.elements(signal)) for signal in (one, other)]
+        if counts[0] != counts[1]:
+            raise ConfigError(
+                f"{path}: '{one}' has {counts[0]} elements and its reference '{other}' {counts[1]}."
+            )
+
     def _initialise(self, more: Mapping[str, Mapping[str, Value]]) -> None:
-        self._values[:] = 0.0
-        for component, station in zip(self.spec.components, self._stations, strict=True):
+        self._layout.values[:] = 0.0
+        for component, station in zip(self.spec.components, self._layout.stations, strict=True):
             if station.slave.used:
                 station.slave.reset()
             own = station.slave.variables.expanded(more.get(component.name, {}))
             start = self._wiring.start[component.name] | own
             station.slave.enter_initialisation(time=0.0, stop=self.spec.stop, start=start)
         self._propagate()
-        for station in self._stations:
+        for station in self._layout.stations:
             station.slave.exit_initialisation()
-        for station in self._stations:
+        for station in self._layout.stations:
             station.read_outputs()
 
     def _propagate(self) -> None:
@@ -239,56 +256,27 @@ class Master:
         for _ in order:
             before = dict(known)
             for element in order:
-                name, variable = element
+                if element not in sources and element not in feeding:
+                    continue
+                if element not in self._single:
+                    name, variable = element
+                    self._single[element] = self._slaves[name].batch([variable])
+                single = self._single[element]
                 if element in sources:
-                    self._slaves[name].set({variable: known[sources[element]]})
-                elif element in feeding:
-                    known[element] = float(self._slaves[name].get([variable])[0])
+                    single.values[0] = known[sources[element]]
+                    single.write()
+                else:
+                    known[element] = float(single.read()[0])
                     if not np.isfinite(known[element]):
                         raise SimulationError(_not_a_number(element, 0.0))
             if known == before:
                 break
 
-    def _gauss_seidel(self, k: int) -> None:
-        """Step each component that reaches a communication point of its own at the end of step k.
-
-        It is given the newest outputs of all others.
-        """
-        values, step = self._values, self.spec.step
-        for station in self._stations:
-            if (k + 1) % station.every == 0:
-                station.set_inputs(values)
-                station.step(k, step)
-                station.read_outputs()
-
-    def _jacobi(self, k: int) -> None:
-        """Do the same with the outputs of the instant at which the component's step begins."""
-        values, step = self._values, self.spec.step
-        for station in self._stations:
-            if k % station.every == 0:
-                station.set_inputs(values)
-        ending = [s for s in self._stations if (k + 1) % s.every == 0]
-        for station in ending:
-            station.step(k, step)
-        for station in ending:
-            station.read_outputs()
-
     def _not_finite(self, time: float) -> SimulationError | None:
-        finite = np.isfinite(self._values)
+        finite = np.isfinite(self._layout.values)
         if finite.all():
             return None
-        return SimulationError(_not_a_number(self._names[int(np.argmin(finite))], time))
-
-    def _require_limits(self, time: float) -> None:
-        values = self._values.take(self._limited, mode="clip")
-        outside = (values < self._low) | (values > self._high)
-        if np.count_nonzero(outside):
-            i = int(np.argmax(outside))
-            name = ".".join(self._names[self._limited[i]])
-            raise SimulationError(
-                f"at t = {time:.9g} s {name} is {values[i]:.6g}, outside its limits "
-                f"{self._low[i]:.6g} to {self._high[i]:.6g}."
-            )
+        return SimulationError(_not_a_number(self._layout.names[int(np.argmin(finite))], time))
 
 
 def _not_a_number(element: Element, time: float) -> str:

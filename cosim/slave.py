@@ -43,6 +43,7 @@ class Component:
     time : that the FMU has reached, or at which the call began that failed [s].
     messages : what the FMU has told its host.
     used : whether an initialisation has begun, so that a reset is needed before another one.
+    failed : whether a call has failed.
 
     Raises
     ------
@@ -65,7 +66,7 @@ class Component:
         self.name = name or fmu.stem
         self.time = 0.0
         self.messages: list[str] = []
-        self.used = False
+        self.used = self.failed = False
         self._seconds = seconds
         self._complaint: str | None = None
         self._stepping = False
@@ -135,7 +136,7 @@ class Component:
             self._complaint = text
 
     def _failure(self, error: Exception) -> SimulationError:
-        self._stepping = False
+        self._stepping, self.failed = False, True
         # A message of a call that went well says nothing about this one.
         reason, self._complaint = self._complaint or str(error), None
         if isinstance(error, DiedError):  # whatever it said before

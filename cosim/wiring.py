@@ -70,6 +70,10 @@ class Wiring:
             hint = suggestion(name, self._slaves, 1) or f"there are {', '.join(self._slaves)}."
             raise self._error(f"{where}: there is no component '{name}'; {hint}")
 
+    def elements(self, signal: str) -> list[Element]:
+        """Return the elements of a signal."""
+        return self._elements(signal, f"'{signal}'")
+
     def _elements(self, signal: str, where: str, kind: str | None = None) -> list[Element]:
         """Return the elements of a signal, all of one type where that is given."""
         name, _, variable = signal.partition(".")

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from cosim.batch import Array
 from cosim.closed_loop import Law, NamedScheme, Scheme, Setting, system
+from cosim.loaded import HERE
 from cosim.master import Master, Result
 from cosim.studies.traces import Trace
 from cosim.system import Value
@@ -149,9 +150,12 @@ def track(
 
     progress(len(done), len(rows))
     jobs = [partial(_tracked, rows[i], motions, duration, limits, traced) for i in left]
-    with parallel.results_of(jobs, workers) as results:
-        for i, result in zip(left, results, strict=True):
-            keep(i, result)
+    try:
+        with parallel.results_of(jobs, workers) as results:
+            for i, result in zip(left, results, strict=True):
+                keep(i, result)
+    finally:
+        HERE.clear()  # where there was no other process
     return [done[i] for i in range(len(rows))]
 
 
@@ -161,7 +165,7 @@ def _tracked(
     spec = system(row.setting, duration=duration, limits=limits)
     rmse, last, failures = [], [], []
     trace: Trace | None = None
-    with Master(spec) as master:
+    with Master(spec, loaded=HERE) as master:
         for motion in motions:
             result = master.run(start={"trajectory": motion.parameters, "arm": {"q0": motion.q0}})
             error = result.vector("trajectory.q") - result.vector("arm.q_true")

@@ -1,0 +1,153 @@
+/* The steps of a co-simulation of FMUs in this process, as cosim/stepping.py does them.
+ *
+ * cosim/native.py loads and initialises the FMUs, lays out these tables, and says what failed. */
+#include <math.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "fmi2.h"
+
+#ifdef _WIN32
+#define PUBLIC __declspec(dllexport)
+#else
+#define PUBLIC __attribute__((visibility("default")))
+#endif
+
+typedef fmi2Status SetReal(fmi2Component, const fmi2ValueReference *, size_t, const fmi2Real *);
+typedef fmi2Status GetReal(fmi2Component, const fmi2ValueReference *, size_t, fmi2Real *);
+typedef fmi2Status DoStep(fmi2Component, fmi2Real, fmi2Real, fmi2Boolean);
+
+/* A component at its place in the system. */
+typedef struct {
+    fmi2Component component;
+    SetReal *set;
+    GetReal *get;
+    DoStep *step;
+    int64_t every; /* its step in communication steps */
+    int64_t inputs, outputs;
+    const fmi2ValueReference *input_references, *output_references;
+    const int64_t *sources; /* of each input its place among the values */
+    double *input_values, *output_values;
+} Station;
+
+/* What ended the steps; those of `failed` are at a station, with the status that it gave. */
+typedef enum { DONE, NOT_FINITE, OUTSIDE, SET_FAILED, STEP_FAILED, GET_FAILED } End;
+
+typedef struct {
+    const Station *stations;
+    int64_t count;
+    bool jacobi;
+    double step; /* [s] */
+    const double *values;
+    int64_t size;
+    const int64_t *rows; /* places of the values that are kept */
+    int64_t width;
+    const int64_t *limited; /* places of those with limits */
+    const double *low, *high;
+    int64_t limits;
+    double *kept; /* (steps + 1, width) */
+    int64_t done; /* rows of it */
+    int64_t failed;
+    fmi2Status status;
+} System;
+
+/* The highest status with which a call has done its work. */
+static const fmi2Status good = fmi2Warning;
+
+static bool set_inputs(System *s, int64_t i) {
+    const Station *at = &s->stations[i];
+    if (at->inputs == 0) {
+        return true;
+    }
+    for (int64_t j = 0; j < at->inputs; j++) {
+        at->input_values[j] = s->values[at->sources[j]];
+    }
+    s->failed = i;
+    s->status = at->set(at->component, at->input_references, (size_t)at->inputs, at->input_values);
+    return s->status <= good;
+}
+
+static bool do_step(System *s, int64_t i, int64_t k) {
+    const Station *at = &s->stations[i];
+    const double from = (double)(k + 1 - at->every) * s->step;
+    s->failed = i;
+    s->status = at->step(at->component, from, (double)at->every * s->step, fmi2True);
+    return s->status <= good;
+}
+
+static bool read_outputs(System *s, int64_t i) {
+    const Station *at = &s->stations[i];
+    if (at->outputs == 0) {
+        return true;
+    }
+    s->failed = i;
+    s->status =
+        at->get(at->component, at->output_references, (size_t)at->outputs, at->output_values);
+    return s->status <= good;
+}
+
+static End gauss_seidel(System *s, int64_t k) {
+    for (int64_t i = 0; i < s->count; i++) {
+        if ((k + 1) % s->stations[i].every == 0) {
+            if (!set_inputs(s, i)) {
+                return SET_FAILED;
+            }
+            if (!do_step(s, i, k)) {
+                return STEP_FAILED;
+            }
+            if (!read_outputs(s, i)) {
+                return GET_FAILED;
+            }
+        }
+    }
+    return DONE;
+}
+
+static End jacobi(System *s, int64_t k) {
+    for (int64_t i = 0; i < s->count; i++) {
+        if (k % s->stations[i].every == 0 && !set_inputs(s, i)) {
+            return SET_FAILED;
+        }
+    }
+    for (int64_t i = 0; i < s->count; i++) {
+        if ((k + 1) % s->stations[i].every == 0 && !do_step(s, i, k)) {
+            return STEP_FAILED;
+        }
+    }
+    for (int64_t i = 0; i < s->count; i++) {
+        if ((k + 1) % s->stations[i].every == 0 && !read_outputs(s, i)) {
+            return GET_FAILED;
+        }
+    }
+    return DONE;
+}
+
+/* Go on until `stop` rows are kept, or to where that ends. */
+PUBLIC int advance(System *s, int64_t stop) {
+    while (s->done < stop) {
+        const int64_t k = s->done;
+        if (k > 0) {
+            const End end = s->jacobi ? jacobi(s, k - 1) : gauss_seidel(s, k - 1);
+            if (end != DONE) {
+                return end;
+            }
+        }
+        for (int64_t i = 0; i < s->size; i++) {
+            if (!isfinite(s->values[i])) {
+                return NOT_FINITE;
+            }
+        }
+        for (int64_t i = 0; i < s->width; i++) {
+            s->kept[k * s->width + i] = s->values[s->rows[i]];
+        }
+        s->done = k + 1;
+        for (int64_t i = 0; i < s->limits; i++) {
+            const double value = s->values[s->limited[i]];
+            if (value < s->low[i] || value > s->high[i]) {
+                return OUTSIDE;
+            }
+        }
+    }
+    return DONE;
+}

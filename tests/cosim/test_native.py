@@ -1,0 +1,144 @@
+"""The steps in C against those in Python: the same calls, so the same bits and sentences."""
+
+import shutil
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from closed_loop import Bench
+
+import cosim.native
+from cosim.closed_loop import Scheme
+from cosim.master import Master, Result
+from cosim.native import Native
+from cosim.stepping import Readable
+from cosim.system import SystemSpec
+from fmu_src.arm.python_fmu import export_python_arm
+from hesr_model.errors import ExportError
+from hesr_model.support.files import models_folder
+
+
+def both(spec: SystemSpec, runs: int = 1) -> tuple[Result, Result]:
+    """The last of several runs in C and in Python."""
+    found = []
+    for native, kind in ((True, Native), (False, Readable)):
+        with Master(spec, native=native) as master:
+            assert type(master._stepper) is kind
+            found.append([master.run() for _ in range(runs)][-1])
+    return found[0], found[1]
+
+
+def assert_same(one: Result, other: Result) -> None:
+    assert one.t.tobytes() == other.t.tobytes()
+    assert one.signals.keys() == other.signals.keys()
+    for name, values in one.signals.items():
+        assert values.tobytes() == other.signals[name].tobytes(), name
+    assert str(one.failure) == str(other.failure)
+
+
+def lags(fmu: Path, **more: object) -> SystemSpec:
+    """Two lags of different rates in a circle."""
+    data = {
+        "step": 0.1,
+        "stop": 60.0,
+        "components": [
+            {"name": "a", "fmu": fmu, "start": {"T": 0.5, "x": 0.25}},
+            {"name": "b", "fmu": fmu, "start": {"T": 2.0, "x": 1.0}, "step": 0.3},
+        ],
+        "connections": {"a.u": "b.y", "b.u": "a.y"},
+        "observe": ["b.y", "a.y"],
+    }
+    return SystemSpec.model_validate(data | more)
+
+
+@pytest.mark.parametrize("order", ["gauss_seidel", "jacobi"])
+def test_components_of_several_rates(lag_fmu, order):
+    one, other = both(lags(lag_fmu, order=order), runs=2)
+    assert one.failure is None
+    assert len(one.t) == 601
+    assert np.ptp(one.signals["a.y"]) > 0.1
+    assert_same(one, other)
+
+
+def test_the_orders_differ(lag_fmu):
+    one, other = (both(lags(lag_fmu, order=order))[0] for order in ("gauss_seidel", "jacobi"))
+    assert np.abs(one.signals["b.y"] - other.signals["b.y"]).max() > 1e-3
+
+
+def test_limits(lag_fmu):
+    one, other = both(lags(lag_fmu, limits={"b.y": (0.5, 1.5), "a.y": (0.2, 0.6)}))
+    assert "a.y is 0." in str(one.failure)
+    assert "outside its limits 0.2 to 0.6." in str(one.failure)
+    assert_same(one, other)
+
+
+@pytest.mark.parametrize("order", ["gauss_seidel", "jacobi"])
+@pytest.mark.parametrize("component", [0, 1])
+def test_a_step_that_fails(lag_fmu, order, component):
+    spec = lags(lag_fmu, order=order)
+    spec.components[component].start["refused"] = 25.0
+    one, other = both(spec)
+    assert "at t = 2" in str(one.failure)
+    assert_same(one, other)
+
+
+def test_an_input_that_is_refused(lag_fmu):
+    """A value near the largest number overflows on its way."""
+    start = {"T": 1e-3, "x": 1.7e308, "u": -1.7e308}
+    spec = lags(
+        lag_fmu,
+        components=[
+            {"name": "a", "fmu": lag_fmu, "start": start},
+            {"name": "b", "fmu": lag_fmu},
+        ],
+        connections={"b.u": "a.y"},
+    )
+    one, other = both(spec)
+    assert one.failure is not None
+    assert_same(one, other)
+
+
+@pytest.mark.parametrize("source", ["desired", "filtered"])
+def test_the_closed_loop_of_the_default_system(bench: Bench, source):
+    loop = bench.loop(Scheme(compensation="servo_inversion", Kx=5.0, source=source), stop=2.0)
+    one, other = both(bench.system(loop))
+    assert one.failure is None
+    assert_same(one, other)
+
+
+def test_an_fmu_in_python_is_stepped_in_c_as_well(bench: Bench, tmp_path):
+    folder = models_folder() / "uf850"
+    arm = export_python_arm(folder / "uf850.xml", folder / "arm.toml", tmp_path / "Arm.fmu")
+    mixed = replace(bench, fmus=replace(bench.fmus, arm=arm))
+    one, other = both(mixed.system(bench.loop(Scheme(compensation="none"), stop=0.1)))
+    assert_same(one, other)
+
+
+def test_a_foreign_fmu_keeps_its_process_and_is_stepped_in_python(lag_fmu, tmp_path):
+    """One that was not exported here: another byte in it makes it a stranger's."""
+    foreign = tmp_path / "Lag.fmu"
+    shutil.copy(lag_fmu, foreign)
+    with zipfile.ZipFile(foreign, "a") as archive:
+        archive.writestr("documentation/changed.txt", "by somebody")
+    spec = lags(lag_fmu, stop=1.2)
+    moved = spec.model_copy(
+        update={"components": (spec.components[0].model_copy(update={"fmu": foreign}),
+                               spec.components[1])}
+    )  # fmt: skip
+    with Master(moved) as master, Master(spec) as own:
+        assert type(master._stepper) is Readable
+        assert_same(master.run().require_success(), own.run())
+
+
+def test_without_a_compiler_the_steps_are_those_in_python(lag_fmu, monkeypatch, caplog):
+    def refused(*_: object) -> bytes:
+        raise ExportError("the C compiler cannot be run.")
+
+    monkeypatch.setattr(cosim.native, "build", refused)
+    cosim.native._library.cache_clear()
+    with caplog.at_level("INFO"), Master(lags(lag_fmu)) as master:
+        assert type(master._stepper) is Readable
+    assert "systems are stepped in Python (the C compiler cannot be run.)" in caplog.text
+    cosim.native._library.cache_clear()
