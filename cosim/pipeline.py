@@ -27,6 +27,7 @@ from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.refinement import identify_again
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support import parallel
 from hesr_model.support.progress import Stages, counted
 from hesr_model.support.typed_json import to_json
 
@@ -323,9 +324,18 @@ class Job:
         """
         comparisons, predictions = {}, {}
         tests = self.study.logs.test
-        for name, logs in counted(tests.items(), partial(self.progress, "replaying the FMUs")):
+        cases = [(name, law) for name in tests for law in laws]
+        jobs = [
+            partial(predict_fmu, fmus / f"{law}.fmu", records_of(tests[name], records))
+            for name, law in cases
+        ]
+        replayed: dict[tuple[str, str], list[list[Array]]] = {}
+        with parallel.results_of(jobs) as results:
+            for case in counted(cases, partial(self.progress, "replaying the FMUs")):
+                replayed[case] = next(results)
+        for name, logs in tests.items():
             tested = records_of(logs, records)
-            predicted = {law: predict_fmu(fmus / f"{law}.fmu", tested) for law in laws}
+            predicted = {law: replayed[name, law] for law in laws}
             if self.study.twin:
                 predicted[ORACLE] = self._true_friction([files[log] for log in logs])
             comparisons[name], predictions[name] = compare(tested, predicted), predicted

@@ -22,8 +22,9 @@ from hesr_model.health.fitted import check_body, check_laws
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support import parallel
 from hesr_model.support.files import folder_written_whole, models_folder
-from hesr_model.support.progress import Stages, counted, unheard
+from hesr_model.support.progress import Progress, Stages, counted, unheard
 from hesr_model.support.typed_json import to_json
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ def run_study(
     kept = unfinished(output)
     job = Job(study=study, path=path, progress=progress, kept=kept)
     model = RobotModel(job.robot)
-    with folder_written_whole(output) as folder:
+    with parallel.one_pool(), folder_written_whole(output) as folder:
         files = job.log_files(folder)
         logs = {name: job.read(name, file) for name, file in files.items()}
         findings = told(checked(list(logs.values()), model, accepted))
@@ -117,15 +118,15 @@ def run_study(
         models, left_out = job.fit_all(records, source)
         findings += told(check_laws(models, records_of(study.logs.training, records)))
         write_findings(folder, findings)
-        for law, fitted in counted(models.items(), partial(job.progress, "building FMUs")):
+        for law, fitted in models.items():
             write_model(folder / "laws" / f"{law}.json", fitted)
-            export_fmu(fitted, folder / "fmus" / f"{law}.fmu", platforms=platforms)
+        _export(models, {}, folder / "fmus", platforms, partial(job.progress, "building FMUs"))
         comparisons, predictions = job.compare(models, records, files, folder / "fmus")
         loop = job.closed_loop(model, rigid_body, folder, models)
         found = {} if quick else job.properties(model, rigid_body, models, folder)
-        for law, of_law in counted(found.items(), partial(job.progress, "documenting FMUs")):
-            path_of_fmu = folder / "fmus" / f"{law}.fmu"
-            export_fmu(models[law], path_of_fmu, platforms=platforms, properties=of_law)
+        documented = {law: models[law] for law in found}
+        told_by = partial(job.progress, "documenting FMUs")
+        _export(documented, found, folder / "fmus", platforms, told_by)
         first = next(iter(study.logs.test.values()))
         words = verdict(
             comparisons,
@@ -167,6 +168,29 @@ def run_study(
         verdict=words,
         loop=loop,
     )
+
+
+def _export(
+    models: Mapping[str, FrictionModel],
+    properties: "Mapping[str, Properties]",
+    folder: Path,
+    platforms: Sequence[str],
+    progress: Progress,
+) -> None:
+    """Write the FMUs of models, each in a process of its own."""
+    jobs = [
+        partial(
+            export_fmu,
+            model,
+            folder / f"{law}.fmu",
+            platforms=platforms,
+            properties=properties.get(law),
+        )
+        for law, model in models.items()
+    ]
+    with parallel.results_of(jobs) as written:
+        for _ in counted(jobs, progress):
+            next(written)
 
 
 def unfinished(output: Path) -> Path:

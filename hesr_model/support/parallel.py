@@ -14,6 +14,7 @@ from functools import partial
 from multiprocessing import resource_tracker
 from pathlib import Path
 from queue import Empty
+from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import cloudpickle
@@ -22,6 +23,8 @@ from hesr_model.errors import WorkerError
 from hesr_model.support import interrupts
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
+
     from joblib.externals.loky import ProcessPoolExecutor
 
 Result = TypeVar("Result")
@@ -40,8 +43,9 @@ _ONE_THREAD = dict.fromkeys(
 )
 """Environment of a worker: as many threads as processes, and sums that do not depend on them."""
 
-_jobs: Sequence[Callable[[], Any]] = ()
-"""Of a worker, which reads all of them when it starts."""
+_folder = Path()
+_batch: tuple[int, Sequence[Callable[[], Any]]] = (-1, ())
+"""Of a worker: where jobs are, and those that it has read last, with their number."""
 
 
 @contextmanager
@@ -50,8 +54,9 @@ def results_of(
 ) -> Iterator[Iterator[Result]]:
     """Run jobs, each in a process; yield the iterator of their results, in the order of the jobs.
 
-    The processes are fresh ones, with one BLAS thread each, and do not import the calling script.
-    When the block is left they are gone; where it fails, also by Ctrl-C, they are stopped at once.
+    The processes are fresh ones, or those of `one_pool`, with one BLAS thread each, and do not
+    import the calling script. When the block is left they are gone, or wait for the next one; where
+    it fails, also by Ctrl-C, they are stopped at once.
 
     Parameters
     ----------
@@ -69,27 +74,129 @@ def results_of(
     if count <= 1:
         yield (job() for job in jobs)
         return
-    from joblib.externals.loky import ProcessPoolExecutor
-
+    shared = _sharing if workers is None else None
     with ExitStack() as cleanup:
-        with interrupts.put_off():  # or there may be a folder of which nobody knows
-            folder = Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="hesr-")))
-        # Workers read the jobs from a file. A pipe is too short for them: where workers are
-        # stopped, nobody empties it, and who still writes into it never ends.
-        (folder / _JOBS).write_bytes(cloudpickle.dumps(list(jobs)))
         cleanup.enter_context(warnings.catch_warnings())
         # That a worker that has used much memory is replaced by a fresh one is no news.
         warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
-        if os.name == "posix":
-            # It serves semaphores, and lets Ctrl-C through again where its start was held back.
-            resource_tracker.ensure_running()
+        if shared is None:
+            pool = cleanup.enter_context(_Pool(count))
+        else:
+            cleanup.push(shared.stopped_by)
+            pool = shared.pool()
         with interrupts.put_off():  # submitting starts processes, which must not be half-started
-            pool = ProcessPoolExecutor(
-                count, initializer=_start, initargs=(folder, os.getpid()), env=_environment()
-            )
-            cleanup.push(partial(_shut_down, pool))
-            futures = [pool.submit(_run, k) for k in range(len(jobs))]
+            futures = pool.submit(jobs)
         yield (_result(future.result) for future in futures)
+
+
+@contextmanager
+def one_pool() -> Iterator[None]:
+    """Let all blocks of `results_of` within share processes, but for those that name a number.
+
+    They stay as long as this block, or until a block within fails; the next one has fresh ones.
+    """
+    global _sharing
+    if _sharing is not None:
+        yield
+        return
+    with _Shared() as shared:
+        _sharing = shared
+        try:
+            yield
+        finally:
+            _sharing = None
+
+
+class _Pool:
+    """Processes, and the folder from which they read their jobs; a context manager.
+
+    Parameters
+    ----------
+    count : of the processes.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._count, self._batches = count, 0
+        self._cleanup = ExitStack()
+
+    def __enter__(self) -> "_Pool":
+        """Make the folder, and get ready; processes start with the first jobs."""
+        from joblib.externals.loky import ProcessPoolExecutor
+
+        with ExitStack() as cleanup:
+            with interrupts.put_off():  # or there may be a folder of which nobody knows
+                self._folder = Path(
+                    cleanup.enter_context(tempfile.TemporaryDirectory(prefix="hesr-"))
+                )
+            if os.name == "posix":
+                # It serves semaphores, and lets Ctrl-C through again where its start was held back.
+                resource_tracker.ensure_running()
+            with interrupts.put_off():
+                self._pool = ProcessPoolExecutor(
+                    self._count,
+                    initializer=_start,
+                    initargs=(self._folder, os.getpid()),
+                    env=_environment(),
+                )
+                cleanup.push(partial(_shut_down, self._pool))
+            self._cleanup = cleanup.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End the processes, at once where there is an error, and remove the folder."""
+        self._cleanup.__exit__(kind, error, trace)
+
+    def submit(self, jobs: Sequence[Callable[[], Result]]) -> "list[Future[Result]]":
+        """Let the processes do jobs."""
+        # Workers read the jobs from a file. A pipe is too short for them: where workers are
+        # stopped, nobody empties it, and who still writes into it never ends.
+        self._batches += 1
+        (self._folder / f"{_JOBS}{self._batches}").write_bytes(cloudpickle.dumps(list(jobs)))
+        return [self._pool.submit(_run, self._batches, k) for k in range(len(jobs))]
+
+
+class _Shared:
+    """A pool for many blocks, made when it is first wanted; a context manager."""
+
+    def __init__(self) -> None:
+        self._pool: _Pool | None = None
+
+    def __enter__(self) -> "_Shared":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        pool, self._pool = self._pool, None
+        if pool:
+            pool.__exit__(kind, error, trace)
+
+    def pool(self) -> _Pool:
+        """Return the pool."""
+        if self._pool is None:
+            self._pool = _Pool(os.cpu_count() or 1).__enter__()
+        return self._pool
+
+    def stopped_by(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop the processes at once where a block has failed."""
+        if error is not None:
+            self.__exit__(kind, error, trace)
+
+
+_sharing: _Shared | None = None
 
 
 def _environment() -> Mapping[str, str]:
@@ -119,17 +226,17 @@ def _result(wait: Callable[[], Result]) -> Result:
 
 
 def _start(folder: Path, parent: int) -> None:
-    """Take the jobs, and leave to the parent what comes when a worker is stopped.
+    """Learn where jobs are, and leave to the parent what comes when a worker is stopped.
 
     Signals to the whole group are answered once, by the parent, which kills its workers; those
     then have no time to tidy, so that their temporary files stand where the parent removes them.
     """
-    global _jobs
+    global _folder
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(parent, folder), daemon=True).start()
     tempfile.tempdir = str(folder)
-    _jobs = cloudpickle.loads((folder / _JOBS).read_bytes())
+    _folder = folder
 
 
 def _end_with(parent: int, folder: Path) -> None:
@@ -140,5 +247,8 @@ def _end_with(parent: int, folder: Path) -> None:
     os._exit(1)
 
 
-def _run(k: int) -> Any:
-    return _jobs[k]()
+def _run(batch: int, k: int) -> Any:
+    global _batch
+    if _batch[0] != batch:
+        _batch = batch, cloudpickle.loads((_folder / f"{_JOBS}{batch}").read_bytes())
+    return _batch[1][k]()
