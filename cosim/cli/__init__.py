@@ -17,6 +17,7 @@ from cosim.cli import (
     report,
     simulate,
     steps,
+    sweep,
     view,
 )
 from cosim.cli.app import app
@@ -39,6 +40,7 @@ __all__ = [
     "report",
     "simulate",
     "steps",
+    "sweep",
     "view",
 ]
 

@@ -42,7 +42,8 @@ ONLY_IN = {
     "lief": ("fmu_src/check/*",),
     "lxml": ("fmu_src/check/*",),
     "ziglang": ("fmu_src/toolchain.py",),
-    "pyarrow": ("hesr_model/logs/tables.py", "cosim/studies/traces.py"),
+    "pyarrow": ("hesr_model/logs/tables.py", "cosim/studies/traces.py", "cosim/sweep/store.py"),
+    "distributed": ("cosim/sweep/cluster.py",),
     # Optional: each reads one kind of log.
     "h5py": ("hesr_model/logs/readers/matlab.py",),
     "rosbags": ("hesr_model/logs/readers/bag.py",),

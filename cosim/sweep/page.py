@@ -1,0 +1,106 @@
+"""The page of a sweep: distributions, the worst runs, and what the outputs depend on."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from markupsafe import Markup
+
+from cosim.figures.style import VARIABLES, svg
+from cosim.figures.swept import distributions, shares
+from cosim.report.markup import Pictures, Section, joined, paragraph, render, table
+from cosim.tables import swept as tables
+from hesr_model.support.files import written_whole
+
+if TYPE_CHECKING:
+    from cosim.sweep.run import Swept
+
+_DESIGNS = {
+    "grid": "a grid",
+    "latin_hypercube": "a Latin hypercube",
+    "monte_carlo": "random points",
+    "sobol": "Saltelli's design of Sobol points",
+}
+
+
+def write_page(swept: "Swept", path: Path, study: Path) -> None:
+    """Write the page, the same bytes for the same results.
+
+    Parameters
+    ----------
+    swept : the results.
+    path : the page.
+    study : file of the study, which stands in commands.
+
+    Raises
+    ------
+    ArtifactError
+        If it cannot be written.
+    """
+    pictures = Pictures(folder=path.parent)  # its figures stand in the page only
+    sections = [
+        Section(key="outputs", title="Outputs", html=_outputs(swept, pictures)),
+        Section(key="worst", title="Worst runs", html=_worst(swept, study)),
+    ]
+    if swept.sensitivities:
+        html = _sensitivities(swept, pictures)
+        sections.append(Section(key="sensitivities", title="Sensitivities", html=html))
+    plan = swept.plan
+    text = (
+        f"{len(plan.values)} runs of {plan.task.spec.stop:g} s, {_DESIGNS[plan.study.design]} over "
+        f"{len(plan.study.names)} inputs, seed {plan.study.seed}. The runs stand in runs/, a "
+        "Parquet data set with the inputs of each."
+    )
+    page = render(
+        "report.html.j2",
+        title=f"HESR sweep: {plan.study.name}",
+        heading=f"Sweep ‘{plan.study.name}’",
+        summary=paragraph(text),
+        sections=sections,
+        zooms={},
+        library="",
+        palette=VARIABLES,
+    )
+    with written_whole(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _outputs(swept: "Swept", pictures: Pictures) -> Markup:
+    names = [output.name for output in swept.plan.study.outputs]
+    drawn = pictures.drawing(
+        "distributions",
+        Markup(svg(distributions(names, swept.table.outputs), "distributions")),
+        "Distribution of each output over the runs; dashed: 5, 50 and 95 % quantiles.",
+        alt="A histogram of each output.",
+    )
+    return joined(drawn, table(tables.outputs(swept)))
+
+
+def _worst(swept: "Swept", study: Path) -> Markup:
+    count = len(swept.plan.study.outputs)
+    return joined(
+        paragraph("Largest magnitude first, runs that failed before all others."),
+        *(table(tables.worst(swept, k, study)) for k in range(count)),
+    )
+
+
+def _sensitivities(swept: "Swept", pictures: Pictures) -> Markup:
+    parts = [
+        paragraph(
+            "First order is what an input explains by itself, total what it explains with all of "
+            "its interactions. Of correlated inputs it is the independent normal numbers that they "
+            "are made from."
+        )
+    ]
+    found = zip(swept.sensitivities, tables.sensitivities(swept), strict=True)
+    for k, (one, listed) in enumerate(found):
+        intervals = np.stack([one.first_interval, one.total_interval])
+        figure = shares(swept.plan.study.names, one.first, one.total, intervals)
+        drawn = pictures.drawing(
+            f"shares-{k}",
+            Markup(svg(figure, f"shares-{k}")),
+            f"Shares of the variance of {one.output}.",
+            alt="Two bars for each input.",
+        )
+        parts += [drawn, table(listed)]
+    return joined(*parts)

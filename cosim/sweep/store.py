@@ -1,0 +1,145 @@
+"""Results of a sweep on disk: a Parquet file for each chunk of runs, whole or not there at all."""
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from filelock import FileLock, Timeout
+
+from cosim.batch import Array
+from cosim.sweep.work import Rows
+from hesr_model.artifacts import read_json, write_json
+from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.support.files import written_whole
+
+ABOUT = "sweep.json"
+RUNS = "runs"
+"""Folder of the Parquet files; all of them are one data set."""
+
+_LOCK = ".sweep-lock"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Table:
+    """All runs of a sweep.
+
+    Attributes
+    ----------
+    inputs : (runs, d) in their variables' units.
+    outputs : (runs, m) in the signals' units; NaN for runs that failed.
+    failures : why they failed; empty for the others.
+    """
+
+    inputs: Array
+    outputs: Array
+    failures: tuple[str, ...]
+
+
+class Store:
+    """The folder of a sweep; made by `opened`.
+
+    Parameters
+    ----------
+    folder : of the results.
+    inputs, outputs : names of the columns.
+    """
+
+    def __init__(self, folder: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> None:
+        self._folder, self._inputs, self._outputs = folder, inputs, outputs
+
+    def file(self, first: int) -> Path:
+        """Return the file of the chunk that begins with a run."""
+        return self._folder / RUNS / f"part-{first:08d}.parquet"
+
+    def write(self, first: int, values: Array, rows: Rows) -> None:
+        """Write a chunk: the same bytes for the same runs."""
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        columns: dict[str, Any] = {"run": np.arange(first, first + len(values), dtype=np.int64)}
+        columns |= dict(zip(self._inputs, values.T, strict=True))
+        columns |= dict(zip(self._outputs, rows.outputs.T, strict=True))
+        columns["failure"] = pa.array(rows.failures, pa.string())
+        with written_whole(self.file(first)) as temporary:
+            parquet.write_table(pa.table(columns), temporary, compression="zstd")
+
+    def has(self, first: int, values: Array) -> bool:
+        """Whether a chunk is there, readable and of these inputs."""
+        try:
+            return np.array_equal(self._read(first).inputs, values)
+        except (OSError, ValueError, KeyError):
+            return False
+
+    def read(self, firsts: list[int]) -> Table:
+        """Read chunks, in their order."""
+        parts = [self._read(first) for first in firsts]
+        return Table(
+            inputs=np.concatenate([part.inputs for part in parts]),
+            outputs=np.concatenate([part.outputs for part in parts]),
+            failures=tuple(text for part in parts for text in part.failures),
+        )
+
+    def _read(self, first: int) -> Table:
+        from pyarrow import parquet
+
+        found = parquet.read_table(self.file(first))
+
+        def numbers(names: tuple[str, ...]) -> Array:
+            return np.column_stack([found.column(name).to_numpy() for name in names])
+
+        return Table(
+            inputs=numbers(self._inputs),
+            outputs=numbers(self._outputs),
+            failures=tuple(found.column("failure").to_pylist()),
+        )
+
+
+@contextmanager
+def opened(
+    folder: Path, about: Mapping[str, Any], inputs: tuple[str, ...], outputs: tuple[str, ...]
+) -> Iterator[Store]:
+    """Yield the store in a folder, which keeps others out.
+
+    Parameters
+    ----------
+    folder : of the results.
+    about : the sweep; its "key" changes with anything that the results depend on.
+    inputs, outputs : names of the columns.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds results of another sweep.
+    ArtifactError
+        If another sweep is writing there, or it cannot be written.
+    """
+    try:
+        (folder / RUNS).mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / _LOCK, timeout=0)
+        lock.acquire()
+    except Timeout as error:
+        raise ArtifactError(
+            f"{folder}: another sweep is writing into this folder; wait until it has ended, or "
+            "give another folder."
+        ) from error
+    except OSError as error:
+        raise ArtifactError(f"{folder}: cannot be written there ({error.strerror}).") from error
+    try:
+        file = folder / ABOUT
+        if not file.is_file():
+            write_json(file, json.loads(json.dumps(about)))
+        elif read_json(file).get("key") != about["key"]:
+            raise ConfigError(
+                f"{folder}: holds results of another sweep, of other files; "
+                "give another folder, or remove this one."
+            )
+        for left in (folder / RUNS).glob(".part-*"):  # of a sweep that was killed
+            left.unlink(missing_ok=True)
+        yield Store(folder, inputs, outputs)
+    finally:
+        lock.release()
+        (folder / _LOCK).unlink(missing_ok=True)
