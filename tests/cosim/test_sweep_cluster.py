@@ -1,0 +1,96 @@
+"""A sweep on two real workers of dask.distributed, one of which is killed in the middle."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from small_fmus import LAGS
+from test_sweep import STUDY, files, written
+
+from cosim.sweep import cluster
+from cosim.sweep.run import run_sweep
+from hesr_model.errors import ConfigError, WorkerError
+
+LOCAL = """
+import sys
+from distributed import LocalCluster
+
+if __name__ == "__main__":
+    workers = int(sys.argv[1])
+    with LocalCluster(
+        n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=50
+    ) as local:
+        print(local.scheduler_address, *(w.pid for w in local.workers.values()), flush=True)
+        sys.stdin.read()
+"""
+
+
+@contextmanager
+def local(folder: Path, workers: int) -> Iterator[tuple[str, list[int]]]:
+    """A scheduler with workers: its address, and the numbers of their processes."""
+    pytest.importorskip("distributed", reason="dask.distributed is not installed")
+    script = written(folder, LOCAL, "local.py")
+    command = (sys.executable, script, str(workers))
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        assert process.stdout is not None
+        address, *numbers = process.stdout.readline().split()
+        yield address, list(map(int, numbers))
+        process.communicate("")
+
+
+@pytest.fixture
+def study(lag_fmu: Path, tmp_path: Path) -> Path:
+    system = LAGS.replace("FMU", str(lag_fmu)).replace("step = 0.2", "start = { T = 0.3 }")
+    written(tmp_path, system.replace("stop = 1.0", "stop = 100.0"), "lags.toml")
+    return written(tmp_path, STUDY.replace("runs = 12", "runs = 200"))
+
+
+def test_nothing_is_lost_with_a_worker(study: Path, tmp_path: Path):
+    with local(tmp_path, 2) as (address, workers):
+        assert len(workers) == 2
+        killed = []
+
+        def kill(_what: str, done: int, count: int) -> None:
+            if 0 < done < count and not killed:
+                killed.append(done)
+                os.kill(workers[0], signal.SIGKILL)
+
+        run_sweep(study, tmp_path / "cluster", cluster=address, progress=kill)
+    assert killed
+    run_sweep(study, tmp_path / "here", workers=1)
+    assert files(tmp_path / "cluster") == files(tmp_path / "here")
+
+
+def test_what_cannot_be_a_cluster(study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(cluster, "_SECONDS", 1)
+    with (
+        local(tmp_path, 0) as (address, _),
+        pytest.raises(ConfigError, match=r"the scheduler at .* has no worker\."),
+    ):
+        run_sweep(study, tmp_path / "out", cluster=address)
+    with pytest.raises(ConfigError, match=r"there is no scheduler at tcp://127\.0\.0\.1:9\."):
+        run_sweep(study, tmp_path / "out", cluster="tcp://127.0.0.1:9")
+    with pytest.raises(ConfigError, match=r"there is no scheduler at nonsense\."):
+        run_sweep(study, tmp_path / "out", cluster="nonsense")
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ConfigError, match=r"--cluster needs dask\.distributed; install it with"):
+        run_sweep(study, tmp_path / "out", cluster="tcp://127.0.0.1:9")
+
+
+def test_workers_that_die_again_and_again(
+    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(cluster, "_ROUNDS", 0)
+    with local(tmp_path, 1) as (address, _), pytest.raises(WorkerError) as error:
+        run_sweep(study, tmp_path / "out", cluster=address)
+    assert str(error.value) == (
+        "workers of the cluster died 0 times; 40 chunks of runs are left; the same command goes on "
+        "with them."
+    )
