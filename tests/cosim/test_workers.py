@@ -105,6 +105,29 @@ def test_jobs_of_a_script_run_in_fresh_processes_with_one_thread_each(tmp_path: 
     assert not one & other
 
 
+def test_blocks_share_processes_until_one_fails(tmp_path: Path) -> None:
+    text = JOBS + (
+        "from hesr_model.support.parallel import one_pool\n"
+        "def fail(): raise ZeroDivisionError\n"
+        "def block():\n"
+        "    with results_of([Mine(k) for k in range(6)]) as results:\n"
+        "        return {number for _, _, number in results}\n"
+        "with one_pool():\n"
+        "    first = block() | block()\n"
+        "    try:\n"
+        "        with results_of([fail, fail]) as results:\n"
+        "            list(results)\n"
+        "    except ZeroDivisionError:\n"
+        "        later = block()\n"
+        "alone = block()\n"
+        "print(len(first) <= os.cpu_count(), first & later, (first | later) & alone)\n"
+    )
+    with started(folder=tmp_path, program=script(tmp_path, text)) as process:
+        out, err = process.communicate(timeout=120)
+    assert (process.returncode, out, err) == (0, "True set() set()\n", "")
+    assert_nothing_left(process.pid, tmp_path)
+
+
 def test_a_killed_worker_is_one_sentence(tmp_path: Path) -> None:
     answer = tmp_path / "answer.json"
     command = ("properties", "uf850-table1", TABLE_1, "--json", answer)

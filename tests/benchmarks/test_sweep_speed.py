@@ -1,0 +1,109 @@
+"""How fast many loops are: against MuJoCo's own steps, the steps in Python, and FMPy per task."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from closed_loop import Bench, build
+from fmpy import simulate_fmu
+
+from cosim.closed_loop import Scheme
+from cosim.master import Master
+from cosim.package.container import write_container
+from cosim.package.contents import read_contents
+from cosim.sweep.run import run_sweep
+from cosim.system import SystemSpec
+from cosim.system_file import write_system
+from fmu_src import model_file
+from hesr_model.artifacts import read_model
+
+Tell = Callable[[str], None]
+
+STUDY = """
+name = "loops"
+system = "loop.toml"
+design = "latin_hypercube"
+runs = 40
+chunk = 10
+[[inputs]]
+variables = ["arm.payload"]
+low = 0.0
+high = 3.0
+[[outputs]]
+name = "tracking"
+signal = "arm.q_true"
+reference = "trajectory.q"
+"""
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    return build(tmp_path_factory.mktemp("loop"), read_model(model_file("uf850-table1")))
+
+
+@pytest.fixture(scope="module")
+def spec(bench: Bench) -> SystemSpec:
+    """Ten seconds of the closed loop at 200 Hz."""
+    return bench.system(bench.loop(Scheme(compensation="servo_inversion", Kx=5.0)))
+
+
+def spent(work: Callable[[], object]) -> float:
+    """CPU time of this process [s]: other processes of the machine do not count."""
+    start = time.process_time()
+    work()
+    return time.process_time() - start
+
+
+def turn_about(works: dict[str, Callable[[], object]], rounds: int = 7) -> dict[str, float]:
+    """Least CPU time of each of several works, done in turn, so that a busy machine slows all."""
+    times: dict[str, list[float]] = {name: [] for name in works}
+    for _ in range(rounds):
+        for name, work in works.items():
+            times[name].append(spent(work))
+    return {name: min(found) for name, found in times.items()}
+
+
+def test_loops_in_c(bench: Bench, spec: SystemSpec, tell: Tell) -> None:
+    """Aims: 1.7 times the steps in Python, at most 1.6 times MuJoCo's own steps."""
+    model = mujoco.MjModel.from_xml_path(str(bench.plant.model))
+    count = round(spec.stop / model.opt.timestep)
+    with Master(spec) as native, Master(spec, native=False) as readable:
+        one, other = native.run().require_success(), readable.run().require_success()
+        assert all(np.array_equal(v, other.signals[name]) for name, v in one.signals.items())
+        found = turn_about(
+            {
+                "C": native.run,
+                "Python": readable.run,
+                "MuJoCo": lambda: mujoco.mj_step(model, mujoco.MjData(model), count),
+            }
+        )
+    shown = ", ".join(f"{name} {1e3 * seconds:.1f} ms" for name, seconds in found.items())
+    tell(
+        f"{shown}; in C {found['Python'] / found['C']:.2f} times as fast as in Python (aim 1.7), "
+        f"{found['C'] / found['MuJoCo']:.2f} times MuJoCo's steps (aim 1.6)"
+    )
+
+
+def test_a_sweep_against_fmpy_per_task(spec: SystemSpec, tell: Tell, tmp_path: Path) -> None:
+    """Aim: 4 times as many loops as simulate_fmu of the container, which loads it each time."""
+    observed = spec.model_copy(update={"observe": ("arm.q_true", "trajectory.q")})
+    container = write_container(read_contents(observed, tmp_path / "loop"), tmp_path / "loop.fmu")
+    write_system(spec, tmp_path / "loop.toml")
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    swept = spent(lambda: run_sweep(tmp_path / "study.toml", tmp_path / "out", workers=1)) / 40
+    task = min(
+        spent(
+            lambda: simulate_fmu(
+                str(container), stop_time=spec.stop, output_interval=spec.step,
+                start_values={"arm.payload": 1.0},
+            )
+        )
+        for _ in range(5)
+    )  # fmt: skip
+    tell(
+        f"a run of a sweep {1e3 * swept:.0f} ms with all overheads, simulate_fmu of the container "
+        f"{1e3 * task:.0f} ms: {task / swept:.1f} times (aim 4)"
+    )
