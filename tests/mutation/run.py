@@ -30,6 +30,7 @@ ROOT = HERE.parents[1]
 AREAS = {
     "science": "hesr_model/**/*.py",
     "master": "cosim/master.py",
+    "steps": "cosim/stepping.py",
     "c": "fmu_src/c/*.[ch]",
 }
 PATIENCE = 5.0  # times what the tests take without a fault

@@ -10,7 +10,12 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 SOURCES = [
     path
-    for pattern in ("hesr_model/**/*.py", "fmu_src/c/*.[ch]", "cosim/master.py")
+    for pattern in (
+        "hesr_model/**/*.py",
+        "fmu_src/c/*.[ch]",
+        "cosim/master.py",
+        "cosim/stepping.py",
+    )
     for path in sorted(ROOT.glob(pattern))
 ]
 
