@@ -6,6 +6,7 @@ from typing import NoReturn
 from cosim.cli import (
     audit,
     check,
+    constants,
     excite,
     export,
     inspect,
@@ -28,6 +29,7 @@ __all__ = [
     "app",
     "audit",
     "check",
+    "constants",
     "excite",
     "export",
     "inspect",

@@ -37,7 +37,7 @@ programs; --json - writes them to standard output, and nothing else there.
 """
 
 _ORDER = (
-    *("new", "inspect", "run", "report", "view"),
+    *("new", "inspect", "constants", "run", "report", "view"),
     *("excite", "identify", "fit", "evaluate", "properties", "audit", "laws"),
     *("export", "check", "replay", "simulate", "sweep", "package", "interop"),
 )

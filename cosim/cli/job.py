@@ -87,7 +87,7 @@ def run(
     for fmu in outcome.fmus.values():
         console.print(f"  {fmu}", soft_wrap=True, highlight=False)
     for sentence in outcome.verdict.sentences:
-        console.print(sentence, soft_wrap=True, highlight=False, markup=False)
+        console.print(sentence, highlight=False, markup=False)
     report = folder / "report.html"
     console.print(f"Everything is in {folder}; look at {report}.", soft_wrap=True, highlight=False)
 

@@ -1,0 +1,309 @@
+"""Torque constants of motors that nobody has stated, against the masses of the model or a payload.
+
+With currents i measured, friction beside it and all inertial parameters pi in doubt by as much as
+is declared, each joint is solved by itself by Gauss-Newton,
+
+    i_j = kappa_j Y_j(q, dq, ddq) (pi + carried) + F_j f_j,      kappa_j = 1 / k_j
+    pi ~ N(model file, declared error)
+
+A payload of known mass, carried in some of the logs, replaces trust in the masses. Joints are kept
+apart, because an error of the masses that one joint would pass to the next makes it look surer than
+it is. Rotor inertias and inertia tensors are left open: only weights are trusted. The standard
+errors hold the declared error, the residuals' autocorrelation, and what a wrong law of friction may
+feign.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+from scipy.optimize import least_squares
+
+from hesr_model.errors import FitError
+from hesr_model.friction.fitting.uncertainty import correlation_length
+from hesr_model.logs.signals import Motion
+from hesr_model.rigid_body.base_parameters import base_columns
+from hesr_model.rigid_body.least_squares import Block
+from hesr_model.rigid_body.observations import friction_columns, stacked
+from hesr_model.robots.robot import RobotModel
+
+Array = NDArray[np.float64]
+
+_DETERMINED = 0.2
+"""Relative standard error beyond which a constant is not determined."""
+_FEIGNED = 0.2
+"""Share of friction's size that a wrong law of friction may add to a weight."""
+_CHANGED = 0.02
+"""The same of a payload, against which only what differs between the logs counts."""
+_LEAST_ARM = 0.05
+"""[m] A centre of mass is in doubt by the declared share of at least such a distance."""
+_OPEN = 3.0
+"""Inertia tensors are in doubt by so many times themselves."""
+_ROTOR = 3.0
+"""[kg.m2] Rotor inertias are not known at all."""
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Constant:
+    """The torque constant of one joint.
+
+    Attributes
+    ----------
+    joint
+        Its name.
+    value, error
+        N.m/A at the joint, as `torque_per_ampere`, and its standard error; infinite where nothing
+        tells.
+    determined
+        Whether the data determine it; `value` means nothing where they do not.
+    """
+
+    joint: str
+    value: float
+    error: float
+    determined: bool
+
+    @property
+    def sentence(self) -> str:
+        """What is known of it, in words."""
+        if self.determined:
+            return f"joint '{self.joint}': {self.value:.4g} +- {self.error:.2g} N.m/A."
+        return (
+            f"joint '{self.joint}': not determined; what it carries is too light against friction, "
+            "or too uncertain. A known payload that moves it would tell."
+        )
+
+
+def torque_constants(
+    motions: Sequence[Motion],
+    model: RobotModel,
+    assumed: Sequence[float],
+    *,
+    mass_error: float,
+    loaded: Sequence[Motion] = (),
+    payload: Sequence[float] | Array | None = None,
+) -> tuple[Constant, ...]:
+    """Estimate the torque constants with which currents are torques.
+
+    Parameters
+    ----------
+    motions
+        Without payload, their torques made from currents with the assumed constants.
+    model
+        Whose file gives masses and centres of mass.
+    assumed
+        (n,) constants by which currents became torques, as `torque_per_ampere`.
+    mass_error
+        Declared relative error of the file's masses, one standard deviation.
+    loaded
+        Motions under a known payload, of the same constants.
+    payload
+        (10,) its parameters [kg, kg.m, kg.m2] in the frame of the last joint, as
+        `robot.LINK_PARAMETERS`.
+
+    Raises
+    ------
+    FitError
+        If the declared error is no share, or there are loaded motions without a payload.
+    """
+    if not 0.0 < mass_error < 1.0:
+        raise FitError(
+            f"the declared error of the masses is {mass_error:g}; needed is a share from 0 to 1."
+        )
+    if bool(loaded) != (payload is not None):
+        raise FitError("motions under a payload go with its parameters; only one was given.")
+    every = tuple(range(len(model.parameter_names)))
+    columns = friction_columns(model, base_columns(model))
+    kinds = [(stacked(motions, model, every, columns), np.zeros(10))]
+    if payload is not None:
+        kinds.append((stacked(loaded, model, every, columns), np.array(payload, dtype=float)))
+    weight = np.zeros(len(every))  # weights and first moments: what gravity pulls at
+    for k in range(model.n):
+        weight[10 * k : 10 * k + 4] = 1.0
+    spread = _spread(model, mass_error)
+    found = []
+    for j, (joint, constant) in enumerate(zip(model.description.joints, assumed, strict=True)):
+        problem = _Problem.of(
+            [(blocks[j], carried) for blocks, carried in kinds], model, weight, spread
+        )
+        kappa, relative = problem.solve()
+        value = float(constant / kappa) if kappa > 0.0 else np.inf
+        found.append(
+            Constant(
+                joint=joint,
+                value=value,
+                error=value * relative,
+                determined=bool(kappa > 0.0 and relative < _DETERMINED),
+            )
+        )
+    return tuple(found)
+
+
+def point_payload(mass: float, centre: Sequence[float]) -> Array:
+    """Return the parameters (10,) [SI] of a mass [kg] at a point [m] of the last joint's frame."""
+    c = np.array(centre, dtype=float)
+    inertia = mass * (c @ c * np.eye(3) - np.outer(c, c))
+    (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = inertia
+    return np.array([mass, *(mass * c), ixx, ixy, iyy, ixz, iyz, izz])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Rows:
+    """Rows of a joint in logs of one kind, compressed: [Y, Y carried, friction, torque].
+
+    Attributes
+    ----------
+    factor
+        Triangular, of these columns.
+    count
+        Rows there were.
+    length
+        Rows within which residuals are alike.
+    """
+
+    factor: Array
+    count: int
+    length: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Problem:
+    """One joint: unknown are kappa, relative to the assumed constant, pi, and friction by kind.
+
+    Attributes
+    ----------
+    kinds
+        Rows of logs without payload, and with it.
+    nominal, spread
+        (P,) of the model file, and how far that is in doubt.
+    friction
+        Columns of friction of each kind.
+    known
+        Size of the torque that is trusted [N.m]: of the payload, else of the model's weights.
+    """
+
+    kinds: tuple[_Rows, ...]
+    nominal: Array
+    spread: Array
+    friction: int
+    known: float
+
+    @classmethod
+    def of(
+        cls,
+        kinds: Sequence[tuple[Block, Array]],
+        model: RobotModel,
+        weight: Array,
+        spread: Array,
+    ) -> "_Problem":
+        size, last = len(spread), slice(10 * (model.n - 1), 10 * model.n)
+        nominal = model.nominal_parameters
+        rows = []
+        for block, carried in kinds:
+            rigid, rest = block.matrix[:, :size], block.matrix[:, size:]
+            own = rest[:, np.any(rest != 0.0, axis=0)]
+            load = rigid[:, last] @ carried
+            columns = np.column_stack([rigid @ nominal + load, own])
+            fitted = columns @ np.linalg.lstsq(columns, block.target, rcond=None)[0]
+            whole = np.column_stack([rigid, load, own, block.target])
+            (factor,) = qr(whole, mode="r", check_finite=False)
+            rows.append(
+                _Rows(
+                    factor=np.asarray(factor[: whole.shape[1]]),
+                    count=len(own),
+                    length=correlation_length(block.target - fitted),
+                )
+            )
+            heavy = rigid @ (weight * nominal)
+        known = float(np.std(load if len(kinds) > 1 else heavy))
+        return cls(
+            kinds=tuple(rows), nominal=nominal, spread=spread, friction=own.shape[1], known=known
+        )
+
+    def solve(self) -> tuple[float, float]:
+        """Return kappa and its relative standard error."""
+        size = len(self.nominal)
+        x = self._start()
+        for _ in range(_ROUNDS):
+            lefts = [self._left(x, k) for k in range(len(self.kinds))]
+            # Neighbouring rows are alike: they count as fewer.
+            scales = [
+                float(np.sqrt(rows.count / max(float(left @ left), 1e-12) / rows.length))
+                for rows, left in zip(self.kinds, lefts, strict=True)
+            ]
+            x = least_squares(self._residuals, x, jac=self._slopes, x_scale="jac", args=(scales,)).x
+        slopes = self._slopes(x, scales)
+        norms = np.maximum(np.linalg.norm(slopes, axis=0), 1e-150)
+        _, s, vt = np.linalg.svd(slopes / norms, full_matrices=False)
+        error = float(np.linalg.norm(vt[:, 0] / np.maximum(s, 1e-12 * s[0]))) / norms[0]
+        rows = self.kinds[0]
+        columns = rows.factor[:, size + 1 : -1]
+        rubbing = float(np.linalg.norm(columns @ x[self._own(0)])) / np.sqrt(rows.count)
+        share = _FEIGNED if len(self.kinds) == 1 else _CHANGED
+        feigned = share * rubbing / max(abs(x[0]) * self.known, 1e-12)
+        return float(x[0]), float(np.hypot(error / max(abs(x[0]), 1e-12), feigned))
+
+    def _start(self) -> Array:
+        """Return the unknowns with the model file's parameters, the others by least squares."""
+        x = np.concatenate([[0.0], self.nominal, np.zeros(self.friction * len(self.kinds))])
+        columns, targets = [], []
+        for k, rows in enumerate(self.kinds):
+            own = np.zeros((len(rows.factor), len(x)))
+            own[:, 0] = self._torque(x, k)
+            own[:, self._own(k)] = rows.factor[:, len(self.nominal) + 1 : -1]
+            columns.append(own)
+            targets.append(rows.factor[:, -1])
+        free = np.r_[0, 1 + len(self.nominal) : len(x)]
+        matrix = np.vstack(columns)[:, free]
+        x[free] = np.linalg.lstsq(matrix, np.concatenate(targets), rcond=None)[0]
+        return x
+
+    def _own(self, k: int) -> slice:
+        first = 1 + len(self.nominal) + k * self.friction
+        return slice(first, first + self.friction)
+
+    def _torque(self, x: Array, k: int) -> Array:
+        size, factor = len(self.nominal), self.kinds[k].factor
+        return np.asarray(factor[:, :size] @ x[1 : 1 + size] + factor[:, size])
+
+    def _left(self, x: Array, k: int) -> Array:
+        factor = self.kinds[k].factor
+        friction = factor[:, len(self.nominal) + 1 : -1] @ x[self._own(k)]
+        return np.asarray(x[0] * self._torque(x, k) + friction - factor[:, -1])
+
+    def _residuals(self, x: Array, scales: Sequence[float]) -> Array:
+        rows = [scale * self._left(x, k) for k, scale in enumerate(scales)]
+        prior = (x[1 : 1 + len(self.nominal)] - self.nominal) / self.spread
+        return np.concatenate([*rows, prior])
+
+    def _slopes(self, x: Array, scales: Sequence[float]) -> Array:
+        size, parts = len(self.nominal), []
+        for k, scale in enumerate(scales):
+            factor = self.kinds[k].factor
+            own = np.zeros((len(factor), len(x)))
+            own[:, 0] = self._torque(x, k)
+            own[:, 1 : 1 + size] = x[0] * factor[:, :size]
+            own[:, self._own(k)] = factor[:, size + 1 : -1]
+            parts.append(scale * own)
+        prior = np.zeros((size, len(x)))
+        prior[:, 1 : 1 + size] = np.diag(1.0 / self.spread)
+        return np.vstack([*parts, prior])
+
+
+def _spread(model: RobotModel, mass_error: float) -> Array:
+    """Return the standard deviation (P,) of every parameter of the model file [SI]."""
+    nominal = model.nominal_parameters
+    spread = np.full(len(nominal), _ROTOR)
+    heaviest = max(float(np.max(nominal[: 10 * model.n : 10])), 1e-3)
+    for k in range(model.n):
+        m, *rest = nominal[10 * k : 10 * k + 10]
+        mass = max(m, 1e-3 * heaviest)
+        arm = max(float(np.linalg.norm(rest[:3])) / mass, _LEAST_ARM)
+        spread[10 * k] = mass_error * mass
+        spread[10 * k + 1 : 10 * k + 4] = mass_error * mass * arm
+        inertia = max(float(np.max(np.abs(rest[3:]))), mass * arm**2)
+        spread[10 * k + 4 : 10 * k + 10] = _OPEN * inertia
+    return spread

@@ -1,0 +1,52 @@
+"""hesr constants: in the terminal, as JSON, and one sentence for what is wrong."""
+
+import json
+from pathlib import Path
+
+import pytest
+from small_study import Hesr, hesr_here
+
+from hesr_model.logs.robot_log import RobotLog
+
+ROBOT = """
+name = "arm"
+model = "arm.xml"
+joints = ["j1", "j2", "j3"]
+[log]
+torque_per_ampere = [2.0, 2.0, 2.0]
+"""
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+def write(folder: Path, log: RobotLog) -> tuple[Path, Path]:
+    robot, file = folder / "robot.toml", folder / "run.csv"
+    robot.write_text(ROBOT, encoding="utf-8")
+    log.write(file)
+    file.write_text(file.read_text(encoding="utf-8").replace("tau", "i", 3), encoding="utf-8")
+    return robot, file
+
+
+def test_constants_are_said_and_written(hesr: Hesr, tmp_path: Path, arm_log: RobotLog) -> None:
+    robot, log = write(tmp_path, arm_log)
+    out = tmp_path / "constants.json"
+    answer = hesr("constants", log, "--robot", robot, "--json", out)
+    assert (answer.code, answer.err) == (0, "")
+    lines = answer.out.splitlines()
+    assert len(lines) == 3
+    assert lines[0].startswith("joint 'j1': not determined")
+    told = [line for line in lines if "not determined" not in line]
+    assert len(json.loads(out.read_text(encoding="utf-8"))) == len(told)
+
+
+def test_a_payload_is_four_numbers(hesr: Hesr, tmp_path: Path, arm_log: RobotLog) -> None:
+    robot, log = write(tmp_path, arm_log)
+    answer = hesr("constants", log, "--robot", robot, "--payload", "2.0,0.1")
+    assert answer.code == 2
+    assert "--payload: found 2 values; needed are its mass" in answer.err
+    answer = hesr("constants", log, "--robot", robot, "--payload", "2.0,0.1,0,0")
+    assert answer.code == 2
+    assert "motions under a payload go with its parameters" in answer.err

@@ -1,0 +1,71 @@
+"""A known payload gives the torque constants of the digital twin, whose friction nobody knows."""
+
+from pathlib import Path
+
+import numpy as np
+from small_study import uf850
+
+from cosim.studies.excite import recordings
+from cosim.studies.motions import Motions
+from fmu_src.arm.plant import Plant
+from hesr_model.logs.signals import Motion, smooth
+from hesr_model.rigid_body.torque_constants import point_payload, torque_constants
+from hesr_model.robots.robot import RobotDescription, RobotModel
+
+MOTIONS = """
+[[motions]]
+name = "excitation"
+kind = "fourier"
+seed = 86
+harmonics = 8
+period = 20.0
+peak_velocity = [1.3, 1.2, 1.3]
+offset = [0.0, 0.3, -1.9]
+"""
+PAYLOAD = '<body name="payload" pos="0 0 0.1">\n                    <inertial pos="0 0 0" mass="0"'
+WRONG = np.array([0.5, 2.0, 1.3])
+"""Times the true constants that are assumed."""
+
+
+def motion(folder: Path, mass: float) -> Motion:
+    """Run the arm with a payload; currents are taken for torques by wrong constants."""
+    text = uf850("uf850.xml").read_text(encoding="utf-8")
+    assert PAYLOAD in text
+    heavier = PAYLOAD.replace('mass="0"', f'mass="{mass}"')
+    folder.mkdir()
+    (folder / "uf850.xml").write_text(text.replace(PAYLOAD, heavier), encoding="utf-8")
+    for name in ("plant.toml",):
+        (folder / name).write_text(uf850(name).read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "motions.toml").write_text(MOTIONS, encoding="utf-8")
+    plant = Plant.read(folder / "plant.toml")
+    [made] = recordings(Motions.read(folder / "motions.toml"), plant)
+    smoothed = smooth(made.log)
+    return Motion(**{**vars(smoothed), "tau": smoothed.tau * WRONG})
+
+
+def test_all_that_a_known_payload_moves_is_known_within_3_percent(tmp_path: Path) -> None:
+    robot = RobotModel(RobotDescription.read(uf850("robot.toml")))
+    # The payload hangs at the flange; the welded wrist is one body with the last joint's link.
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(uf850("uf850.xml")))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    frame = model.body("link3").id
+    rotation = data.xmat[frame].reshape(3, 3)
+    centre = rotation.T @ (data.body("payload").xpos - data.xpos[frame])
+    found = torque_constants(
+        [motion(tmp_path / "free", 0.0)],
+        robot,
+        WRONG,
+        mass_error=0.5,
+        loaded=[motion(tmp_path / "loaded", 4.0)],
+        payload=point_payload(4.0, centre),
+    )
+    assert [constant.determined for constant in found] == [True, True, True]
+    np.testing.assert_allclose([constant.value for constant in found], 1.0, rtol=0.03)
+    alone = torque_constants([motion(tmp_path / "again", 0.0)], robot, WRONG, mass_error=0.1)
+    assert not alone[0].determined
+    for constant in alone:
+        if constant.determined:
+            assert abs(constant.value - 1.0) < 3 * constant.error
