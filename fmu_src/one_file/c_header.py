@@ -10,7 +10,7 @@ import jinja2
 
 from fmu_src.equations.c_functions import Functions
 from fmu_src.equations.header import Joint
-from fmu_src.friction.defined import require_numbers
+from fmu_src.friction.defined import require_numbers, require_uncoupled
 from fmu_src.friction.friction_component import joints_of
 from fmu_src.interface import literal
 from fmu_src.one_file.reference import write_beside
@@ -42,7 +42,8 @@ def export_c(model: FrictionModel, path: Path) -> Path:
     Raises
     ------
     ExportError
-        If the file's name is none in C, or the model cannot be expressed in C.
+        If the file's name is none in C, or the model cannot be expressed in C, as one of motors
+        that turn with several joints.
     ArtifactError
         If a file cannot be written.
     """
@@ -58,6 +59,7 @@ def export_c(model: FrictionModel, path: Path) -> Path:
 
 def header(model: FrictionModel, name: str) -> str:
     """Return the text of the header, whose names begin with `name`."""
+    require_uncoupled(model, "one C header")
     require_numbers(model)
     joints = joints_of(model)
     distinct = list(dict.fromkeys(j.component for j in joints))

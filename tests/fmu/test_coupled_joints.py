@@ -15,6 +15,7 @@ from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.reference import reference_files
 from fmu_src.mjcf.mjcf_file import export_mjcf_law
 from fmu_src.modelica.modelica_package import export_modelica
+from fmu_src.one_file.c_header import export_c
 from fmu_src.package import write_fmu
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
@@ -147,7 +148,8 @@ def test_the_reference_results_are_those_of_joints(model, fmu) -> None:
 
 
 @pytest.mark.parametrize(
-    ("export", "name"), [(export_modelica, "Law.mo"), (export_mjcf_law, "law.xml")]
+    ("export", "name"),
+    [(export_modelica, "Law.mo"), (export_mjcf_law, "law.xml"), (export_c, "law.h")],
 )
 def test_forms_with_a_law_per_joint_are_refused(model, export, name, tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="turn with several joints, which"):
