@@ -1,6 +1,6 @@
 """Where expressions can go: bounds by interval arithmetic with subdivision.
 
-An expression over a box of its symbols lies within what `enclosure` returns, whatever the numbers:
+A rate or a bound over a box of what it reads lies within what `reach` returns, whatever the numbers:
 natural interval extensions (Moore, Kearfott and Cloud, Introduction to Interval Analysis, 2009,
 chapters 5 and 6) of every subexpression, the box cut along its sides, since a symbol that stands
 twice makes a single extension too wide. Bounds are those of real numbers; roundings are not
@@ -59,12 +59,6 @@ def reach(element: Element, box: Box) -> Reach:
         for k in np.flatnonzero(low < 0.0)
     )
     return Reach(low=float(low.min()), high=float(high.max()), guarded=guarded)
-
-
-def enclosure(expression: sympy.Expr, box: Box) -> tuple[float, float]:
-    """Return bounds of an expression over a box; infinite where none are found."""
-    low, high = _over(expression, _cut({s: box[s] for s in expression.free_symbols}))
-    return float(np.min(low)), float(np.max(high))
 
 
 def _cut(box: Box) -> dict[sympy.Symbol, Interval]:

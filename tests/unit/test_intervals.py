@@ -7,13 +7,20 @@ import pytest
 import sympy
 
 from hesr_model.equations.functions import absolute, clip, larger, lowered, positive, sgn
-from hesr_model.equations.intervals import enclosure, reach
+from hesr_model.equations.intervals import Box, reach
 from hesr_model.equations.memory import Relaxation, Stop
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.registry import registry
 
 X, Y = sympy.symbols("x y", real=True)
 BOX = {X: (-1.5, 2.0), Y: (0.25, 3.0)}
+
+
+def enclosure(expression: sympy.Expr, box: Box) -> tuple[float, float]:
+    """Bounds of an expression, as those of a rate."""
+    found = reach(Relaxation(name="z", unit="1", drive=X, rate=expression), box)
+    return found.low, found.high
+
 
 EXPRESSIONS = [
     X * Y - X**2,
