@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from cosim.batch import Array
-from cosim.description import described
+from cosim.description import model_description
 from cosim.replay import require_finite
 from cosim.slave import Component
-from fmu_src.friction.embedded import embedded_model
+from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, errors, torques
 from hesr_model.errors import SimulationError
@@ -100,7 +100,7 @@ def judge(fmu: Path) -> FrictionModel:
             f"{fmu}: carries no friction model, by which its results could be judged."
         )
     try:
-        variables = described(fmu).modelVariables
+        variables = model_description(fmu).modelVariables
     except SimulationError:  # what it is, a check of the FMU says better
         return model
     has = {(v.name, v.causality) for v in variables}

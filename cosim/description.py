@@ -14,7 +14,7 @@ DESCRIPTION = "modelDescription.xml"
 _IDENTIFIER = re.compile(r"[A-Za-z_][0-9A-Za-z_]*")
 
 
-def described(fmu: Path) -> ModelDescription:
+def model_description(fmu: Path) -> ModelDescription:
     """Read what an FMU says of itself.
 
     Raises

@@ -18,7 +18,7 @@ from cosim.wiring import Element, Wiring
 from hesr_model.errors import ConfigError, HesrError, SimulationError
 from hesr_model.logs.tables import write_table
 from hesr_model.support.files import written_whole
-from hesr_model.support.progress import Progress, unheard
+from hesr_model.support.progress import Progress, silent
 
 _TELL_EVERY = 200  # steps
 
@@ -164,7 +164,7 @@ class Master:
 
     def run(
         self,
-        progress: Progress = unheard,
+        progress: Progress = silent,
         *,
         start: Mapping[str, Mapping[str, Value]] | None = None,
     ) -> Result:
@@ -283,7 +283,7 @@ def _not_a_number(element: Element, time: float) -> str:
     return f"at t = {time:.9g} s {'.'.join(element)} is not a finite number."
 
 
-def simulate(spec: SystemSpec, path: Path, progress: Progress = unheard) -> Result:
+def simulate(spec: SystemSpec, path: Path, progress: Progress = silent) -> Result:
     """Load a system, run it once and free it."""
     with Master(spec, path) as master:
         return master.run(progress)

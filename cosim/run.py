@@ -24,7 +24,7 @@ from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support import parallel
 from hesr_model.support.files import folder_written_whole, models_folder
-from hesr_model.support.progress import Progress, Stages, counted, unheard
+from hesr_model.support.progress import Progress, Stages, counted, silent
 from hesr_model.support.typed_json import to_json
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def run_study(
     platforms: Sequence[str] = ("linux64",),
     quick: bool = False,
     accepted: Sequence[str] = (),
-    progress: Stages = unheard,
+    progress: Stages = silent,
 ) -> Outcome:
     """Run a study and write everything that it makes into a folder, or nothing on an error.
 

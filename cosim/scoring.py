@@ -215,7 +215,7 @@ def predict_fmu(fmu: Path, records: Records) -> list[list[Array]]:
     estimated from the model that the FMU carries and set before the initialisation.
     """
     from cosim.replay import replay
-    from fmu_src.friction.embedded import embedded_model
+    from fmu_src.friction.embedded_model import embedded_model
 
     model = embedded_model(fmu)
     torques = []

@@ -16,7 +16,7 @@ from fmu_src.interface import Interface, to_c
 from fmu_src.toolchain import Target, build, targets
 from hesr_model.errors import ExportError
 from hesr_model.support.files import written_whole
-from hesr_model.support.progress import Progress, counted, unheard
+from hesr_model.support.progress import Progress, counted, silent
 
 Version = Literal[2, 3]
 """Of FMI."""
@@ -107,7 +107,7 @@ def write_fmu(
     path: Path,
     *,
     platforms: Sequence[str] = ("linux64",),
-    progress: Progress = unheard,
+    progress: Progress = silent,
     fmi: Version = 2,
 ) -> Path:
     """Compile a component with the FMI glue and write both as an FMU.

@@ -48,7 +48,7 @@ def audit(
 
 def _model(law: str) -> "FrictionModel":
     from fmu_src import BUILT_IN, model_file
-    from fmu_src.friction.embedded import embedded_model
+    from fmu_src.friction.embedded_model import embedded_model
     from hesr_model.artifacts import read_model
 
     suffix = Path(law).suffix.lower()

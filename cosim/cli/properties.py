@@ -81,7 +81,7 @@ def _subjects(laws: list[str], inertia: tuple[float, ...] | None) -> "list[Subje
     """Read models and FMUs; named by their law, else by their file, else by its path."""
     from cosim.studies.properties.battery import Subject
     from fmu_src import BUILT_IN, model_file
-    from fmu_src.friction.embedded import embedded_model
+    from fmu_src.friction.embedded_model import embedded_model
     from hesr_model.artifacts import read_model
 
     subjects = []

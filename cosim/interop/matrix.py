@@ -13,7 +13,7 @@ from cosim.interop.engine import Engine, SkippedError, Tools
 from cosim.interop.engines import ENGINES
 from cosim.interop.reference import alone, together
 from hesr_model.support.process import FailedError
-from hesr_model.support.progress import Progress, counted, unheard
+from hesr_model.support.progress import Progress, counted, silent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +105,7 @@ def compare(
     tools: Tools,
     *,
     engines: Sequence[Engine] = ENGINES,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> EngineMatrix:
     """Run all engines that are there on all cases.
 

@@ -93,7 +93,7 @@ def read_contents(spec: SystemSpec, path: Path) -> SystemContents:
         its FMUs; see `Wiring`.
     """
     descriptions = {
-        c.name: described(c.fmu, f"{path}: component '{c.name}'") for c in spec.components
+        c.name: description_of(c.fmu, f"{path}: component '{c.name}'") for c in spec.components
     }
     variables = {c.name: Variables(c.fmu, descriptions[c.name]) for c in spec.components}
     return SystemContents(
@@ -106,7 +106,7 @@ def read_contents(spec: SystemSpec, path: Path) -> SystemContents:
     )
 
 
-def described(fmu: Path, where: str) -> Any:
+def description_of(fmu: Path, where: str) -> Any:
     """Return FMPy's description of the FMU of a component.
 
     Parameters
@@ -121,7 +121,7 @@ def described(fmu: Path, where: str) -> Any:
     SimulationError
         If it cannot be read.
     """
-    from cosim.description import described as read  # slow to import
+    from cosim.description import model_description as read  # slow to import
 
     if not fmu.is_file():
         raise ConfigError(f"{where}: there is no FMU {fmu}.")

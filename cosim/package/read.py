@@ -10,7 +10,7 @@ from typing import Any
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
-from cosim.package.contents import Unit, described
+from cosim.package.contents import Unit, description_of
 from cosim.package.markup import NAMESPACES
 from cosim.package.names import safe_names
 from cosim.package.ssp import SSD
@@ -144,7 +144,7 @@ class _Reader:
         """Return start values in the units of an FMU, which is read only where one has a unit."""
         if not any(isinstance(value, Quantity) for value in start.values()):
             return start
-        variables = Variables(fmu, described(fmu, f"{self.path}: {where}"))
+        variables = Variables(fmu, description_of(fmu, f"{self.path}: {where}"))
         found: dict[str, Any] = {}
         for name, value in start.items():
             if not isinstance(value, Quantity):

@@ -24,7 +24,7 @@ from cosim.report.sections import (
 from cosim.report.sections.summary import summary
 from cosim.report.zoom import library
 from hesr_model.support.files import written_whole
-from hesr_model.support.progress import Stages, counted, unheard
+from hesr_model.support.progress import Stages, counted, silent
 
 REPORT, FIGURES = "report.html", "figures"
 
@@ -51,7 +51,7 @@ def write_report(
     folder: Path,
     output: Path | None = None,
     *,
-    progress: Stages = unheard,
+    progress: Stages = silent,
 ) -> Path:
     """Write the report of a run.
 

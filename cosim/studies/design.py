@@ -20,7 +20,7 @@ from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.config import read_toml
 from hesr_model.support.files import written_whole
-from hesr_model.support.progress import Progress, unheard
+from hesr_model.support.progress import Progress, silent
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ def design(
     output: Path,
     settings: Path | None = None,
     *,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> Design:
     """Design an excitation and write it.
 

@@ -22,7 +22,7 @@ from hesr_model.artifacts import read_json, write_json
 from hesr_model.motions.trajectories import Trajectory
 from hesr_model.support import parallel
 from hesr_model.support.files import sha256
-from hesr_model.support.progress import Progress, unheard
+from hesr_model.support.progress import Progress, silent
 from hesr_model.support.typed_json import NumbersWithGaps, from_json, to_json
 
 
@@ -110,7 +110,7 @@ def track(
     traced: bool = False,
     kept: Path | None = None,
     workers: int | None = None,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> list[Tracked]:
     """Run every row along every motion.
 

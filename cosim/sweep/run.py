@@ -15,7 +15,7 @@ from cosim.sweep.store import Store, Table, opened
 from cosim.sweep.work import Rows, release, run_rows
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support import parallel
-from hesr_model.support.progress import Stages, unheard
+from hesr_model.support.progress import Stages, silent
 
 PAGE = "sweep.html"
 
@@ -50,7 +50,7 @@ def run_sweep(
     *,
     workers: int | None = None,
     cluster: str | None = None,
-    progress: Stages = unheard,
+    progress: Stages = silent,
 ) -> Swept:
     """Do all runs of a study that are not done yet, and write the page.
 

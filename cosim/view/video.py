@@ -18,7 +18,7 @@ from cosim.view.runs import Choice, Shown
 from cosim.view.stage import HEIGHT, WIDTH, Stage
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.support.files import written_whole
-from hesr_model.support.progress import Progress, counted, unheard
+from hesr_model.support.progress import Progress, counted, silent
 
 Image = NDArray[np.uint8]
 
@@ -27,7 +27,7 @@ _BACKENDS = {"egl": "EGL", "osmesa": "OSMesa"}
 _GEOMS = 4000
 
 
-def write_video(path: Path, shown: Shown, choice: Choice, *, progress: Progress = unheard) -> int:
+def write_video(path: Path, shown: Shown, choice: Choice, *, progress: Progress = silent) -> int:
     """Write a video; return the number of its frames.
 
     Parameters

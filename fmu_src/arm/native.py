@@ -19,7 +19,7 @@ from fmu_src.description import Description
 from fmu_src.interface import Interface
 from fmu_src.package import Content, check_request, own_source, write_fmu
 from hesr_model.errors import ExportError
-from hesr_model.support.progress import Progress, unheard
+from hesr_model.support.progress import Progress, silent
 
 CREATED = "1980-01-01T00:00:00Z"
 _OWN = 4  # numbers that mjcf.c remembers besides MuJoCo's state
@@ -40,7 +40,7 @@ def export_mjcf(
     *,
     table: Path | None = None,
     platforms: Sequence[str] = ("linux64",),
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> Path:
     """Write an MJCF as an FMI 2.0 FMU for co-simulation, simulated by MuJoCo.
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator
 
-from fmu_src.blocks.table import described
+from fmu_src.blocks.table import block_description
 from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, own_size
 from fmu_src.interface import Enumeration, Interface, Variable
 from fmu_src.package import Content, own_source
@@ -31,7 +31,7 @@ def block(component: Component, joints: int, *, name: str, text: str, step: floa
     )
     return Content(
         table=table,
-        about=described(name=name, text=text, step=step),
+        about=block_description(name=name, text=text, step=step),
         sources={
             **{
                 source: own_source(source) for source in ("coupling.h", "equations.c", "law_math.h")

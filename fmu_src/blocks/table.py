@@ -68,11 +68,11 @@ def content(
     step : preferred step [s].
     """
     sources = {source: own_source(source)} | dict(headers)
-    about = described(name=name, text=text, step=step)
+    about = block_description(name=name, text=text, step=step)
     return Content(table=table, about=about, sources=sources, members={})
 
 
-def described(*, name: str, text: str, step: float) -> Description:
+def block_description(*, name: str, text: str, step: float) -> Description:
     """Return what the description of a block says of it; the arguments are those of `content`."""
     return Description(
         name=name,

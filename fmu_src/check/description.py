@@ -150,7 +150,7 @@ class Description:
 STRUCTURE = ("Outputs", "Derivatives", "InitialUnknowns")
 
 
-def described(root: etree._Element) -> Description:
+def read_description(root: etree._Element) -> Description:
     """Read the element fmiModelDescription."""
     types = tuple(map(_type, root.findall("TypeDefinitions/SimpleType")))
     by_name = {t.name: t for t in types}

@@ -24,7 +24,7 @@ from fmu_src.check import (
     variables,
 )
 from fmu_src.check.archive import Contents
-from fmu_src.check.description import described
+from fmu_src.check.description import read_description
 from fmu_src.check.report import Problem, Report, problems_of
 from hesr_model.errors import ConfigError
 from hesr_model.support.text import plain, quoted
@@ -119,12 +119,12 @@ class _Found:
         if version != "2.0" or damaged:
             self.skipped.append("Hostile master: it runs FMUs of FMI 2.0 whose archive is right.")
             return
-        texts, skipped = hostile.problems(described(root), contents, self._folder)
+        texts, skipped = hostile.problems(read_description(root), contents, self._folder)
         self._add("hostile", texts)
         self.skipped += skipped
 
     def _check_2(self, root: etree._Element, contents: Contents) -> None:
-        about = described(root)
+        about = read_description(root)
         self._add("rules", chain.from_iterable(rule(about) for rule in _RULES))
         self._add("sources", sources.problems(about, contents))
         self._add("binaries", binaries.problems(about, contents, self._folder))

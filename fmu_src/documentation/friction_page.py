@@ -9,9 +9,9 @@ from fmu_src.documentation import datasheet
 from fmu_src.documentation.datasheet import figure
 from fmu_src.documentation.mathml import equations, symbol
 from fmu_src.friction.friction_component import DISCRETISATION
-from fmu_src.friction.place import exposed
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import SETTINGS, Error
+from fmu_src.friction.variable_names import exposed
 from fmu_src.html import rendered
 from fmu_src.interface import Interface
 from hesr_model.equations.program import Jumps

@@ -9,14 +9,14 @@ from pathlib import Path
 from fmu_src.description import Description
 from fmu_src.documentation.drive_page import to_html
 from fmu_src.drive.drive_component import SUBSTEP, equations_to_c, interface, motors
-from fmu_src.friction.defined import require_numbers
-from fmu_src.friction.embedded import EMBEDDED_MODEL
+from fmu_src.friction.embedded_model import EMBEDDED_MODEL
 from fmu_src.friction.friction_fmu import date_of
+from fmu_src.friction.validity import require_numbers
 from fmu_src.package import Content, Version, check_request, own_source, write_fmu
 from hesr_model.artifacts import model_to_json
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.support.progress import Progress, unheard
+from hesr_model.support.progress import Progress, silent
 
 
 def export_drive(
@@ -28,7 +28,7 @@ def export_drive(
     damping: Sequence[float] | None = None,
     ratio: Sequence[float] | None = None,
     platforms: Sequence[str] = ("linux64",),
-    progress: Progress = unheard,
+    progress: Progress = silent,
     fmi: Version = 2,
 ) -> Path:
     """Write a friction model with the motors of its joints as an FMI 2.0 FMU for co-simulation.

@@ -8,7 +8,7 @@ import numpy as np
 import sympy
 
 from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, indicators, own_size
-from fmu_src.friction.place import exposed, place
+from fmu_src.friction.variable_names import exposed, place
 from fmu_src.interface import Enumeration, Interface, Variable
 from hesr_model.equations.component import Component, Equation, Quantity, Relaxation
 from hesr_model.equations.memory import Element

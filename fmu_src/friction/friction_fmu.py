@@ -17,10 +17,10 @@ from fmu_src.documentation.live.section import live_data
 from fmu_src.documentation.live.wasm import wasm
 from fmu_src.documentation.picture import model_png
 from fmu_src.documentation.properties_sheet import section
-from fmu_src.friction.defined import require_numbers
-from fmu_src.friction.embedded import EMBEDDED_MODEL
+from fmu_src.friction.embedded_model import EMBEDDED_MODEL
 from fmu_src.friction.friction_component import POWER, equations_to_c, interface
 from fmu_src.friction.reference import reference_files
+from fmu_src.friction.validity import require_numbers
 from fmu_src.interface import Interface
 from fmu_src.package import Content, Version, check_request, own_source, translation_unit, write_fmu
 from hesr_model.artifacts import model_to_json
@@ -28,7 +28,7 @@ from hesr_model.equations.component import Equation
 from hesr_model.errors import ExportError
 from hesr_model.friction.audit.properties import Properties
 from hesr_model.friction.model import FrictionModel
-from hesr_model.support.progress import Progress, unheard
+from hesr_model.support.progress import Progress, silent
 
 # The dates that a ZIP archive can hold; the first also stands for no date.
 _FIRST_DATE, _LAST_DATE = datetime(1980, 1, 1, tzinfo=UTC), datetime(2107, 12, 31, tzinfo=UTC)
@@ -41,7 +41,7 @@ def export_fmu(
     platforms: Sequence[str] = ("linux64",),
     properties: Properties | None = None,
     power: bool = False,
-    progress: Progress = unheard,
+    progress: Progress = silent,
     fmi: Version = 2,
 ) -> Path:
     """Write a friction model as an FMU of FMI 2.0, or 3.0, for co-simulation and model exchange.

@@ -7,13 +7,13 @@ from importlib.metadata import version
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-from fmu_src.friction.defined import require_numbers, require_uncoupled
+from fmu_src.friction.validity import require_numbers, require_uncoupled
 from fmu_src.mjcf.parts import JointFriction, NoCounterpartError, Wave, parts_of
 from fmu_src.mjcf.projection import Misfit, projected, records
 from hesr_model.errors import ExportError, HesrError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import written_whole
-from hesr_model.support.progress import Progress, counted, unheard
+from hesr_model.support.progress import Progress, counted, silent
 from hesr_model.units import unit_of_joint
 
 _HEAD = """\
@@ -75,7 +75,7 @@ class Projection:
 
 
 def export_mjcf_law(
-    model: FrictionModel, path: Path, *, project: bool = False, progress: Progress = unheard
+    model: FrictionModel, path: Path, *, project: bool = False, progress: Progress = silent
 ) -> Projection:
     """Write a friction model as passive dcmotor actuators in an MJCF.
 

@@ -19,7 +19,7 @@ from typing import Self
 
 import sympy
 
-from fmu_src.friction.defined import shown
+from fmu_src.friction.validity import shown
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ExportError

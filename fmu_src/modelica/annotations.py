@@ -14,8 +14,8 @@ import jinja2
 from fmu_src.documentation import datasheet
 from fmu_src.documentation.datasheet import figure
 from fmu_src.documentation.friction_page import training
-from fmu_src.friction.place import exposed
 from fmu_src.friction.reference import UNKNOWN_SPEED
+from fmu_src.friction.variable_names import exposed
 from hesr_model.friction.audit.audit import Audit
 from hesr_model.friction.equation import coefficient_lines
 from hesr_model.friction.equation import equations as equations_with_numbers

@@ -10,9 +10,9 @@ import numpy as np
 import sympy
 
 from fmu_src.documentation import datasheet
-from fmu_src.friction.defined import require_numbers, require_uncoupled
 from fmu_src.friction.friction_component import nominal
 from fmu_src.friction.reference import reference_motion
+from fmu_src.friction.validity import require_numbers, require_uncoupled
 from fmu_src.modelica.annotations import TEMPLATES, joint_html, law_title, package_html
 from fmu_src.modelica.printer import FUNCTIONS, Equations, equations
 from hesr_model.equations.functions import sgn

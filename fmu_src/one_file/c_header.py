@@ -10,8 +10,8 @@ import jinja2
 
 from fmu_src.equations.c_functions import Functions
 from fmu_src.equations.header import Joint
-from fmu_src.friction.defined import require_numbers, require_uncoupled
 from fmu_src.friction.friction_component import joints_of
+from fmu_src.friction.validity import require_numbers, require_uncoupled
 from fmu_src.interface import literal
 from fmu_src.one_file.reference import write_beside
 from fmu_src.package import own_source

@@ -5,7 +5,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-from fmu_src.friction.defined import require_numbers
+from fmu_src.friction.validity import require_numbers
 from fmu_src.one_file.c_header import templates
 from fmu_src.one_file.reference import write_beside
 from fmu_src.one_file.tensor_printer import law_function

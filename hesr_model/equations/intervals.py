@@ -1,7 +1,7 @@
 """Where expressions can go: bounds by interval arithmetic with subdivision.
 
-A rate or a bound over a box of what it reads lies within what `reach` returns, whatever the numbers:
-natural interval extensions (Moore, Kearfott and Cloud, Introduction to Interval Analysis, 2009,
+A rate or a bound lies within what `reach` returns wherever in a box its symbols are: natural
+interval extensions (Moore, Kearfott and Cloud, Introduction to Interval Analysis, 2009,
 chapters 5 and 6) of every subexpression, the box cut along its sides, since a symbol that stands
 twice makes a single extension too wide. Bounds are those of real numbers; roundings are not
 followed.

@@ -15,7 +15,7 @@ from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.identification import LEAST_PEAK
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support.config import Config
-from hesr_model.support.progress import Progress, counted, unheard
+from hesr_model.support.progress import Progress, counted, silent
 
 Array = NDArray[np.float64]
 
@@ -121,7 +121,7 @@ def design(
     model: RobotModel,
     settings: ExcitationSettings | None = None,
     *,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> Excitation:
     """Design the motion of least `condition` within limits.
 

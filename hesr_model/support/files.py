@@ -55,11 +55,11 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
         with ExitStack() as cleanup:
             _make(path, cleanup)
             _take(path, cleanup)
-            with interrupts.put_off():  # or there may be a folder of which nobody knows
+            with interrupts.deferred():  # or there may be a folder of which nobody knows
                 temporary = Path(tempfile.mkdtemp(dir=path, prefix=_TEMPORARY))
                 cleanup.callback(_remove, temporary)
             yield temporary
-            with interrupts.put_off():  # half of the files would fit nothing
+            with interrupts.deferred():  # half of the files would fit nothing
                 _move(temporary, path)
     except (OSError, ArtifactError) as error:
         reason = error if isinstance(error, OSError) else error.__cause__
@@ -106,7 +106,7 @@ def _take(path: Path, cleanup: ExitStack) -> None:
 
 
 def _remove(folder: Path) -> None:
-    with interrupts.put_off():
+    with interrupts.deferred():
         shutil.rmtree(folder)
 
 

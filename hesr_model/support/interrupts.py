@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def put_off() -> Iterator[None]:
+def deferred() -> Iterator[None]:
     """Let a signal that would end the program wait until the block is done.
 
     The block must be short. Processes that are started in it begin with Ctrl-C held back, so that

@@ -84,7 +84,7 @@ def results_of(
         else:
             cleanup.push(shared.stopped_by)
             pool = shared.pool()
-        with interrupts.put_off():  # submitting starts processes, which must not be half-started
+        with interrupts.deferred():  # submitting starts processes, which must not be half-started
             futures = pool.submit(jobs)
         yield (_result(future.result) for future in futures)
 
@@ -124,14 +124,14 @@ class _Pool:
         from joblib.externals.loky import ProcessPoolExecutor
 
         with ExitStack() as cleanup:
-            with interrupts.put_off():  # or there may be a folder of which nobody knows
+            with interrupts.deferred():  # or there may be a folder of which nobody knows
                 self._folder = Path(
                     cleanup.enter_context(tempfile.TemporaryDirectory(prefix="hesr-"))
                 )
             if os.name == "posix":
                 # It serves semaphores, and lets Ctrl-C through again where its start was held back.
                 resource_tracker.ensure_running()
-            with interrupts.put_off():
+            with interrupts.deferred():
                 self._pool = ProcessPoolExecutor(
                     self._count,
                     initializer=_start,

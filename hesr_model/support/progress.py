@@ -16,7 +16,7 @@ Stages = Callable[[str, int, int], None]
 Item = TypeVar("Item")
 
 
-def unheard(*_told: object) -> None:
+def silent(*_told: object) -> None:
     """Tell nobody."""
 
 
@@ -28,7 +28,7 @@ def counted(items: Collection[Item], progress: Progress) -> Iterator[Item]:
     progress(len(items), len(items))
 
 
-_steps: ContextVar[Progress] = ContextVar("_steps", default=unheard)
+_steps: ContextVar[Progress] = ContextVar("_steps", default=silent)
 
 PARTS = 100
 """Of one job, where several are counted together by the steps inside them."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hesr_model.equations.memory import Stop
-from hesr_model.friction.fitting.described import OneForm
+from hesr_model.friction.fitting.declarative import OneForm
 from hesr_model.friction.fitting.separable import SearchSpace
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, LawForm

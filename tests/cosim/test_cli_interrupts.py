@@ -148,7 +148,7 @@ def test_an_interrupt_waits_until_the_block_is_done() -> None:
     done = []
 
     def work() -> None:
-        with interrupts.put_off():
+        with interrupts.deferred():
             signal.raise_signal(signal.SIGINT)
             done.append(True)
 
@@ -167,7 +167,7 @@ def test_an_interrupt_that_another_thread_takes_waits_too() -> None:
     other.start()
 
     def work() -> None:
-        with interrupts.put_off():
+        with interrupts.deferred():
             os.kill(os.getpid(), signal.SIGINT)
             time.sleep(0.05)
             done.append(True)
@@ -193,7 +193,7 @@ def test_a_process_begins_with_interrupts_held_back() -> None:
             [sys.executable, "-c", program], capture_output=True, text=True, check=True
         ).stdout
 
-    with interrupts.put_off():
+    with interrupts.deferred():
         assert begun() == "True False\n"
     assert begun() == "False False\n"
 

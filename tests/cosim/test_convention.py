@@ -14,7 +14,7 @@ from cosim.tables.laws import convention
 from cosim.tables.terminal import Drawn
 from fmu_src import model_file
 from fmu_src.drive.drive_fmu import export_drive
-from fmu_src.friction.embedded import EMBEDDED_MODEL
+from fmu_src.friction.embedded_model import EMBEDDED_MODEL
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import SETTINGS, torques
 from hesr_model.artifacts import read_model

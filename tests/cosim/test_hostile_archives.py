@@ -13,7 +13,7 @@ from hostile import archived
 from small_fmus import LAGS
 from small_study import Hesr, contents, hesr_here
 
-from cosim.description import described
+from cosim.description import model_description
 from cosim.master import Master
 from cosim.package.contents import read_contents
 from cosim.package.read import opened_system
@@ -21,7 +21,7 @@ from cosim.package.ssp import write_ssp
 from cosim.slave import Component
 from cosim.system import SystemSpec
 from fmu_src.archive import Archive
-from fmu_src.friction.embedded import embedded_model
+from fmu_src.friction.embedded_model import embedded_model
 from hesr_model.errors import ArtifactError, HesrError
 
 FEW, MANY = 200, 2000
@@ -161,7 +161,7 @@ def test_limits(
 
 
 def read_fmu(path: Path, folder: Path, *, run: bool) -> None:
-    described(path)
+    model_description(path)
     embedded_model(path)
     with Archive(path) as archive:
         archive.unpack(folder)

@@ -17,7 +17,7 @@ from hesr_model.health.proposal import propose, robot_file
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import Motion
 from hesr_model.robots.robot import RobotDescription
-from hesr_model.support.progress import unheard
+from hesr_model.support.progress import silent
 
 GAINS = np.array([12.0, 11.0, 9.0])
 
@@ -138,7 +138,7 @@ def test_a_part_of_a_log_must_hold_rows(messy: Path, arm: RobotDescription) -> N
         {"name": "cut", "robot": robot, "laws": ["stribeck"], "logs": logs},
         context={"folder": messy.parent},
     )
-    job = Job(study=study, path=messy.with_name("study.toml"), progress=unheard)
+    job = Job(study=study, path=messy.with_name("study.toml"), progress=silent)
     with pytest.raises(LogError, match=r"no rows from 50 to 1e\+09 s, the part 'a' of"):
         job.read("a", messy)
 

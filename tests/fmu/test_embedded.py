@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from fmu_src import export_fmu
-from fmu_src.friction.embedded import EMBEDDED_MODEL, embedded_model
+from fmu_src.friction.embedded_model import EMBEDDED_MODEL, embedded_model
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel

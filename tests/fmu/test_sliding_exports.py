@@ -13,7 +13,7 @@ from fmu_src import export_fmu
 from fmu_src.arm.truth import true_friction
 from fmu_src.check import check
 from fmu_src.drive.drive_fmu import export_drive
-from fmu_src.friction.embedded import EMBEDDED_MODEL
+from fmu_src.friction.embedded_model import EMBEDDED_MODEL
 from fmu_src.mjcf.mjcf_file import export_mjcf_law
 from fmu_src.modelica.modelica_package import export_modelica
 from hesr_model.artifacts import model_to_json

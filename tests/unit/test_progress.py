@@ -5,9 +5,9 @@ from pathlib import Path
 from hesr_model.support.progress import (
     counted,
     into_file,
+    silent,
     step,
     steps_told,
-    unheard,
     watched,
 )
 
@@ -25,7 +25,7 @@ def test_items_are_counted_before_each_and_after_the_last() -> None:
 
 
 def test_nobody_hears_what_is_told_to_nobody() -> None:
-    assert list(counted([1, 2, 3], unheard)) == [1, 2, 3]
+    assert list(counted([1, 2, 3], silent)) == [1, 2, 3]
 
 
 def test_steps_inside_a_job_are_told_to_whom_it_names(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from joint_data import along, law, path, training
 
 from hesr_model.equations.memory import Relaxation
 from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.described import OneForm
+from hesr_model.friction.fitting.declarative import OneForm
 from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.fitting.separable import LEAST, SearchSpace, Separable, left_out_cost
 from hesr_model.friction.inputs import DQ, TAU_LOAD

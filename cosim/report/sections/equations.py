@@ -15,7 +15,7 @@ from cosim.report.markup import (
 from cosim.report.results import Results
 from cosim.tables.table import PAPERS, ResultTable, TableCell, TableRow, number, title
 from fmu_src.documentation.mathml import equations, symbol
-from fmu_src.friction.place import exposed
+from fmu_src.friction.variable_names import exposed
 from hesr_model.friction.model import FrictionModel
 
 _INTERVAL = 1.96

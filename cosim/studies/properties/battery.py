@@ -45,7 +45,7 @@ from hesr_model.friction.audit.properties import (
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.support import parallel
-from hesr_model.support.progress import Progress, counted, unheard
+from hesr_model.support.progress import Progress, counted, silent
 
 _SAMPLE_TIME = 5e-3  # [s] of FMUs that do not say theirs
 _DRIVEN: Mapping[str, Callable[[DriveBench, Scale], list[Finding]]] = {
@@ -81,7 +81,7 @@ def run_battery(
     *,
     load: float = 0.0,
     workers: int | None = None,
-    progress: Progress = unheard,
+    progress: Progress = silent,
     kept: Path | None = None,
 ) -> list[Properties]:
     """Put models or FMUs to the test, each in a process of its own.

@@ -1,1 +1,1 @@
-"""The FMU's own C alive in a page: compiled to WebAssembly, with sliders and without a network."""
+"""The FMU's own C, live in a page: compiled to WebAssembly, with sliders and without a network."""

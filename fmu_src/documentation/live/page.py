@@ -9,7 +9,7 @@ from fmu_src.html import TEMPLATES, rendered
 def live_section(data: Mapping[str, Any], key: str = "live") -> str:
     """Return the section of a friction model; `live_assets` must stand behind it on the page.
 
-    It needs no network, and nothing beside the page. Without scripts it says why it is not alive.
+    It needs no network, and nothing beside the page. Without scripts it says why it is not live.
     Its colours are the page's: --ink, --soft, --line, --paper, --card and --accent.
 
     Parameters

@@ -10,8 +10,8 @@ from typing import Any
 import sympy
 
 from fmu_src.documentation.mathml import symbol
-from fmu_src.friction.place import exposed, place
 from fmu_src.friction.reference import trained_speed
+from fmu_src.friction.variable_names import exposed, place
 from fmu_src.interface import Interface
 from hesr_model.friction.inputs import INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw, LawForm

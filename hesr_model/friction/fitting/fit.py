@@ -22,7 +22,7 @@ from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
 from hesr_model.support import parallel
-from hesr_model.support.progress import Progress, into_file, steps_told, unheard, watched
+from hesr_model.support.progress import Progress, into_file, silent, steps_told, watched
 from hesr_model.support.typed_json import to_json
 
 
@@ -123,7 +123,7 @@ def fit_models(
     variants: Mapping[str, str] | None = None,
     provenance: Mapping[str, Any] | None = None,
     workers: int | None = None,
-    progress: Progress = unheard,
+    progress: Progress = silent,
     left_out: Callable[[str, FitError], None] | None = None,
     kept: Path | None = None,
     per_log: Sequence[Nuisance] = (),

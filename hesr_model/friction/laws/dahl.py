@@ -8,7 +8,7 @@ import sympy
 
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
-from hesr_model.friction.fitting.described import OneForm, no_structure
+from hesr_model.friction.fitting.declarative import OneForm, no_structure
 from hesr_model.friction.fitting.estimator import register
 from hesr_model.friction.fitting.separable import SearchSpace
 from hesr_model.friction.inputs import DQ, TAU_LOAD

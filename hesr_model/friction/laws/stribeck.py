@@ -6,7 +6,7 @@ from typing import Any
 import sympy
 
 from hesr_model.equations.functions import sgn
-from hesr_model.friction.fitting.described import OneForm, no_structure
+from hesr_model.friction.fitting.declarative import OneForm, no_structure
 from hesr_model.friction.fitting.estimator import register
 from hesr_model.friction.fitting.separable import SearchSpace
 from hesr_model.friction.inputs import DQ

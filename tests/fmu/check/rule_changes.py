@@ -6,7 +6,7 @@ from fmu_files import Change, Xml
 from lxml import etree
 
 from fmu_src.check import general, structure, variables
-from fmu_src.check.description import described
+from fmu_src.check.description import read_description
 
 NUMBER = 99_999  # of no variable
 
@@ -14,7 +14,7 @@ PARAMETER = {"causality": "parameter", "variability": "fixed"}
 
 
 def sentences(xml: Xml) -> list[str]:
-    about = described(etree.fromstring(xml.bytes()))
+    about = read_description(etree.fromstring(xml.bytes()))
     rules = (*general.RULES, *variables.RULES, *structure.RULES)
     return [text for rule in rules for text in rule(about)]
 

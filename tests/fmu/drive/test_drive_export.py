@@ -19,7 +19,7 @@ from cosim.system import SystemSpec
 from fmu_src.blocks.controller import controller
 from fmu_src.check import check
 from fmu_src.drive.drive_fmu import export_drive
-from fmu_src.friction.embedded import embedded_model
+from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.package import write_fmu
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hesr_model.friction.fitting.described import Described
+from hesr_model.friction.fitting.declarative import Described
 from hesr_model.friction.fitting.estimator import register
 from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.fitting.separable import SearchSpace, Separable, left_out_cost

@@ -8,8 +8,8 @@ import sympy
 
 from fmu_src import export_fmu
 from fmu_src.drive.drive_fmu import export_drive
-from fmu_src.friction.defined import require_numbers
 from fmu_src.friction.friction_fmu import export_bare, live_of
+from fmu_src.friction.validity import require_numbers
 from fmu_src.mjcf.mjcf_file import export_mjcf_law
 from fmu_src.modelica.modelica_package import export_modelica
 from hesr_model.equations.functions import absolute

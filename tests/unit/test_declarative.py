@@ -8,7 +8,7 @@ import pytest
 from joint_data import GEAR_RATIO, along, error_on, law, path, training
 
 from hesr_model.errors import ArtifactError, FitError
-from hesr_model.friction.fitting.described import Described, OneForm, no_structure
+from hesr_model.friction.fitting.declarative import Described, OneForm, no_structure
 from hesr_model.friction.fitting.separable import SearchSpace
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.laws.stribeck import Stribeck
