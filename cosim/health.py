@@ -2,13 +2,19 @@
 
 import logging
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from hesr_model.artifacts import read_json, write_json
-from hesr_model.errors import ArtifactError
 from hesr_model.health.findings import Finding
+from hesr_model.support.typed_json import from_json, to_json
 
 HEALTH, HEALTH_FORMAT = "health.json", "hesr-health-1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File:
+    findings: tuple[Finding, ...]
 
 
 _log = logging.getLogger(__name__)
@@ -24,8 +30,8 @@ def told(findings: Iterable[Finding]) -> list[Finding]:
 
 def write_findings(folder: Path, findings: Sequence[Finding]) -> None:
     """Write findings into a folder of results."""
-    listed = [finding.to_json() for finding in findings]
-    write_json(folder / HEALTH, {"format": HEALTH_FORMAT, "findings": listed})
+    found = to_json(_File(findings=tuple(findings)))
+    write_json(folder / HEALTH, {"format": HEALTH_FORMAT, **found})
 
 
 def read_findings(folder: Path) -> list[Finding]:
@@ -39,7 +45,5 @@ def read_findings(folder: Path) -> list[Finding]:
     path = folder / HEALTH
     if not path.is_file():
         return []
-    try:
-        return [Finding.from_json(entry) for entry in read_json(path, HEALTH_FORMAT)["findings"]]
-    except (KeyError, TypeError) as error:
-        raise ArtifactError(f"{path}: not what checks found ({error}).") from error
+    data = read_json(path, HEALTH_FORMAT)
+    return list(from_json(_File, data, path, "what checks found").findings)

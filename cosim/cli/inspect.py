@@ -40,6 +40,7 @@ def inspect(
     from hesr_model.errors import ConfigError
     from hesr_model.health.proposal import propose, robot_file
     from hesr_model.support.files import written_whole
+    from hesr_model.support.typed_json import to_json
 
     if write and not robot:
         raise ConfigError("--write needs --robot: a robot file names the robot's model.")
@@ -56,8 +57,8 @@ def inspect(
     answer(
         json_file,
         {
-            "given": [finding.to_json() for finding in proposal.first],
-            "proposed": [finding.to_json() for finding in proposal.examination.findings],
+            "given": [to_json(finding) for finding in proposal.first],
+            "proposed": [to_json(finding) for finding in proposal.examination.findings],
             "reasons": dict(proposal.reasons),
         },
     )

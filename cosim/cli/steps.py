@@ -86,6 +86,7 @@ def identify(
     from hesr_model.rigid_body.payload import identify_payload, loaded
     from hesr_model.rigid_body.refinement import identify_again
     from hesr_model.robots.robot import RobotDescription, RobotModel
+    from hesr_model.support.typed_json import to_json
 
     if method not in ("stacked", "paper"):
         raise ConfigError(f"--method is '{method}'; allowed are 'stacked' and 'paper'.")
@@ -129,7 +130,7 @@ def identify(
             source = provenance(files=files)
         impossible = list(check_body(found, model))
         findings += impossible
-        source |= {"health": [finding.to_json() for finding in findings]}
+        source |= {"health": [to_json(finding) for finding in findings]}
         write_rigid_body(output, found, source)
         told(impossible)
     if payload is not None:
@@ -172,13 +173,14 @@ def fit(
     from hesr_model.friction.fitting.fit import fit_models
     from hesr_model.friction.registry import estimator
     from hesr_model.health.fitted import check_laws
+    from hesr_model.support.typed_json import to_json
 
     estimator(law)
     options = _options(option or [])
     with shown_progress() as progress:
         records, own, findings = read_records(logs, robot, rigid_body, progress, accept)
         files = [robot, own.description.model, rigid_body, *logs]
-        health = [finding.to_json() for finding in findings]
+        health = [to_json(finding) for finding in findings]
         source = provenance(files=files, seed=seed, options=options, health=health)
         model = fit_models(
             [law],

@@ -2,7 +2,9 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
 
 from hesr_model.errors import ConfigError, LogError
 
@@ -26,7 +28,7 @@ class Finding:
     found, cause
         What was found; the likeliest cause and the mend.
     changes
-        What to set in the robot file: values by key, as ``log.units.q``.
+        What to set in the robot file: values by key, as ``log.units.q``; no part of its JSON.
     """
 
     check: str
@@ -35,7 +37,7 @@ class Finding:
     logs: tuple[str, ...] = ()
     found: str
     cause: str
-    changes: Mapping[str, Any] = field(default_factory=dict)
+    changes: Annotated[Mapping[str, Any], Field(exclude=True)] = field(default_factory=dict)
 
     @property
     def sentence(self) -> str:
@@ -46,35 +48,6 @@ class Finding:
             plural = "s" if len(self.joints) > 1 else ""
             where.append(f"joint{plural} {', '.join(map(repr, self.joints))}")
         return f"{', '.join(where)}{': ' if where else ''}{self.found}: {self.cause}."
-
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON data."""
-        return {
-            "check": self.check,
-            "severity": self.severity,
-            "joints": list(self.joints),
-            "logs": list(self.logs),
-            "found": self.found,
-            "cause": self.cause,
-        }
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> "Finding":
-        """Rebuild what `to_json` returned; changes are not part of it.
-
-        Raises
-        ------
-        KeyError, TypeError
-            If the data are not those of a finding.
-        """
-        return cls(
-            check=str(data["check"]),
-            severity=data["severity"],
-            joints=tuple(map(str, data["joints"])),
-            logs=tuple(map(str, data["logs"])),
-            found=str(data["found"]),
-            cause=str(data["cause"]),
-        )
 
 
 class HealthError(LogError):

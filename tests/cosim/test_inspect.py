@@ -124,7 +124,7 @@ def test_damaged_findings_of_a_run_are_refused(tmp_path: Path) -> None:
     (tmp_path / "health.json").write_text(
         '{"format": "hesr-health-1", "findings": [{}]}', encoding="utf-8"
     )
-    with pytest.raises(ArtifactError, match=r"health\.json: not what checks found \('check'\)"):
+    with pytest.raises(ArtifactError, match=r"health\.json: key 'findings\.0\.check' is missing"):
         read_findings(tmp_path)
     assert read_findings(tmp_path / "earlier") == []
 

@@ -5,6 +5,7 @@ not.
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from hesr_model.health.findings import Finding, HealthError
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import Motion
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support.typed_json import from_json, to_json
 
 Array = NDArray[np.float64]
 DEGREE = np.pi / 180.0
@@ -209,5 +211,5 @@ def test_a_finding_survives_json() -> None:
     finding = Finding(
         check=CHECKS[0], severity="warning", joints=("a",), logs=("x", "y"), found="f", cause="c"
     )
-    assert Finding.from_json(finding.to_json()) == finding
+    assert from_json(Finding, to_json(finding), Path("health.json"), "a finding") == finding
     assert finding.sentence == "log x and 1 more, joint 'a': f: c."
