@@ -32,8 +32,6 @@ class Scale:
     level : its size at `SLIDING` [N.m].
     offset : mean of both ways there [N.m].
     load : load torque that was held [N.m].
-    reversal : (K, n) torque after a reversal at `CREEP`, in the direction of the motion before it,
-        over `back`, and `before` it [N.m].
     deflection : amplitude of pre-sliding motions [rad].
     """
 
@@ -43,8 +41,6 @@ class Scale:
     level: Array
     offset: Array
     load: float
-    before: Array
-    reversal: Array
     deflection: Array
 
     @property
@@ -95,8 +91,6 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
         level=np.maximum(np.abs(steady[at]), _NO_FRICTION),
         offset=offset[at],
         load=load,
-        before=before,
-        reversal=tau,
         deflection=_deflections(before, tau, back[:, None] * creep),
     )
 
