@@ -46,11 +46,11 @@ class Arrays:
         found = []
         for stem, group in groups.items():
             if self._is_array(stem, group):
-                place = self.table.references[group[0].name]
+                place = self.table.places[group[0].name]
                 found.append(Array(name=stem, place=place, elements=tuple(group), shaped=True))
                 continue
             found += [
-                Array(name=v.name, place=self.table.references[v.name], elements=(v,), shaped=False)
+                Array(name=v.name, place=self.table.places[v.name], elements=(v,), shaped=False)
                 for v in group
             ]
         return tuple(sorted(found, key=lambda array: array.place))
@@ -61,11 +61,11 @@ class Arrays:
         return {v.name: array for array in self.all for v in array.elements}
 
     def _is_array(self, stem: str, group: Sequence[Variable]) -> bool:
-        first = self.table.references[group[0].name]
+        first = self.table.places[group[0].name]
         numbered = [
             (m := _NUMBERED.fullmatch(v.name)) is not None
             and int(m[3]) == i + 1
-            and self.table.references[v.name] == first + i
+            and self.table.places[v.name] == first + i
             for i, v in enumerate(group)
         ]
         like = {(v.role, v.unit, v.nominal, v.enumeration, bool(v.derivative_of)) for v in group}
@@ -239,7 +239,7 @@ def _unknowns(
         places = {
             arrays.of[name].place
             for name in names
-            if table.variables[table.references[name]].role in known
+            if table.variables[table.places[name]].role in known
         }
         ET.SubElement(
             structure, kind, valueReference=str(array.place),
