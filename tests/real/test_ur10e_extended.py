@@ -73,10 +73,20 @@ def test_no_other_law_of_the_same_inputs_is_better(outcome: Outcome, scores: Com
     rivals = [
         law
         for law, model in outcome.models.items()
-        if inputs_of(model) == own and not law.startswith(("hx_", "parfam_hx"))
+        if inputs_of(model) == own and not law.startswith(("hx_", "parfam_hx", "parfam_s"))
     ]
     assert "lugre_load_ripple" in rivals
     assert min(errors(scores, law).prod() for law in rivals) >= errors(scores, "parfam_hx").prod()
+
+
+def test_stops_with_symbolic_bounds_are_ahead_in_every_class(scores: Comparison) -> None:
+    assert mean_ratio(scores, "parfam_s_v", "lugre") <= 0.94
+    assert mean_ratio(scores, "parfam_s_v", "lugre_textbook") <= 1.0
+    assert mean_ratio(scores, "parfam_s_load", "lugre_load") <= 0.95
+    assert mean_ratio(scores, "parfam_s", "parfam_hx") <= 0.95
+    ratio = errors(scores, "parfam_s") / errors(scores, "parfam_hx")
+    assert np.exp(np.mean(np.log(ratio[:4]))) <= 1.0
+    assert errors(scores, "parfam_s")[4] <= 0.40
 
 
 def test_every_law_of_the_registry_and_every_extension_is_a_row(outcome: Outcome) -> None:
