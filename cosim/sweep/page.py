@@ -13,7 +13,7 @@ from cosim.tables import swept as tables
 from hesr_model.support.files import written_whole
 
 if TYPE_CHECKING:
-    from cosim.sweep.run import Swept
+    from cosim.sweep.swept import Swept
 
 _DESIGNS = {
     "grid": "a grid",

@@ -2,46 +2,20 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-
-import numpy as np
 
 from cosim.master import Master, Result
 from cosim.sweep.plan import Plan, planned
 from cosim.sweep.sensitivity import Sensitivity, sensitivities
 from cosim.sweep.store import Store, Table, opened
+from cosim.sweep.swept import Swept
 from cosim.sweep.work import Rows, release, run_rows
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support import parallel
 from hesr_model.support.progress import Stages, silent
 
 PAGE = "sweep.html"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Swept:
-    """What a sweep gave.
-
-    Attributes
-    ----------
-    plan : the sweep.
-    table : all runs.
-    sensitivities : of each output, where the design gives them.
-    reused : runs that were there already.
-    """
-
-    plan: Plan
-    table: Table
-    sensitivities: list[Sensitivity]
-    reused: int
-
-    def worst(self, output: int, most: int = 5) -> list[int]:
-        """Return the runs with the largest magnitudes of an output, those that failed first."""
-        values = np.abs(self.table.outputs[:, output])
-        order = np.argsort(np.where(np.isnan(values), -np.inf, -values), kind="stable")
-        return [int(run) for run in order[:most]]
 
 
 def run_sweep(

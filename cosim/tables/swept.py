@@ -10,7 +10,7 @@ import numpy as np
 from cosim.tables.table import ResultTable, TableCell, TableRow
 
 if TYPE_CHECKING:
-    from cosim.sweep.run import Swept
+    from cosim.sweep.swept import Swept
 
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
