@@ -1,34 +1,14 @@
 """modelDescription.xml of FMI 3.0: the same interface, with arrays where variables are numbered."""
 
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from xml.etree import ElementTree as ET
 
 from fmu_src.description import CATEGORIES, Description, si_exponents
-from fmu_src.interface import ATTRIBUTES, Interface, Role, Variable
+from fmu_src.interface import ATTRIBUTES, Array, Interface, Role
 
-_NUMBERED = re.compile(r"(der\()?(\w+)\[(\d+)\](\))?", re.ASCII)
 _INDICATORS = "event_indicator"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Array:
-    """A variable of FMI 3.0.
-
-    Attributes
-    ----------
-    name : as `dq`, or that of its only element.
-    place : of the first element among the variables, its value reference.
-    elements : one after the other.
-    shaped : whether it is an array; a single variable otherwise.
-    """
-
-    name: str
-    place: int
-    elements: tuple[Variable, ...]
-    shaped: bool
 
 
 @dataclass(frozen=True)
@@ -39,37 +19,13 @@ class Arrays:
 
     @cached_property
     def all(self) -> tuple[Array, ...]:
-        """Arrays where all variables of one name, numbered from 1, stand in order and are alike."""
-        groups: dict[str, list[Variable]] = {}
-        for variable in self.table.variables:
-            groups.setdefault(_stem(variable.name), []).append(variable)
-        found = []
-        for stem, group in groups.items():
-            if self._is_array(stem, group):
-                place = self.table.places[group[0].name]
-                found.append(Array(name=stem, place=place, elements=tuple(group), shaped=True))
-                continue
-            found += [
-                Array(name=v.name, place=self.table.places[v.name], elements=(v,), shaped=False)
-                for v in group
-            ]
-        return tuple(sorted(found, key=lambda array: array.place))
+        """Arrays, but states one by one, as their derivatives stand."""
+        return tuple(part for array in self.table.arrays for part in _parts(array))
 
     @cached_property
     def of(self) -> dict[str, Array]:
         """The array of each variable of the interface."""
         return {v.name: array for array in self.all for v in array.elements}
-
-    def _is_array(self, stem: str, group: Sequence[Variable]) -> bool:
-        first = self.table.places[group[0].name]
-        numbered = [
-            (m := _NUMBERED.fullmatch(v.name)) is not None
-            and int(m[3]) == i + 1
-            and self.table.places[v.name] == first + i
-            for i, v in enumerate(group)
-        ]
-        like = {(v.role, v.unit, v.nominal, v.enumeration, bool(v.derivative_of)) for v in group}
-        return all(numbered) and len(like) == 1 and stem != group[0].name
 
     def to_c(self) -> str:
         """Return extents.h: how many elements the variable that begins at a place has, or 0."""
@@ -79,15 +35,19 @@ class Arrays:
         return _EXTENTS.format(", ".join(extents))
 
 
+def _parts(array: Array) -> Iterable[Array]:
+    if array.elements[0].role != "state":
+        return (array,)
+    return (
+        Array(name=v.name, shape=(), place=array.place + i, elements=(v,))
+        for i, v in enumerate(array.elements)
+    )
+
+
 _EXTENTS = """\
 /* Generated: how many elements the variable of FMI 3.0 has that begins at a place, 0 within one. */
 static const int extents[VARIABLES] = {{{}}};
 """
-
-
-def _stem(name: str) -> str:
-    match = _NUMBERED.fullmatch(name)
-    return f"{match[1] or ''}{match[2]}{match[4] or ''}" if match else name
 
 
 def to_xml3(table: Interface, about: Description, token: str) -> bytes:
@@ -185,8 +145,8 @@ def _variable(array: Array, arrays: Arrays) -> ET.Element:
     if first.derivative_of:
         attributes["derivative"] = str(arrays.of[first.derivative_of].place)
     element = ET.Element("Float64", attributes)
-    if array.shaped:
-        ET.SubElement(element, "Dimension", start=str(len(array.elements)))
+    for size in array.shape:
+        ET.SubElement(element, "Dimension", start=str(size))
     return element
 
 

@@ -21,7 +21,7 @@ static Memory *memory_of(fmi3Instance c) {
     return &((Instance *)((Outer *)c)->inner)->memory;
 }
 
-static void forward(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status,
+static void pass_on(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status,
                     fmi2String category, fmi2String message, ...) {
     const Outer *outer = environment;
     (void)name;
@@ -37,7 +37,7 @@ static fmi3Instance instantiate(fmi2Type type, fmi3String name, fmi3String token
     }
     outer->environment = environment;
     outer->log = log;
-    const fmi2CallbackFunctions host = {.logger = log ? forward : NULL,
+    const fmi2CallbackFunctions host = {.logger = log ? pass_on : NULL,
                                         .componentEnvironment = outer};
     outer->inner = fmi2Instantiate(name, type, token, path, &host, fmi2False, logging);
     if (!outer->inner) {

@@ -91,12 +91,10 @@ class New:
 
 def elements(new: New, name: str) -> list[str]:
     """Names in FMI 2.0 of a variable's elements."""
-    if not new.variables[name].dimensions:
+    shape = [int(d.start) for d in new.variables[name].dimensions]
+    if not shape:
         return [name]
-    numbers = range(1, new.size(name) + 1)
-    if name.startswith("der("):
-        return [f"{name[:-1]}[{i}])" for i in numbers]
-    return [f"{name}[{i}]" for i in numbers]
+    return [f"{name}[{','.join(str(i + 1) for i in at)}]" for at in np.ndindex(*shape)]
 
 
 def both(pair: tuple[Path, Path], folder: Path) -> tuple[Old, New]:
@@ -123,7 +121,7 @@ def test_steps_give_the_same_bits(pair, tmp_path) -> None:
     rng = np.random.default_rng(5)
     moved = set()
     for name in new.variables:  # a trajectory rests else
-        if name.startswith(("a[", "amplitude")):
+        if name.removesuffix("[1,1]") in ("a", "amplitude"):
             values = [0.3] * new.size(name)
             old.set(elements(new, name), values)
             new.set(name, values)
