@@ -41,7 +41,7 @@ def sweep(
     ] = None,
     json_file: Json = None,
 ) -> None:
-    """Run a system of FMUs many times, with other parameters each time.
+    """Run a system of FMUs many times, each with other values.
 
     A sweep that was interrupted goes on when it is started again.
 
