@@ -131,14 +131,25 @@ def _runtimes(
     return found | {_LICENSE: terms[0].read_binary()}
 
 
-def _holding(identifier: str, step: float, platform: str, runtime: str) -> bytes:
-    """Return the library that holds outputs between the steps of a runtime beside it."""
+def holding_sources(step: float, runtime: str) -> dict[str, str]:
+    """Return the C, by file, of the library that holds outputs between the steps of a runtime.
+
+    Parameters
+    ----------
+    step : of the runtime [s].
+    runtime : file beside the library.
+    """
     texts = {name: own_source(name) for name in ("beside.h", "fmi2.h", "hold.c")}
     texts["hold.h"] = (
         f'#define RUNTIME_FILE "{runtime}"\n#define RUNTIME_STEP {literal(step)} /* [s] */\n'
     )
+    return texts
+
+
+def _holding(identifier: str, step: float, platform: str, runtime: str) -> bytes:
+    """Return that library."""
     with TemporaryDirectory(prefix="hesr-") as folder:
-        for name, text in texts.items():
+        for name, text in holding_sources(step, runtime).items():
             Path(folder, name).write_text(text, encoding="utf-8")
         flags = ("-ldl",) if platform == "linux64" else ()
         return build(Path(folder, "hold.c"), identifier, TARGETS[platform], flags)
