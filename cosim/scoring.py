@@ -14,6 +14,8 @@ from hesr_model.friction.metrics import rmse, rmse_ratio_interval, score, time_b
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import record_start
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
+from hesr_model.support.frames import pandas_frame
+from hesr_model.support.html import table
 
 Records = Sequence[Sequence[FrictionRecord]]
 """For each joint its records, one for each log."""
@@ -77,6 +79,24 @@ class Comparison:
     ratios: Ratios
     leading: tuple[tuple[str, ...], ...] = ()
     per_log: tuple[str, ...] | None = None
+
+    def to_pandas(self) -> Any:
+        """Return a `pandas.DataFrame` of all measures [N.m; `r2` has none] by law and joint.
+
+        Raises
+        ------
+        ConfigError
+            If pandas is not installed.
+        """
+        rows = [(law, k, joint) for law in self.laws for k, joint in enumerate(self.joints)]
+        names = {"law": [law for law, *_ in rows], "joint": [joint for *_, joint in rows]}
+        scores = {m: [getattr(self.laws[law], m)[k] for law, k, _ in rows] for m in MEASURES}
+        return pandas_frame(names | scores).set_index(["law", "joint"])
+
+    def _repr_html_(self) -> str:
+        rows = ((law, *of_law.rmse) for law, of_law in self.laws.items())
+        spread = ("(standard deviation)", *self.tau_std)
+        return table("RMSE of the predicted friction [N.m]", ("law", *self.joints), (spread, *rows))
 
 
 def by_joint(logs: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:

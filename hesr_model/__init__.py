@@ -21,8 +21,9 @@ torque of a motion that no fit has seen (`docs/tutorial.ipynb` is the long form)
 Every name is imported when it is first used, so `import hesr_model` takes no time.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from hesr_model.support.lazy import lazy
 
 if TYPE_CHECKING:
     from hesr_model.artifacts import read_model, read_rigid_body, write_model, write_rigid_body
@@ -54,32 +55,22 @@ __all__ = [
 ]
 
 _HOMES = {
-    "FrictionModel": "friction.model",
-    "FrictionRecord": "rigid_body.residual",
-    "HesrError": "errors",
-    "RigidBody": "rigid_body.identification",
-    "RobotDescription": "robots.robot",
-    "RobotLog": "logs.robot_log",
-    "RobotModel": "robots.robot",
-    "fit": "friction.fitting.fit",
-    "friction_records": "rigid_body.residual",
-    "identify": "rigid_body.identification",
-    "read_model": "artifacts",
-    "read_rigid_body": "artifacts",
-    "registry": "friction.registry",
-    "write_model": "artifacts",
-    "write_rigid_body": "artifacts",
+    "FrictionModel": "hesr_model.friction.model",
+    "FrictionRecord": "hesr_model.rigid_body.residual",
+    "HesrError": "hesr_model.errors",
+    "RigidBody": "hesr_model.rigid_body.identification",
+    "RobotDescription": "hesr_model.robots.robot",
+    "RobotLog": "hesr_model.logs.robot_log",
+    "RobotModel": "hesr_model.robots.robot",
+    "fit": "hesr_model.friction.fitting.fit",
+    "friction_records": "hesr_model.rigid_body.residual",
+    "identify": "hesr_model.rigid_body.identification",
+    "read_model": "hesr_model.artifacts",
+    "read_rigid_body": "hesr_model.artifacts",
+    "registry": "hesr_model.friction.registry",
+    "write_model": "hesr_model.artifacts",
+    "write_rigid_body": "hesr_model.artifacts",
 }
 
 if not TYPE_CHECKING:  # a checker knows the names above, and shall find others missing
-
-    def __getattr__(name: str) -> object:
-        """Import a public name where it is first used (PEP 562)."""
-        if name not in _HOMES:
-            raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-        value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-        globals()[name] = value
-        return value
-
-    def __dir__() -> list[str]:
-        return sorted({*globals(), *__all__})
+    __getattr__, __dir__ = lazy(__name__, _HOMES)

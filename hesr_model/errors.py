@@ -34,6 +34,10 @@ class LogError(HesrError):
     """A robot log cannot be used as it is."""
 
 
+class TableError(HesrError, ValueError, TypeError):
+    """A table in memory cannot be used; also what libraries of estimators expect to be raised."""
+
+
 class RobotError(HesrError):
     """A robot description and its kinematic model do not fit together."""
 

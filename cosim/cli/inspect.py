@@ -10,7 +10,6 @@ from cosim.cli.console import answer, working
 
 if TYPE_CHECKING:
     from hesr_model.health.proposal import Proposal
-    from hesr_model.robots.robot import RobotDescription
 
 
 @app.command()
@@ -38,15 +37,14 @@ def inspect(
     Example: hesr inspect log.csv --robot my_arm.urdf --write robot.toml -o page.html
     """
     from hesr_model.errors import ConfigError
-    from hesr_model.health.proposal import propose, robot_file
+    from hesr_model.health.proposal import inspected, robot_file
     from hesr_model.support.files import written_whole
     from hesr_model.support.typed_json import to_json
 
     if write and not robot:
         raise ConfigError("--write needs --robot: a robot file names the robot's model.")
     with working("looking at the logs"):
-        known = _described(logs, robot)
-        proposal = propose(logs, known, known=robot is not None)
+        proposal = inspected(logs, robot)
         if page:
             from cosim.report.inspection import write_inspection
 
@@ -65,24 +63,6 @@ def inspect(
     _print(proposal)
     for path in filter(None, (page, write)):
         typer.echo(f"written: {path}")
-
-
-def _described(logs: list[Path], robot: Path | None) -> "RobotDescription":
-    """Return what is known: a robot file, a model with all its joints, or the columns alone."""
-    from hesr_model.health.proposal import open_table
-    from hesr_model.logs.guess import guess
-    from hesr_model.robots.model_file import driven_joints
-    from hesr_model.robots.robot import RobotDescription
-
-    if robot and robot.suffix.lower() == ".toml":
-        return RobotDescription.read(robot)
-    if robot:
-        joints = tuple(joint.name for joint in driven_joints(robot))
-        return RobotDescription(name=robot.stem, model=robot.resolve(), joints=joints)
-    table = open_table(logs[0], "t")
-    count = len(guess(table).columns["q"]) if table else 1
-    names = tuple(f"joint{k}" for k in range(1, count + 1))
-    return RobotDescription(name="robot", model=Path("unknown"), joints=names)
 
 
 def _print(proposal: "Proposal") -> None:

@@ -165,6 +165,9 @@ class FrictionLaw:
         for element, value in zip(self.form.memory, self.start, strict=True):
             self._require_number(f"start value of '{element.name}'", value)
 
+    def __repr__(self) -> str:
+        return f"FrictionLaw('{self.name}', {len(self.values)} coefficients)"
+
     def _require_number(self, what: str, value: float) -> None:
         if not isfinite(value):
             raise ArtifactError(f"law '{self.name}': {what} is {value}.")

@@ -9,13 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hesr_model.errors import ArtifactError, SimulationError
+from hesr_model.friction.equation import equations
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.robots.transmission import Coupling
+from hesr_model.support import html
 from hesr_model.support.bounded import require_printable
+from hesr_model.units import unit_of_joints
+
+_MOST_SHOWN = 40
+"""Coefficients of a law whose equations a notebook shows; networks have hundreds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +103,18 @@ class FrictionModel:
             for law, slides in zip(self.laws, self.slides, strict=True)
         )
         object.__setattr__(self, "laws", tuple(laws))
+
+    def __repr__(self) -> str:
+        return f"FrictionModel('{self.law}' of '{self.robot}': {', '.join(self.joints)})"
+
+    def _repr_html_(self) -> str:
+        errors = self.training_rmse or ("",) * len(self.joints)
+        rows = (
+            (joint, "; ".join(equations(law)) if len(law.values) <= _MOST_SHOWN else law, error)
+            for joint, law, error in zip(self.joints, self.laws, errors, strict=True)
+        )
+        head = ("joint", "law", f"training RMSE [{unit_of_joints('N.m', self.sliding)}]")
+        return html.table(f"Friction of '{self.robot}' by the law '{self.law}'", head, rows)
 
     @property
     def slides(self) -> tuple[bool, ...]:

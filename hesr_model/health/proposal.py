@@ -20,6 +20,7 @@ from hesr_model.logs.readers.formats import BAG, format_of
 from hesr_model.logs.readers.matlab import read_matlab
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.tables import Table, read_table
+from hesr_model.robots.described import RobotLike, described
 from hesr_model.robots.robot import RobotDescription, RobotModel
 
 _ROUNDS = 4
@@ -48,6 +49,17 @@ class Proposal:
     logs: Sequence[RobotLog]
     examination: Examination
     first: Sequence[Finding]
+
+
+def inspected(paths: Sequence[Path], robot: RobotLike | None = None) -> Proposal:
+    """Look at logs, of a robot that is known, or by their columns alone; see `propose`."""
+    if robot is not None:
+        return propose(paths, described(robot), known=True)
+    table = open_table(paths[0], "t")
+    count = len(guess(table).columns["q"]) if table else 1
+    names = tuple(f"joint{k}" for k in range(1, count + 1))
+    stranger = RobotDescription(name="robot", model=Path("unknown"), joints=names)
+    return propose(paths, stranger, known=False)
 
 
 def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> Proposal:

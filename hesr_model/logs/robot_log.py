@@ -1,9 +1,11 @@
 """Robot logs: read from files of many kinds, converted to SI, checked, written."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +14,10 @@ from hesr_model.errors import LogError
 from hesr_model.logs.readers.formats import format_of
 from hesr_model.logs.readers.samples import Samples
 from hesr_model.logs.tables import write_table
+from hesr_model.robots.described import RobotLike, described
 from hesr_model.robots.robot import RobotDescription
-from hesr_model.support.files import sha256, written_whole
+from hesr_model.support import frames, html
+from hesr_model.support.files import path_of, sha256, written_whole
 
 Array = NDArray[np.float64]
 
@@ -52,6 +56,8 @@ class RobotLog:
         Where the log was read from, and the hash of that file.
     dropped
         Rows that were left out, by `LogFormat.missing`.
+    robot
+        The robot that the log was read for; None where it was not read.
     """
 
     name: str
@@ -62,6 +68,29 @@ class RobotLog:
     path: Path | None = None
     sha256: str = ""
     dropped: int = 0
+    robot: RobotDescription | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        return f"RobotLog('{self.name}', {self.q.shape[1]} joints, {self._size})"
+
+    def _repr_html_(self) -> str:
+        joints = self.joints
+        columns = {"travel of q": np.ptp(self.q, axis=0), "largest |tau|": np.abs(self.tau).max(0)}
+        if self.dq is not None:
+            columns["largest |dq|"] = np.abs(self.dq).max(0)
+        rows = zip(joints, *(map(float, column) for column in columns.values()), strict=True)
+        return html.table(f"Log '{self.name}': {self._size}", ("joint", *columns), rows)
+
+    @property
+    def _size(self) -> str:
+        return f"{len(self.t)} rows, {np.ptp(self.t):.4g} s at {self.rate:.4g} Hz"
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints; numbers where no robot is known."""
+        if self.robot is not None:
+            return self.robot.joints
+        return tuple(f"joint{k}" for k in range(1, self.q.shape[1] + 1))
 
     @property
     def where(self) -> str:
@@ -120,11 +149,13 @@ class RobotLog:
         return kept
 
     @classmethod
-    def read(cls, path: Path, robot: RobotDescription) -> "RobotLog":
+    def read(cls, path: str | PathLike[str], robot: RobotLike) -> "RobotLog":
         """Read a log and check it, columns and units as the robot file says.
 
         By the suffix it is a CSV (with a header), Parquet (``.parquet``, ``.pq``), MATLAB
         (``.mat``) or a ROS bag (a folder, ``.db3``, ``.mcap``, ``.bag``).
+
+        The robot may also be given as the path of its file, which is then read.
 
         Rows in messages are counted as an editor shows them: the header of a CSV is row 1, the
         first row of its data row 2. Other files have no header: their first row is row 1.
@@ -139,6 +170,7 @@ class RobotLog:
         RobotError
             If a list of the robot file has not one entry per joint.
         """
+        path, robot = path_of(path, "a log"), described(robot)
         robot.require_one_per_joint()
         logged = format_of(path).read(path, robot)
         samples = logged.complete() if robot.log.missing == "drop" else logged
@@ -154,11 +186,49 @@ class RobotLog:
             path=path,
             sha256=sha256(path),
             dropped=len(logged.t) - len(samples.t),
+            robot=robot,
         )
         _require_steady_time(log, samples, robot)
         return log
 
-    def write(self, path: Path) -> None:
+    @property
+    def _signals(self) -> dict[str, Array]:
+        """Signals (N, n) that were logged, by name."""
+        found = {"q": self.q, "dq": self.dq, "tau": self.tau}
+        return {name: values for name, values in found.items() if values is not None}
+
+    @property
+    def _columns(self) -> dict[str, Array]:
+        columns = {"t": self.t}
+        for name, values in self._signals.items():
+            columns |= {f"{name}{k}": column for k, column in enumerate(values.T, start=1)}
+        return columns
+
+    def to_pandas(self) -> Any:
+        """Return a `pandas.DataFrame` of the columns ``q1.., dq1.., tau1..`` over ``t`` [s].
+
+        Units are rad, rad/s and N.m (m, m/s and N of joints that slide).
+
+        Raises
+        ------
+        ConfigError
+            If pandas is not installed.
+        """
+        return frames.pandas_frame(self._columns, index="t")
+
+    def to_xarray(self) -> Any:
+        """Return an `xarray.Dataset` of q, dq and tau over time [s] and joint, with their units.
+
+        Raises
+        ------
+        ConfigError
+            If xarray is not installed.
+        """
+        units = {"q": "rad", "dq": "rad/s", "tau": "N.m"}
+        signals = {name: (values, units[name]) for name, values in self._signals.items()}
+        return frames.xarray_dataset(self.t, signals, self.joints, name=self.name)
+
+    def write(self, path: str | PathLike[str]) -> None:
         """Write as CSV or, by the suffix ``.parquet``, as Parquet; numbers survive unchanged.
 
         The columns are ``t, q1.., dq1.., tau1..``, the defaults of a robot file.
@@ -168,12 +238,8 @@ class RobotLog:
         ArtifactError
             If the file cannot be written.
         """
-        columns = {"t": self.t}
-        for name, values in (("q", self.q), ("dq", self.dq), ("tau", self.tau)):
-            if values is not None:
-                columns |= {f"{name}{k}": column for k, column in enumerate(values.T, start=1)}
-        with written_whole(path) as temporary:
-            write_table(temporary, columns)
+        with written_whole(path_of(path, "a log")) as temporary:
+            write_table(temporary, self._columns)
 
 
 def parts_of(logs: Sequence[RobotLog]) -> list[RobotLog]:

@@ -30,6 +30,7 @@ from hesr_model.rigid_body.observations import (
     stacked,
 )
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support import html
 from hesr_model.support.typed_json import Numbers
 
 Array = NDArray[np.float64]
@@ -94,6 +95,21 @@ class RigidBody:
     method: Method
     weighting: Weighting
     physical: bool = False
+
+    def __repr__(self) -> str:
+        return (
+            f"RigidBody('{self.robot}', {len(self.joints)} joints, {len(self.base)} base "
+            f"parameters, condition number {self.condition:.3g})"
+        )
+
+    def _repr_html_(self) -> str:
+        numbers = [self.parameters[k] for k in self.base]
+        rows = (
+            (self.names[k], float(value), float(error))
+            for k, value, error in zip(self.base, numbers, self.standard_errors, strict=True)
+        )
+        head = ("base parameter [SI]", "value", "standard error")
+        return html.table(f"Rigid body of '{self.robot}', {self.method}", head, rows)
 
     def torque(self, model: RobotModel, motion: Motion) -> Array:
         """Rigid-body torque Y_b pi_b (eq. 6) over a motion, (N, n) [N.m].

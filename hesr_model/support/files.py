@@ -12,7 +12,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from hesr_model.errors import ArtifactError
+from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.support import interrupts
 
 _TEMPORARY = ".hesr-"
@@ -21,6 +21,21 @@ _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """Errors of whoever writes; others may come from what a block reads."""
 
 _log = logging.getLogger(__name__)
+
+
+def path_of(value: object, what: str) -> Path:
+    """Return a path that was given as text or as a path; `what` names it in the error.
+
+    Raises
+    ------
+    ConfigError
+        If it is neither.
+    """
+    if isinstance(value, str | os.PathLike):
+        return Path(value)
+    raise ConfigError(
+        f"{what} is given as {type(value).__name__}; needed is a path, as text or as a Path."
+    )
 
 
 def models_folder() -> Path:

@@ -1,0 +1,119 @@
+"""What calls in Python are given: logs, robots, bodies and models, each itself or its file."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from os import PathLike
+from typing import Any
+
+from cosim.health import told
+from fmu_src import model_file
+from hesr_model.artifacts import read_model, read_rigid_body
+from hesr_model.errors import ConfigError, RobotError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.health.examine import checked
+from hesr_model.logs.robot_log import RobotLog, parts_of
+from hesr_model.rigid_body.identification import RigidBody, identify
+from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.robots.described import RobotLike, model_of
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support.files import path_of
+
+AnyPath = str | PathLike[str]
+Log = RobotLog | AnyPath
+Body = RigidBody | AnyPath
+Model = FrictionModel | AnyPath
+
+
+def logs_of(logs: Log | Sequence[Log], robot: RobotLike | None) -> list[RobotLog]:
+    """Return logs, those read that are given by their paths.
+
+    Raises
+    ------
+    RobotError
+        If a log is to be read and no robot is known.
+    """
+    several = listed(logs)
+    known = robot if robot is not None else next(
+        (log.robot for log in several if isinstance(log, RobotLog) and log.robot), None
+    )  # fmt: skip
+    read = []
+    for log in several:
+        if isinstance(log, RobotLog):
+            read.append(log)
+            continue
+        path = path_of(log, "a log")
+        if known is None:
+            raise RobotError(f"{path}: to read this log its robot must be known; give 'robot'.")
+        read.append(RobotLog.read(path, known))
+    return read
+
+
+def robot_of(robot: RobotLike | None, logs: Sequence[RobotLog]) -> RobotModel:
+    """Return the robot that is given, or that of the logs.
+
+    Raises
+    ------
+    RobotError
+        If neither is known.
+    """
+    found = robot if robot is not None else next((log.robot for log in logs if log.robot), None)
+    if found is None:
+        raise RobotError("the logs do not say of which robot they are; give 'robot'.")
+    return model_of(found)
+
+
+def body_of(body: Body | None, logs: Sequence[RobotLog], robot: RobotModel) -> RigidBody:
+    """Return the rigid body that is given, or that which the logs tell of."""
+    if body is None:
+        return identify(logs, robot)
+    return body if isinstance(body, RigidBody) else read_rigid_body(path_of(body, "a rigid body"))
+
+
+def listed(given: Any) -> list[Any]:
+    """Return what is given as a list, of one where it is none."""
+    several = isinstance(given, Iterable) and not isinstance(given, str | PathLike)
+    return list(given) if several else [given]
+
+
+def records_of(
+    logs: Log | Sequence[Log],
+    robot: RobotLike | None,
+    rigid_body: Body | None,
+    accept: Sequence[str],
+) -> tuple[list[list[FrictionRecord]], RobotModel]:
+    """Return the friction in each log [log][joint], and the robot."""
+    read = logs_of(logs, robot)
+    model = robot_of(robot, read)
+    examined(read, model, accept)
+    body = body_of(rigid_body, read, model)
+    return [friction_records(part, model, body) for part in parts_of(read)], model
+
+
+def examined(logs: Sequence[RobotLog], model: RobotModel, accept: Sequence[str]) -> None:
+    """Check logs on their robot; what cannot be right raises, what is odd is logged."""
+    told(checked(logs, model, accept))
+
+
+def model_given(model: Model) -> FrictionModel:
+    """Return a friction model, read where it is given by its file or built-in name."""
+    if isinstance(model, FrictionModel):
+        return model
+    return read_model(model_file(str(path_of(model, "a friction model"))))
+
+
+def named(models: Any) -> dict[str, FrictionModel]:
+    """Return friction models by name: by their law, or as a mapping says.
+
+    Raises
+    ------
+    ConfigError
+        If two have the same law, or there is none.
+    """
+    if isinstance(models, Mapping):
+        return {str(name): model_given(model) for name, model in models.items()}
+    read = [model_given(model) for model in listed(models)]
+    found = {model.law: model for model in read}
+    if len(found) != len(read) or not read:
+        raise ConfigError(
+            f"{len(read)} friction models have {len(found)} names; give a mapping that names each."
+        )
+    return found

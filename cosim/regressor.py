@@ -1,0 +1,312 @@
+"""Friction laws as estimators in the manner of scikit-learn, which need not be installed."""
+
+import inspect
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.given import body_of, logs_of, robot_of
+from hesr_model.errors import FitError, TableError
+from hesr_model.friction.equation import equations
+from hesr_model.friction.fitting.fit import fit
+from hesr_model.friction.metrics import rmse
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import estimator
+from hesr_model.friction.table import MotionTable, motion, numbers, torques
+from hesr_model.logs.robot_log import RobotLog, parts_of
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.robots.described import RobotLike, model_of
+from hesr_model.support.files import path_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+Record = Sequence[FrictionRecord]
+"""Of all joints in one log."""
+
+_TARGETS = ("friction", "torque")
+
+
+class FrictionRegressor:
+    """Fits a friction law to logs, or to tables in memory.
+
+    Rows of a table are samples of one motion in the order of time: laws remember, so that what
+    they predict for a row depends on the rows before it.
+
+    Parameters
+    ----------
+    law : name of a law; see `hesr.laws`.
+    robot : whose logs they are; that for which a log was read where not given.
+    rigid_body : of the robot, or its file; identified from the logs of `fit` where not given.
+    target : what is predicted, and what y is: "friction", or "torque", load torque included.
+    seed : of the fit.
+    options : of the law's estimator.
+
+    Attributes
+    ----------
+    model_ : the fitted `FrictionModel`.
+    n_features_in_ : columns of the table that it was fitted to; not there after logs.
+    robot_, rigid_body_ : of the logs that it was fitted to; not there after a table.
+    """
+
+    def __init__(
+        self,
+        law: str = "lugre",
+        *,
+        robot: RobotLike | None = None,
+        rigid_body: RigidBody | str | PathLike[str] | None = None,
+        target: str = "friction",
+        seed: int = 0,
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.law = law
+        self.robot = robot
+        self.rigid_body = rigid_body
+        self.target = target
+        self.seed = seed
+        self.options = options
+
+    def __repr__(self) -> str:
+        usual = inspect.signature(type(self)).parameters
+        given = [
+            f"{name}={value!r}"
+            for name, value in self.get_params().items()
+            if not (value is usual[name].default or value == usual[name].default)
+        ]
+        return f"{type(self).__name__}({', '.join(given)})"
+
+    def _repr_html_(self) -> str:
+        return self._fitted()._repr_html_() if hasattr(self, "model_") else repr(self)
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002  # as it is called
+        """Return the parameters of the constructor by name."""
+        return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
+
+    def set_params(self, **params: Any) -> Self:
+        """Set parameters of the constructor.
+
+        Raises
+        ------
+        TableError
+            If there is no such parameter.
+        """
+        known = self.get_params()
+        for name, value in params.items():
+            if name not in known:
+                raise TableError(
+                    f"a friction regressor has no parameter '{name}'; it has {', '.join(known)}."
+                )
+            setattr(self, name, value)
+        return self
+
+    def fit(self, X: Any, y: Any = None) -> Self:
+        """Fit the law.
+
+        Parameters
+        ----------
+        X : a log or several, as `RobotLog` or path; or a table with columns t, q, dq, load
+            [s, rad, rad/s, N.m], numbered from 1 for several joints.
+        y : (N,) or (N, n) measured torque of the rows of a table [N.m]; not given for logs.
+
+        Raises
+        ------
+        TableError
+            If the table or y cannot be used.
+        LogError
+            If a log cannot be used.
+        FitError
+            If the data do not determine the law.
+        """
+        estimator(self.law)
+        self._require_target()
+        if (logs := self._logs(X)) is not None:
+            if y is not None:
+                raise TableError("y was given beside logs, which hold the measured torque.")
+            robot = robot_of(self.robot, logs)
+            self.robot_ = robot.description
+            self.rigid_body_ = body_of(self.rigid_body, logs, robot)
+            name, records = robot.description.name, self._records(parts_of(logs))
+            self.__dict__.pop("n_features_in_", None)
+        else:
+            values, names = numbers(X)
+            measured = torques(y, len(values))
+            moved = self._motion(values, names)
+            load = moved.load if self.target == "torque" else 0.0
+            name, records = "table", [moved.records(measured - load)]
+            self.n_features_in_ = values.shape[1]
+            self._flat = np.asarray(y).ndim == 1
+        self.model_ = fit(self.law, *records, seed=self.seed, options=self.options, robot=name)
+        return self
+
+    def predict(self, X: Any) -> Array:
+        """Return the friction torque, or the joint torque if that is the target.
+
+        Parameters
+        ----------
+        X : a log, or a table like that of `fit`.
+
+        Returns
+        -------
+        ndarray
+            (N, n) [N.m]; (N,) where the y of `fit` was.
+
+        Raises
+        ------
+        TableError
+            If the table cannot be used, or several logs are given.
+        SimulationError
+            If the log is of other joints.
+        """
+        model = self._fitted()
+        if (logs := self._logs(X)) is not None:
+            if len(logs) != 1:
+                raise TableError(f"predict() was given {len(logs)} logs; needed is one.")
+            (records,) = self._records(logs)
+            return self._whole(model.predict(records), records)
+        moved = self._table(X)
+        torque = model.predict(t=moved.t, dq=moved.dq, q=moved.q, tau_load=moved.load)
+        torque += moved.load if self.target == "torque" else 0.0
+        return torque[:, 0] if self._flat else torque
+
+    def score(self, X: Any, y: Any = None) -> float:
+        """Return the coefficient of determination R2, the mean of all joints.
+
+        Parameters
+        ----------
+        X, y : as of `fit`; logs are predicted one by one, without what lies in their gaps.
+        """
+        model = self._fitted()
+        if (logs := self._logs(X)) is not None:
+            records = self._records(parts_of(logs))
+            found = np.vstack([self._whole(model.predict(r), r) for r in records])
+            wanted = np.vstack(
+                [self._whole(np.column_stack([j.tau for j in r]), r) for r in records]
+            )
+        else:
+            found = self.predict(X)
+            found = found.reshape(len(found), -1)
+            wanted = torques(y, len(found))
+        spread = np.std(wanted, axis=0)
+        errors = [rmse(e) for e in (found - wanted).T]
+        return float(np.mean([1.0 - (e / s) ** 2 if s else float(e == 0.0)
+                              for e, s in zip(errors, spread, strict=True)]))  # fmt: skip
+
+    def equation(self) -> str:
+        """Return the fitted law as text, joint by joint."""
+        model = self._fitted()
+        lines = []
+        for joint, law in zip(model.joints, model.laws, strict=True):
+            lines += [f"{joint}:", *(f"  {line}" for line in equations(law))]
+        return "\n".join(lines)
+
+    def plot(self, X: Any, y: Any = None) -> "Figure":
+        """Return a figure of what was measured and predicted over time.
+
+        Parameters
+        ----------
+        X, y : one log, or a table and what was measured, as of `fit`.
+        """
+        from cosim.figures.chart import Chart, Line, Panel, drawn
+        from cosim.figures.style import MEASURED, strokes
+
+        model, title = self._fitted(), estimator(self.law).title
+        found = self.predict(X)
+        found = found.reshape(len(found), -1)
+        if (logs := self._logs(X)) is not None:
+            (records,) = self._records(logs)
+            t, tau = records[0].t, np.column_stack([r.tau for r in records])
+            wanted = self._whole(tau, records)
+        else:
+            t, wanted = self._table(X).t, torques(y, len(found))
+        rows = []
+        for k, joint in enumerate(model.joints):
+            lines = (
+                Line(name="measured", x=t, y=wanted[:, k], stroke=MEASURED),
+                Line(name=title, x=t, y=found[:, k], stroke=strokes([title])[title]),
+            )
+            unit = "N" if model.slides[k] else "N.m"
+            rows.append((Panel(title=joint, y=f"{self.target} [{unit}]", lines=lines),))
+        return drawn(Chart(x="t [s]", rows=tuple(rows)))
+
+    def to_fmu(self, path: str | PathLike[str], *, platforms: Sequence[str] = ("linux64",)) -> Path:
+        """Write the fitted law as an FMU; see `fmu_src.export_fmu`."""
+        from fmu_src import export_fmu
+
+        return export_fmu(self._fitted(), path_of(path, "an FMU"), platforms=platforms)
+
+    def __sklearn_is_fitted__(self) -> bool:
+        return hasattr(self, "model_")
+
+    def __sklearn_tags__(self) -> Any:
+        from sklearn.utils import InputTags, RegressorTags, Tags, TargetTags
+
+        return Tags(
+            estimator_type="regressor",
+            target_tags=TargetTags(required=True, multi_output=True),
+            regressor_tags=RegressorTags(poor_score=True),  # of random rows, which are no motion
+            input_tags=InputTags(),
+        )
+
+    def _motion(self, values: Array, names: Sequence[str]) -> MotionTable:
+        return motion(values, names)
+
+    def _table(self, X: Any) -> MotionTable:
+        values, names = numbers(X)
+        expected = getattr(self, "n_features_in_", values.shape[1])
+        if values.shape[1] != expected:
+            raise TableError(
+                f"X has {values.shape[1]} features, but {type(self).__name__} is expecting "
+                f"{expected} features as input."
+            )
+        moved = self._motion(values, names)
+        joints = len(self._fitted().joints)
+        if moved.dq.shape[1] != joints:
+            raise TableError(
+                f"X is the motion of {moved.dq.shape[1]} joints; the law was fitted to {joints}."
+            )
+        return moved
+
+    def _logs(self, X: Any) -> list[RobotLog] | None:
+        """Return the logs that X is, None where it is a table."""
+        several = list(X) if isinstance(X, list | tuple) else [X]
+        if not several or not all(isinstance(x, RobotLog | str | PathLike) for x in several):
+            return None
+        return logs_of(several, getattr(self, "robot_", None) if self.robot is None else self.robot)
+
+    def _records(self, logs: Sequence[RobotLog]) -> list[Record]:
+        if not hasattr(self, "robot_"):
+            raise TableError("a law that was fitted to a table has no rigid body; give a table.")
+        robot = model_of(self.robot_)
+        return [friction_records(log, robot, self.rigid_body_) for log in logs]
+
+    def _whole(self, friction: Array, records: Record) -> Array:
+        if self.target == "friction":
+            return friction
+        return friction + np.column_stack([record.tau_load for record in records])
+
+    def _require_target(self) -> None:
+        if self.target not in _TARGETS:
+            raise TableError(
+                f"the target of a friction regressor is '{self.target}'; allowed are "
+                f"{' and '.join(_TARGETS)}."
+            )
+
+    def _fitted(self) -> FrictionModel:
+        if hasattr(self, "model_"):
+            return self.model_
+        raise _unfitted()("this friction regressor is not fitted yet; call fit() first.")
+
+
+def _unfitted() -> type[FitError]:
+    """Return the error of what is not fitted, scikit-learn's own as well where that is there."""
+    try:
+        from sklearn.exceptions import NotFittedError
+    except ImportError:
+        return FitError
+    return type("NotFittedError", (FitError, NotFittedError), {})

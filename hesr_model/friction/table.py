@@ -1,0 +1,187 @@
+"""Motions in tables in memory: data frames, mappings, or arrays of numbers."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.errors import TableError
+from hesr_model.rigid_body.residual import FrictionRecord
+
+Array = NDArray[np.float64]
+
+_NEEDED = "needed are t, q, dq, load, or t, q1.., dq1.., load1.. of several joints"
+_NAME = re.compile(r"(q|dq|load|tau_load)(\d*)")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotionTable:
+    """The motion of some joints.
+
+    Attributes
+    ----------
+    t : (N,) [s], increasing.
+    q, dq, load : (N, n) position [rad], velocity [rad/s] and load torque [N.m].
+    """
+
+    t: Array
+    q: Array
+    dq: Array
+    load: Array
+
+    def records(self, friction: Array, robot_joints: Sequence[str] = ()) -> list[FrictionRecord]:
+        """Return the records of all joints, whose friction (N, n) [N.m] was measured.
+
+        Raises
+        ------
+        TableError
+            If the friction is of another number of joints.
+        """
+        n = self.dq.shape[1]
+        if friction.shape[1] != n:
+            raise TableError(
+                f"y has {friction.shape[1]} columns, but X is the motion of {n} joints; needed is "
+                "one column for each joint."
+            )
+        joints = robot_joints or [f"joint{k}" for k in range(1, n + 1)]
+        return [
+            FrictionRecord(
+                log="table",
+                joint=joint,
+                t=self.t,
+                dq=np.ascontiguousarray(self.dq[:, k]),
+                q=np.ascontiguousarray(self.q[:, k]),
+                tau_load=np.ascontiguousarray(self.load[:, k]),
+                tau=np.ascontiguousarray(friction[:, k]),
+            )
+            for k, joint in enumerate(joints)
+        ]
+
+
+def numbers(table: Any, name: str = "X") -> tuple[Array, tuple[str, ...]]:
+    """Return a table as numbers (N, P) and the names of its columns, none where it has none.
+
+    Raises
+    ------
+    TableError
+        If it is no table of finite real numbers, or is empty.
+    """
+    if hasattr(table, "tocsr"):
+        raise TableError(f"{name} is a sparse matrix; needed is a dense table.")
+    names: tuple[str, ...] = ()
+    if isinstance(table, Mapping):
+        names, values = tuple(map(str, table)), _columns(table, name)
+    else:
+        columns = getattr(table, "columns", ())
+        names = tuple(columns) if all(isinstance(c, str) for c in columns) else ()
+        values = np.asarray(table)
+    if np.iscomplexobj(values):
+        raise TableError(f"Complex data not supported: {name} must hold real numbers.")
+    try:
+        found = np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise TableError(f"{name} must hold numbers ({error}).") from error
+    if found.ndim != 2:
+        raise TableError(
+            f"{name} has {found.ndim} dimensions; needed is a table of rows and columns. Reshape "
+            "your data: X.reshape(-1, 1) has one column, X.reshape(1, -1) one row."
+        )
+    if found.shape[1] < 1:
+        raise TableError(
+            f"{name} has 0 feature(s) (shape={found.shape}) while a minimum of 1 is required."
+        )
+    if len(found) < 1:
+        raise TableError(f"{name} has 0 sample(s) (shape={found.shape}); rows are needed.")
+    if not np.all(np.isfinite(found)):
+        raise TableError(f"{name} contains NaN or infinity; needed are finite numbers.")
+    return found, names
+
+
+def torques(y: Any, rows: int) -> Array:
+    """Return torques as (N, n); of one joint they may be (N,).
+
+    Raises
+    ------
+    TableError
+        If they are missing, no finite numbers, or not one for each row.
+    """
+    if y is None:
+        raise TableError(
+            "a table of motion requires y to be passed, but the target y is None; y is the "
+            "measured torque, (N,) or (N, n)."
+        )
+    listed = y if hasattr(y, "tocsr") else np.asarray(y)
+    found, _ = numbers(listed.reshape(-1, 1) if listed.ndim == 1 else listed, "y")
+    if len(found) != rows:
+        raise TableError(f"X has {rows} rows and y {len(found)}; needed are as many of each.")
+    return found
+
+
+def motion(values: Array, names: Sequence[str] = ()) -> MotionTable:
+    """Return the motion in the columns of a table.
+
+    Parameters
+    ----------
+    values : (N, P) [s, rad, rad/s, N.m].
+    names : of the columns: t, dq and, where they are known, q and load, or the same of several
+        joints, numbered from 1. Without names they are t, then q, dq and load, each of all joints.
+
+    Raises
+    ------
+    TableError
+        If a column is missing or unknown, or time does not increase.
+    """
+    columns = _by_name(values, names) if names else _in_order(values)
+    t, dq = columns["t"][:, 0], columns["dq"]
+    if len(t) < 2:
+        raise TableError("X has 1 sample; a motion needs at least 2.")
+    if np.any(np.diff(t) <= 0.0):
+        row = int(np.argmax(np.diff(t) <= 0.0)) + 1
+        raise TableError(f"time must increase in X, but t is {t[row]:g} s in row {row + 1}, after "
+                         f"{t[row - 1]:g} s.")  # fmt: skip
+    still = np.zeros_like(dq)
+    found = {name: columns.get(name, still) for name in ("q", "load")}
+    for name, of_joints in found.items():
+        if of_joints.shape != dq.shape:
+            raise TableError(
+                f"X has {of_joints.shape[1]} columns of {name}, but {dq.shape[1]} of dq; {_NEEDED}."
+            )
+    return MotionTable(t=t, dq=dq, **found)
+
+
+def _columns(table: Mapping[str, Any], name: str) -> NDArray[Any]:
+    lengths = {np.shape(column) for column in table.values()}
+    if len(lengths) != 1 or len(next(iter(lengths))) != 1:
+        raise TableError(f"{name} has columns of unequal lengths; needed is a table.")
+    return np.column_stack([np.asarray(column) for column in table.values()])
+
+
+def _by_name(values: Array, names: Sequence[str]) -> dict[str, Array]:
+    if missing := {"t", "dq"} - {name.rstrip("0123456789") for name in names}:
+        raise TableError(f"X has no column '{sorted(missing)[0]}', only {', '.join(names)}; "
+                         f"{_NEEDED}.")  # fmt: skip
+    found: dict[str, dict[int, Array]] = {}
+    for name, column in zip(names, values.T, strict=True):
+        matched = _NAME.fullmatch(name)
+        if name != "t" and not matched:
+            raise TableError(f"X has the unknown column '{name}'; {_NEEDED}.")
+        kind, joint = (matched[1], int(matched[2] or 1)) if matched else ("t", 1)
+        found.setdefault(kind.removeprefix("tau_"), {})[joint] = column
+    return {
+        kind: np.column_stack([of_joint[k] for k in sorted(of_joint)])
+        for kind, of_joint in found.items()
+    }
+
+
+def _in_order(values: Array) -> dict[str, Array]:
+    joints, odd = divmod(values.shape[1] - 1, 3)
+    if odd or not joints:
+        raise TableError(
+            f"X has {values.shape[1]} columns without names; needed are t, and q, dq and load of "
+            "each joint."
+        )
+    parts = np.split(values[:, 1:], 3, axis=1)
+    return {"t": values[:, :1], **dict(zip(("q", "dq", "load"), parts, strict=True))}

@@ -1,0 +1,57 @@
+"""Results as tables of pandas and as data sets of xarray, which are imported when they are used."""
+
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.errors import ConfigError
+
+Array = NDArray[np.float64]
+
+
+def pandas_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
+    """Return columns (N,) as a `pandas.DataFrame`, one of them as its index where that is named.
+
+    Raises
+    ------
+    ConfigError
+        If pandas is not installed.
+    """
+    frame = _library("pandas").DataFrame(dict(columns))
+    return frame if index is None else frame.set_index(index)
+
+
+def xarray_dataset(
+    t: Array, signals: Mapping[str, tuple[Array, str]], joints: Sequence[str], **about: Any
+) -> Any:
+    """Return signals over time and joints as an `xarray.Dataset`.
+
+    Parameters
+    ----------
+    t : (N,) [s].
+    signals : (N, n) values by name, and their unit.
+    joints : n names.
+    about : attributes of the data set.
+
+    Raises
+    ------
+    ConfigError
+        If xarray is not installed.
+    """
+    return _library("xarray").Dataset(
+        {name: (("t", "joint"), values, {"units": u}) for name, (values, u) in signals.items()},
+        coords={"t": ("t", t, {"units": "s"}), "joint": list(joints)},
+        attrs=about,
+    )
+
+
+def _library(name: str) -> Any:
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise ConfigError(
+            f"{name} is not installed, which this needs; pip install 'hesr[tables]' brings it."
+        ) from error

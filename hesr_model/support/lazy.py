@@ -1,0 +1,28 @@
+"""Public names that are imported when they are first used (PEP 562)."""
+
+import sys
+from collections.abc import Callable, Mapping
+from importlib import import_module
+
+
+def lazy(
+    module: str, homes: Mapping[str, str]
+) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+    """Return ``__getattr__`` and ``__dir__`` of a module that imports its names when used.
+
+    Parameters
+    ----------
+    module : its ``__name__``.
+    homes : by public name the module that holds it, after a colon its name there where that
+        differs.
+    """
+
+    def find(name: str) -> object:
+        if name not in homes:
+            raise AttributeError(f"module '{module}' has no attribute '{name}'")
+        home, _, own = homes[name].partition(":")
+        value = getattr(import_module(home), own or name)
+        setattr(sys.modules[module], name, value)
+        return value
+
+    return find, lambda: sorted(homes)

@@ -1,0 +1,52 @@
+"""Robots by any file, and what stands for a path."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hesr_model.errors import ConfigError, RobotError
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.robots.described import Robot, described, model_of
+from hesr_model.robots.robot import RobotDescription, RobotModel
+
+
+def test_a_model_file_alone_describes_all_its_joints(arm: RobotDescription) -> None:
+    for given in (arm.model, str(arm.model)):
+        found = described(given)
+        assert (found.name, found.joints, found.model) == ("arm", arm.joints, arm.model)
+
+
+def test_a_robot_stands_for_itself(arm: RobotDescription, arm_model: RobotModel) -> None:
+    assert described(arm) is arm
+    assert described(arm_model) is arm
+    assert model_of(arm_model) is arm_model
+    assert isinstance(model_of(arm), Robot)
+
+
+def test_a_robot_file_is_read(arm: RobotDescription) -> None:
+    file = arm.model.with_name("robot.toml")
+    file.write_text('name = "toml"\nmodel = "arm.xml"\njoints = ["j1", "j2"]\n', encoding="utf-8")
+    assert Robot(str(file)).description.joints == ("j1", "j2")
+
+
+def test_what_is_no_robot_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        Robot(3)  # type: ignore[arg-type]  # the mistake
+    assert str(caught.value) == ("a robot is given as int; needed is a path, as text or as a Path.")
+    with pytest.raises(RobotError, match="no such model file"):
+        Robot(tmp_path / "none.urdf")
+
+
+def test_a_log_is_read_by_text_and_knows_its_robot(
+    arm: RobotDescription, arm_log: RobotLog
+) -> None:
+    file = arm.model.with_name("log.csv")
+    arm_log.write(str(file))
+    log = RobotLog.read(str(file), str(arm.model))
+    assert log.robot is not None
+    assert log.joints == log.robot.joints == arm.joints
+    assert log.rows(slice(0, 9)).robot is log.robot
+    np.testing.assert_array_equal(log.q, arm_log.q)
+    with pytest.raises(ConfigError, match=r"a log is given as list; needed is a path"):
+        RobotLog.read([file], arm)  # type: ignore[arg-type]  # the mistake

@@ -1,0 +1,110 @@
+"""How results show themselves in a notebook and a shell, and as tables of other libraries."""
+
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from cosim.scoring import by_joint, compare, predict_model
+from hesr_model.errors import ConfigError
+from hesr_model.friction.model import _MOST_SHOWN, FrictionModel
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import RigidBody, identify
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support.html import table
+
+
+@pytest.fixture
+def body(arm_log: RobotLog, arm_model: RobotModel) -> RigidBody:
+    return identify([arm_log], arm_model)
+
+
+def cells(page: str) -> list[list[str]]:
+    root = ElementTree.fromstring(page)
+    return [["".join(cell.itertext()) for cell in row] for row in root.iter("tr")]
+
+
+def test_a_table_escapes_what_it_shows() -> None:
+    page = table("a<b", ("x & y",), [("<script>",), (0.123456,), (7,)])
+    assert "<script>" not in page
+    assert cells(page) == [["x & y"], ["<script>"], ["0.1235"], ["7"]]
+    assert ElementTree.fromstring(page).findtext("caption") == "a<b"
+
+
+def test_a_log_shows_what_each_joint_did(arm_log: RobotLog) -> None:
+    head, *rows = cells(arm_log._repr_html_())
+    assert head == ["joint", "travel of q", "largest |tau|", "largest |dq|"]
+    travel = np.ptp(arm_log.q, axis=0)
+    assert [row[:2] for row in rows] == [[f"joint{k + 1}", f"{travel[k]:.4g}"] for k in range(3)]
+    assert repr(arm_log) == "RobotLog('run', 3 joints, 2000 rows, 9.995 s at 200 Hz)"
+
+
+def test_a_body_shows_its_base_parameters(body: RigidBody) -> None:
+    _, *rows = cells(body._repr_html_())
+    assert [row[0] for row in rows] == [body.names[k] for k in body.base]
+    assert float(rows[0][1]) == pytest.approx(body.parameters[body.base[0]], rel=1e-3)
+    assert len(repr(body)) < 120
+
+
+def test_models_show_their_equations_and_are_short_in_a_shell(
+    table1: FrictionModel, registry_models: dict[str, FrictionModel]
+) -> None:
+    for model in (table1, *registry_models.values()):
+        assert len(repr(model)) < 200
+        assert all(len(repr(law)) < 80 for law in model.laws)
+        _, *rows = cells(model._repr_html_())
+        assert [row[0] for row in rows] == list(model.joints)
+    assert "tau = " in registry_models["lugre"]._repr_html_()
+    network = max(registry_models.values(), key=lambda model: len(model.laws[0].values))
+    assert len(network.laws[0].values) > _MOST_SHOWN
+    assert "tau = " not in network._repr_html_()
+
+
+def test_a_comparison_shows_errors_by_law(registry_models: dict[str, FrictionModel]) -> None:
+    model = registry_models["lugre"]
+    t = 0.01 * np.arange(500)
+    records = [
+        FrictionRecord(log="a", joint=joint, t=t, dq=np.cos(t), q=np.sin(t), tau_load=0.0 * t,
+                       tau=3.0 * np.tanh(50.0 * np.cos(t)))
+        for joint in model.joints
+    ]  # fmt: skip
+    scores = compare(by_joint([records]), {"lugre": predict_model(model, by_joint([records]))})
+    _, spread, row = cells(scores._repr_html_())
+    assert row == ["lugre", *(f"{error:.4g}" for error in scores.laws["lugre"].rmse)]
+    assert spread[1:] == [f"{s:.4g}" for s in scores.tau_std]
+    pytest.importorskip("pandas", reason="needs hesr[tables]")
+    frame = scores.to_pandas()
+    for k, joint in enumerate(model.joints):
+        assert frame.loc[("lugre", joint), "rmse"] == scores.laws["lugre"].rmse[k]
+
+
+def test_a_log_as_a_data_frame(arm_log: RobotLog, tmp_path: Path) -> None:
+    pytest.importorskip("pandas", reason="needs hesr[tables]")
+    frame = arm_log.to_pandas()
+    names = [f"{signal}{k}" for signal in ("q", "dq", "tau") for k in (1, 2, 3)]
+    assert list(frame.columns) == names
+    np.testing.assert_array_equal(frame.index, arm_log.t)
+    np.testing.assert_array_equal(frame["tau2"], arm_log.tau[:, 1])
+
+
+def test_a_log_as_a_data_set(arm_log: RobotLog) -> None:
+    pytest.importorskip("xarray", reason="needs hesr[tables]")
+    found = arm_log.to_xarray()
+    np.testing.assert_array_equal(found.dq.sel(joint="joint3"), arm_log.dq[:, 2])
+    assert found.tau.attrs["units"] == "N.m"
+    np.testing.assert_array_equal(found.t, arm_log.t)
+
+
+@pytest.mark.parametrize(("library", "call"), [("pandas", "to_pandas"), ("xarray", "to_xarray")])
+def test_a_library_that_is_missing_is_named(
+    arm_log: RobotLog, monkeypatch: pytest.MonkeyPatch, library: str, call: str
+) -> None:
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(ConfigError) as caught:
+        getattr(arm_log, call)()
+    assert str(caught.value) == (
+        f"{library} is not installed, which this needs; pip install 'hesr[tables]' brings it."
+    )
