@@ -215,7 +215,7 @@ def laws() -> "Mapping[str, type[Estimator]]":
 def export(
     model: Model,
     output: AnyPath,
-    format: Literal["fmu", "drive", "mjcf", "modelica", "c"] = "fmu",  # noqa: A002  # as --format
+    format: Literal["fmu", "drive", "mjcf", "modelica", "c", "torch", "jax"] = "fmu",  # noqa: A002  # as --format
     **options: Any,
 ) -> Path:
     """Write a friction model for other tools.
@@ -223,7 +223,8 @@ def export(
     Parameters
     ----------
     model, output : the model, and the file or folder to write.
-    format : an FMU, a drive, actuators of MuJoCo, a Modelica package, or a header in C.
+    format : an FMU, a drive, actuators of MuJoCo, a Modelica package, a header in C,
+        or a module of PyTorch or JAX.
     options : of the format's own function, as `platforms` of FMUs or `inertia` of drives.
 
     Raises
@@ -249,6 +250,8 @@ _WRITERS = {
     "mjcf": "fmu_src.mjcf.mjcf_file:export_mjcf_law",
     "modelica": "fmu_src.modelica.modelica_package:export_modelica",
     "c": "fmu_src.one_file.c_header:export_c",
+    "torch": "fmu_src.one_file.tensors:export_torch",
+    "jax": "fmu_src.one_file.tensors:export_jax",
 }
 
 

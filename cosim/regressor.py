@@ -24,7 +24,7 @@ from hesr_model.robots.described import RobotLike, model_of
 from hesr_model.support.files import path_of
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from cosim.figures.chart import Figure
 
 Array = NDArray[np.float64]
 Record = Sequence[FrictionRecord]
@@ -239,6 +239,14 @@ class FrictionRegressor:
         from fmu_src import export_fmu
 
         return export_fmu(self._fitted(), path_of(path, "an FMU"), platforms=platforms)
+
+    def to_torch(self, path: str | PathLike[str]) -> Path:
+        """Write the fitted law as a module of PyTorch; see `fmu_src.one_file.tensors`."""
+        from fmu_src.one_file.tensors import export_torch
+
+        file = path_of(path, "a module")
+        export_torch(self._fitted(), file)
+        return file
 
     def __sklearn_is_fitted__(self) -> bool:
         return hasattr(self, "model_")

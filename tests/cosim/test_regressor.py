@@ -115,6 +115,7 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
     assert [axis.get_title(loc="left") for axis in figure.axes] == list(arm.joints)
     assert len(figure.axes[0].lines) == 2
     assert regressor.to_fmu(str(tmp_path / "Friction.fmu")).is_file()
+    assert "import torch" in regressor.to_torch(tmp_path / "friction.py").read_text("utf-8")
     whole = hesr.FrictionRegressor("stribeck", target="torque", robot=arm).fit([str(file)])
     assert whole.score(str(file)) > regressor.score(log)
     for call, sentence in [
