@@ -158,12 +158,12 @@ def test_the_same_robot_gives_the_same_folder(tmp_path: Path) -> None:
     assert a == {file: text.replace(name[1], name[0]) for file, text in b.items()}
 
 
-BLOCK = re.compile(r"(?:^# (?:[a-z_]+ = |\[).*\n)+", re.MULTILINE)
+BLOCK = re.compile(r"(?:^# (?:[a-z_]+ = |\[|  \[|\]).*\n)+", re.MULTILINE)
 """Lines of a template that are commented out, as opposed to prose."""
 
 
 @pytest.mark.parametrize(
-    ("file", "schema", "blocks"), [("robot.toml", RobotDescription, 7), ("study.toml", Study, 4)]
+    ("file", "schema", "blocks"), [("robot.toml", RobotDescription, 8), ("study.toml", Study, 4)]
 )
 def test_everything_that_is_commented_out_can_be_used(
     tmp_path: Path, file: str, schema: type[RobotDescription] | type[Study], blocks: int

@@ -97,7 +97,10 @@ def test_nothing_is_taken_where_no_time_passes(math) -> None:
 
 
 LAWS = """
-enum { MAX_INPUTS = 4, MAX_STATES = 1, MAX_OUTPUTS = 1, EULER = 2 };
+#ifndef EQUATIONS_H
+#define EQUATIONS_H
+enum { JOINTS = 1, COUPLED = 0, MAX_INPUTS = 4, MAX_STATES = 1, MAX_OUTPUTS = 1, EULER = 2 };
+static const double forward[1][1] = {{1.0}}, backward[1][1] = {{1.0}};
 enum { INERTIA, RATIO, STIFFNESS, DAMPING, TAU_MOTOR, TAU_LOAD, Q_LINK, DQ_LINK, DISCRETISATION,
        FIRST, VARIABLES };
 typedef struct { double v[VARIABLES], slope[VARIABLES]; } Component;
@@ -106,6 +109,7 @@ typedef struct {
     int first_parameter, inputs, input[MAX_INPUTS];
     void (*attempt)(const double *k, const double *u, const double *x, double h, double euler,
                     const double *du, double *after, double *dx, double *torque, double *slope);
+    int outputs, output[MAX_OUTPUTS];
 } Joint;
 /* x grows by h k u, twice as much by Euler's; tau = x^2 + u q + 0.1 (load - link) */
 static void attempt_of(const double *k, const double *u, const double *x, double h, double euler,
@@ -118,7 +122,8 @@ static void attempt_of(const double *k, const double *u, const double *x, double
 }
 static const double constants[] = {50.0};
 static const Joint joints[] = {{CONSTANT ? constants : 0, FIRST, 4, {0, 0, TAU_LOAD, Q_LINK},
-                                attempt_of}};
+                                attempt_of, 1, {0}}};
+#endif
 """
 BALANCED = """
 #define CONSTANT {constant}
@@ -149,7 +154,7 @@ def tried(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     """(v, residual, slope, size, tau_f, tau_link, x, dx) at a speed; the law's coefficient."""
     library = compiled(
         tmp_path_factory.mktemp("balance"), BALANCED.format(constant=int(request.param == 50.0)),
-        "balance.h", others={"equations.h": LAWS},
+        "balance.h", "coupling.h", others={"equations.h": LAWS},
     )  # fmt: skip
     call = function(library, "tried", None, POINTER(c_double), *[c_double] * 3, POINTER(c_double))
 

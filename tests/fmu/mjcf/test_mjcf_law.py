@@ -245,6 +245,10 @@ REGISTRY = {
     "parfam_h": "its state 'h' is driven by alpha*tanh(beta*dq), ",
     "strain_wave": "has the term mu_avg*z*abs(tau_load), which is of the load",
     "parfam_hx": "its state 'h' is driven by ",
+    "parfam_s": "its state 'x_1' is a stop, and MuJoCo's bristles relax",
+    "parfam_s_load": "its state 'x_1' is a stop, and MuJoCo's bristles relax",
+    "parfam_s_v": "is a stop, and MuJoCo's bristles relax",
+    "lugre_textbook": "has the term dq*sigma_t/(1 + abs(dq)/v_t), which is neither",
 }
 
 
@@ -258,7 +262,7 @@ def test_every_law_of_the_registry_is_exact_or_refused(fitted, make_model, tmp_p
         with pytest.raises(ExportError, match=f"law '{name}' of joint 'axis_1' is not") as refusal:
             export_mjcf_law(model, tmp_path / f"{name}.xml")
         assert REGISTRY[name] in str(refusal.value)
-    assert {path.stem for path in tmp_path.iterdir()} == {"lugre", "dahl"}
+    assert {path.stem for path in tmp_path.iterdir()} == {"lugre", "lugre_passive", "dahl"}
 
 
 def test_the_law_of_the_paper_is_refused(tmp_path):

@@ -17,6 +17,9 @@ EVERY = (*registry(), "ripple", "gaussians", "start", "shapes")
 """Names of the joints' laws: all of the registry, one with ripple in the joint angle, one of 90
 coefficients, one that does not start at zero, one with expressions that are easily misprinted."""
 
+STOPS = ("parfam_s", "parfam_s_load", "parfam_s_v")
+"""Those with stops, whose form without events is stiff."""
+
 
 def shapes() -> FrictionLaw:
     """Powers of powers, quotients of quotients, signs of states and of products."""

@@ -43,13 +43,14 @@ def equations(law):
     # As arguments: numbers inside an expression are printed with 15 digits only, and the large
     # coefficients of a Dahl basis cancel.
     symbols = (*(c.symbol for c in form.coefficients), *INPUTS)
-    states = [s for r in form.relaxations for s in (r.state, r.derivative)]
-    moving = lowered(symbols, tuple(e for r in form.relaxations for e in (r.drive, r.rate)))
+    states = [s for m in form.memory for s in (m.state, m.derivative)]
+    moving = lowered(
+        (*symbols, *(m.state for m in form.memory)), tuple(m.continuous() for m in form.memory)
+    )
     output = lowered((*symbols, *states), (form.output,))
 
     def slope(inputs, x):
-        found = np.array(moving(*values, *inputs))
-        return found[::2] - found[1::2] * x
+        return np.array(moving(*values, *inputs, *x), dtype=float)
 
     def torque(inputs, x):
         return output(*values, *inputs, *np.column_stack([x, slope(inputs, x)]).ravel())[0]
@@ -91,7 +92,7 @@ def fmu_torque(fmu, joint, law):
     """
     inputs = [f"{symbol.name}[{joint}]" for symbol in INPUTS]
     every = [unknown.variable.derivative.name for unknown in fmu.about.derivatives]
-    own = [every.index(f"{r.name}[{joint}]") for r in law.form.relaxations]
+    own = [every.index(f"{m.name}[{joint}]") for m in law.form.memory]
     c = fmu.continuous()
 
     def at(t):
