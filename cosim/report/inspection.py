@@ -8,14 +8,13 @@ from markupsafe import Markup
 
 from cosim.figures.chart import Line
 from cosim.figures.coverage import JointView, joints
-from cosim.figures.style import MEASURED, SERIES, VARIABLES, Stroke, svg
-from cosim.report.markup import Pictures, Section, joined, paragraph, render, table
+from cosim.figures.style import MEASURED, SERIES, Stroke, svg
+from cosim.report.markup import Pictures, Section, joined, paragraph, table, write_sections
 from cosim.tables.table import ResultTable, TableRow
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.examine import Examination
 from hesr_model.health.findings import Finding
 from hesr_model.health.proposal import HEAD, Proposal, robot_file, summary_rows
-from hesr_model.support.files import written_whole
 
 _POINTS = 1500
 """Of a line; more are not seen."""
@@ -35,18 +34,13 @@ def write_inspection(path: Path, proposal: Proposal) -> None:
         Section(key="pictures", title="Motion and torque", html=_drawn(proposal, pictures)),
         Section(key="robot", title="Proposed robot file", html=_file(proposal, path)),
     ]
-    page = render(
-        "report.html.j2",
+    write_sections(
+        path,
         title=f"HESR: logs of {proposal.robot.name}",
         heading=f"Logs of {proposal.robot.name}",
         summary=_summary(proposal),
         sections=sections,
-        zooms={},
-        library="",
-        palette=VARIABLES,
     )
-    with written_whole(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
 
 
 def _summary(proposal: Proposal) -> Markup:

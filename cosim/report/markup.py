@@ -1,5 +1,6 @@
 """Parts of the page: sections, tables, figures and numbers."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ from cosim.report.zoom import zoom_data
 from cosim.tables.table import ResultTable
 from fmu_src.html import TEMPLATES, rendered
 from hesr_model.friction.audit.properties import MARKS
+from hesr_model.support.files import written_whole
 
 if TYPE_CHECKING:
     from cosim.figures.chart import Chart, Figure
@@ -77,6 +79,39 @@ class Pictures:
 def render(template: str, **values: Any) -> Markup:
     """Return HTML from a template; what it is given is escaped, but for markup."""
     return Markup(rendered(template, _FOLDERS, **values))
+
+
+def write_sections(
+    path: Path,
+    *,
+    title: str,
+    heading: str,
+    summary: Markup,
+    sections: Sequence[Section],
+    zooms: Mapping[str, Any] | None = None,
+    library: str = "",
+) -> None:
+    """Write a self-contained page of sections.
+
+    Raises
+    ------
+    ArtifactError
+        If it cannot be written.
+    """
+    from cosim.figures.style import VARIABLES
+
+    page = render(
+        "report.html.j2",
+        title=title,
+        heading=heading,
+        summary=summary,
+        sections=sections,
+        zooms=zooms or {},
+        library=library,
+        palette=VARIABLES,
+    )
+    with written_whole(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
 
 
 def table(what: ResultTable) -> Markup:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from cosim.report.markup import Pictures, Section, render
+from cosim.report.markup import Pictures, Section, write_sections
 from cosim.report.results import Results
 from cosim.report.sections import (
     ablation,
@@ -23,7 +23,6 @@ from cosim.report.sections import (
 )
 from cosim.report.sections.summary import summary
 from cosim.report.zoom import library
-from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Stages, counted, silent
 
 REPORT, FIGURES = "report.html", "figures"
@@ -71,8 +70,6 @@ def write_report(
         If the folder holds no results, naming the file that is missing or damaged, or if the page
         cannot be written.
     """
-    from cosim.figures.style import VARIABLES
-
     results = Results.read(folder)
     path = output or folder / REPORT
     pictures = Pictures(folder=folder / FIGURES)
@@ -82,16 +79,13 @@ def write_report(
         for section in counted(SECTIONS, partial(progress, "writing the report"))
         if (made := section(results, pictures)) is not None
     ]
-    page = render(
-        "report.html.j2",
+    write_sections(
+        path,
         title=f"HESR report: {results.run.study}",
         heading=f"Friction of {results.run.robot}: report of the study ‘{results.run.study}’",
         summary=head,
         sections=sections,
         zooms=pictures.zooms,
         library=library() if pictures.zooms else "",
-        palette=VARIABLES,
     )
-    with written_whole(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
     return path

@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 
-from cosim.figures.style import VARIABLES, svg
+from cosim.figures.style import svg
 from cosim.figures.swept import distributions, shares
-from cosim.report.markup import Pictures, Section, joined, paragraph, render, table
+from cosim.report.markup import Pictures, Section, joined, paragraph, table, write_sections
 from cosim.tables import swept as tables
-from hesr_model.support.files import written_whole
 
 if TYPE_CHECKING:
     from cosim.sweep.swept import Swept
@@ -51,18 +50,13 @@ def write_page(swept: "Swept", path: Path, study: Path) -> None:
         f"{len(plan.study.names)} inputs, seed {plan.study.seed}. The runs stand in runs/, a "
         "Parquet data set with the inputs of each."
     )
-    page = render(
-        "report.html.j2",
+    write_sections(
+        path,
         title=f"HESR sweep: {plan.study.name}",
         heading=f"Sweep ‘{plan.study.name}’",
         summary=paragraph(text),
         sections=sections,
-        zooms={},
-        library="",
-        palette=VARIABLES,
     )
-    with written_whole(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
 
 
 def _outputs(swept: "Swept", pictures: Pictures) -> Markup:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from textwrap import fill
 
 import sympy
-from sympy.printing.codeprinter import CodePrinter
 from sympy.printing.precedence import PRECEDENCE
 
+from fmu_src.equations.printer import LanguagePrinter
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import DT, Relaxation
 from hesr_model.equations.program import Jumps
@@ -29,29 +29,15 @@ _HALF = sympy.Rational(1, 2)
 _WIDTH = 96
 
 
-class _Printer(CodePrinter):  # type: ignore[misc] # SymPy is not typed
+class _Printer(LanguagePrinter):
     """Modelica with our functions; a state's derivative is `der` of it."""
 
     printmethod = "_modelica"
     language = "Modelica"
 
     def __init__(self, derivatives: Mapping[sympy.Symbol, str]) -> None:
-        super().__init__()
+        super().__init__(derivatives)
         self.known_functions = {name: name for name in FUNCTIONS}
-        self._derivatives = derivatives
-
-    def _print_Symbol(self, expr: sympy.Symbol) -> str:
-        return self._derivatives.get(expr, expr.name)
-
-    _print_Dummy = _print_Symbol
-
-    def _print_Float(self, expr: sympy.Float) -> str:
-        return repr(float(expr))
-
-    _print_Rational = _print_Float
-    _print_NumberSymbol = _print_Float
-    _print_Pi = _print_Float
-    _print_Exp1 = _print_Float
 
     def _print_Pow(self, expr: sympy.Pow) -> str:
         base = self.parenthesize(expr.base, PRECEDENCE["Pow"])

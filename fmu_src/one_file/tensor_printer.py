@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from math import frexp, ldexp
 
 import sympy
-from sympy.printing.codeprinter import CodePrinter
 from sympy.printing.precedence import PRECEDENCE
 
+from fmu_src.equations.printer import LanguagePrinter
 from hesr_model.equations.component import Component
 from hesr_model.equations.memory import DT, EULER
 from hesr_model.equations.program import moved, sampled, straight_line
@@ -34,31 +34,17 @@ class _turned(sympy.Function):  # type: ignore[misc] # noqa: N801 - SymPy is not
     nargs = 2
 
 
-class _Printer(CodePrinter):  # type: ignore[misc]
+class _Printer(LanguagePrinter):
     """Python on tensors; the rate of a relaxation's step is known when the file is written."""
 
     language = "Python"
 
     def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
-        super().__init__()
-        self._names = names
+        super().__init__(names)
         self.known_functions = {name: f"xp.{name}" for name in _SHARED}
         self.known_functions |= {name: f"xp.{other}" for name, other in _ARCS.items()}
         self.known_functions |= {name: f"_{name}" for name in _OWN}
         self.known_functions |= {"sgn": "xp.sign", "absolute": "xp.abs", "Abs": "xp.abs"}
-
-    def _print_Symbol(self, expr: sympy.Symbol) -> str:
-        return self._names.get(expr, expr.name)
-
-    _print_Dummy = _print_Symbol
-
-    def _print_Float(self, expr: sympy.Expr) -> str:
-        return repr(float(expr))
-
-    _print_Rational = _print_Float
-    _print_NumberSymbol = _print_Float
-    _print_Pi = _print_Float
-    _print_Exp1 = _print_Float
 
     def _print_Pow(self, expr: sympy.Pow) -> str:
         if expr.is_number:
