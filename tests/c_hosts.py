@@ -1,5 +1,7 @@
 """Hosts in plain C, built for any platform."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from fmu_src.package import own_source
@@ -23,3 +25,11 @@ def build_host(name: str, folder: Path, target: str = "x86_64-linux-gnu.2.17") -
     flags = ("-target", target, "-std=gnu99", "-O2", contract, "-Wall", "-Wextra", "-Werror")
     compile_c(folder / name, flags, program, ("-ldl",) if "linux" in target else ())
     return program
+
+
+@dataclass(frozen=True)
+class Wine:
+    """What runs Windows programs: its own program, and the environment that it needs."""
+
+    program: str
+    environment: Mapping[str, str]

@@ -2,11 +2,13 @@
 
 import os
 import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from c_hosts import Wine
 from filelock import FileLock
 from hypothesis import settings
 from registry_models import models_of_registry
@@ -73,6 +75,22 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Shared:
         return folder
 
     return filled
+
+
+@pytest.fixture(scope="session")
+def wine(shared: Shared) -> Wine:
+    """Wine with one folder of settings for all tests: making it takes longer than any of them."""
+    program = shutil.which("wine") or shutil.which("wine64")
+    if program is None:
+        pytest.skip("wine, which runs Windows programs, is not installed")
+    # Neither .NET nor a browser is looked for.
+    own = {"WINEDEBUG": "-all", "DISPLAY": "", "WINEDLLOVERRIDES": "mscoree,mshtml="}
+
+    def make(folder: Path) -> None:
+        settled = {**os.environ, **own, "WINEPREFIX": str(folder)}
+        subprocess.run([program, "wineboot", "--init"], env=settled, check=True, timeout=600)
+
+    return Wine(program, {**own, "WINEPREFIX": str(shared("wine", make))})
 
 
 @pytest.fixture(scope="session")

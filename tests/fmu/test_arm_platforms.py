@@ -22,7 +22,6 @@ STEPS = 400  # of 5 ms
 OUTPUTS = 18
 AGREEMENT = 1e-9  # of the range of an output
 
-WINE = shutil.which("wine") or shutil.which("wine64")
 QEMU = shutil.which("qemu-aarch64")
 ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")  # of Debian's libc6-arm64-cross
 
@@ -78,18 +77,22 @@ def assert_agrees(found, reference):
     assert np.all(worst <= AGREEMENT), worst
 
 
-@pytest.mark.skipif(WINE is None, reason="wine, which runs Windows programs, is not installed")
-def test_windows(unpacked, reference, tmp_path):
+def test_windows(unpacked, reference, wine, tmp_path):
     program = build_host("mjcf_host.c", tmp_path, "x86_64-windows-gnu").rename(tmp_path / "h.exe")
-    wine = {"WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all", "DISPLAY": ""}
     library = "win64/uf850.dll"
-    assert_agrees(rows(unpacked, library, program, WINE, resources="file:///Z:", **wine), reference)
+
+    def found():
+        return rows(
+            unpacked, library, program, wine.program, resources="file:///Z:", **wine.environment
+        )
+
+    assert_agrees(found(), reference)
     model = unpacked / "resources" / "model.mjb"
     whole = model.read_bytes()
     model.write_bytes(whole[: len(whole) // 2])  # MuJoCo's own error ends no host here either
     try:
         with pytest.raises(AssertionError, match=r"model\.mjb cannot be loaded"):
-            rows(unpacked, library, program, WINE, resources="file:///Z:", **wine)
+            found()
     finally:
         model.write_bytes(whole)
 

@@ -16,7 +16,6 @@ from fmu_src import export_fmu
 STEPS = 1000
 AGREEMENT = 1e-13  # of the peak; the C libraries differ in the last digits
 
-WINE = shutil.which("wine") or shutil.which("wine64")
 QEMU = shutil.which("qemu-aarch64")
 ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")  # of Debian's libc6-arm64-cross
 
@@ -51,13 +50,12 @@ def assert_agrees(rows, reference):
     assert np.all(worst <= AGREEMENT), worst
 
 
-@pytest.mark.skipif(WINE is None, reason="wine, which runs Windows programs, is not installed")
-def test_windows(native, tmp_path):
+def test_windows(native, wine, tmp_path):
     fmu, reference = native
     program = build_host("host.c", tmp_path, "x86_64-windows-gnu").rename(tmp_path / "host.exe")
     rows = torques(
-        fmu, tmp_path, "win64/friction_parfam_h.dll", program, WINE,
-        WINEPREFIX=str(tmp_path / "wine"), WINEDEBUG="-all", DISPLAY="",
+        fmu, tmp_path, "win64/friction_parfam_h.dll", program, wine.program,
+        **wine.environment,
     )  # fmt: skip
     assert_agrees(rows, reference)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from c_hosts import build_host
+from c_hosts import Wine, build_host
 from closed_loop import build
 from fmpy.model_description import read_model_description
 
@@ -21,7 +21,6 @@ from hesr_model.artifacts import read_model
 from hesr_model.errors import ExportError
 
 STEPS = 400  # 2 s
-WINE = shutil.which("wine") or shutil.which("wine64")
 
 
 def rows(folder: Path, library: str, host: Path, *before: str, **environment: str) -> np.ndarray:
@@ -39,8 +38,7 @@ def rows(folder: Path, library: str, host: Path, *before: str, **environment: st
     return found
 
 
-@pytest.mark.skipif(WINE is None, reason="wine, which runs Windows programs, is not installed")
-def test_the_closed_loop_is_that_of_linux(tmp_path: Path) -> None:
+def test_the_closed_loop_is_that_of_linux(wine: Wine, tmp_path: Path) -> None:
     platforms = ("linux64", "win64")
     try:
         bench = build(tmp_path, read_model(model_file("uf850-table1")), platforms)
@@ -61,8 +59,7 @@ def test_the_closed_loop_is_that_of_linux(tmp_path: Path) -> None:
     dll = folder / "binaries/win64/bcryptprimitives.dll"
     compile_c(Path(missing), flags, dll, ("-ladvapi32",))
     found = rows(
-        folder, f"win64/{name}.dll", host, str(WINE),
-        WINEPREFIX=str(tmp_path / "wine"), WINEDEBUG="-all", DISPLAY="",
+        folder, f"win64/{name}.dll", host, wine.program, **wine.environment,
     )  # fmt: skip
     assert np.ptp(expected, axis=0).max() > 0.1  # it has moved
     worst = np.abs(found - expected).max(axis=0) / np.ptp(expected, axis=0)

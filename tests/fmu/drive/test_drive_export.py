@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from c_hosts import build_host
+from c_hosts import Wine, build_host
 from drive_runs import model_of
 from fmpy import read_model_description
 
@@ -29,7 +29,6 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.support.config import read_toml
 
 VDMCHECK2 = Path(__file__).parents[3] / ".tools" / "vdmcheck2"
-WINE = shutil.which("wine") or shutil.which("wine64")
 QEMU = shutil.which("qemu-aarch64")
 ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")  # of Debian's libc6-arm64-cross
 AGREEMENT = 1e-12  # of the peak; the C libraries differ in the last digits
@@ -229,13 +228,12 @@ def assert_agrees(rows: np.ndarray, reference: np.ndarray) -> None:
     assert np.all(worst <= AGREEMENT), worst
 
 
-@pytest.mark.skipif(WINE is None, reason="wine, which runs Windows programs, is not installed")
-def test_windows(fmu: Path, native: np.ndarray, tmp_path: Path) -> None:
+def test_windows(fmu: Path, native: np.ndarray, wine: Wine, tmp_path: Path) -> None:
     program = build_host("drive_host.c", tmp_path, "x86_64-windows-gnu")
     program = program.rename(tmp_path / "host.exe")
     rows = speeds(
-        fmu, tmp_path, "win64/drive_parfam_h.dll", WINE, program,
-        WINEPREFIX=str(tmp_path / "wine"), WINEDEBUG="-all", DISPLAY="",
+        fmu, tmp_path, "win64/drive_parfam_h.dll", wine.program, program,
+        **wine.environment,
     )  # fmt: skip
     assert_agrees(rows, native)
 
