@@ -1,7 +1,7 @@
 """The main job: a study's logs in; rigid body, laws, FMUs and their scores out."""
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,7 @@ from cosim.pipeline import Job, records_of
 from cosim.scoring import Comparison
 from cosim.study import Study
 from cosim.verdict import Verdict, verdict, write_verdict
-from fmu_src import export_fmu
+from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.toolchain import targets
 from hesr_model.artifacts import provenance, write_json, write_model, write_rigid_body
 from hesr_model.friction.model import FrictionModel
@@ -120,19 +120,22 @@ def run_study(
         write_findings(folder, findings)
         for law, fitted in models.items():
             write_model(folder / "laws" / f"{law}.json", fitted)
-        _export(models, {}, folder / "fmus", platforms, partial(job.progress, "building FMUs"))
+        # The battery tells what stands in the documentation, and comes last.
+        first = export_fmu if quick else export_bare
+        export = partial(_export, folder=folder / "fmus", platforms=platforms)
+        export(models, first, progress=partial(job.progress, "building FMUs"))
         comparisons, predictions = job.compare(models, records, files, folder / "fmus")
         loop = job.closed_loop(model, rigid_body, folder, models)
         found = {} if quick else job.properties(model, rigid_body, models, folder)
         documented = {law: models[law] for law in found}
-        told_by = partial(job.progress, "documenting FMUs")
-        _export(documented, found, folder / "fmus", platforms, told_by)
-        first = next(iter(study.logs.test.values()))
+        telling = partial(job.progress, "documenting FMUs")
+        export(documented, export_fmu, progress=telling, properties=found)
+        first_test = next(iter(study.logs.test.values()))
         words = verdict(
             comparisons,
             models,
             records_of(study.logs.training, records),
-            records_of(first, records),
+            records_of(first_test, records),
             found,
             gear_ratio=job.robot.gear_ratio is not None,
         )
@@ -172,19 +175,21 @@ def run_study(
 
 def _export(
     models: Mapping[str, FrictionModel],
-    properties: "Mapping[str, Properties]",
+    write: Callable[..., Path],
+    *,
     folder: Path,
     platforms: Sequence[str],
     progress: Progress,
+    properties: "Mapping[str, Properties] | None" = None,
 ) -> None:
     """Write the FMUs of models, each in a process of its own."""
     jobs = [
         partial(
-            export_fmu,
+            write,
             model,
             folder / f"{law}.fmu",
             platforms=platforms,
-            properties=properties.get(law),
+            **({"properties": properties[law]} if properties else {}),
         )
         for law, model in models.items()
     ]

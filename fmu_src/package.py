@@ -5,6 +5,7 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
+from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
@@ -15,6 +16,7 @@ from fmu_src.description3 import Arrays, build_description, to_xml3
 from fmu_src.interface import Interface, to_c
 from fmu_src.toolchain import Target, build, targets
 from hesr_model.errors import ExportError
+from hesr_model.support.cache import kept
 from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Progress, counted, silent
 
@@ -183,7 +185,9 @@ def write_archive(members: Mapping[str, bytes], path: Path, created: str) -> Non
     """Write an archive with members of one date, ISO 8601, if it is a valid FMU."""
     with written_whole(path) as temporary:
         zip_members(temporary, members, created)
-        _validate(temporary, path)
+        described = [c for name, c in members.items() if name.endswith(".xml")]
+        about: list[str | bytes] = [f"fmpy {version('fmpy')}", *members, *described]
+        kept("valid", about, lambda: _validated(temporary, path))
 
 
 def check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
@@ -253,9 +257,11 @@ def zip_members(path: Path, members: Mapping[str, bytes], created: str) -> None:
             archive.writestr(entry, content, compresslevel=9)
 
 
-def _validate(temporary: Path, path: Path) -> None:
+def _validated(temporary: Path, path: Path) -> bytes:
+    """Refuse what FMPy finds fault with, in descriptions and in names of files."""
     from fmpy.validation import validate_fmu  # slow to import
 
     problems = validate_fmu(str(temporary))
     if problems:
         raise ExportError(f"{path}: not a valid FMU: {problems[0]}")
+    return b"valid"

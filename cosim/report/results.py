@@ -1,6 +1,7 @@
 """The saved results of a run, read back."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from operator import truediv
@@ -10,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 from cosim.saved import RUN, TRACES, SavedLog, SavedRun, read_columns
 from cosim.scoring import ORACLE, Comparison
 from cosim.tables.table import PAPERS, joints
+from fmu_src.documentation.datasheet import audits
 from hesr_model.artifacts import read_json, read_model, read_rigid_body
 from hesr_model.equations.over_log import Array
-from hesr_model.errors import ArtifactError
+from hesr_model.errors import ArtifactError, SimulationError
+from hesr_model.friction.audit.audit import Audit
 from hesr_model.friction.audit.properties import Properties, read_properties
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
@@ -96,6 +99,16 @@ class Results:
         """The laws that pictures show: those of the paper, and the best one."""
         named = dict.fromkeys((PAPERS, self.best, *_PAPERS_LAWS))
         return [law for law in named if law in self.models]
+
+    @cached_property
+    def audits(self) -> dict[str, tuple[Audit, ...]]:
+        """The audit of each law, by joint; one without a trained range has none."""
+        found = {}
+        for law, model in self.models.items():
+            with suppress(SimulationError):
+                if model.trained:
+                    found[law] = audits(model, model.trained)
+        return found
 
     def log_of(self, role: str) -> SavedLog | None:
         """Return the first log of a role whose torques are saved."""

@@ -37,7 +37,7 @@ class _Element:
         """Return the element with symbols replaced in its expressions."""
         own = {f.name: getattr(self, f.name) for f in fields(self)}
         return replace(
-            self, **{k: v.subs(replaced) for k, v in own.items() if isinstance(v, sympy.Basic)}
+            self, **{k: v.xreplace(replaced) for k, v in own.items() if isinstance(v, sympy.Basic)}
         )
 
     @property

@@ -23,7 +23,7 @@ def form_lines(form: LawForm, numbers: dict[sympy.Symbol, sympy.Expr] | None = N
     names = {m.derivative: sympy.Symbol(f"{m.name}'") for m in form.memory}
 
     def written(expression: sympy.Expr) -> str:
-        shown = expression.subs(numbers or {}).subs(names)
+        shown = expression.xreplace(numbers or {}).xreplace(names)
         shown = shown.xreplace({n: sympy.Float(n, _DIGITS) for n in shown.atoms(sympy.Float)})
         return str(sympy.sstr(shown)).replace("absolute(", "abs(")
 

@@ -10,9 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.replay import replay
 from cosim.run import Outcome, run_study
 from cosim.scoring import Comparison, inputs_of
+from hesr_model.friction.evaluate import predict
 from hesr_model.friction.registry import registry
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.robots.robot import RobotModel
 
 MOST = {
     "rmse": [2.54, 2.70, 1.57, 0.407, 0.515, 0.584],
@@ -28,6 +33,9 @@ MOST_OF_OTHERS = {"lugre": 0.82, "stribeck": 0.76, "lugre_load_ripple": 1.00}
 ABLATION = ("hx_bare", "hx_memory", "hx_load", "hx_bump", "hx_ripple", "parfam_hx")
 """Each has one extension more than the one before."""
 
+EXACT_ENOUGH = 1e-12
+"""Of the largest torque of a joint in a log."""
+
 STUDY = Path(__file__).with_name("ur10e_study.toml")
 
 
@@ -40,6 +48,14 @@ def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Outco
 @pytest.fixture(scope="session")
 def scores(outcome: Outcome) -> Comparison:
     return outcome.comparisons["test"]
+
+
+@pytest.fixture(scope="session")
+def records(
+    outcome: Outcome, unseen_logs: list[RobotLog], ur10e_model: RobotModel
+) -> list[list[FrictionRecord]]:
+    """Friction of every joint in every test log."""
+    return [friction_records(log, ur10e_model, outcome.rigid_body) for log in unseen_logs]
 
 
 def errors(scores: Comparison, law: str, measure: str = "rmse") -> np.ndarray:
@@ -93,6 +109,21 @@ def test_every_law_of_the_registry_and_every_extension_is_a_row(outcome: Outcome
     rows = {*registry(), *ABLATION}
     assert set(outcome.models) == set(outcome.comparisons["test"].laws) == rows
     assert all(fmu.is_file() for fmu in outcome.fmus.values())
+
+
+@pytest.mark.parametrize("law", list(registry()))
+def test_the_fmu_is_the_law_over_every_test_log(
+    outcome: Outcome, records: list[list[FrictionRecord]], law: str
+) -> None:
+    for log in records:
+        columns = {
+            u: np.stack([getattr(r, u) for r in log], axis=1) for u in ("dq", "q", "tau_load")
+        }
+        torque = replay(outcome.fmus[law], log[0].t, **columns)
+        for joint, (own, r) in enumerate(zip(outcome.models[law].laws, log, strict=True)):
+            expected = predict(own, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load)
+            worst = np.abs(torque[:, joint] - expected).max() / np.abs(expected).max()
+            assert worst <= EXACT_ENOUGH, f"{r.log}, {r.joint}"
 
 
 def test_extensions_pay_one_after_the_other(scores: Comparison) -> None:

@@ -2,27 +2,14 @@
 
 import json
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cosim.replay import replay
 from cosim.run import Outcome, run_study
 from cosim.study import Study
-from fmu_src import export_fmu
 from hesr_model.artifacts import read_model
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit_models
-from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import registry
-from hesr_model.logs.robot_log import RobotLog
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import RobotModel
-
-EXACT_ENOUGH = 1e-12
-"""Of the largest torque of a joint in a log."""
 
 MOST = {
     "parfam_h": [2.73, 4.08, 1.99, 0.449, 0.826, 0.908],
@@ -57,38 +44,6 @@ def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Outco
     return run_study(path, folder / "results")
 
 
-def short(data: FrictionRecord) -> FrictionRecord:
-    """Every third row: enough to fit a law of any kind, which need not be good."""
-    columns = {n: v[::3] for n, v in vars(data).items() if isinstance(v, np.ndarray)}
-    return replace(data, **columns)
-
-
-@pytest.fixture(scope="module")
-def fmus(
-    outcome: Outcome,
-    id_logs: list[RobotLog],
-    ur10e_model: RobotModel,
-    tmp_path_factory: pytest.TempPathFactory,
-) -> dict[str, tuple[FrictionModel, Path]]:
-    """Model and FMU of every law of the registry."""
-    found = {law: (model, outcome.fmus[law]) for law, model in outcome.models.items()}
-    others = [law for law in registry() if law not in found]
-    log = friction_records(id_logs[2], ur10e_model, outcome.rigid_body)
-    models = fit_models(others, [[short(r)] for r in log], robot="ur10e", seed=0)
-    folder = tmp_path_factory.mktemp("fmus")
-    for law, model in models.items():
-        found[law] = model, export_fmu(model, folder / f"{law}.fmu")
-    return found
-
-
-@pytest.fixture(scope="module")
-def records(
-    outcome: Outcome, unseen_logs: list[RobotLog], ur10e_model: RobotModel
-) -> list[list[FrictionRecord]]:
-    """Friction of every joint in every test log."""
-    return [friction_records(log, ur10e_model, outcome.rigid_body) for log in unseen_logs]
-
-
 def scores(outcome: Outcome, law: str, measure: str) -> list[float]:
     return list(getattr(outcome.comparisons["test"].laws[law], measure))
 
@@ -114,22 +69,6 @@ def test_a_state_pays_at_reversals(outcome: Outcome) -> None:
     with_state = np.array(scores(outcome, "parfam_h", "rmse_reversal"))
     without = np.array(scores(outcome, "stribeck", "rmse_reversal"))
     assert np.all(with_state < 0.9 * without)
-
-
-@pytest.mark.parametrize("law", list(registry()))
-def test_the_fmu_is_the_law_over_every_test_log(
-    fmus: dict[str, tuple[FrictionModel, Path]], records: list[list[FrictionRecord]], law: str
-) -> None:
-    model, fmu = fmus[law]
-    for log in records:
-        columns = {
-            u: np.stack([getattr(r, u) for r in log], axis=1) for u in ("dq", "q", "tau_load")
-        }
-        torque = replay(fmu, log[0].t, **columns)
-        for joint, (own, r) in enumerate(zip(model.laws, log, strict=True)):
-            expected = predict(own, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load)
-            worst = np.abs(torque[:, joint] - expected).max() / np.abs(expected).max()
-            assert worst <= EXACT_ENOUGH, f"{r.log}, {r.joint}"
 
 
 def test_everything_is_written(outcome: Outcome) -> None:

@@ -4,8 +4,7 @@ from cosim.report.markup import Pictures, Section, details, joined, paragraph, t
 from cosim.report.results import Results
 from cosim.tables.laws import audit
 from cosim.tables.table import ResultTable, TableCell, TableRow, fixed, number, title
-from fmu_src.documentation.datasheet import audits, certificates, certified
-from hesr_model.errors import SimulationError
+from fmu_src.documentation.datasheet import certificates, certified
 from hesr_model.friction.audit.audit import Audit
 from hesr_model.friction.audit.cycles import ENCODER
 
@@ -17,22 +16,10 @@ def passive(found: Audit) -> bool:
     return found.generated < _ROUNDING
 
 
-def audited(results: Results) -> dict[str, tuple[Audit, ...]]:
-    """Return the audit of each law; one without a trained range has none."""
-    found = {}
-    for law, model in results.models.items():
-        try:
-            if model.trained:
-                found[law] = audits(model, model.trained)
-        except SimulationError:
-            continue
-    return found
-
-
 def section(results: Results, pictures: Pictures) -> Section | None:
     """Show the figures of the audit for every law."""
     del pictures
-    found = audited(results)
+    found = results.audits
     if not found:
         return None
     return Section(

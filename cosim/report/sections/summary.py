@@ -12,7 +12,7 @@ from cosim.figures.plots import Interval, ratios
 from cosim.health import read_findings
 from cosim.report.markup import Pictures, joined, paragraph, render
 from cosim.report.results import Results
-from cosim.report.sections.audit import audited, passive
+from cosim.report.sections.audit import passive
 from cosim.report.sections.tracking import of_scheme, outer
 from cosim.scoring import ORACLE
 from cosim.tables.table import PAPERS, decimals, title
@@ -157,7 +157,7 @@ def _tracking(results: Results) -> Tile | None:
 
 
 def _physics(results: Results) -> Tile | None:
-    found = audited(results)
+    found = results.audits
     if not found:
         return None
     good = [law for law, of_law in found.items() if all(map(passive, of_law))]

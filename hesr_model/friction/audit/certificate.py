@@ -93,18 +93,18 @@ class _Proof:
         self.law = law
         numbers = {c.symbol: sympy.Float(law.values[c.name]) for c in law.form.coefficients}
         self.memory: tuple[Element, ...] = tuple(m.subs(numbers) for m in law.form.memory)
-        self.output = law.form.output.subs(numbers)
+        self.output = law.form.output.xreplace(numbers)
         self.stored: dict[str, float] = {}
         self.texts: list[str] = []
         self.conditions: list[str] = []
         self.step: float | None = inf
 
     def certificate(self) -> Certificate:
-        states = {s: 0 for m in self.memory for s in (m.state, m.derivative)}
+        states = {s: sympy.Integer(0) for m in self.memory for s in (m.state, m.derivative)}
         damping = 0.0
         for element in self.memory:
             damping += self._element(element)
-        rest = self.output.subs(states)
+        rest = self.output.xreplace(states)
         linear = sum(self.output.diff(s) * s for s in states if self.output.has(s))
         if sympy.expand(self.output - rest - linear) != 0:
             raise _UnprovenError("the torque is not linear in the states")

@@ -201,9 +201,9 @@ def _compiled(form: LawForm, space: SearchSpace) -> tuple[StatesOverLog, Any]:
     # Products are multiplied out, so that factors cancel; nothing else is rewritten, because
     # SymPy's other simplifications may turn exp(-x) into 1/exp(x), which overflows.
     memory = tuple(m.subs(replaced) for m in form.memory)
-    output = sympy.expand_mul(form.output.subs(replaced))
+    output = sympy.expand_mul(form.output.xreplace(replaced))
     columns = tuple(sympy.diff(output, symbol) for symbol in linear)
-    rest = output.subs(dict.fromkeys(linear, 0))
+    rest = output.xreplace(dict.fromkeys(linear, sympy.Integer(0)))
     parts = (part for m in memory for part in m.parts)
     mixed = set(linear) & set().union(*(e.free_symbols for e in (*parts, *columns)))
     if mixed or rest != 0:

@@ -172,14 +172,20 @@ def _ranking(
 ) -> list[tuple[int, Times]]:
     """Return orders and times, those that explain most of the residual first."""
     explained = []
-    for order in ORDERS:
-        if order in chosen.orders:
-            continue
-        single = replace(chosen, orders=(order,))
-        for at in candidates:
-            waves = single.columns(samples, at)
-            moment = waves.T @ residual
-            share = float(moment @ np.linalg.solve(waves.T @ waves + 1e-9 * np.eye(2), moment))
-            explained.append((share, order, at))
+    for lag in dict.fromkeys(lag for lag, _ in candidates):
+        turn = np.exp(1j * chosen.gear_ratio * (samples.q - lag * samples.dq))
+        rotated = np.ones_like(turn)
+        for order in ORDERS:  # a power of the first order's wave takes no sine of its own
+            rotated *= turn
+            if order in chosen.orders:
+                continue
+            for at in candidates:
+                if at[0] != lag:
+                    continue
+                fast = order * chosen.gear_ratio * at[1] * samples.dq
+                waves = (rotated / (1.0 + fast**2)).view(float).reshape(-1, 2)
+                moment = waves.T @ residual
+                share = float(moment @ np.linalg.solve(waves.T @ waves + 1e-9 * np.eye(2), moment))
+                explained.append((share, order, at))
     explained.sort(reverse=True)
     return [(order, at) for _, order, at in explained]
