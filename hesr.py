@@ -10,8 +10,8 @@ Every command of `hesr` is one call, and every object one name::
     friction.to_fmu("Friction.fmu")
 
 Objects   Robot, Log, RigidBody, FrictionModel, FrictionRegressor; HesrError, the base of all errors
-Commands  new, inspect, run, report, excite, identify, fit, evaluate, audit, properties, laws,
-          export, check, replay, simulate, package
+Commands  new, inspect, run, report, excite, identify, fit, evaluate, audit, properties, arena,
+          laws, export, check, replay, simulate, package
 Files     read_model, write_model, read_rigid_body, write_rigid_body
 
 Paths are text or paths. Logs, bodies, laws and comparisons show themselves as tables in a notebook;
@@ -26,6 +26,7 @@ from hesr_model.support.lazy import lazy
 
 if TYPE_CHECKING:
     from cosim.commands import (
+        arena,
         audit,
         check,
         evaluate,
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
         "Log",
         "RigidBody",
         "Robot",
+        "arena",
         "audit",
         "check",
         "evaluate",
@@ -83,7 +85,7 @@ if TYPE_CHECKING:
 
 _COMMANDS = (
     *("new", "inspect", "run", "report", "excite", "identify", "fit", "evaluate", "audit"),
-    *("properties", "laws", "export", "check", "replay", "simulate", "package"),
+    *("properties", "arena", "laws", "export", "check", "replay", "simulate", "package"),
 )
 _HOMES = dict.fromkeys(_COMMANDS, "cosim.commands") | {
     "FrictionModel": "hesr_model.friction.model",

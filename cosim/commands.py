@@ -31,6 +31,7 @@ from hesr_model.robots.described import RobotLike
 from hesr_model.support.files import models_folder, path_of
 
 if TYPE_CHECKING:
+    from cosim.arena.leaderboard import Leaderboard
     from cosim.master import Result
     from cosim.run import Outcome
     from cosim.scoring import Comparison
@@ -203,6 +204,29 @@ def properties(
     subjects = [Subject(name=name, model=model) for name, model in named(models).items()]
     found = run_battery(subjects, load=load)
     return {subject.name: of_law for subject, of_law in zip(subjects, found, strict=True)}
+
+
+def arena(
+    file: AnyPath, entries: Sequence[AnyPath], output: AnyPath | None = None
+) -> "Leaderboard":
+    """Score friction FMUs of anybody on the logs of an arena file; see `cosim.arena`.
+
+    Parameters
+    ----------
+    file : arena file.
+    entries : FMUs; "ROBOT=FILE" where the arena has several robots.
+    output : page to write; none where not given.
+    """
+    from cosim.arena.arena import Arena
+    from cosim.arena.leaderboard import entries_of, run_arena
+    from cosim.arena.page import write_page
+
+    read = Arena.read(path_of(file, "an arena file"))
+    entered = entries_of([str(path_of(entry, "an FMU")) for entry in listed(entries)], read)
+    board = run_arena(read, entered)
+    if output is not None:
+        write_page(board, path_of(output, "a page"))
+    return board
 
 
 def laws() -> "Mapping[str, type[Estimator]]":

@@ -43,39 +43,52 @@ def replay(
     SimulationError
         If the log does not fit the FMU, or the FMU fails.
     """
-    time = np.asarray(t, dtype=float)
+    with Component(fmu) as component:
+        return replayed(component, t, dq, q, tau_load, start)
+
+
+def replayed(
+    component: Component,
+    t: ArrayLike,
+    dq: ArrayLike,
+    q: ArrayLike | None = None,
+    tau_load: ArrayLike | None = None,
+    start: Mapping[str, float] | None = None,
+) -> Array:
+    """Do what `replay` does with an FMU that is loaded, and reset it where it has been used."""
+    fmu, time = component.fmu, np.asarray(t, dtype=float)
     if not len(time):
         raise SimulationError(f"{fmu}: the log to be replayed has no samples.")
-    with Component(fmu) as component:
-        joints = sum(v.name.startswith("tau[") for v in component.description.modelVariables)
-        zero = np.zeros((len(time), joints))
-        parts = [zero if part is None else np.asarray(part, dtype=float)
-                 for part in (dq, q, tau_load)]  # fmt: skip
-        for symbol, part in zip(INPUTS, parts, strict=True):
-            if part.shape != zero.shape:
-                raise SimulationError(
-                    f"{fmu}: '{symbol}' has the shape {part.shape}; needed is {zero.shape}, "
-                    f"{len(time)} samples of {joints} joints."
-                )
-        if np.any(np.diff(time) <= 0.0):
-            row = int(np.argmax(np.diff(time) <= 0.0)) + 1
-            raise SimulationError(f"{fmu}: time does not increase at row {row} of the log.")
-        indices = range(1, joints + 1)
-        inputs = component.batch([f"{symbol}[{i}]" for symbol in INPUTS for i in indices])
-        outputs = component.batch([f"tau[{i}]" for i in indices])
-        rows = np.hstack(parts)
-        torque = np.empty_like(zero)
-        component.enter_initialisation(time=float(time[0]), start=start)
-        inputs.values[:] = rows[0]
+    joints = sum(v.name.startswith("tau[") for v in component.description.modelVariables)
+    zero = np.zeros((len(time), joints))
+    parts = [zero if part is None else np.asarray(part, dtype=float) for part in (dq, q, tau_load)]
+    for symbol, part in zip(INPUTS, parts, strict=True):
+        if part.shape != zero.shape:
+            raise SimulationError(
+                f"{fmu}: '{symbol}' has the shape {part.shape}; needed is {zero.shape}, "
+                f"{len(time)} samples of {joints} joints."
+            )
+    if np.any(np.diff(time) <= 0.0):
+        row = int(np.argmax(np.diff(time) <= 0.0)) + 1
+        raise SimulationError(f"{fmu}: time does not increase at row {row} of the log.")
+    indices = range(1, joints + 1)
+    inputs = component.batch([f"{symbol}[{i}]" for symbol in INPUTS for i in indices])
+    outputs = component.batch([f"tau[{i}]" for i in indices])
+    rows = np.hstack(parts)
+    torque = np.empty_like(zero)
+    if component.used:
+        component.reset()
+    component.enter_initialisation(time=float(time[0]), start=start)
+    inputs.values[:] = rows[0]
+    inputs.write()
+    component.exit_initialisation()
+    torque[0] = outputs.read()
+    instants = time.tolist()
+    for k in range(1, len(instants)):
+        inputs.values[:] = rows[k]
         inputs.write()
-        component.exit_initialisation()
-        torque[0] = outputs.read()
-        instants = time.tolist()
-        for k in range(1, len(instants)):
-            inputs.values[:] = rows[k]
-            inputs.write()
-            component.step(instants[k - 1], instants[k] - instants[k - 1])
-            torque[k] = outputs.read()
+        component.step(instants[k - 1], instants[k] - instants[k - 1])
+        torque[k] = outputs.read()
     require_finite(fmu, time, torque)
     return torque
 

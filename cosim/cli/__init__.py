@@ -4,6 +4,7 @@ import sys
 from typing import NoReturn
 
 from cosim.cli import (
+    arena,
     audit,
     check,
     constants,
@@ -27,6 +28,7 @@ from cosim.cli.last_resort import errors_said, plain_where_needed
 
 __all__ = [
     "app",
+    "arena",
     "audit",
     "check",
     "constants",

@@ -38,7 +38,7 @@ programs; --json - writes them to standard output, and nothing else there.
 
 _ORDER = (
     *("new", "inspect", "constants", "run", "report", "view"),
-    *("excite", "identify", "fit", "evaluate", "properties", "audit", "laws"),
+    *("excite", "identify", "fit", "evaluate", "properties", "audit", "arena", "laws"),
     *("export", "check", "replay", "simulate", "sweep", "package", "interop"),
 )
 """Of the commands in the help, as they are needed; others follow."""

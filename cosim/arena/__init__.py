@@ -1,0 +1,1 @@
+"""The arena: friction FMUs of anybody, scored on the same logs."""

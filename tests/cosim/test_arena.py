@@ -1,0 +1,306 @@
+"""The arena: FMUs of anybody on the twin's logs, ranked in classes, with intervals."""
+
+import json
+import shutil
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hostile import archived
+from pythonfmu import FmuBuilder
+from small_study import Hesr, hesr_here
+from small_twin import MOTIONS
+
+from cosim.arena.arena import Arena, read_grounds
+from cosim.arena.entry import Entry, tried
+from cosim.arena.leaderboard import Leaderboard, run_arena
+from cosim.arena.page import write_page
+from cosim.arena.score import Judge
+from cosim.commands import arena as called
+from cosim.scoring import by_joint, compare, predict_model
+from cosim.studies.excite import excite
+from cosim.studies.motions import Motions
+from fmu_src import export_fmu
+from fmu_src.arm.plant import Plant
+from fmu_src.friction.embedded_model import embedded_model
+from hesr_model.artifacts import write_rigid_body
+from hesr_model.errors import ConfigError, HesrError, SimulationError
+from hesr_model.friction.fitting.fit import fit
+from hesr_model.friction.model import FrictionModel
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import identify
+from hesr_model.rigid_body.residual import friction_records
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import models_folder, sha256
+
+Shared = Callable[[str, Callable[[Path], object]], Path]
+TWIN = models_folder() / "uf850"
+
+ARENA = """
+name = "twin"
+warm_up = 0.5
+block = 1.0
+scores = ["all", "moving", "reversals", "rests", "time"]
+
+[[robots]]
+name = "uf850"
+file = "{robot}"
+rigid_body = "body.json"
+rigid_body_sha256 = "{body}"
+
+[[logs]]
+file = "trial.csv"
+sha256 = "{log}"
+source = "the digital twin, motion 'trial'"
+licence = "MIT"
+"""
+
+
+def lay(folder: Path) -> None:
+    """Lay an arena of one log of the twin, a fitted law, Table I and a foreign FMU."""
+    (folder / "motions.toml").write_text(MOTIONS, encoding="utf-8")
+    motions = Motions.read(folder / "motions.toml")
+    kept = tuple(m for m in motions.motions if m.name in ("excitation", "trial"))
+    logs = excite(motions.model_copy(update={"motions": kept}), Plant.read(TWIN / "plant.toml"),
+                  folder)  # fmt: skip
+    model = RobotModel(RobotDescription.read(TWIN / "robot.toml"))
+    training = RobotLog.read(logs["excitation"], model.description)
+    body = identify([training], model)
+    write_rigid_body(folder / "body.json", body, {})
+    law = fit("stribeck", friction_records(training, model, body), robot="uf850")
+    export_fmu(law, folder / "stribeck.fmu")
+    FmuBuilder.build_FMU(Path(__file__).with_name("coulomb_slave.py"), dest=folder)
+    text = ARENA.format(
+        robot=TWIN / "robot.toml", body=sha256(folder / "body.json"), log=sha256(logs["trial"])
+    )
+    (folder / "arena.toml").write_text(text, encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def laid(shared: Shared, table1_fmu: Path) -> Path:
+    return shared("arena", lay)
+
+
+@pytest.fixture(scope="module")
+def entries(laid: Path, table1_fmu: Path) -> list[Path]:
+    return [table1_fmu, laid / "stribeck.fmu", laid / "Coulomb.fmu"]
+
+
+@pytest.fixture(scope="module")
+def board(laid: Path, entries: list[Path]) -> Leaderboard:
+    arena = Arena.read(laid / "arena.toml")
+    named = [Entry(name=fmu.stem, fmu=fmu, robot="uf850") for fmu in entries]
+    return run_arena(arena, named, workers=1)
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+def changed(laid: Path, to: Path, *changes: tuple[str, str]) -> Path:
+    """Write the arena with other text, its files beside it."""
+    for name in ("body.json", "trial.csv"):
+        shutil.copy(laid / name, to / name)
+    text = (laid / "arena.toml").read_text(encoding="utf-8")
+    for before, after in changes:
+        assert before in text
+        text = text.replace(before, after)
+    (to / "arena.toml").write_text(text, encoding="utf-8")
+    return to / "arena.toml"
+
+
+def test_entries_stand_in_the_class_of_what_they_use(board: Leaderboard) -> None:
+    found = {s.name: (s.group, s.inputs, s.law, s.foreign) for s in board.standings}
+    assert found == {
+        "stribeck": ("v", ("dq",), "stribeck", False),
+        "Friction": ("v", ("dq",), "parfam_h", False),
+        "Coulomb": ("v, load", ("dq", "tau_load"), "", True),
+    }
+    assert [s.name for s in board.standings][:2] == ["stribeck", "Friction"]
+    assert all(s.step and s.step > 0.0 for s in board.standings)
+
+
+def test_errors_are_those_of_an_evaluation(board: Leaderboard, laid: Path) -> None:
+    (ground,) = read_grounds(Arena.read(laid / "arena.toml")).values()
+    columns = ("t", "dq", "q", "tau_load", "tau")
+    late = [
+        [replace(r, **{n: getattr(r, n)[r.t - r.t[0] >= 0.5] for n in columns}) for r in part]
+        for part in ground.records
+    ]
+    model = embedded_model(laid / "stribeck.fmu")  # without memory: it knows not when a log began
+    assert model is not None
+    records = by_joint(late)
+    expected = compare(records, {"stribeck": predict_model(model, records)})
+    found = next(s for s in board.standings if s.name == "stribeck")
+    rows = expected.laws["stribeck"]
+    np.testing.assert_allclose(found.joints["all"], rows.rmse, rtol=1e-9)
+    np.testing.assert_allclose(found.joints["moving"], rows.rmse_moving, rtol=1e-9)
+    np.testing.assert_allclose(found.joints["reversals"], rows.rmse_reversal, rtol=1e-9)
+    np.testing.assert_allclose(board.robots[0].tau_std, expected.tau_std, rtol=1e-12)
+    relative = np.sqrt(np.mean(np.square(np.divide(rows.rmse, expected.tau_std))))
+    assert found.relative["all"] is not None
+    np.testing.assert_allclose(found.relative["all"].value, relative, rtol=1e-9)
+
+
+def test_intervals_hold_their_values(board: Leaderboard) -> None:
+    first, second, alone = board.standings
+    assert first.ratio is None
+    assert alone.ratio is None
+    assert second.ratio is not None
+    assert 1.0 < second.ratio.low < second.ratio.value < second.ratio.high
+    assert (first.leads, second.leads, alone.leads) == (True, False, True)
+    for standing in board.standings:
+        for kind in ("all", "moving", "reversals", "rests"):
+            interval = standing.relative[kind]
+            assert interval is not None
+            assert interval.low < interval.value < interval.high
+
+
+def test_an_interval_covers_what_is_true(laid: Path) -> None:
+    """Of white errors of known size the relative error is known."""
+    (ground,) = read_grounds(Arena.read(laid / "arena.toml")).values()
+    judge = Judge(ground, warm_up=0.5, block=0.05)
+    rows, n = len(ground.records[0][0].t), ground.model.n
+    covered = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        noise = 0.3 * judge.tau_std * rng.normal(size=(rows, n))
+        measured = np.column_stack([r.tau for r in ground.records[0]])
+        found = judge.relative(judge.errors([measured + noise]), "all")
+        assert found is not None
+        covered += found.low <= 0.3 <= found.high
+    assert covered >= 34
+
+
+def test_a_command_writes_page_and_json(
+    laid: Path, entries: list[Path], tmp_path: Path, hesr: Hesr
+) -> None:
+    page, answer = tmp_path / "board.html", tmp_path / "board.json"
+    said = hesr("arena", laid / "arena.toml", *entries[1:], "-o", page, "--json", answer)
+    assert said.code == 0, said.err
+    assert "Coulomb (foreign)" in said.out
+    data = json.loads(answer.read_text(encoding="utf-8"))
+    assert data["format"] == "hesr-arena-1"
+    text = page.read_text(encoding="utf-8")
+    for standing in data["standings"]:
+        assert standing["sha256"] in text
+        assert str(standing["relative"]["all"]["value"]) in text  # behind the rounded figure
+    assert "the digital twin, motion" in text
+    again = called(laid / "arena.toml", entries[1], tmp_path / "again.html")
+    (own,) = again.standings
+    assert own.relative["all"] is not None
+    assert own.relative["all"].value == data["standings"][0]["relative"]["all"]["value"]
+
+
+def test_properties_are_those_of_the_battery(
+    laid: Path, table1_fmu: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (ground,) = read_grounds(Arena.read(laid / "arena.toml")).values()
+    asked = []
+    monkeypatch.setattr("cosim.arena.entry.measure", asked.append)
+    entry = Entry(name="Friction", fmu=table1_fmu, robot="uf850")
+    tried(entry, ground, properties=True)
+    tried(replace(entry, fmu=laid / "Coulomb.fmu"), ground, properties=True)
+    ours, foreign = asked
+    assert (ours.model.law, ours.inertia) == ("parfam_h", (3.0, 3.0, 0.6))
+    assert foreign.model is None
+
+
+@pytest.mark.soak
+def test_the_battery_stands_on_the_page(laid: Path, table1_fmu: Path, tmp_path: Path) -> None:
+    path = changed(laid, tmp_path, ('"time"]', '"properties"]'))
+    board = called(path, table1_fmu, tmp_path / "board.html")
+    (standing,) = board.standings
+    assert standing.properties is not None
+    assert standing.step is None
+    assert "Does the law" in (tmp_path / "board.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "sentence"),
+    [
+        (
+            'file = "trial.csv"',
+            'file = "gone.csv"',
+            r"gone\.csv: no such file of the arena \(No such file or directory\)\. It can be had "
+            r"from the digital twin, motion 'trial' \(MIT\)\.",
+        ),
+        ("warm_up = 0.5", "warm_up = 9.0", "of which a warm-up of 9 s leaves nothing to score"),
+        ('"all", ', "", "'scores' lacks 'all', by which entries are ranked"),
+        ("[[logs]]", '[[logs]]\nrobot = "ur5"', "a log is of the robot 'ur5'; known are uf850"),
+        (
+            "block = 1.0",
+            'block = 1.0\nclasses = { v = ["dq"] }',
+            "depends on dq, tau_load, which no class of the arena allows; its classes are v.",
+        ),
+    ],
+)
+def test_arenas_that_cannot_be_used_are_refused(
+    laid: Path, tmp_path: Path, before: str, after: str, sentence: str
+) -> None:
+    path = changed(laid, tmp_path, (before, after))
+    with pytest.raises(ConfigError, match=sentence):
+        called(path, laid / "Coulomb.fmu")
+
+
+def test_robots_are_told_apart(laid: Path, tmp_path: Path, table1_fmu: Path) -> None:
+    text = (laid / "arena.toml").read_text(encoding="utf-8")
+    robot = text[text.index("[[robots]]") : text.index("[[logs]]")]
+    log = text[text.index("[[logs]]") :]
+    other = robot.replace('"uf850"', '"other"', 1)
+    named = log.replace("[[logs]]", '[[logs]]\nrobot = "uf850"')
+    path = changed(laid, tmp_path, (log, f"{other}{named}{named.replace('uf850', 'other', 1)}"))
+    with pytest.raises(ConfigError, match="the arena has 2 robots; needed is ROBOT=FILE with one"):
+        called(path, table1_fmu)
+    board = called(path, [f"uf850={table1_fmu}", f"other={table1_fmu}"])
+    assert [s.robot for s in board.standings] == ["uf850", "other"]
+    path = changed(laid, tmp_path, (log, f"{robot}{log}"))
+    with pytest.raises(ConfigError, match="two robots have the name 'uf850'"):
+        called(path, table1_fmu)
+    path = changed(laid, tmp_path, (log, f"{other}{named}"))
+    with pytest.raises(ConfigError, match="robot 'other' has no log"):
+        called(path, table1_fmu)
+
+
+def test_a_log_that_is_another_one_is_refused(laid: Path, tmp_path: Path, table1_fmu: Path) -> None:
+    path = changed(laid, tmp_path)
+    with (tmp_path / "trial.csv").open("a", encoding="utf-8") as file:
+        file.write("\n")
+    with pytest.raises(ConfigError, match=r"its SHA-256 is [0-9a-f]{64}, but the arena's file has"):
+        called(path, table1_fmu)
+
+
+def test_entries_that_cannot_compete_are_refused(
+    laid: Path, lag_fmu: Path, table1: FrictionModel, tmp_path: Path
+) -> None:
+    path = laid / "arena.toml"
+    one = export_fmu(replace(table1, joints=("j",), laws=table1.laws[:1]), tmp_path / "One.fmu")
+    for given, error, sentence in [
+        ([], ConfigError, "nobody has entered the arena; needed is at least one FMU"),
+        ([lag_fmu], SimulationError, r"no friction FMU, since there is no 'tau\[1\]'"),
+        ([one], SimulationError, r"One\.fmu: is for 1 joints; the robot 'uf850' has 3\."),
+        ([one, one], ConfigError, r"'uf850=.*One\.fmu' is entered twice\."),
+    ]:
+        with pytest.raises(error, match=sentence):
+            called(path, given)
+
+
+def test_an_entry_that_gives_no_number_is_refused(laid: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(laid / "Coulomb.fmu") as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    script = "resources/coulomb_slave.py"
+    members[script] = members[script].replace(b"level += ", b"level += math.nan + ")
+    bad = archived(members, tmp_path / "Bad.fmu")
+    with pytest.raises(HesrError, match=r"Bad\.fmu: at t = .* s tau\[1\] is not a finite number"):
+        called(laid / "arena.toml", bad)
+    assert not (tmp_path / "board.html").exists()
+
+
+def test_the_page_is_the_same_for_the_same_results(board: Leaderboard, tmp_path: Path) -> None:
+    for name in ("a.html", "b.html"):
+        write_page(board, tmp_path / name)
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
