@@ -43,6 +43,7 @@ class _Request:
     project: bool
     properties: bool
     power: bool
+    adaptive: bool
     fmi: "Version"
     progress: Stages
 
@@ -104,6 +105,14 @@ def export(
         bool,
         typer.Option("--power", help="FMU: the power that the friction takes as an output, too."),
     ] = False,
+    adaptive: Annotated[
+        bool,
+        typer.Option(
+            "--adaptive",
+            help="FMU: one that follows friction, from measured torques (ParFam-S, "
+            "LuGre); for co-simulation.",
+        ),
+    ] = False,
     fmi: Annotated[
         str,
         typer.Option(
@@ -145,6 +154,7 @@ def export(
             project=project,
             properties=properties,
             power=power,
+            adaptive=adaptive,
             fmi=_version(fmi),
             progress=progress,
         )
@@ -168,6 +178,7 @@ def _refuse_others(
         "--project": (request.project, (Format.MJCF,)),
         "--properties": (request.properties, (Format.FMU,)),
         "--power": (request.power, (Format.FMU,)),
+        "--adaptive": (request.adaptive, (Format.FMU,)),
         "--fmi": (request.fmi != 2, (Format.FMU, Format.DRIVE)),
         "--platform": (platform is not None, (Format.FMU, Format.DRIVE)),
     }
@@ -177,6 +188,8 @@ def _refuse_others(
         if present and kind not in formats:
             allowed = " or ".join(f"--format {f}" for f in formats)
             raise ConfigError(f"{option} needs {allowed}, but the format is '{kind}'.")
+    if request.adaptive and (request.power or request.properties):
+        raise ConfigError("--adaptive goes with neither --power nor --properties.")
 
 
 def _version(text: str) -> "Version":
@@ -221,6 +234,8 @@ def _law(model: str, kind: Format, request: _Request) -> None:
             "platforms": request.platforms,
             "motor": request.motor,
             "fmi": request.fmi,
+            "power": request.power,
+            "adaptive": request.adaptive,
         }
         exported(file, options, request.output, write)
     else:
@@ -244,6 +259,7 @@ def _fmu(model: "FrictionModel", request: _Request) -> None:
         platforms=request.platforms,
         properties=found,
         power=request.power,
+        adaptive=request.adaptive,
         progress=request.building,
         fmi=request.fmi,
     )

@@ -235,6 +235,8 @@ def _row(
 
 def _wanted(function: str, own: Functions) -> bool:
     """Whether there is such a function; C asks for those without which it can do."""
+    if function in ("rates", "follow", "tangent"):
+        return not own.component.sampled_memory
     if function == "start":
         return bool(own.component.remembered)
     return function != "refused" or bool(own.component.requirements)

@@ -17,6 +17,7 @@ from fmu_src.documentation.live.section import live_data
 from fmu_src.documentation.live.wasm import wasm
 from fmu_src.documentation.picture import model_png
 from fmu_src.documentation.properties_sheet import section
+from fmu_src.friction.adaptive import adaptive_equations
 from fmu_src.friction.embedded_model import EMBEDDED_MODEL
 from fmu_src.friction.friction_component import POWER, equations_to_c, interface
 from fmu_src.friction.reference import reference_files
@@ -41,6 +42,7 @@ def export_fmu(
     platforms: Sequence[str] = ("linux64",),
     properties: Properties | None = None,
     power: bool = False,
+    adaptive: bool = False,
     progress: Progress = silent,
     fmi: Version = 2,
 ) -> Path:
@@ -56,6 +58,8 @@ def export_fmu(
     platforms : names of `toolchain.TARGETS`, or "all".
     properties : what the property battery found on the model, for the documentation.
     power : whether the power that the friction takes is an output, too.
+    adaptive : whether the FMU follows friction, from measured torques; for co-simulation only, and
+        without the pages, the battery's table and the power.
     progress : told for how many platforms it is built.
     fmi : version of FMI.
 
@@ -71,7 +75,7 @@ def export_fmu(
         If `path` cannot be written.
     """
     check_request(path, platforms)
-    whole = content(model, properties, power=power)
+    whole = adaptive_content(model) if adaptive else content(model, properties, power=power)
     return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
@@ -123,7 +127,7 @@ def content(
             "documentation/index.html": to_html(
                 model, table, about, live=live, properties=page
             ).encode(),
-            EMBEDDED_MODEL: (json.dumps(model_to_json(model), indent=2) + "\n").encode(),
+            EMBEDDED_MODEL: _embedded(model),
             **reference_files(model, about.identifier),
         },
     )
@@ -135,17 +139,47 @@ def _component(
     """Return the variables, the description and the own C files of a model's FMU."""
     require_numbers(model)
     table = interface(model, more)
-    about = Description(
-        name=f"Friction of {model.robot} by {model.law}",
-        identifier=re.sub(r"\W", "_", f"friction_{model.law}", flags=re.ASCII),
-        text=f"Joint friction torque of {len(model.joints)} joints from their motion.",
+    about = _about(model, "friction", "from their motion")
+    return table, about, _sources(equations_to_c(model, table, more))
+
+
+def adaptive_content(model: FrictionModel) -> Content:
+    """Return the FMU of a model that follows friction, before it is compiled.
+
+    Raises
+    ------
+    HesrError
+        If the model is none that can follow friction.
+    """
+    require_numbers(model)
+    table, header = adaptive_equations(model)
+    return Content(
+        table=table,
+        about=_about(model, "adaptive", "that follow what is measured"),
+        sources=_sources(header),
+        members={EMBEDDED_MODEL: _embedded(model)},
+    )
+
+
+def _embedded(model: FrictionModel) -> bytes:
+    return (json.dumps(model_to_json(model), indent=2) + "\n").encode()
+
+
+def _sources(header: str) -> dict[str, str]:
+    sources = {name: own_source(name) for name in ("coupling.h", "equations.c", "law_math.h")}
+    return sources | {"equations.h": header}
+
+
+def _about(model: FrictionModel, kind: str, text: str) -> Description:
+    return Description(
+        name=f"{kind.capitalize()} of {model.robot} by {model.law}",
+        identifier=re.sub(r"\W", "_", f"{kind}_{model.law}", flags=re.ASCII),
+        text=f"Joint friction torque of {len(model.joints)} joints {text}.",
         version=version("hesr"),
         created=date_of(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
         step=model.sample_time,
         sources=("all.c",),
     )
-    sources = {name: own_source(name) for name in ("coupling.h", "equations.c", "law_math.h")}
-    return table, about, sources | {"equations.h": equations_to_c(model, table, more)}
 
 
 def date_of(model: FrictionModel) -> datetime:

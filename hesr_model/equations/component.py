@@ -111,7 +111,7 @@ class Component:
     inputs : signals.
     parameters : of the joint.
     shared : parameters of all joints together.
-    memory : states, in the order in which they move.
+    memory : states, in the order in which they move; what they read may be previous values, too.
     equations : in any order that has no circle.
     sample_time : name of the parameter at whose multiples it ticks [s], between which all holds;
         empty where every step is a sample.
@@ -144,17 +144,14 @@ class Component:
                 f"equations: '{twice[0]}' stands twice among its inputs, coefficients, states and "
                 "names."
             )
-        known = {*given, DT}
+        before = {previous(e.name) for e in self.equations if e.start is not None}
+        known = {*given, DT, *before}
         for element in self.memory:
             own = {element.state} if isinstance(element, Relaxation) else set()
             rate = element.parts[1].free_symbols - known - own
             _require_known((element.parts[0].free_symbols - known) | rate, element.name)
             known.add(element.state)
-        known |= {
-            *states,
-            *named,
-            *(previous(e.name) for e in self.equations if e.start is not None),
-        }
+        known |= {*states, *named}
         for equation in self.equations:
             parts = (equation.expression, *(() if equation.start is None else (equation.start,)))
             _require_known(set().union(*(e.free_symbols for e in parts)) - known, equation.name)
@@ -190,9 +187,18 @@ class Component:
 
     @cached_property
     def starting(self) -> Mapping[sympy.Symbol, sympy.Expr]:
-        """Each equation, in order, as it is before the first step: previous values are starts."""
-        found = {e.symbol: e.expression.xreplace(self.starts) for e in self.equations}
+        """Each equation, in order, as before the first step: previous values are starts, dt 0."""
+        found = {
+            e.symbol: e.expression.xreplace(self.starts).xreplace({DT: sympy.Integer(0)})
+            for e in self.equations
+        }
         return {symbol: found[symbol] for symbol in in_order(found)}
+
+    @cached_property
+    def sampled_memory(self) -> bool:
+        """Whether memory reads previous values: it moves exactly, and by whole steps only."""
+        read = sympy.Tuple(*(part for m in self.memory for part in m.parts)).free_symbols
+        return any(previous(e.name) in read for e in self.remembered)
 
     @cached_property
     def holds(self) -> bool:

@@ -11,9 +11,10 @@ from fmu_src.blocks.controller import controller_equations
 from fmu_src.blocks.velocity import velocity_equations
 from hesr_model.equations.component import Component, Equation, Quantity, previous
 from hesr_model.equations.functions import NUMPY, absolute, clip, exceeds, larger, lowered, positive
-from hesr_model.equations.memory import Relaxation, Stop
+from hesr_model.equations.memory import DT, Relaxation, Stop
 from hesr_model.equations.over_log import Discretisation, StatesOverLog, clipped
 from hesr_model.equations.program import Tangent, change_of, readings
+from hesr_model.equations.stepping import Steps
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.evaluate import Stepper, predict
 from hesr_model.friction.inputs import DQ, TAU_LOAD
@@ -230,3 +231,37 @@ def test_a_tangent_goes_through_names() -> None:
     for symbol in (change_of(sympy.Symbol("a", real=True)), sympy.Symbol("a", real=True)):
         b = b.subs(symbol, program[symbol])
     assert sympy.simplify(b - 2 * X * seed * sympy.cos(X**2)) == 0
+
+
+# --- one step at a time -----------------------------------------------------------------------
+
+
+def test_memory_may_read_what_was_before() -> None:
+    """A bound that follows the last output: each step sees the one before it."""
+    u, x = signal("u"), sympy.Symbol("x", real=True)
+    grows = Component(
+        inputs=(u,),
+        memory=(Stop(name="x", unit="1", velocity=u.symbol, deflection=1, bound=previous("y")),),
+        equations=(
+            Equation(name="y", expression=previous("y") + DT * u.symbol, start=sympy.Float(1)),
+            Equation(name="held", expression=x, output=True),
+        ),
+    )
+    assert grows.sampled_memory
+    assert not velocity_equations().sampled_memory
+    run = Steps(grows).run({}, [0.0], ["u"])
+    assert run.begin(2.0) == [0.0]
+    # From 0 by 4 within 1; y is then 1 + 2 * 2 = 5, from 1 by 8 within 5.
+    assert [run.step(2.0, 2.0), run.step(4.0, 2.0)] == [[1.0], [5.0]]
+
+
+def test_before_the_first_step_no_time_has_passed() -> None:
+    u = signal("u")
+    grows = Component(
+        inputs=(u,),
+        equations=(
+            Equation(name="y", expression=previous("y") + DT * u.symbol, start=u.symbol,
+                     output=True),
+        ),
+    )  # fmt: skip
+    assert Steps(grows).run({}, [], ["u"]).begin(3.0) == [3.0]

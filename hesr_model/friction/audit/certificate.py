@@ -78,6 +78,20 @@ def certify(law: FrictionLaw, trained: TrainedRange) -> Certificate:
         )
 
 
+def least_viscosity(law: FrictionLaw) -> float:
+    """Return the share of its viscous friction with which a law is still proven.
+
+    It may change as it likes above: what it takes is compared with what ripple and bristles ask
+    for at each moment. 0 for a law that is not proven, where there is nothing to lose.
+    """
+    proof = _Proof(law)
+    try:
+        proof.certificate()
+    except _UnprovenError:
+        return 0.0
+    return proof.least
+
+
 def storage(law: FrictionLaw) -> Mapping[str, float]:
     """Return the factor k of k x^2 of each state in the storage function; 0 for a state without.
 
@@ -98,6 +112,7 @@ class _Proof:
         self.texts: list[str] = []
         self.conditions: list[str] = []
         self.step: float | None = inf
+        self.least = 0.0
 
     def certificate(self) -> Certificate:
         states = {s: sympy.Integer(0) for m in self.memory for s in (m.state, m.derivative)}
@@ -198,10 +213,13 @@ class _Proof:
                     f"there is {known:.3g}"
                 )
             self.conditions.append(f"of which Barabanov and Ortega ask for {damping:.3g}")
+        need = np.full_like(f, damping)
         if waves:
-            self._ripple(waves, f - damping)
+            need += self._ripple(waves, f - damping)
+        self.least = float(np.max(need / np.maximum(f, np.finfo(float).tiny)))
 
-    def _ripple(self, waves: list[sympy.Expr], f: Array) -> None:
+    def _ripple(self, waves: list[sympy.Expr], f: Array) -> Array:
+        """Return what ripple asks of f at each speed [N.m.s/rad]."""
         found: dict[tuple[float, float, float, float], list[float]] = {}
         for term in waves:
             wave = next(iter(term.atoms(sympy.cos, sympy.sin)), None)
@@ -229,25 +247,33 @@ class _Proof:
         groups = [(float(np.hypot(a[0], a[1])) if len(a) == 2 else sum(map(abs, a)), *key)
                   for key, a in found.items()]  # fmt: skip
         if all(window >= 0.0 for *_, window in groups):
-            if not _holds(groups, f, inf):
+            step = inf
+            if not _holds(groups, f, step):
                 raise _UnprovenError("ripple that lags gives more than viscous friction takes")
         else:
             steps = [h for h in _STEPS if _holds(groups, f, float(h))]
             if not steps:
                 raise _UnprovenError("ripple that lags gives more than viscous friction takes")
-            self.step = None if self.step is None else min(self.step, float(steps[-1]))
+            step = float(steps[-1])
+            self.step = None if self.step is None else min(self.step, step)
         self.conditions.append(
             "f(v) >= sum_k A_k min(n_k c, 2/|v|) at all speeds, of lag, sampling and smoothing"
         )
+        return _needed(groups, step)
 
 
 def _holds(groups: Sequence[tuple[float, ...]], f: Array, step: float) -> bool:
-    speeds, need = SPEEDS[1:], np.zeros_like(f)
+    return bool(np.all(f >= _needed(groups, step) * (1.0 - 1e-6)))
+
+
+def _needed(groups: Sequence[tuple[float, ...]], step: float) -> Array:
+    speeds = SPEEDS[1:]
+    need = np.zeros_like(speeds)
     for amplitude, n, lag, smoothing, window in groups:
         c = distance(lag, window if window >= 0.0 else step)
         need += amplitude * np.minimum(n * c, 2.0 / speeds)
         need += amplitude * np.minimum(n * smoothing / 2.0, 1.0 / speeds)
-    return bool(np.all(f >= need * (1.0 - 1e-6)))
+    return need
 
 
 def _window(mean: sympy.Expr) -> float:

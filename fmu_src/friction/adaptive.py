@@ -1,0 +1,119 @@
+"""The adaptive friction FMU: connectors of every friction FMU, and what is measured.
+
+`dq[i]`, `q[i]`, `tau_load[i]`, `tau_meas[i]`, `tau_rigid[i]`, `adapt` -> `tau[i]`, factors with
+standard deviations, alarms and health. The equations are those of `friction.adaptive`; all that
+they remember is state of the FMU.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import sympy
+
+from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, indicators, own_size
+from fmu_src.friction.friction_component import law_variables
+from fmu_src.friction.variable_names import place
+from fmu_src.interface import Interface, Variable
+from hesr_model.equations.component import Component, Parameter
+from hesr_model.friction.adaptive.component import ADAPT
+from hesr_model.friction.adaptive.follow import adaptive_components
+from hesr_model.friction.model import FrictionModel
+from hesr_model.units import unit_of_joint
+
+
+def adaptive_equations(model: FrictionModel) -> tuple[Interface, str]:
+    """Return the variables of the adaptive FMU of a model, and its equations.h.
+
+    Raises
+    ------
+    HesrError
+        If the model does not say how well it fitted, its motors are coupled, or a law has nothing
+        that a level could scale.
+    """
+    components = adaptive_components(model)
+    joints = [_joint(model, i, own) for i, own in enumerate(components, start=1)]
+    table = Interface(
+        variables=(*_signals(model, joints), *_own(model, components, joints)),
+        indicators=indicators(joints),
+        own=own_size(joints),
+        model_exchange=False,
+        directional_derivatives=False,
+    )
+    return table, equations_header(joints, table, Needs(functions=FRICTION))
+
+
+def _joint(model: FrictionModel, i: int, own: Component) -> Joint:
+    at = place(model.laws[i - 1], i)
+    names = {q.name: f"{q.name}[{i}]" for q in (*own.inputs, *own.outputs)}
+    return Joint(
+        # Starts are no part of the equations: joints that differ in them alone share their C.
+        component=replace(own, parameters=tuple(
+            replace(p, start=0.0, description="", unit="1") if isinstance(p, Parameter)
+            else replace(p, description="", unit="1") for p in own.parameters
+        )),
+        names=names | {ADAPT.name: ADAPT.name},
+        states=at.states,
+        derivatives=at.derivatives,
+        parameters=tuple(f"joint[{i}].{p.name}" for p in own.parameters),
+    )  # fmt: skip
+
+
+def _signals(model: FrictionModel, joints: list[Joint]) -> Iterator[Variable]:
+    numbered = list(enumerate(zip(joints, model.joints, model.slides, strict=True), start=1))
+    own = joints[0].component
+    for quantity in (*own.inputs, *own.outputs):
+        for i, (joint, name, slides) in numbered:
+            if quantity == ADAPT:
+                if i == 1:
+                    yield Variable(name=ADAPT.name, role="input", unit="1", start=1.0,
+                                   description=ADAPT.description)  # fmt: skip
+                continue
+            output = quantity in own.outputs
+            yield Variable(
+                name=joint.names[quantity.name],
+                role="output" if output else "input",
+                description=quantity.description.format(
+                    joint=name, effort="force" if slides else "torque", number=i
+                ),
+                unit=unit_of_joint(quantity.unit, slides=slides),
+                initial_dependencies=_initial(joint, quantity.symbol) if output else (),
+            )
+
+
+def _initial(joint: Joint, symbol: sympy.Symbol) -> tuple[str, ...]:
+    """Return the variables of which something is made before the first step.
+
+    Afterwards it is held: it moves by steps, not with what is set between them.
+    """
+    own = joint.component
+    used = own.sources(symbol, starting=True)
+    variables = [joint.names[q.name] for q in own.inputs if q.symbol in used]
+    variables += [name for m, name in zip(own.memory, joint.states, strict=True) if m.state in used]
+    parameters = zip(own.parameters, joint.parameters, strict=True)
+    return (*variables, *(name for p, name in parameters if p.symbol in used))
+
+
+def _own(
+    model: FrictionModel, components: tuple[Component, ...], joints: list[Joint]
+) -> Iterator[Variable]:
+    rows = zip(model.laws, components, joints, model.slides, strict=True)
+    for i, (law, component, joint, slides) in enumerate(rows, start=1):
+        count = len(law.values)
+        known = replace(joint, parameters=joint.parameters[:count])
+        elements = dict(zip(joint.derivatives, component.memory, strict=True))
+        for variable in law_variables(law, i, known):
+            element = elements.get(variable.name)
+            at_start = _initial(joint, element.derivative) if element else ()
+            yield replace(variable, initial_dependencies=at_start)
+        for name, parameter in zip(
+            joint.parameters[count:], component.parameters[count:], strict=True
+        ):
+            if not isinstance(parameter, Parameter):
+                raise TypeError(f"'{parameter.name}' has no start value")
+            yield Variable(
+                name=name,
+                role="tunable",
+                description=parameter.description,
+                unit=unit_of_joint(parameter.unit, slides=slides),
+                start=parameter.start,
+            )

@@ -1,0 +1,115 @@
+"""A component run one step at a time, in Python.
+
+The order is that of `c/equations.c`: before the first step previous values are the starts; a step
+moves the memory, then everything is read, and what was read is the previous value of the next step.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import sympy
+
+from hesr_model.equations.component import Component, previous
+from hesr_model.equations.functions import SCALAR
+from hesr_model.equations.memory import DT, EULER
+from hesr_model.equations.program import Assignments, moved, readings, sampled, straight_line
+
+
+class Steps:
+    """A component lowered to two functions of numbers.
+
+    Parameters
+    ----------
+    component : the equations; relaxations move exactly.
+    observed : names of equations to be returned by each step; the outputs where not given.
+    """
+
+    def __init__(self, component: Component, observed: Sequence[str] | None = None) -> None:
+        own = [e.name for e in component.outputs] if observed is None else list(observed)
+        self.observed = tuple(own)
+        self.component = component
+        given = [q.symbol for q in component.given]
+        states = [m.state for m in component.memory]
+        seen = [sympy.Symbol(name, real=True) for name in own]
+        remembered = [e.symbol for e in component.remembered]
+        before = [previous(e.name) for e in component.remembered]
+        starts = component.starts
+        self._start = _function(
+            (given, states),
+            readings(component, starting=True)
+            | {symbol: start.xreplace(starts) for symbol, start in starts.items()},
+            (seen, remembered),
+        )
+        self._step = _function(
+            (given, states, before, (DT,)),
+            sampled(component) | {EULER: sympy.Integer(0)},
+            (seen, remembered, [moved(m) for m in component.memory]),
+        )
+
+    def run(
+        self, values: Mapping[str, float], start: Sequence[float], inputs: Sequence[str]
+    ) -> "Run":
+        """Return a run that has not begun.
+
+        Parameters
+        ----------
+        values : of parameters and of inputs that stay as they are, by name.
+        start : of each state.
+        inputs : names of those that are handed over with each step, in this order.
+        """
+        return Run(self._start, self._step, self.component, values, start, inputs)
+
+
+class Run:
+    """A component on its way; all that it remembers stands in `states` and `remembered`."""
+
+    def __init__(
+        self, start: Any, step: Any, component: Component, values: Mapping[str, float],
+        states: Sequence[float], inputs: Sequence[str],
+    ) -> None:  # fmt: skip
+        names = [q.name for q in component.given]
+        self._start, self._step = start, step
+        self._given = [float(values.get(name, 0.0)) for name in names]
+        self._places = [names.index(name) for name in inputs]
+        self.states: Sequence[float] = list(states)
+        self.remembered: Sequence[float] = []
+
+    def _set(self, inputs: Sequence[float]) -> None:
+        for place, value in zip(self._places, inputs, strict=True):
+            self._given[place] = float(value)  # NumPy's numbers are slow, and no plain ones
+
+    def begin(self, *inputs: float) -> Sequence[float]:
+        """Return what is observed before the first step; what is remembered stays, if anything."""
+        self._set(inputs)
+        seen, remembered = self._start(self._given, self.states)
+        self.remembered = self.remembered or remembered
+        return seen  # type: ignore[no-any-return]
+
+    def step(self, dt: float, *inputs: float) -> Sequence[float]:
+        """Hold the inputs over dt [s] and return what is observed at its end."""
+        self._set(inputs)
+        seen, self.remembered, self.states = self._step(
+            self._given, self.states, self.remembered, (float(dt),)
+        )
+        return seen  # type: ignore[no-any-return]
+
+
+def _function(
+    arguments: Sequence[Sequence[sympy.Symbol]],
+    program: Assignments,
+    targets: Sequence[Sequence[sympy.Symbol]],
+) -> Any:
+    """Return a Python function of numbers that runs a program; targets and arguments in groups."""
+    lines, names = straight_line(program, [symbol for group in targets for symbol in group])
+    short = {symbol: sympy.Symbol(name) for symbol, name in names.items()}
+    lines = {short.get(symbol, symbol): e.xreplace(short) for symbol, e in lines.items()}
+    wanted = [[short[symbol] for symbol in group] for group in targets]
+    return sympy.lambdify(
+        [list(group) for group in arguments],
+        wanted,
+        modules=[dict(SCALAR), "math"],
+        cse=lambda _: (list(lines.items()), wanted),
+    )
+
+
+__all__ = ["Run", "Steps"]

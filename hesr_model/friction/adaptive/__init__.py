@@ -1,0 +1,1 @@
+"""Friction that is followed: a law whose level, viscous part and offset are estimated online."""

@@ -1,0 +1,114 @@
+"""Where three factors act in a law: a level on bounds, one on viscous friction, and an offset.
+
+    stop       x+ = clip(x + v dt / w, -l s, l s)     the level l scales the bound, never the torque
+    bristle    x' = drive - rate / l x                F_c and F_s times l
+    viscous    n v f(v)
+    torque     tau = hysteresis(x) + n v f(v) + ripple + tau_0 + o
+
+A factor on a torque that is held while it changes gives energy; a bound that moves takes energy
+only, since the state is projected on a set that holds 0. What a torque does along the level is
+F_i xi_i: xi_i = dx_i/dl is +-s_i where the stop is clipped, and where it is not what it was before.
+"""
+
+from dataclasses import dataclass, replace
+
+import sympy
+
+from hesr_model.equations.component import Equation, previous
+from hesr_model.equations.functions import absolute, exceeds, positive, sgn
+from hesr_model.equations.memory import Element, Relaxation, Stop
+from hesr_model.errors import ExportError
+from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
+from hesr_model.friction.law import FrictionLaw
+
+_CLIPPED = 1.0 - 1e-9
+"""Share of its bound at which a stop counts as clipped: rounding."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parts:
+    """A law with the factors in it.
+
+    Attributes
+    ----------
+    memory : of the law, its bounds scaled by the level.
+    hysteresis : what the memory holds [N.m].
+    viscous : at factor 1 [N.m].
+    rest : ripple and the law's own offset, which have no factor [N.m].
+    along : derivative of the hysteresis by the level [N.m], of states and `sensitivities`.
+    sensitivities : equations of the stops' derivatives by the level.
+    """
+
+    memory: tuple[Element, ...]
+    hysteresis: sympy.Expr
+    viscous: sympy.Expr
+    rest: sympy.Expr
+    along: sympy.Expr
+    sensitivities: tuple[Equation, ...]
+
+
+def parts(law: FrictionLaw, level: sympy.Expr) -> Parts:
+    """Return a law with a level in its memory.
+
+    Parameters
+    ----------
+    law : of one joint.
+    level : the factor, positive; as it is before a step.
+
+    Raises
+    ------
+    ExportError
+        If the law has no bound that a level could scale, or its torque is not linear in its states.
+    """
+    form = law.form
+    scaled = tuple(_scaled(m, level) for m in form.memory)
+    carrying = [m for m, own in zip(form.memory, scaled, strict=True) if m != own]
+    if not carrying:
+        raise ExportError(
+            f"law '{law.name}' has neither stops nor bristles, whose bounds an adaptive level "
+            "could scale; ParFam-S and the LuGre laws have."
+        )
+    states = {s: sympy.Integer(0) for m in form.memory for s in (m.state, m.derivative)}
+    still = form.output.subs(states)
+    hysteresis = sympy.expand_mul(form.output - still)
+    terms = sympy.Add.make_args(sympy.expand_mul(still))
+    viscous = [t for t in terms if DQ in t.free_symbols and not {Q, TAU_LOAD} & t.free_symbols]
+    bound = {m: f"along_{m.name}" for m in carrying if isinstance(m, Stop)}
+    along = sympy.S.Zero
+    for element in carrying:
+        own = (
+            sympy.Symbol(bound[element], real=True)
+            if element in bound
+            else element.state / level  # a bristle that slides stands at its level
+        )
+        along += form.output.diff(element.state).subs({m.derivative: 0 for m in form.memory}) * own
+    return Parts(
+        memory=scaled,
+        hysteresis=hysteresis,
+        viscous=sympy.Add(*viscous),
+        rest=sympy.Add(*(t for t in terms if t not in viscous)),
+        along=along,
+        sensitivities=tuple(_sensitivity(m, name, level) for m, name in bound.items()),
+    )
+
+
+def _scaled(element: Element, level: sympy.Expr) -> Element:
+    if isinstance(element, Stop):
+        return replace(element, bound=element.bound * level)
+    return replace(element, rate=element.rate / level) if _bristle(element) else element
+
+
+def _bristle(element: Relaxation) -> bool:
+    """Whether the velocity drives it: what it holds has a level."""
+    drive = element.drive
+    return bool(DQ in drive.free_symbols and DQ not in (drive / DQ).free_symbols)
+
+
+def _sensitivity(stop: Stop, name: str, level: sympy.Expr) -> Equation:
+    bound = positive(stop.bound)
+    clipped = exceeds(absolute(stop.state), _CLIPPED * level * bound)
+    return Equation(
+        name=name,
+        expression=clipped * sgn(stop.state) * bound + (1 - clipped) * previous(name),
+        start=stop.state,
+    )

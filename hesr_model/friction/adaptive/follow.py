@@ -1,0 +1,127 @@
+"""Friction followed over logs: the equations of the adaptive FMU, run in Python, log after log."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hesr_model.equations.component import Component, Parameter
+from hesr_model.equations.over_log import Array
+from hesr_model.equations.stepping import Run, Steps
+from hesr_model.errors import SimulationError
+from hesr_model.friction.adaptive.component import INPUTS, adaptive_component
+from hesr_model.friction.adaptive.tuning import TUNING, Tuning
+from hesr_model.friction.audit.certificate import least_viscosity
+from hesr_model.friction.inputs import QUANTITIES
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.records import predict_record, record_start
+from hesr_model.rigid_body.residual import FrictionRecord
+
+_HANDED = tuple(q.name for q in (*QUANTITIES, *INPUTS))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Followed:
+    """What was known of one joint's friction in one log, at each row before its torque.
+
+    Attributes
+    ----------
+    record : of the joint.
+    fixed : (N,) torque of the law as it was fitted [N.m].
+    outputs : (N,) each, by name: torque, factors with standard deviations, alarms and health.
+    """
+
+    record: FrictionRecord
+    fixed: Array
+    outputs: dict[str, Array]
+
+
+def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[Component, ...]:
+    """Return the adaptive equations of each joint of a model.
+
+    Raises
+    ------
+    ExportError
+        If a law has nothing that a level could scale.
+    SimulationError
+        If the model does not say how well it fitted and what it was fitted to, or motors turn with
+        several joints.
+    """
+    if model.coupling is not None:
+        raise SimulationError(
+            f"friction model '{model.law}': its motors turn with several joints, and friction is "
+            "followed joint by joint only."
+        )
+    if not (model.trained and model.training_rmse):
+        raise SimulationError(
+            f"friction model '{model.law}' does not say what it was fitted to and how well; "
+            "following friction needs both."
+        )
+    rows = zip(model.laws, model.training_rmse, model.trained, strict=True)
+    return tuple(
+        adaptive_component(
+            law, tuning, noise=noise, speed=trained.speed, viscosity_least=least_viscosity(law)
+        )
+        for law, noise, trained in rows
+    )
+
+
+class Follower:
+    """A friction model on a robot: what its factors are is carried from log to log.
+
+    Parameters
+    ----------
+    model : fitted to other logs.
+    tuning : of the filter.
+    """
+
+    def __init__(self, model: FrictionModel, tuning: Tuning = TUNING) -> None:
+        self._model = model
+        self._steps: list[Steps] = []
+        self._runs: list[Run] = []
+        for law, own in zip(model.laws, adaptive_components(model, tuning), strict=True):
+            values = dict(law.values) | {
+                p.name: p.start for p in own.parameters if isinstance(p, Parameter)
+            }
+            steps = Steps(own)
+            self._steps.append(steps)
+            self._runs.append(steps.run(values, law.start, _HANDED))
+
+    def follow(self, records: Sequence[FrictionRecord], *, adapt: bool = True) -> list[Followed]:
+        """Follow friction over one log.
+
+        Parameters
+        ----------
+        records : of every joint, in the model's order; `tau` may hold what is no number.
+        adapt : whether factors follow.
+
+        Raises
+        ------
+        SimulationError
+            If the records are not those of the model's joints.
+        """
+        found = tuple(r.joint for r in records)
+        if found != self._model.joints:
+            raise SimulationError(
+                f"friction model '{self._model.law}': the records to follow are of the joints "
+                f"{', '.join(found) or 'none'}; needed are those of "
+                f"{', '.join(self._model.joints)}."
+            )
+        return [self._of_joint(j, record, adapt) for j, record in enumerate(records)]
+
+    def _of_joint(self, j: int, record: FrictionRecord, adapt: bool) -> Followed:
+        law, run, names = self._model.laws[j], self._runs[j], self._steps[j].observed
+        run.states = list(record_start(law, record))
+        columns = (
+            record.dq, record.q, record.tau_load, record.tau + record.tau_load, record.tau_load,
+            np.full_like(record.t, float(adapt)),
+        )  # fmt: skip
+        rows = zip(np.diff(record.t).tolist(), *(c[1:].tolist() for c in columns), strict=True)
+        values = [run.begin(*(float(c[0]) for c in columns))]
+        values += [run.step(dt, *row) for dt, *row in rows]
+        table = np.array(values)
+        return Followed(
+            record=record,
+            fixed=predict_record(law, record),
+            outputs={name: table[:, k] for k, name in enumerate(names)},
+        )

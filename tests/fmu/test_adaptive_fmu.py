@@ -1,0 +1,159 @@
+"""The adaptive friction FMU: the equations of Python, and all that it knows is its state."""
+
+import ctypes
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from adaptive_models import lugre, model, motion, stops
+from fmpy import read_model_description
+from fmpy.validation import validate_fmu
+
+from cosim.commands import export
+from cosim.slave import Component
+from fmu_src.check import check
+from hesr_model.errors import ExportError, SimulationError
+from hesr_model.friction.adaptive.follow import Follower
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws.stribeck import Stribeck
+from hesr_model.rigid_body.residual import FrictionRecord
+
+MODEL = model(lugre(), stops(), lugre())
+OUTPUTS = ("tau", "level", "viscosity", "offset", "level_sd", "viscosity_sd", "offset_sd", "drift",
+           "shift", "health")  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export(MODEL, tmp_path_factory.mktemp("adaptive") / "Adaptive.fmu", adaptive=True)
+
+
+@pytest.fixture(scope="module")
+def records() -> list[FrictionRecord]:
+    """Random torques around friction that has changed, with a collision and a rest."""
+    found, rng = [], np.random.default_rng(5)
+    for k, joint in enumerate(MODEL.joints):
+        t, dq, q, load = motion(8.0, seed=k)
+        dq = np.where((t > 3.0) & (t < 4.0), 0.0, dq)
+        tau = 15.0 * np.tanh(dq / 0.01) + 11.0 * dq + rng.normal(size=len(t))
+        tau[(t > 5.0) & (t < 5.2)] += 60.0
+        found.append(
+            FrictionRecord(log="one", joint=joint, t=t, dq=dq, q=q, tau_load=load, tau=tau)
+        )
+    return found
+
+
+class Bench:
+    """An FMU that is given the rows of records."""
+
+    def __init__(self, fmu: Component, records: list[FrictionRecord]) -> None:
+        self.fmu, self.records = fmu, records
+        joints = range(1, len(records) + 1)
+        self.outputs = [f"{name}[{i}]" for name in OUTPUTS for i in joints]
+
+    def inputs(self, row: int) -> dict[str, float]:
+        found = {"adapt": 1.0}
+        for i, r in enumerate(self.records, start=1):
+            values = {"dq": r.dq, "q": r.q, "tau_load": r.tau_load, "tau_rigid": r.tau_load,
+                      "tau_meas": r.tau + r.tau_load}  # fmt: skip
+            found |= {f"{name}[{i}]": float(column[row]) for name, column in values.items()}
+        return found
+
+    def begin(self) -> None:
+        self.fmu.initialise(start=self.inputs(0))
+
+    def run(self, first: int, last: int) -> np.ndarray:
+        rows = []
+        for k in range(first, last):
+            self.fmu.set(self.inputs(k))
+            time = float(self.records[0].t[k - 1])
+            self.fmu.step(time, float(self.records[0].t[k]) - time)
+            rows.append(self.fmu.get(self.outputs))
+        return np.array(rows)
+
+
+@pytest.fixture
+def bench(fmu: Path, records: list[FrictionRecord]) -> Iterator[Bench]:
+    with Component(fmu) as component:
+        yield Bench(component, records)
+
+
+def test_it_is_what_python_follows(bench: Bench, records: list[FrictionRecord]) -> None:
+    bench.begin()
+    found = bench.run(1, len(records[0].t))
+    # Without the start that measured torques tell of, which an FMU does not have.
+    followed = Follower(MODEL).follow(records)
+    for i, joint in enumerate(followed):
+        if MODEL.laws[i].start_samples:
+            continue
+        for k, name in enumerate(OUTPUTS):
+            expected = joint.outputs[name][1:]
+            worst = np.abs(found[:, k * len(records) + i] - expected).max()
+            assert worst <= 1e-12 * max(1.0, float(np.abs(expected).max())), name
+    assert len(np.unique(found[:, 2 * len(records) :])) > 100
+
+
+def test_it_is_valid(fmu: Path) -> None:
+    assert validate_fmu(str(fmu)) == []
+    assert check(fmu).problems == ()
+    description = read_model_description(fmu)
+    assert description.modelExchange is None
+    assert {v.name for v in description.modelVariables if v.causality == "input"} == {
+        "adapt", *(f"{n}[{i}]" for n in ("dq", "q", "tau_load", "tau_meas", "tau_rigid")
+                   for i in (1, 2, 3))
+    }  # fmt: skip
+
+
+def test_a_reset_instance_begins_anew(bench: Bench) -> None:
+    bench.begin()
+    first = bench.run(1, 300)
+    bench.fmu.reset()
+    bench.begin()
+    assert np.array_equal(bench.run(1, 300), first)
+
+
+def test_instances_know_nothing_of_each_other(fmu: Path, records: list[FrictionRecord]) -> None:
+    with Component(fmu, name="a") as a, Component(fmu, name="b") as b:
+        one, other = Bench(a, records), Bench(b, records[::-1])
+        one.begin()
+        other.begin()
+        alone = one.run(1, 200)
+        a.reset()
+        one.begin()
+        first = one.run(1, 100)
+        assert not np.array_equal(other.run(1, 200), alone)
+        assert np.array_equal(np.concatenate([first, one.run(100, 200)]), alone)
+
+
+def test_a_saved_state_goes_on_bit_for_bit(bench: Bench) -> None:
+    """All that was learned is in the state, and in its bytes."""
+    bench.begin()
+    bench.run(1, 300)
+    slave = bench.fmu._instance._slave
+    state = ctypes.c_void_p()
+    slave.fmi2GetFMUstate(slave.component, ctypes.byref(state))
+    size = ctypes.c_size_t()
+    slave.fmi2SerializedFMUstateSize(slave.component, state, ctypes.byref(size))
+    assert size.value <= 4 * 1024
+    data = ctypes.create_string_buffer(size.value)
+    slave.fmi2SerializeFMUstate(slave.component, state, data, size)
+    first = bench.run(300, 500)
+    restored = ctypes.c_void_p()
+    slave.fmi2DeSerializeFMUstate(slave.component, data, size, ctypes.byref(restored))
+    slave.fmi2SetFMUstate(slave.component, restored)
+    assert np.array_equal(bench.run(300, 500), first)
+
+
+def test_what_is_no_number_is_refused(bench: Bench) -> None:
+    bench.begin()
+    with pytest.raises(SimulationError, match="tau_meas"):
+        bench.fmu.set({"tau_meas[1]": np.nan})
+
+
+def test_a_law_without_bounds_leaves_nothing(tmp_path: Path) -> None:
+    values = {"F_c": 1.0, "F_s": 1.0, "v_s": 0.1, "sigma_2": 1.0, "tau_0": 0.0}
+    law = FrictionLaw(name="stribeck", form=Stribeck.form({}), values=values)
+    with pytest.raises(ExportError, match="has neither stops nor bristles"):
+        export(model(law), tmp_path / "Static.fmu", adaptive=True)
+    assert not list(tmp_path.iterdir())
