@@ -10,8 +10,8 @@ Every command of `hesr` is one call, and every object one name::
     friction.to_fmu("Friction.fmu")
 
 Objects   Robot, Log, RigidBody, FrictionModel, FrictionRegressor; HesrError, the base of all errors
-Commands  new, inspect, run, report, excite, identify, fit, evaluate, audit, properties, arena,
-          laws, export, check, replay, simulate, package
+Commands  new, inspect, run, report, results, excite, identify, fit, evaluate, audit, properties,
+          arena, laws, export, check, replay, simulate, package
 Files     read_model, write_model, read_rigid_body, write_rigid_body
 
 Paths are text or paths. Logs, bodies, laws and comparisons show themselves as tables in a notebook;
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
         properties,
         replay,
         report,
+        results,
         run,
         simulate,
     )
@@ -77,6 +78,7 @@ if TYPE_CHECKING:
         "read_rigid_body",
         "replay",
         "report",
+        "results",
         "run",
         "simulate",
         "write_model",
@@ -84,7 +86,18 @@ if TYPE_CHECKING:
     ]
 
 _COMMANDS = (
-    *("new", "inspect", "run", "report", "excite", "identify", "fit", "evaluate", "audit"),
+    *(
+        "new",
+        "inspect",
+        "run",
+        "report",
+        "results",
+        "excite",
+        "identify",
+        "fit",
+        "evaluate",
+        "audit",
+    ),
     *("properties", "arena", "laws", "export", "check", "replay", "simulate", "package"),
 )
 _HOMES = dict.fromkeys(_COMMANDS, "cosim.commands") | {

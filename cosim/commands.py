@@ -90,6 +90,15 @@ def report(results: AnyPath, output: AnyPath | None = None) -> Path:
     return write_report(path_of(results, "a folder"), page)
 
 
+def results(folders: AnyPath | Sequence[AnyPath], output: AnyPath) -> Path:
+    """Write the tables of one or several runs as a page of Markdown and return its path."""
+    from cosim.report.digest import write_digest
+
+    return write_digest(
+        [path_of(folder, "a folder") for folder in listed(folders)], path_of(output, "a page")
+    )
+
+
 def excite(robot: AnyPath, output: AnyPath, settings: AnyPath | None = None) -> "Design":
     """Design the motion that identifies a robot best; see `cosim.studies.design`."""
     from cosim.studies.design import design

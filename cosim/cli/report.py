@@ -35,3 +35,23 @@ def report(
     with shown_progress() as progress:
         page = write_report(result, output, progress=progress)
     typer.echo(f"written to {page}.")
+
+
+@app.command()
+def results(
+    folders: Annotated[
+        list[Path], typer.Argument(metavar="RESULT...", help="Folders that 'hesr run' has written.")
+    ],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="Page of Markdown to write.")
+    ] = Path("results.md"),
+) -> None:
+    """Write the tables of one or several runs as a page of Markdown, for a repository.
+
+    Every figure comes from the files of the runs.
+
+    Example: hesr results results/uf850 results/ur10e -o docs/results.md
+    """
+    from cosim.report.digest import write_digest
+
+    typer.echo(f"written to {write_digest(folders, output)}.")
