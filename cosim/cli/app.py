@@ -37,7 +37,7 @@ programs; --json - writes them to standard output, and nothing else there.
 """
 
 _ORDER = (
-    *("new", "inspect", "constants", "run", "report", "view"),
+    *("new", "inspect", "constants", "run", "report", "results", "view"),
     *("excite", "identify", "fit", "evaluate", "properties", "audit", "arena", "laws"),
     *("export", "check", "replay", "simulate", "sweep", "package", "interop"),
 )

@@ -46,9 +46,9 @@ def results(
         Path, typer.Option("-o", "--output", metavar="FILE", help="Page of Markdown to write.")
     ] = Path("results.md"),
 ) -> None:
-    """Write the tables of one or several runs as a page of Markdown, for a repository.
+    """Write the tables of runs as a page of Markdown.
 
-    Every figure comes from the files of the runs.
+    It is for a repository: every figure comes from the files of the runs.
 
     Example: hesr results results/uf850 results/ur10e -o docs/results.md
     """
