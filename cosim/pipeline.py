@@ -12,7 +12,16 @@ import numpy as np
 
 from cosim.closed_loop import ARM
 from cosim.describe import Predictions
-from cosim.scoring import ORACLE, Comparison, by_joint, compare, predict_fmu, within
+from cosim.scoring import (
+    ORACLE,
+    Comparison,
+    by_joint,
+    compare,
+    measured_start,
+    predict_fmu,
+    takes_start,
+    within,
+)
 from cosim.study import Study
 from hesr_model.artifacts import write_json
 from hesr_model.equations.over_log import Array
@@ -311,7 +320,7 @@ class Job:
 
     def compare(
         self,
-        laws: Iterable[str],
+        models: Mapping[str, FrictionModel],
         records: LogRecords,
         files: Mapping[str, Path],
         fmus: Path,
@@ -324,18 +333,30 @@ class Job:
         """
         comparisons, predictions = {}, {}
         tests = self.study.logs.test
-        cases = [(name, law) for name in tests for law in laws]
-        jobs = [
-            partial(predict_fmu, fmus / f"{law}.fmu", records_of(tests[name], records))
-            for name, law in cases
+        rows = [
+            (law, with_start)
+            for law, model in models.items()
+            for with_start in ((False, True) if takes_start(model) else (False,))
         ]
-        replayed: dict[tuple[str, str], list[list[Array]]] = {}
+        cases = [(name, *row) for name in tests for row in rows]
+        jobs = [
+            partial(
+                predict_fmu,
+                fmus / f"{law}.fmu",
+                records_of(tests[name], records),
+                measured_start=with_start,
+            )
+            for name, law, with_start in cases
+        ]
+        replayed: dict[str, dict[str, list[list[Array]]]] = {name: {} for name in tests}
         with parallel.results_of(jobs) as results:
-            for case in counted(cases, partial(self.progress, "replaying the FMUs")):
-                replayed[case] = next(results)
+            for name, law, with_start in counted(
+                cases, partial(self.progress, "replaying the FMUs")
+            ):
+                replayed[name][measured_start(law) if with_start else law] = next(results)
         for name, logs in tests.items():
             tested = records_of(logs, records)
-            predicted = {law: replayed[name, law] for law in laws}
+            predicted = replayed[name]
             if self.study.twin:
                 predicted[ORACLE] = self._true_friction([files[log] for log in logs])
             comparisons[name], predictions[name] = compare(tested, predicted), predicted

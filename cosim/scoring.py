@@ -9,6 +9,7 @@ import numpy as np
 
 from hesr_model.equations.over_log import Array
 from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.friction.evaluate import first_states
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.metrics import rmse, rmse_ratio_interval, score, time_band
 from hesr_model.friction.model import FrictionModel
@@ -24,6 +25,8 @@ MEASURES = ("rmse", "rmse_reversal", "rmse_moving", "r2")
 
 REFERENCE = "lugre"
 """Law to which ratios are taken, the first one where it is not among the laws."""
+MEASURED_START = " + start"
+"""Behind the name of a law in the row where its start comes from measured torques."""
 ORACLE = "true friction"
 """Row of the twin's own friction: what is left is noise and the error of the rigid body."""
 BLOCK = 1.0
@@ -134,10 +137,15 @@ def compare(records: Records, predictions: Mapping[str, Sequence[Sequence[Array]
             },
         ),
         leading=tuple(
-            _leading({law: row[j] for law, row in errors.items() if law != ORACLE}, of_joint)
+            _leading({law: row[j] for law, row in errors.items() if _runs(law)}, of_joint)
             for j, of_joint in enumerate(records)
         ),
     )
+
+
+def _runs(law: str) -> bool:
+    """Whether there is a row's law to run: no truth, no start from measured torques."""
+    return law != ORACLE and not law.endswith(MEASURED_START)
 
 
 def _leading(
@@ -197,19 +205,46 @@ def _rows(record: FrictionRecord, rows: Any) -> FrictionRecord:
 def inputs_of(model: FrictionModel) -> str:
     """Name the inputs that a model uses on any joint: laws of equal inputs compare fairly.
 
-    "start" stands for a start of the state from the first measured torques.
+    A start from measured torques is a row of its own (`measured_start`).
     """
     used = {symbol for law in model.laws for symbol in law.form.inputs}
     names = [
         label for symbol, label in zip(INPUTS, ("v", "q", "load"), strict=True) if symbol in used
     ]
-    if any(law.start_samples for law in model.laws):
-        names.append("start")
     return ", ".join(names)
 
 
-def predict_model(model: FrictionModel, records: Records) -> list[list[Array]]:
+def measured_start(law: str) -> str:
+    """Return the row of a law's model whose states start as the first measured torques say."""
+    return f"{law}{MEASURED_START}"
+
+
+def takes_start(model: FrictionModel) -> bool:
+    """Whether measured torques can say where the states of a model start."""
+    return any(law.start_samples for law in model.laws)
+
+
+def input_classes(models: Mapping[str, FrictionModel]) -> dict[str, str]:
+    """Return the inputs of each row of a table, by which rows compare fairly.
+
+    Parameters
+    ----------
+    models : by their names; those that can start from measured torques are a second row, too.
+    """
+    found = {}
+    for name, model in models.items():
+        found[name] = inputs_of(model)
+        if takes_start(model):
+            found[measured_start(name)] = f"{inputs_of(model)}, start"
+    return found
+
+
+def predict_model(
+    model: FrictionModel, records: Records, *, measured_start: bool = False
+) -> list[list[Array]]:
     """Return the model's torque for records, (N,) [N.m] by joint and log.
+
+    With `measured_start` its states start as the first measured torques say.
 
     Raises
     ------
@@ -222,31 +257,37 @@ def predict_model(model: FrictionModel, records: Records) -> list[list[Array]]:
             f"friction model '{model.law}' is for the joints {', '.join(model.joints)}; the robot "
             f"has {', '.join(joints)}."
         )
-    torques = [model.predict(log) for log in zip(*records, strict=True)]
+    torques = [
+        model.predict(log, measured_start=measured_start) for log in zip(*records, strict=True)
+    ]
     return [[torque[:, joint] for torque in torques] for joint in range(len(records))]
 
 
-def predict_fmu(fmu: Path, records: Records) -> list[list[Array]]:
+def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) -> list[list[Array]]:
     """Return the torque that an FMU computes for records, through FMPy, by joint and log.
 
     Each is (N,) [N.m].
 
-    Where its laws take the start of their state from the first torque samples, that start is
-    estimated from the model that the FMU carries and set before the initialisation.
+    With `measured_start` the start of those states that can take theirs from the first torque
+    samples is estimated from the model that the FMU carries and set before the initialisation.
     """
     from cosim.replay import replay
     from fmu_src.friction.embedded_model import embedded_model
+    from fmu_src.friction.friction_component import GIVEN, START_MODE
+    from fmu_src.friction.variable_names import place
 
-    model = embedded_model(fmu)
+    model = embedded_model(fmu) if measured_start else None
     torques = []
     for log in zip(*records, strict=True):
         start: dict[str, float] = {}
         if model is not None and len(model.laws) == len(log):
             rubbing = at_friction([replace(r, coupling=model.coupling) for r in log])
+            start[START_MODE] = GIVEN
             for i, (law, record) in enumerate(zip(model.laws, rubbing, strict=True), start=1):
-                values = record_start(law, record) if law.start_samples else ()
-                states = law.form.memory
-                start |= {f"{s.name}[{i}]": x for s, x in zip(states, values, strict=False)}
+                first = (float(getattr(record, u)[0]) for u in ("dq", "q", "tau_load"))
+                estimated = law.start_samples > 0
+                values = record_start(law, record) if estimated else first_states(law, *first)
+                start |= dict(zip(place(law, i).starts, values, strict=True))
         dq, q, tau_load = (
             np.column_stack([getattr(r, u) for r in log]) for u in ("dq", "q", "tau_load")
         )

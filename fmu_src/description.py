@@ -134,8 +134,8 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
     outputs = [v for v in table.variables if v.role in ("output", "on_demand")]
     _unknowns(structure, "Outputs", outputs, table, ("input", "state"))
     _unknowns(structure, "Derivatives", table.derivatives, table, ("input", "state"))
-    initial = [v for v in table.variables if v in outputs or v.derivative_of]
-    known = ("input", "state", "fixed", "tunable")
+    initial = [v for v in table.variables if v in outputs or v.derivative_of or v.role == "state"]
+    known = ("input", "fixed", "tunable")
     _unknowns(structure, "InitialUnknowns", initial, table, known, initially=True)
     ET.indent(root)
     written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
@@ -201,7 +201,7 @@ def _scalar(variable: Variable, reference: int, table: Interface) -> ET.Element:
         )
         return element
     real = {"unit": variable.unit or "1"}
-    if not variable.computed:
+    if not (variable.computed or variable.role == "state"):
         real["start"] = repr(float(variable.start))
     if variable.nominal != 1.0:
         real["nominal"] = repr(variable.nominal)
@@ -225,7 +225,7 @@ def _unknowns(
         return
     parent = ET.SubElement(structure, kind)
     for variable in unknowns:
-        names = (*variable.dependencies, *(variable.initial_dependencies if initially else ()))
+        names = table.initially(variable) if initially else variable.dependencies
         numbers = sorted(
             table.places[name] + 1
             for name in dict.fromkeys(names)

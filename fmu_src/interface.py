@@ -22,7 +22,7 @@ ATTRIBUTES: dict[Role, tuple[str, str, str | None]] = {
     "output": ("output", "continuous", "calculated"),
     "on_demand": ("output", "discrete", "calculated"),
     "local": ("local", "continuous", "calculated"),
-    "state": ("local", "continuous", "exact"),
+    "state": ("local", "continuous", "calculated"),
     "fixed": ("parameter", "fixed", "exact"),
     "tunable": ("parameter", "tunable", "exact"),
 }
@@ -52,11 +52,12 @@ class Variable:
     description : for the user.
     unit : SI unit in FMI's spelling; None only for an enumeration.
     enumeration : its choices, if it is one; a Real otherwise.
-    start : start value; for a computed variable it is not shown.
+    start : start value; for a computed variable or a state it is not shown.
     nominal : usual size of a state, by which solvers scale their tolerances.
     derivative_of : name of the state whose time derivative this is.
     dependencies : for a computed variable, the names of all variables in its expression.
-    initial_dependencies : names of further variables that count until the initialisation ends.
+    initial_dependencies : names of further variables that count until the initialisation ends; of
+        a state, those of which the place where it begins is made.
     """
 
     name: str
@@ -147,6 +148,15 @@ class Interface:
         """Time derivatives of the states, in the order of FMI's continuous states."""
         return tuple(v for v in self.variables if v.derivative_of)
 
+    def initially(self, variable: Variable) -> tuple[str, ...]:
+        """Return the names of which a computed variable or a state is made at the start.
+
+        A state among them stands for what its own beginning is made of.
+        """
+        states = {v.name: v.initial_dependencies for v in self.variables if v.role == "state"}
+        direct = (*variable.dependencies, *variable.initial_dependencies)
+        return tuple(dict.fromkeys(own for n in direct for own in states.get(n, (n,))))
+
     def first(self, names: Sequence[str]) -> int:
         """Place of the first of `names`, which must stand one after the other."""
         start = self.places[names[0]]
@@ -206,7 +216,7 @@ def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) 
     used = {
         name
         for v in interface.variables
-        if v.computed
+        if v.computed or v.role == "state"
         for name in (*v.dependencies, *v.initial_dependencies)
     }
     for variable in interface.variables:

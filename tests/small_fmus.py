@@ -15,7 +15,7 @@ observe = ["a.y", "b.y"]
 [[components]]
 name = "a"
 fmu = "FMU"
-start = { u = 2.0, T = 0.5, x = 0.25 }
+start = { u = 2.0, T = 0.5, x_start = 0.25 }
 
 [[components]]
 name = "b"
@@ -36,12 +36,16 @@ def lag(folder: Path) -> Path:
         variables=(
             Variable(name="u", role="input", description="input", unit="1"),
             Variable(name="y", role="output", description="output", unit="1", dependencies=("x",)),
-            Variable(name="x", role="state", description="state", unit="1", start=0.25),
+            Variable(name="x", role="state", description="state", unit="1",
+                     initial_dependencies=("x_start",)),
             Variable(name="der(x)", role="local", description="its derivative", unit="1/s",
                      derivative_of="x", dependencies=("u", "x", "T")),
             Variable(name="T", role="fixed", description="time constant", unit="s", start=0.5),
             Variable(name="refused", role="fixed", description="time", unit="s", start=1e9),
+            Variable(name="x_start", role="fixed", description="x at the start", unit="1",
+                     start=0.25),
         ),
+        own=1,  # STARTED of lag.c
         directional_derivatives=False,
     )  # fmt: skip
     about = Description(

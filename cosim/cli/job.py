@@ -37,7 +37,7 @@ def run(
     from rich.console import Console
 
     from cosim.run import run_study, unfinished
-    from cosim.scoring import inputs_of
+    from cosim.scoring import input_classes
     from cosim.study import Study
     from cosim.tables import loop, properties
     from cosim.tables.laws import rigid_body
@@ -74,7 +74,7 @@ def run(
     console = Console()
     sliding = next(iter(outcome.models.values())).sliding
     console.print(rigid_body(outcome.rigid_body, sliding))
-    inputs = {law: inputs_of(model) for law, model in outcome.models.items()}
+    inputs = input_classes(outcome.models)
     for name, comparison in outcome.comparisons.items():
         for measure in MEASURES:
             console.print(Drawn(errors(name, comparison, measure, inputs, sliding)))

@@ -213,7 +213,13 @@ def evaluate(
     Example: hesr evaluate test.csv --robot robot.toml --rigid-body rigid_body.json law.json
     """
     from cosim.health import told
-    from cosim.scoring import compare, inputs_of, predict_model
+    from cosim.scoring import (
+        compare,
+        input_classes,
+        measured_start,
+        predict_model,
+        takes_start,
+    )
     from hesr_model.artifacts import read_model
     from hesr_model.health.fitted import check_owner
 
@@ -231,13 +237,15 @@ def evaluate(
         records, own, _ = read_records(logs, robot, rigid_body, progress, accept)
         for model in models:
             told(check_owner(model, own))
-        predicted = {
-            name: predict_model(model, records)
-            for name, model in counted(named.items(), partial(progress, "evaluating"))
-        }
+        predicted = {}
+        for name, model in counted(named.items(), partial(progress, "evaluating")):
+            predicted[name] = predict_model(model, records)
+            if takes_start(model):
+                torques = predict_model(model, records, measured_start=True)
+                predicted[measured_start(name)] = torques
         scores = compare(records, predicted)
     _answer_scores(json_file, scores)
-    inputs = {name: inputs_of(m) for name, m in named.items()}
+    inputs = input_classes(named)
     _print_scores("evaluation", scores, records, inputs)
     for name, model in named.items():
         _print_audit(name, model, records)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.saved import RUN, TRACES, SavedLog, SavedRun, read_columns
-from cosim.scoring import ORACLE, Comparison
+from cosim.scoring import MEASURED_START, ORACLE, Comparison
 from cosim.tables.table import PAPERS, joints
 from fmu_src.documentation.datasheet import audits
 from hesr_model.artifacts import read_json, read_model, read_rigid_body
@@ -90,7 +90,7 @@ class Results:
         relative = {
             law: sum(map(truediv, row.rmse, next(iter(scores.values())).rmse))
             for law, row in scores.items()
-            if law != ORACLE
+            if law != ORACLE and not law.endswith(MEASURED_START)
         }
         return min(relative, key=lambda law: relative[law])
 

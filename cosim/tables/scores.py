@@ -25,6 +25,8 @@ def errors(
 
     The best law of a joint stands out where no other may be as good, by the intervals.
 
+    What nobody can run is not among the best: the truth, and starts from measured torques.
+
     Parameters
     ----------
     name : of the test set.

@@ -7,6 +7,7 @@ from math import floor, log10
 from markupsafe import Markup
 
 from cosim.closed_loop import StandIn
+from cosim.scoring import MEASURED_START
 from hesr_model.friction.registry import registry
 
 PAPERS = "parfam_h"
@@ -95,8 +96,8 @@ def title(law: str) -> str:
     """Return what people call a law or what stands in its place; a variant has its name only."""
     if law in set(StandIn):
         return StandIn(law).words
-    known = registry()
-    return known[law].title if law in known else law
+    known, name = registry(), law.removesuffix(MEASURED_START)
+    return known[name].title + law[len(name) :] if name in known else law
 
 
 def named(law: str) -> str:

@@ -101,6 +101,20 @@ static void put(Component *component, int i, const Motion *motion) {
     }
 }
 
+/* Put the states of the friction where they begin at the motor's first speed and angle. */
+static void begin(const Component *component, const Step *step, Motion *motion) {
+    const Joint *joint = step->joint;
+    double u[MAX_INPUTS];
+    memcpy(motion->x, &component->v[joint->first_start],
+           (size_t)joint->states * sizeof motion->x[0]);
+    if (joint->states > 0 && component->v[START_MODE] == STEADY) {
+        memcpy(u, step->u, sizeof u);
+        u[0] = step->gear * motion->dq;
+        u[1] = step->gear * motion->q;
+        joint->begin(step->k, u, motion->x);
+    }
+}
+
 /* Whether a parameter is what it must be; NaN is not. */
 static bool sound(int variable, double value, bool right, const char *needed, Message *why) {
     if (!right) {
@@ -142,6 +156,7 @@ static bool component_output(Component *component, void *workspace, Message *why
         component->v[Q + i] = component->v[Q_START + i];
         component->v[DQ + i] = component->v[DQ_START + i];
         Motion motion = motion_of(component, i);
+        begin(component, &step, &motion);
         attempt(&step, &motion, motion.dq, &trial);
         memcpy(motion.dx, trial.dx, sizeof motion.dx);
         motion.tau_f = trial.tau_f;

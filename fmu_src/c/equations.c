@@ -68,11 +68,21 @@ static double *latest_of(Component *component, int i) {
     return &component->own[LATEST + i * MAX_REMEMBERED];
 }
 
-/* Before the first step previous values are the starts. */
+/* Whether states begin where the first inputs would keep them, rather than at their start values.
+ */
+static bool begins_steady(const Component *component, const Joint *joint) {
+    return joint->states > 0 && START_MODE >= 0 && component->v[START_MODE] == STEADY;
+}
+
+/* Before the first step the states are where they begin, and previous values are the starts. */
 static void start(Component *component, int i) {
     const Place at = place_of(component, i);
     const Joint *joint = at.joint;
     double y[MAX_OUTPUTS], *x = states_of(component, i), *dx = x + joint->states;
+    memcpy(x, &component->v[joint->first_start], (size_t)joint->states * sizeof *x);
+    if (begins_steady(component, joint)) {
+        joint->begin(at.k, at.u, x);
+    }
     if (joint->start) {
         joint->start(at.k, at.u, at.s, x, previous_of(component, i), dx, y,
                      latest_of(component, i));
@@ -283,13 +293,20 @@ static void component_tangent(const Component *component, const double *seed, do
         const Joint *joint = at.joint;
         const int state = joint->first_state;
         const double *dk = joint->constants ? no_change : &seed[joint->first_parameter];
-        double du[MAX_INPUTS], ty[MAX_OUTPUTS];
+        const bool started = component->own[STARTED] > 0.0;
+        double du[MAX_INPUTS], ty[MAX_OUTPUTS], tx[MAX_STATES];
         for (int j = 0; j < joint->inputs; j++) {
             du[j] = input_of(seed, i, j);
         }
+        memcpy(tx, &seed[started ? state : joint->first_start],
+               (size_t)joint->states * sizeof tx[0]);
+        if (!started && begins_steady(component, joint)) {
+            joint->begin_tangent(at.k, at.u, &component->v[joint->first_start], dk, du, tx);
+        }
+        memcpy(&tangent[state], tx, (size_t)joint->states * sizeof tx[0]);
         joint->tangent(at.k, at.u, at.s, &component->v[state],
                        &component->own[PREVIOUS + i * MAX_REMEMBERED], component->own[LAST_STEP],
-                       dk, du, &seed[state], &tangent[state + joint->states], ty);
+                       dk, du, tx, &tangent[state + joint->states], ty);
         put_outputs(tangent, i, ty);
     }
 }

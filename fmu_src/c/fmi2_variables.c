@@ -11,7 +11,7 @@ static int settable(Role role) {
     case FIXED:
         return INSTANTIATED | INITIALISING;
     case STATE: /* one by one, too, where fmi2SetContinuousStates sets all: section 3.1 says so */
-        return INSTANTIATED | INITIALISING | AT_EVENT | CONTINUOUS;
+        return AT_EVENT | CONTINUOUS;
     default:
         return 0;
     }
@@ -246,13 +246,15 @@ FMI2_STATUS(fmi2GetRealOutputDerivatives)
     return none(c, MAY_GET_SLOPES, "fmi2GetRealOutputDerivatives", n);
 }
 
-/* Whether a direction can be followed from these variables to those. */
+/* Whether a direction can be followed from these variables to those. Until the initialisation ends,
+ * states are computed from what is set before it does. */
 static bool differentiable(const Instance *instance, const char *function,
                            const fmi2ValueReference unknowns[], size_t n_unknown,
                            const fmi2ValueReference knowns[], size_t n_known) {
+    const bool initialising = instance->memory.mode == INITIALISING;
     for (size_t i = 0; i < n_unknown; i++) {
         const Role role = variable_of(unknowns[i])->role;
-        if (role != OUTPUT && role != LOCAL) {
+        if (role != OUTPUT && role != LOCAL && !(role == STATE && initialising)) {
             complain(instance, "%s: %s is no continuous output and no state derivative.", function,
                      variable_of(unknowns[i])->name);
             return false;
@@ -260,7 +262,7 @@ static bool differentiable(const Instance *instance, const char *function,
     }
     for (size_t i = 0; i < n_known; i++) {
         const Role role = variable_of(knowns[i])->role;
-        if (role != INPUT && role != STATE && role != TUNABLE) {
+        if (role != INPUT && role != TUNABLE && role != (initialising ? FIXED : STATE)) {
             complain(instance, "%s: nothing can be derived with respect to %s.", function,
                      variable_of(knowns[i])->name);
             return false;

@@ -34,6 +34,11 @@ static inline double clip(double x, double b) {
     return fmin(fmax(x, -b), b);
 }
 
+/* a / b for b > 0. */
+static inline double over(double a, double b, double otherwise) {
+    return b > 0.0 ? a / b : otherwise;
+}
+
 /* exp(-z) - 1, by which a state falls over a step; -z by Euler's. */
 static inline double decay(double z, double euler) {
     return euler > 0.0 ? -z : expm1(-z);

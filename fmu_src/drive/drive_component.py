@@ -15,6 +15,7 @@ from fmu_src.friction.friction_component import (
     joints_of,
     law_variables,
     mixed,
+    start_mode,
 )
 from fmu_src.interface import Interface, Variable
 from hesr_model.errors import ExportError
@@ -153,6 +154,7 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
         *_parameters(own, zeros),
         scalar("substep", "fixed", "s", "longest inner step", substep),
         choice,
+        start_mode(),
         *(v for joint, law in enumerate(model.laws, start=1)
           for v in law_variables(law, joint, laws[joint - 1], _sources(joint, model.coupling))),
     )  # fmt: skip
@@ -224,6 +226,6 @@ def equations_to_c(model: FrictionModel, table: Interface) -> str:
     """Return equations.h: functions of each distinct law and where the joints' variables stand."""
     vectors = [*(n for n, *_ in (*_INPUTS, *_OUTPUTS)), "tau_f", *_NEEDED, "q_start", "dq_start"]
     places = {name.upper(): f"{name}[1]" for name in vectors}
-    places |= {name.upper(): name for name in ("substep", "discretisation")}
+    places |= {name.upper(): name for name in ("substep", "discretisation", "start_mode")}
     needs = Needs(functions=SOLVER, places=places)
     return equations_header(_joints(model), table, needs, model.coupling)

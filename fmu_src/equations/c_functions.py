@@ -21,6 +21,8 @@ from hesr_model.equations.program import (
     Assignments,
     Jumps,
     Tangent,
+    beginning,
+    begun,
     change_of,
     moved,
     readings,
@@ -39,7 +41,7 @@ class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
     def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
         super().__init__({"strict": False})
         self._names = names
-        own = ("sgn", "positive", "clip", "exceeds", "decay", "share", "share_slope",
+        own = ("sgn", "positive", "clip", "exceeds", "over", "decay", "share", "share_slope",
                "cardinal_sine", "cardinal_slope")  # fmt: skip
         self.known_functions |= {name: name for name in own}
         self.known_functions |= {"absolute": "fabs", "larger": "fmax"}
@@ -235,6 +237,20 @@ class Functions:
         targets = {f"rate[{i}]": s for i, s in enumerate(symbols)}
         signature = "rates(IN(k), IN(u), IN(x), OUT(rate))"
         return self._written(False, own, targets, signature)
+
+    def begin(self) -> str:
+        """Put the states x, which are at their start values, where they begin."""
+        targets = {f"x[{i}]": begun(m) for i, m in enumerate(self.component.memory)}
+        own = beginning(self.component.memory, self.component.settling)
+        return self._written(False, own, targets, "begin(IN(k), IN(u), double *x)")
+
+    def begin_tangent(self) -> str:
+        """Put the change tx of the start values x where it begins, along dk and du."""
+        own = beginning(self.component.memory, self.component.settling)
+        changes = Tangent(self._seeds).of(own)
+        targets = {f"tx[{i}]": change_of(begun(m)) for i, m in enumerate(self.component.memory)}
+        signature = "begin_tangent(IN(k), IN(u), IN(x), IN(dk), IN(du), double *tx)"
+        return self._written(False, own | changes, targets, signature, seeds=True)
 
     def tangent(self) -> str:
         """Write the change of dx and y along dk, du and tx."""

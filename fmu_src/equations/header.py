@@ -20,6 +20,7 @@ class Joint:
     component : the equations.
     names : for each input, shared parameter and output its variable.
     states, derivatives : variables of the memory; they stand one after the other.
+    starts : variables of the values at which the states start; they stand one after the other.
     parameters : variables of the parameters, where these stand one after the other.
     constants : values of the parameters, where these are no variables. Where there are neither,
         `names` has the variables of the parameters, too.
@@ -30,6 +31,7 @@ class Joint:
     names: Mapping[str, str]
     states: tuple[str, ...] = ()
     derivatives: tuple[str, ...] = ()
+    starts: tuple[str, ...] = ()
     parameters: tuple[str, ...] = ()
     constants: tuple[float, ...] = ()
     slope: str = ""
@@ -84,6 +86,15 @@ FRICTION: Mapping[str, tuple[Writer, str]] = {
         _pointer("start", f"{_K}, const double *s, const double *x, double *p, double *dx, "
                  "double *y, double *r"),
     ),
+    "begin": (
+        Functions.begin,
+        _pointer("begin", f"{_K}, double *x"),
+    ),
+    "begin_tangent": (
+        Functions.begin_tangent,
+        _pointer("begin_tangent", f"{_K}, const double *x, const double *dk, const double *du, "
+                 "double *tx"),
+    ),
     "tangent": (
         Functions.tangent,
         _pointer("tangent", f"{_K}, const double *s, const double *x, const double *p, double dt, "
@@ -99,6 +110,7 @@ FRICTION: Mapping[str, tuple[Writer, str]] = {
 
 SOLVER: Mapping[str, tuple[Writer, str]] = {
     "rates": FRICTION["rates"],
+    "begin": FRICTION["begin"],
     "attempt": (
         Functions.attempt,
         _pointer("attempt", f"{_K}, const double *x, double dt, double euler, const double *du, "
@@ -157,10 +169,12 @@ def equations_header(
     sample_time = joints[0].component.sample_time
     constants = _sizes(joints) | {
         "DISCRETISATION": -1,
+        "START_MODE": -1,
         "SAMPLED": int(bool(sample_time)),
         "SAMPLE_TIME_PLACE": table.places[sample_time] if sample_time else 0,
         "EXACT": 1,
         "EULER": 2,
+        "STEADY": 1,
         "HOLDS": int(any(j.component.holds for j in joints)),
         "COUPLED": int(coupling is not None),
         **{name: table.places[variable] for name, variable in needs.places.items()},
@@ -221,6 +235,7 @@ def _row(
         f"outputs_{i}",
         str(len(component.memory)),
         str(table.first(states) if states else 0),
+        str(table.first(joint.starts) if joint.starts else 0),
         str(len(component.parameters)),
         str(table.first(joint.parameters) if joint.parameters else 0),
         f"constants_{i}" if joint.constants else "NULL",
@@ -283,6 +298,7 @@ typedef struct {{
     const int *output;
     int states;      /* their derivatives follow them */
     int first_state; /* among the variables */
+    int first_start; /* the states' start values */
     int parameters;
     int first_parameter;
     const double *constants; /* parameters, or NULL if these are variables */

@@ -12,9 +12,10 @@ from fmu_src.friction.variable_names import exposed, place
 from fmu_src.interface import Enumeration, Interface, Variable
 from hesr_model.equations.component import Component, Equation, Quantity, Relaxation
 from hesr_model.equations.memory import Element
+from hesr_model.equations.program import beginning, begun, sources
 from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import DQ, INPUTS, QUANTITIES, TAU_LOAD
-from hesr_model.friction.law import TORQUE, FrictionLaw
+from hesr_model.friction.law import MOVING, TORQUE, FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.transmission import Coupling
 from hesr_model.units import unit_of_joint
@@ -29,6 +30,23 @@ DISCRETISATION = Enumeration(
 
 _NONE = 1e-12
 """Of a coupling's inverse: a smaller share is rounding."""
+START = Enumeration(
+    name="Start",
+    items=(
+        (
+            "steady",
+            "in the steady state of the first inputs, faded in from the start values at "
+            f"rest up to {MOVING:g} rad/s or m/s",
+        ),
+        ("given", "at their start values"),
+    ),
+)
+
+STEADY, GIVEN = 1.0, 2.0
+"""Its choices as numbers."""
+
+START_MODE = "start_mode"
+"""Name of the parameter that says where states begin."""
 
 _CRAWL = 0.1
 """Speed at whose steady state a state's nominal value is taken [rad/s]."""
@@ -123,7 +141,7 @@ def interface(model: FrictionModel, more: tuple[Equation, ...] = ()) -> Interfac
         for v in law_variables(law, joint, joints[joint - 1], _mixed_inputs(model.coupling, joint))
     ]
     return Interface(
-        variables=(*inputs, *outputs, *slopes, choice, *own),
+        variables=(*inputs, *outputs, *slopes, choice, start_mode(), *own),
         indicators=indicators(joints),
         own=own_size(joints),
     )
@@ -199,6 +217,17 @@ def discretisation(model: FrictionModel, description: str) -> Variable:
     )
 
 
+def start_mode() -> Variable:
+    """Return the parameter that says where states begin."""
+    return Variable(
+        name=START_MODE,
+        role="fixed",
+        description="where states begin",
+        enumeration=START,
+        start=STEADY,
+    )
+
+
 def joints_of(
     model: FrictionModel,
     more: tuple[Equation, ...] = (),
@@ -226,6 +255,7 @@ def joints_of(
                 names={name: f"{stem}[{joint}]" for name, stem in stems.items()},
                 states=at.states,
                 derivatives=at.derivatives,
+                starts=at.starts,
                 parameters=at.parameters if exposed(law) else (),
                 constants=() if exposed(law) else tuple(law.values.values()),
                 slope="" if names else f"{SLOPE}[{joint}]",
@@ -242,16 +272,17 @@ def dependencies(
     Parameters
     ----------
     joint : the joint.
-    symbol : what is asked for.
+    symbol : what is asked for; where a state begins (`program.begun`) is made of start values.
     inputs : variables of which an input is made, where it is none itself.
     """
     own = joint.component
-    used = own.sources(symbol)
+    beginnings = beginning(own.memory, own.settling)
+    used = sources(beginnings, symbol) if symbol in beginnings else own.sources(symbol)
     found: list[str] = []
     for quantity in (*own.inputs, *own.shared):
         if quantity.symbol in used:
             found += (inputs or {}).get(quantity.name, (joint.names[quantity.name],))
-    states = zip(own.memory, joint.states, strict=True)
+    states = zip(own.memory, joint.starts if symbol in beginnings else joint.states, strict=True)
     found += [name for element, name in states if element.state in used]
     parameters = zip(own.parameters, joint.parameters, strict=False)
     found += [name for quantity, name in parameters if quantity.symbol in used]
@@ -271,14 +302,14 @@ def law_variables(
     inputs : as for `dependencies`.
     """
     elements = list(zip(law.form.memory, own.states, own.derivatives, strict=True))
-    for (element, state, _), start in zip(elements, law.start, strict=True):
+    for element, state, _ in elements:
         yield Variable(
             name=state,
             role="state",
             description=f"friction state {element.name} of joint {joint}",
             unit=element.unit,
-            start=start,
             nominal=nominal(law, element),
+            initial_dependencies=(START_MODE, *dependencies(own, begun(element), inputs)),
         )
     for element, state, derivative in elements:
         yield Variable(
@@ -288,6 +319,14 @@ def law_variables(
             unit=_per_second(element.unit),
             derivative_of=state,
             dependencies=dependencies(own, element.derivative, inputs),
+        )
+    for (element, state, _), name, start in zip(elements, own.starts, law.start, strict=True):
+        yield Variable(
+            name=name,
+            role="fixed",
+            description=f"value of {state} at the start; where this is steady, of a start at rest",
+            unit=element.unit,
+            start=start,
         )
     if not exposed(law):
         yield Variable(name=own.names[_SCALE.name], role="tunable", unit=_SCALE.unit, start=1.0,
@@ -324,5 +363,6 @@ def _per_second(unit: str) -> str:
 
 def equations_to_c(model: FrictionModel, table: Interface, more: tuple[Equation, ...] = ()) -> str:
     """Return equations.h of a friction FMU."""
-    needs = Needs(functions=FRICTION, places={"DISCRETISATION": "discretisation"})
+    places = {"DISCRETISATION": "discretisation", "START_MODE": START_MODE}
+    needs = Needs(functions=FRICTION, places=places)
     return equations_header(joints_of(model, more), table, needs, model.coupling)

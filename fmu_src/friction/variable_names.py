@@ -14,6 +14,7 @@ class Place:
 
     states: tuple[str, ...]
     derivatives: tuple[str, ...]
+    starts: tuple[str, ...]
     parameters: tuple[str, ...]
 
 
@@ -27,6 +28,7 @@ def place(law: FrictionLaw, joint: int) -> Place:
     return Place(
         states=tuple(f"{r.name}[{joint}]" for r in law.form.memory),
         derivatives=tuple(f"der({r.name}[{joint}])" for r in law.form.memory),
+        starts=tuple(f"{r.name}_start[{joint}]" for r in law.form.memory),
         parameters=tuple(f"joint[{joint}].{name}" for name in law.values)
         if exposed(law)
         else (f"scale[{joint}]",),

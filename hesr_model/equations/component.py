@@ -117,6 +117,8 @@ class Component:
         empty where every step is a sample.
     requirements : on parameters.
     reversing : inputs at whose change of sign a solver does well to stop where a magnitude bends.
+    settling : share, from 0 to 1, of the way from the states' own start to the steady state of the
+        first inputs at which they begin; of inputs and parameters.
 
     Raises
     ------
@@ -133,6 +135,7 @@ class Component:
     sample_time: str = ""
     requirements: tuple[Requirement, ...] = ()
     reversing: tuple[sympy.Symbol, ...] = ()
+    settling: sympy.Expr = sympy.S.Zero
 
     def __post_init__(self) -> None:
         given = [q.symbol for q in self.given]
@@ -155,6 +158,7 @@ class Component:
         for equation in self.equations:
             parts = (equation.expression, *(() if equation.start is None else (equation.start,)))
             _require_known(set().union(*(e.free_symbols for e in parts)) - known, equation.name)
+        _require_known(self.settling.free_symbols - set(given), "settling")
         self.ordered  # noqa: B018 - raises where equations go in a circle
 
     @property

@@ -118,6 +118,20 @@ class exceeds(_Real):  # noqa: N801
         return sympy.Integer(0)
 
 
+class over(_Real):  # noqa: N801
+    """a / b for b > 0, else what the third argument is."""
+
+    nargs = 3
+    latex_form = r"\left({0}\right) / \left({1}\right)"
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        """Return the derivative by each."""
+        a, b, _ = self.args
+        if argindex == 1:
+            return over(1, b, 0)
+        return -over(over(a, b, 0), b, 0) if argindex == 2 else 1 - exceeds(b, 0)
+
+
 class decay(_Real):  # noqa: N801
     """By how much a state falls over a step, exp(-z) - 1 for z = rate * dt; -z by Euler's step."""
 
@@ -196,6 +210,11 @@ def _share_slope(z: Any, e: Any, euler: Any) -> Any:
     return np.where(euler, 0.0, np.where(small, series, quotient))
 
 
+def _over(a: Any, b: Any, otherwise: Any) -> Any:
+    divides = np.greater(b, 0.0)
+    return np.where(divides, a / np.where(divides, b, 1.0), otherwise)
+
+
 NUMPY: Mapping[str, Callable[..., Any]] = {
     "sgn": np.sign,
     "absolute": np.abs,
@@ -204,6 +223,7 @@ NUMPY: Mapping[str, Callable[..., Any]] = {
     "larger": np.maximum,
     "clip": lambda x, b: np.minimum(np.maximum(x, -b), b),
     "exceeds": lambda a, b: np.where(np.greater(a, b), 1.0, 0.0),
+    "over": _over,
     "decay": lambda z, euler: np.where(euler, -z, np.expm1(-z)),
     "share": _share,
     "share_slope": _share_slope,
@@ -244,3 +264,17 @@ def lowered(arguments: Sequence[sympy.Symbol], expressions: Sequence[sympy.Expr]
     return sympy.lambdify(
         list(arguments), list(expressions), modules=[dict(NUMPY), "numpy"], cse=True
     )
+
+
+def lowered_program(
+    arguments: Sequence[sympy.Symbol], program: Mapping[sympy.Symbol, sympy.Expr]
+) -> Any:
+    """Return a NumPy function of `arguments` that returns what a program assigns, in its order.
+
+    Its lines are kept as they are, so that one which many others use is computed once.
+    """
+    lines = list(program.items())
+    return sympy.lambdify(
+        list(arguments), list(program), modules=[dict(NUMPY), "numpy"],
+        cse=lambda targets: (lines, targets),
+    )  # fmt: skip

@@ -1,7 +1,8 @@
-"""What a component remembers: relaxations and stops, each sampled and continuous.
+"""What a component remembers: relaxations and stops, each sampled, continuous and settled.
 
 Sampled, an element moves by steps of any length over which its inputs are held; continuous, it is a
-state of model exchange. Both meanings are expressions, so whatever is lowered from a component (C,
+state of model exchange; settled, it is where inputs that are held for good take it. All three are
+expressions, so whatever is lowered from a component (C,
 NumPy, derivatives, Modelica) has them alike.
 """
 
@@ -11,13 +12,26 @@ from typing import Self, TypeAlias
 
 import sympy
 
-from hesr_model.equations.functions import absolute, clip, decay, larger, positive, share
+from hesr_model.equations.functions import (
+    absolute,
+    clip,
+    decay,
+    larger,
+    over,
+    positive,
+    sgn,
+    share,
+)
 
 DT = sympy.Symbol("dt", real=True)
 """Length of the step that ends now [s]."""
 
 EULER = sympy.Symbol("euler", real=True)
 """1 where relaxations move by Euler's step (eq. 10), 0 where exactly."""
+
+FIRST_STEP = sympy.Rational(1, 1000)
+"""Step [s] by which a state leaves a place where its own rate is 0, on its way to where it settles.
+"""
 
 RELEASE = sympy.Float(0.005)
 """T of a continuous stop [s]: how fast it lets go where its bound shrinks."""
@@ -81,6 +95,21 @@ class Relaxation(_Element):
         """Return x'."""
         return self.drive - positive(self.rate) * self.state
 
+    @property
+    def seeks(self) -> bool:
+        """Whether `settled` is one step of an iteration, since the rate sees the state."""
+        return self.state in self.rate.free_symbols
+
+    def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
+        """Return drive / rate, at which x' = 0; without a rate x itself, which settles nowhere.
+
+        Where the rate sees x, half the way there from x: as with Heron's square root a few of such
+        steps find x even where whole ones would overshoot for ever.
+        """
+        if not self.seeks:
+            return over(first, second, self.state)
+        return (self.state + over(first, second, self.state + FIRST_STEP * first)) / 2
+
 
 @dataclass(frozen=True, kw_only=True)
 class Stop(_Element):
@@ -106,6 +135,15 @@ class Stop(_Element):
     def sampled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
         """Return x at the end of a step; `first` is v / w and `second` the guarded bound."""
         return clip(self.state + first * DT, second)
+
+    @property
+    def seeks(self) -> bool:
+        """Whether `settled` is one step of an iteration: never."""
+        return False
+
+    def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
+        """Return the bound on the side to which it moves; x itself between both where it rests."""
+        return sgn(first) * second + (1 - absolute(sgn(first))) * clip(self.state, second)
 
     def continuous(self) -> sympy.Expr:
         """Return x' of the form without events: passive with the same storage function.

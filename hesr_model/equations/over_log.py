@@ -12,8 +12,9 @@ import sympy
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
-from hesr_model.equations.functions import NUMPY, SCALAR, lowered, positive
+from hesr_model.equations.functions import NUMPY, SCALAR, lowered, lowered_program, positive
 from hesr_model.equations.memory import DT, EULER, Element, Stop
+from hesr_model.equations.program import beginning, begun
 from hesr_model.errors import SimulationError
 
 Array = NDArray[np.float64]
@@ -28,6 +29,7 @@ class StatesOverLog:
     memory : its elements.
     arguments : symbols of all that they read besides states: numbers, then inputs.
     read : symbols that are asked for; a stop's derivative that is not among them is left at 0.
+    settling : share of the steady state in where they begin, see `Component.settling`.
     """
 
     def __init__(
@@ -35,7 +37,11 @@ class StatesOverLog:
         memory: Sequence[Element],
         arguments: Sequence[sympy.Symbol],
         read: Collection[sympy.Symbol],
+        settling: sympy.Expr = sympy.S.Zero,
     ) -> None:
+        lines = beginning(memory, settling)
+        self._beginning = lowered_program((*arguments, *(m.state for m in memory)), lines)
+        self._begun = [list(lines).index(begun(m)) for m in memory]
         self._memory = tuple(memory)
         states = {m.state for m in memory}
         self._alone = [
@@ -70,6 +76,11 @@ class StatesOverLog:
             for i, m in own.items()
         }
 
+    def beginning(self, values: Sequence[Any], start: Sequence[Any]) -> list[Any]:
+        """Return where each state begins for the first inputs among `values`, from its start."""
+        found = self._beginning(*values, *start)
+        return [found[i] for i in self._begun]
+
     def parts(self, values: Sequence[Any], shape: tuple[int, ...]) -> list[tuple[Array, Array]]:
         """Return both parts of each element that sees no state, the second one guarded."""
         found = [np.broadcast_to(e, shape) for e in self._parts(*values)]
@@ -80,7 +91,7 @@ class StatesOverLog:
         values: Sequence[Any],
         dt: Array,
         begins: NDArray[np.bool_],
-        start: Sequence[float],
+        start: Sequence[float | Array],
         discretisation: Discretisation,
     ) -> list[Array]:
         """Return each state and its continuous derivative, (N,) each, one after the other.
@@ -90,7 +101,7 @@ class StatesOverLog:
         values : of the arguments: scalars or (N,).
         dt : (N,) step that ends at each row [s].
         begins : (N,) True where a record begins, at whose first row the states have their start.
-        start : value of each state there.
+        start : value of each state there, or (N,) of which those of these rows count.
         discretisation : exact, or explicit Euler (eq. 10).
 
         Raises
@@ -137,31 +148,33 @@ class StatesOverLog:
 
     def _row_by_row(
         self, i: int, values: Sequence[Any], states: Sequence[Array], dt: Array,
-        begins: NDArray[np.bool_], x0: float, discretisation: Discretisation,
+        begins: NDArray[np.bool_], start: float | Array, discretisation: Discretisation,
     ) -> Array:  # fmt: skip
         columns = [np.broadcast_to(v, dt.shape).tolist() for v in (*values, *states, dt)]
         function, euler = self._steps[i], float(discretisation == "euler")
-        x, z, found = x0, 0.0, []
+        starts = np.broadcast_to(start, dt.shape).tolist()
+        x, z, found = starts[0], 0.0, []
         try:
-            for begin, *row in zip(begins.tolist(), *columns, strict=True):
-                x, z = (x0, 0.0) if begin else function(*row, euler, x)
+            for first, begin, *row in zip(starts, begins.tolist(), *columns, strict=True):
+                x, z = (first, 0.0) if begin else function(*row, euler, x)
                 if euler and z >= 1.0:
                     raise _unstable(z)
                 found.append(x)
             return np.array(found, dtype=float)
         except (ArithmeticError, ValueError, TypeError):  # where NumPy goes on with inf or nan
-            return self._in_arrays(i, values, states, dt, begins, x0, discretisation)
+            return self._in_arrays(i, values, states, dt, begins, start, discretisation)
 
     def _in_arrays(
         self, i: int, values: Sequence[Any], states: Sequence[Array], dt: Array,
-        begins: NDArray[np.bool_], x0: float, discretisation: Discretisation,
+        begins: NDArray[np.bool_], start: float | Array, discretisation: Discretisation,
     ) -> Array:  # fmt: skip
         columns = [np.broadcast_to(v, dt.shape) for v in (*values, *states)]
         rows = np.stack(columns, axis=1)
         function = self._later[i]
-        x, found = x0, np.empty_like(dt)
+        starts = np.broadcast_to(start, dt.shape)
+        x, found = float(starts[0]), np.empty_like(dt)
         for k, row in enumerate(rows):
-            x = x0 if begins[k] else x
+            x = float(starts[k]) if begins[k] else x
             if not begins[k]:
                 first, second = function(*row, x)
                 guarded = float(second) if second > 0.0 else 0.0
@@ -210,12 +223,13 @@ def _unstable(z: float) -> SimulationError:
 
 
 def run(
-    first: Array, second: Array, dt: Array, begins: NDArray[np.bool_], start: float,
+    first: Array, second: Array, dt: Array, begins: NDArray[np.bool_], start: float | Array,
     discretisation: Discretisation,
 ) -> Array:  # fmt: skip
     """Return a relaxation's state over a log, (N,), from its drive and rate, each (N,)."""
     a, c = step_coefficients(first, second, dt, discretisation)
-    return recurrence(np.where(begins, 0.0, a), np.where(begins, start, c), start)
+    c = np.where(begins, start, c)
+    return recurrence(np.where(begins, 0.0, a), c, float(c[0]))
 
 
 def step_coefficients(
@@ -271,13 +285,13 @@ def clipped(way: Array, bound: Array, begins: NDArray[np.bool_], start: Array) -
     ----------
     way, bound : (E, N) of each step of each element; bounds are not negative.
     begins : (N,) True where a record begins, as the first row does.
-    start : (E,) values there.
+    start : (E,) values there, or (E, N) of which those of these rows count.
 
     Returns
     -------
     (E, N) array. Clips compose to clips, so rows go in blocks, all blocks at once.
     """
-    at = np.asarray(start, dtype=float)[:, None]
+    at = np.asarray(start, dtype=float).reshape(len(way), -1)
     low, high = np.where(begins, at, -bound), np.where(begins, at, bound)
     return _clips(np.where(begins, 0.0, way), low, high, np.zeros(len(way)))
 

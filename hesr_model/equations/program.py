@@ -33,6 +33,37 @@ def step(memory: Iterable[Element]) -> dict[sympy.Symbol, sympy.Expr]:
     return after
 
 
+_SEARCH = 60
+"""Steps by which a state whose own rate sees it is settled: some thirty for a factor of 1e9."""
+
+
+def begun(element: Element) -> sympy.Symbol:
+    """Return the symbol of a state where it begins; its own symbol is its start value there."""
+    return sympy.Symbol(f"{element.name}_begun", real=True)
+
+
+def beginning(memory: Iterable[Element], settling: sympy.Expr) -> dict[sympy.Symbol, sympy.Expr]:
+    """Return where the states begin for the first inputs, by their `begun` symbols, and the way.
+
+    A share (`Component.settling`) of the way from the start value to the steady state, each with
+    those before it where they begin.
+    """
+    found: dict[sympy.Symbol, sympy.Expr] = {}
+    seen: dict[sympy.Symbol, sympy.Expr] = {}
+    for element in memory:
+        first, second = (part.xreplace(seen) for part in element.parts)
+        settled = element.settled(first, positive(second))
+        x = element.state
+        for n in range(_SEARCH if element.seeks else 0):
+            nearer = sympy.Symbol(f"{element.name}_nearer_{n}", real=True)
+            found[nearer] = settled.xreplace({element.state: x})
+            x = nearer
+        end = x if element.seeks else settled
+        found[begun(element)] = element.state + settling * (end - element.state)
+        seen[element.state] = begun(element)
+    return found
+
+
 def derivatives(memory: Iterable[Element]) -> dict[sympy.Symbol, sympy.Expr]:
     """Return the continuous derivative of each state by its symbol."""
     return {m.derivative: m.continuous() for m in memory}
@@ -111,6 +142,13 @@ class Jumps:
         """Return assignments with the held signs in place of the expressions'."""
         swap = {sgn(e): s for e, s in zip(self.expressions, self.signs, strict=True)}
         return {symbol: e.xreplace(swap) for symbol, e in assignments.items()}
+
+
+def sources(assignments: Assignments, wanted: sympy.Symbol) -> frozenset[sympy.Symbol]:
+    """Return of which symbols that are not assigned themselves a wanted one is made."""
+    own = needed(assignments, [wanted])
+    used = set[sympy.Symbol]().union(*(e.free_symbols for e in own.values()))
+    return frozenset(used - assignments.keys())
 
 
 def needed(

@@ -1,11 +1,12 @@
 """Run a law: over a whole log at once, or one step at a time.
 
 The convention is that of the FMU: sample k is set, the states go from t[k-1] to t[k] with the
-inputs of sample k held, and the torque of sample k is read. At the first sample the states still
-have their start values.
+inputs of sample k held, and the torque of sample k is read. At the first sample the states are
+where they begin: in the steady state of its inputs where these are motion, at the law's start at
+rest.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -25,7 +26,9 @@ from hesr_model.friction.law import FrictionLaw, LawForm
 def _functions(form: LawForm) -> tuple[StatesOverLog, Any]:
     arguments = (*(c.symbol for c in form.coefficients), *INPUTS)
     states = tuple(s for m in form.memory for s in (m.state, m.derivative))
-    memory = StatesOverLog(form.memory, arguments, form.output.free_symbols)
+    memory = StatesOverLog(
+        form.memory, arguments, form.output.free_symbols, form.component.settling
+    )
     return memory, lowered((*arguments, *states, DT), (form.output,))
 
 
@@ -36,6 +39,19 @@ def numbers(law: FrictionLaw) -> tuple[np.float64, ...]:
     arrays, where Python's own would end the program.
     """
     return tuple(np.float64(value) for value in law.values.values())
+
+
+def first_states(
+    law: FrictionLaw, dq: float, q: float = 0.0, tau_load: float = 0.0
+) -> tuple[float, ...]:
+    """Return where the states begin for the first inputs [rad/s, rad, N.m].
+
+    In the steady state from `law.MOVING` on, faded in from the law's start at rest.
+    """
+    if not law.form.memory:
+        return ()
+    memory, _ = _functions(law.form)
+    return tuple(map(float, memory.beginning((*numbers(law), dq, q, tau_load), law.start)))
 
 
 def predict(
@@ -56,7 +72,7 @@ def predict(
     dq : (N,) joint velocity [rad/s].
     q : (N,) joint position [rad]; zero where not given.
     tau_load : (N,) load torque [N.m]; zero where not given.
-    start : values of the states at t[0]; those of the law where not given.
+    start : values of the states at t[0]; `first_states` of the first row where not given.
 
     Returns
     -------
@@ -77,7 +93,7 @@ def predict(
         values,
         dt,
         np.arange(len(time)) == 0,
-        law.start if start is None else start,
+        first_states(law, *(float(u[0]) for u in inputs)) if start is None else start,
         law.discretisation,
     )
     return np.array(np.broadcast_to(output(*values, *states, dt)[0], time.shape))
@@ -151,19 +167,26 @@ class Stepper:
     Parameters
     ----------
     law : the law of one joint.
+    start : values of the states; `first_states` of the inputs of the first step where not given.
+
+    Attributes
+    ----------
+    x : values of the states; empty before the first step where none were given.
     """
 
-    def __init__(self, law: FrictionLaw) -> None:
+    def __init__(self, law: FrictionLaw, start: Sequence[float] | None = None) -> None:
         self._law = law
         self._memory, self._output = _functions(law.form)
         self._values = numbers(law)
-        self.x: list[float] = list(law.start)
+        self.x = list(start or ())
 
     def step(self, dt: float, dq: float, q: float = 0.0, tau_load: float = 0.0) -> float:
         """Hold the inputs over dt [s], advance the states and return the torque at the end [N.m].
 
         dt = 0 reads the torque without moving the states, as after initialisation.
         """
+        if not self.x:
+            self.x = list(first_states(self._law, dq, q, tau_load))
         values = (*self._values, dq, q, tau_load)
         # A log of two rows: where the states are, and where a step takes them.
         rows = self._memory(

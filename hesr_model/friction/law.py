@@ -25,6 +25,7 @@ from hesr_model.equations.component import (
     Stop,
     elements_of,
 )
+from hesr_model.equations.functions import absolute, clip
 from hesr_model.equations.memory import Element
 from hesr_model.equations.over_log import Discretisation
 from hesr_model.errors import ArtifactError
@@ -33,6 +34,17 @@ from hesr_model.units import unit_of_joint
 
 TORQUE = "tau"
 """Name of a law's output."""
+
+MOVING = 0.02
+"""Speed [rad/s, m/s] from which on a joint is in motion when a law begins, and its states settled.
+"""
+
+_SPEED = clip(absolute(DQ) / sympy.Float(MOVING), 1)
+SETTLING = _SPEED**2 * (3 - 2 * _SPEED)
+"""Share of the steady state in where states begin: 0 at rest, smoothly up to 1 in motion.
+
+A joint at rest has the memory of a way there that nobody knows; in motion it soon forgets that.
+"""
 
 _LARGEST = 1e100
 """Of the numbers of a law, far from any friction: products of three are still numbers."""
@@ -82,6 +94,7 @@ class LawForm:
             memory=self.memory,
             equations=(torque,),
             reversing=(DQ,),
+            settling=SETTLING,
         )
 
     @property
@@ -124,9 +137,10 @@ class FrictionLaw:
     values : value of every coefficient of `form`, in its order and unit.
     discretisation : "exact" integrates each relaxation exactly for inputs held over a step;
         "euler" is eq. 10 and requires 0 <= rate * dt < 1.
-    start : value of each state before the first sample, zero by default.
-    start_samples : how many measured torques at the beginning of a log set the start in its place,
-        where they are known (`evaluate.estimated_start`); 0 for none.
+    start : value of each state before the first sample at rest, zero by default; in motion states
+        begin in the steady state (`SETTLING`).
+    start_samples : how many measured torques at the beginning of a log can set the start in its
+        place (`records.record_start`); 0 for none.
     standard_errors : of the coefficients, in their units, as far as they are known.
 
     Raises

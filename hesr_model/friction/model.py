@@ -122,7 +122,9 @@ class FrictionModel:
         return self.sliding or (False,) * len(self.joints)
 
     @overload
-    def predict(self, records: Sequence[FrictionRecord]) -> NDArray[np.float64]: ...
+    def predict(
+        self, records: Sequence[FrictionRecord], *, measured_start: bool = False
+    ) -> NDArray[np.float64]: ...
 
     @overload
     def predict(
@@ -142,11 +144,12 @@ class FrictionModel:
         dq: ArrayLike | None = None,
         q: ArrayLike | None = None,
         tau_load: ArrayLike | None = None,
+        measured_start: bool = False,
     ) -> NDArray[np.float64]:
         """Return the friction torque of all joints, (N, n) [N.m].
 
-        Of a log, or of a motion given by its arrays. With the log, a law whose state is not known
-        at the start takes it from the first measured torques.
+        Of a log, or of a motion given by its arrays. In motion at the start, states begin in the
+        steady state.
 
         Parameters
         ----------
@@ -155,6 +158,7 @@ class FrictionModel:
         dq : (N, n) joint velocity [rad/s].
         q : (N, n) joint position [rad]; zero where not given.
         tau_load : (N, n) rigid-body torque of the motion [N.m]; zero where not given.
+        measured_start : of a log, whether states start as its first torques say where they can.
 
         Raises
         ------
@@ -165,7 +169,10 @@ class FrictionModel:
         if records is not None:
             self._require_joints(records)
             moved = at_friction([replace(r, coupling=self.coupling) for r in records])
-            columns = [predict_record(law, r) for law, r in zip(self.laws, moved, strict=True)]
+            columns = [
+                predict_record(law, r, measured_start=measured_start)
+                for law, r in zip(self.laws, moved, strict=True)
+            ]
             return self._at_joints(np.column_stack(columns))
         if t is None or dq is None:
             raise TypeError("predict() takes the records of a log, or the arrays 't' and 'dq'")

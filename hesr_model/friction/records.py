@@ -23,15 +23,21 @@ def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
     )
 
 
-def predict_record(law: FrictionLaw, record: FrictionRecord) -> Array:
-    """Return the (N,) torque [N.m] of a law for a record."""
+def predict_record(
+    law: FrictionLaw, record: FrictionRecord, *, measured_start: bool = False
+) -> Array:
+    """Return the (N,) torque [N.m] of a law for a record.
+
+    With `measured_start` a law that can takes its start from the first measured torques, which
+    nobody has who simulates.
+    """
     return predict(
         law,
         t=record.t,
         dq=record.dq,
         q=record.q,
         tau_load=record.tau_load,
-        start=record_start(law, record),
+        start=record_start(law, record) if measured_start and law.start_samples else None,
     )
 
 

@@ -289,7 +289,7 @@ def test_hashes_that_cannot_be_kept(
     exported.remember(lag_fmu)
     assert not exported.is_ours(lag_fmu)
     with Component(lag_fmu) as lag:
-        lag.initialise(start={"x": 0.5})
+        lag.initialise(start={"x_start": 0.5})
         assert lag.get(["y"]) == [0.5]
     exported.folder().unlink()
     exported.remember(lag_fmu)

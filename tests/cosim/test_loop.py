@@ -153,7 +153,7 @@ def lags(fmu: Any, step: float, order: str) -> SystemSpec:
             "stop": 1.2,
             "order": order,
             "components": [
-                {"name": name, "fmu": fmu, "start": {"T": LAGS[name], "x": START[name]}}
+                {"name": name, "fmu": fmu, "start": {"T": LAGS[name], "x_start": START[name]}}
                 for name in LAGS
             ],
             "connections": {"a.u": "b.y", "b.u": "a.y"},

@@ -333,7 +333,7 @@ def test_fmus_that_do_not_say_what_their_outputs_depend_on(odd_fmu):
 
 
 def test_fmus_whose_numbers_overflow_name_the_variable(lag_fmu):
-    start = {"u": -1e308, "x": 1e308, "T": 1e3}
+    start = {"u": -1e308, "x_start": 1e308, "T": 1e3}
     spec = SystemSpec.model_validate(
         {
             "step": 0.1,

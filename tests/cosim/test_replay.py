@@ -40,7 +40,7 @@ def test_the_first_sample_is_read_before_any_step(friction_fmu, log):
 
 def test_start_values(friction_fmu, log):
     t, dq = (x[:50] for x in log)
-    start = {"h[1]": 0.9, "joint[2].c_0": 1.0}
+    start = {"start_mode": 2, "h_start[1]": 0.9, "joint[2].c_0": 1.0}
     assert not np.allclose(replay(friction_fmu, t, dq, start=start), replay(friction_fmu, t, dq))
 
 

@@ -12,6 +12,7 @@ from cosim.scoring import (
     Comparison,
     by_joint,
     compare,
+    input_classes,
     inputs_of,
     predict_fmu,
     predict_model,
@@ -227,7 +228,13 @@ def test_a_class_is_named_by_what_any_joint_uses() -> None:
     assert inputs_of(model_of(stribeck(), stribeck())) == "v"
     assert inputs_of(model_of(stribeck(), loaded)) == "v, load"
     assert inputs_of(model_of(stribeck(), bristle(start_samples=0))) == "v, q, load"
-    assert inputs_of(model_of(stribeck(), bristle())) == "v, q, load, start"
+    starting = model_of(stribeck(), bristle())
+    assert inputs_of(starting) == "v, q, load"
+    assert input_classes({"plain": model_of(stribeck()), "own": starting}) == {
+        "plain": "v",
+        "own": "v, q, load",
+        "own + start": "v, q, load, start",
+    }
 
 
 def shown(table: object, width: int = 120) -> str:
@@ -274,23 +281,21 @@ def test_an_fmu_with_estimated_start_predicts_what_its_model_does(
     fmu: tuple[FrictionModel, Path], records: list[list[FrictionRecord]]
 ) -> None:
     model, path = fmu
-    expected, found = predict_model(model, records), predict_fmu(path, records)
-    for joint in range(2):
-        for log in range(2):
-            worst = np.abs(found[joint][log] - expected[joint][log]).max()
-            assert worst <= 1e-12 * np.abs(expected[joint][log]).max()
+    for known in (False, True):
+        expected = predict_model(model, records, measured_start=known)
+        found = predict_fmu(path, records, measured_start=known)
+        for joint in range(2):
+            for log in range(2):
+                worst = np.abs(found[joint][log] - expected[joint][log]).max()
+                assert worst <= 1e-12 * np.abs(expected[joint][log]).max()
 
 
 def test_the_estimated_start_reaches_the_fmu(
-    fmu: tuple[FrictionModel, Path],
-    records: list[list[FrictionRecord]],
-    tmp_path: Path,
+    fmu: tuple[FrictionModel, Path], records: list[list[FrictionRecord]]
 ) -> None:
     """Without it the first torques are wrong by most of the friction."""
-    model, path = fmu
-    plain = replace(model, laws=(bristle(start_samples=0), stribeck()))
-    from_zero = predict_fmu(export_fmu(plain, tmp_path / "plain.fmu"), records)
-    estimated = predict_fmu(path, records)
+    _, path = fmu
+    from_zero, estimated = (predict_fmu(path, records, measured_start=k) for k in (False, True))
     for log, r in enumerate(records[0]):
         resting = slice(0, 20)
         assert np.abs(estimated[0][log] - r.tau)[resting].mean() < 0.4

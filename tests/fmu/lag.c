@@ -7,22 +7,29 @@
 #include "component_plain.h"
 
 /* Value references, in the order of the table in small_fmus.py. */
-enum { U, Y, X, DER_X, T, REFUSED };
+enum { U, Y, X, DER_X, T, REFUSED, X_START };
 
-static bool component_initialise(Component *component, void *workspace, Message *why) {
-    (void)workspace;
-    if (!(component->v[T] > 0.0)) {
-        snprintf(why->text, sizeof why->text, "T is %g s; it must be positive.", component->v[T]);
-        return false;
-    }
-    return true;
-}
+/* What it remembers besides: whether the initialisation has ended. */
+enum { STARTED };
 
 static bool component_output(Component *component, void *workspace, Message *why) {
     double *v = component->v;
     (void)workspace, (void)why;
+    if (component->own[STARTED] == 0.0) {
+        v[X] = v[X_START];
+    }
     v[DER_X] = (v[U] - v[X]) / v[T];
     v[Y] = v[X];
+    return true;
+}
+
+static bool component_initialise(Component *component, void *workspace, Message *why) {
+    if (!(component->v[T] > 0.0)) {
+        snprintf(why->text, sizeof why->text, "T is %g s; it must be positive.", component->v[T]);
+        return false;
+    }
+    component_output(component, workspace, why);
+    component->own[STARTED] = 1.0;
     return true;
 }
 

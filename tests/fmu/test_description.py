@@ -70,12 +70,13 @@ def test_initial_unknowns_are_those_of_the_standard_in_order(table1_fmu):
     about = described(table1_fmu)
     assert indices(about.initialUnknowns) == [
         "tau[1]", "tau[2]", "tau[3]", "dtau_ddq[1]", "dtau_ddq[2]", "dtau_ddq[3]",
-        "der(h[1])", "der(h[2])", "der(h[3])",
+        "h[1]", "h[2]", "h[3]", "der(h[1])", "der(h[2])", "der(h[3])",
     ]  # fmt: skip
-    assert {"dq[1]", "h[1]", "joint[1].c_g1"} <= dependencies(about.initialUnknowns[0])
-    assert dependencies(about.initialUnknowns[6]) == {
-        "dq[1]", "h[1]", "joint[1].alpha", "joint[1].beta",
-    }  # fmt: skip
+    assert {"dq[1]", "h_start[1]", "joint[1].c_g1"} <= dependencies(about.initialUnknowns[0])
+    for unknown in (about.initialUnknowns[6], about.initialUnknowns[9]):
+        assert dependencies(unknown) == {
+            "dq[1]", "start_mode", "h_start[1]", "joint[1].alpha", "joint[1].beta",
+        }  # fmt: skip
 
 
 def test_states_are_settable_and_linked_to_their_derivatives(make_law, make_model, tmp_path):

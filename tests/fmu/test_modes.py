@@ -122,7 +122,8 @@ def test_calls_are_accepted_where_the_standard_allows_them(fmu, function, kind):
 
 @pytest.mark.parametrize(
     ("name", "allowed"),
-    [("dq[1]", ("inec", "ins")), ("joint[1].sigma_0", ("ine", "ins")), ("z[1]", ("inec", "in")),
+    [("dq[1]", ("inec", "ins")), ("joint[1].sigma_0", ("ine", "ins")), ("z[1]", ("ec", "")),
+     ("z_start[1]", ("in", "in")),
      ("tau[1]", ("", "")), ("dtau_ddq[1]", ("", "")), ("der(z[1])", ("", ""))],
 )  # fmt: skip
 def test_variables_are_set_where_the_standard_allows_it(fmu, name, allowed):

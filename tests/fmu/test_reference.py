@@ -15,6 +15,7 @@ from fmu_src import export_fmu
 from fmu_src.friction.reference import UNKNOWN_SPEED, reference_files, reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, torques
 from hesr_model.equations.functions import lowered
+from hesr_model.friction.evaluate import first_states
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -135,7 +136,8 @@ def integrated(law: FrictionLaw, rows: np.ndarray) -> np.ndarray:
         return np.array([float(found[2 * i] - found[2 * i + 1] * z) for i, z in enumerate(x)])
 
     t = rows["time"]
-    x = solve_ivp(slope, (t[0], t[-1]), law.start, "LSODA", t, rtol=1e-10, atol=1e-12,
+    first = first_states(law, *inputs(t[0]))
+    x = solve_ivp(slope, (t[0], t[-1]), first, "LSODA", t, rtol=1e-10, atol=1e-12,
                   max_step=t[1] / 20).y.T  # fmt: skip
     pairs = [np.ravel([x[k], slope(t[k], x[k])], order="F") for k in range(len(t))]
     return np.array([output(*values, *inputs(t[k]), *pairs[k])[0] for k in range(len(t))])

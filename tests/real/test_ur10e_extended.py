@@ -85,6 +85,7 @@ def test_the_extended_law_is_ahead_of_others(scores: Comparison, other: str) -> 
 
 
 def test_no_other_law_of_the_same_inputs_is_better(outcome: Outcome, scores: Comparison) -> None:
+    """Both with the start that measured torques give, and both without."""
     own = inputs_of(outcome.models["parfam_hx"])
     rivals = [
         law

@@ -44,7 +44,7 @@ def test_the_true_start_of_a_bristle_at_rest_is_found(
     log = along(one, from_rest(), start=(share * full,))
     (found,) = record_start(sampling(one), log)
     assert found == pytest.approx(share * full, abs=2e-4 * full)
-    predicted = predict_record(sampling(one), log)
+    predicted = predict_record(sampling(one), log, measured_start=True)
     np.testing.assert_allclose(predicted, log.tau, atol=5e-3)
 
 
@@ -81,7 +81,8 @@ def test_a_law_without_samples_keeps_its_own_start(one: FrictionLaw) -> None:
     log = along(one, from_rest())
     assert record_start(own, log) == own.start
     expected = predict(own, t=log.t, dq=log.dq, q=log.q, tau_load=log.tau_load)
-    np.testing.assert_array_equal(predict_record(own, log), expected)
+    found = predict_record(own, log, measured_start=True)
+    np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize("one", [STRIBECK, DAHL])
@@ -100,8 +101,10 @@ def test_a_start_pays_from_the_first_row_on() -> None:
     log = along(LUGRE, from_rest(), noise=0.1, start=(0.8 * 9.0 / 2000.0,))
     at_rest = log.dq == 0.0
     errors = [
-        np.abs(predict_record(one, log) - log.tau)[at_rest][:50].mean()
-        for one in (sampling(LUGRE), LUGRE)
+        np.abs(predict_record(sampling(LUGRE), log, measured_start=known) - log.tau)[at_rest][
+            :50
+        ].mean()
+        for known in (True, False)
     ]
     assert errors[0] < 0.2
     assert errors[1] == pytest.approx(0.8 * 9.0, rel=0.05)

@@ -39,11 +39,15 @@ def test_no_time_passes_from_one_record_to_the_next() -> None:
 def test_a_state_starts_anew_in_every_record() -> None:
     samples = Samples.of([record(5), record(3, start=100.0, seed=1)], coefficients=3)
     factors, increments = np.full(8, 0.5), np.arange(8.0) + 1.0
+    steady = np.arange(8.0) - 3.0
+    speed = np.minimum(np.abs(samples.dq) / 0.02, 1.0)
     expected, x = [], 0.0
     for k in range(8):
-        x = 0.0 if k in (0, 5) else 0.5 * x + increments[k]
+        begins = speed[k] ** 2 * (3.0 - 2.0 * speed[k]) * steady[k]
+        x = begins if k in (0, 5) else 0.5 * x + increments[k]
         expected.append(x)
-    np.testing.assert_allclose(samples.recurrence(factors, increments), expected, rtol=1e-14)
+    found = samples.recurrence(factors, increments, steady)
+    np.testing.assert_allclose(found, expected, rtol=1e-14)
 
 
 def test_rows_must_be_as_many_as_coefficients() -> None:

@@ -9,9 +9,11 @@ from cosim.tables.table import ResultTable, TableRow, number, title
 _STEPS = (
     ("parfam_v", "parfam_h", "hysteresis state"),
     ("lugre", "lugre_load", "load"),
-    ("lugre_load", "lugre_load_ripple", "motor ripple and start"),
+    ("lugre_load", "lugre_load_ripple", "motor ripple"),
     ("dahl", "dahl_load", "load"),
-    ("parfam_h", "parfam_hx", "memory in position, load, ripple and start"),
+    ("lugre_load_ripple", "lugre_load_ripple + start", "a measured start"),
+    ("parfam_h", "parfam_hx", "memory in position, load and ripple"),
+    ("parfam_hx", "parfam_hx + start", "a measured start"),
 )
 
 

@@ -6,6 +6,7 @@ from cosim.report import paper
 from cosim.report.markup import Pictures, Section, details, heading, joined, paragraph, table
 from cosim.report.results import Results
 from cosim.report.sections.traces import torque_chart
+from cosim.scoring import input_classes
 from cosim.tables.scores import MEASURES, errors
 from cosim.tables.table import PAPERS, ResultTable, TableRow, named, number, title
 
@@ -18,7 +19,8 @@ def section(results: Results, pictures: Pictures) -> Section:
         paragraph(
             "Each figure is that of the exported FMU itself, driven over the logs through FMPy. "
             "Laws compare fairly within a class of equal inputs: v velocity, q position, load the "
-            "rigid-body torque, start a state that is estimated from the first torques."
+            "rigid-body torque. Rows with + start begin as the first measured torques say, which "
+            "nobody has who runs the FMU."
         )
     ]
     for k, test in enumerate(results.tests):
@@ -58,7 +60,7 @@ def _of_test(results: Results, pictures: Pictures, test: str, *, first: bool) ->
 
 
 def _errors(results: Results, name: str, measure: str = "rmse") -> Markup:
-    scores, inputs = results.comparisons[name], results.run.inputs
+    scores, inputs = results.comparisons[name], input_classes(results.models)
     return table(errors(name, scores, measure, inputs, results.sliding))
 
 

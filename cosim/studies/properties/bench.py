@@ -8,6 +8,7 @@ import numpy as np
 
 from cosim.batch import Array
 from cosim.slave import Component
+from fmu_src.friction.friction_component import GIVEN, START_MODE
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
 
@@ -50,25 +51,38 @@ class FrictionBench:
                 )
         self.places = np.zeros(self.joints) if places is None else places
         self.exact = DISCRETISATION in names
+        self._settles = START_MODE in names
         self.forever = _FOREVER if self.exact else _LONG
         self._component = component
         self._inputs = component.batch(wanted)
         self._outputs = component.batch([f"tau[{i}]" for i in range(1, self.joints + 1)])
         self._time = 0.0
 
-    def start(self, *, load: float | Array, exact: bool = True, dq: Array | None = None) -> Array:
+    def start(
+        self,
+        *,
+        load: float | Array,
+        exact: bool = True,
+        dq: Array | None = None,
+        unmoved: bool = False,
+    ) -> Array:
         """Begin anew, at rest or at a velocity; return the (n,) torque there.
+
+        In motion friction begins in its steady state, where the FMU knows one.
 
         Parameters
         ----------
         load : of each joint [N.m], held until the next start.
         exact : integrate exactly, whatever the law's own discretisation, where the FMU can.
         dq : (n,) velocity [rad/s].
+        unmoved : begin with the states of rest, whatever the velocity.
         """
         component, n = self._component, self.joints
         if component.used:
             component.reset()
         chosen = {DISCRETISATION: _EXACT} if exact and self.exact else {}
+        if unmoved and self._settles:
+            chosen[START_MODE] = GIVEN
         component.enter_initialisation(start=chosen)
         self._inputs.values[:n] = 0.0 if dq is None else dq
         self._inputs.values[n : 2 * n] = self.places

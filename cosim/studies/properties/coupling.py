@@ -56,7 +56,7 @@ def coupling(bench: FrictionBench, scale: Scale, inertia: Array) -> list[Finding
 def _slopes(bench: FrictionBench, scale: Scale) -> Array:
     """Return d tau / d dq at rest before the states move (n,); a jump makes it huge."""
     either = np.full(bench.joints, _SMALL)
-    ends = [bench.start(load=scale.load, dq=dq) for dq in (either, -either)]
+    ends = [bench.start(load=scale.load, dq=dq, unmoved=True) for dq in (either, -either)]
     return np.asarray((ends[0] - ends[1]) / (2.0 * _SMALL))
 
 

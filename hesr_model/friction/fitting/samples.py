@@ -2,12 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hesr_model.equations.functions import lowered
 from hesr_model.equations.over_log import Array, recurrence
 from hesr_model.errors import FitError
+from hesr_model.friction.inputs import DQ
+from hesr_model.friction.law import SETTLING
 from hesr_model.rigid_body.residual import FrictionRecord, require_reversals
 
 Rows = NDArray[np.bool_]
@@ -81,9 +85,21 @@ class Samples:
             gear_ratio=records[0].gear_ratio,
         )
 
-    def recurrence(self, a: Array, c: Array) -> Array:
-        """Run x[k] = a[k] x[k-1] + c[k] from 0 at the first row of every record, all (N,)."""
-        return recurrence(np.where(self.begins, 0.0, a), np.where(self.begins, 0.0, c), 0.0)
+    @cached_property
+    def settling(self) -> Array:
+        """Share of the steady state in where a law begins, (N,); it counts at first rows."""
+        return np.asarray(_settling(self.dq)[0])
+
+    def recurrence(self, a: Array, c: Array, steady: Array) -> Array:
+        """Run x[k] = a[k] x[k-1] + c[k] along every record, all (N,).
+
+        It begins where laws do, of which `steady` (N,) is the steady state.
+        """
+        c = np.where(self.begins, self.settling * steady, c)
+        return recurrence(np.where(self.begins, 0.0, a), c, float(c[0]))
+
+
+_settling = lowered((DQ,), (SETTLING,))
 
 
 def least_squares(columns: Array, target: Array) -> Array:

@@ -78,6 +78,7 @@ class Separable:
         self.space = space
         self.samples = samples
         self._memory, self._columns = _compiled(form, space)
+        self._first = [u[samples.begins] for u in (samples.dq, samples.q, samples.tau_load)]
         limits = np.array([limits for _, limits in space.bounds]).reshape(-1, 2)
         self._logarithmic = limits[:, 0] > 0.0
         self.bounds = np.where(
@@ -102,9 +103,13 @@ class Separable:
     def columns(self, point: Array) -> Array:
         """Return the (N, len(linear)) columns of the torque at a point [N.m per unit of each]."""
         s = self.samples
-        values = (*self.numbers(point), s.dq, s.q, s.tau_load)
-        start = (0.0,) * len(self.form.memory)
-        states = self._memory(values, s.dt, s.begins, start, self.discretisation)
+        numbers = self.numbers(point)
+        values = (*numbers, s.dq, s.q, s.tau_load)
+        start = np.zeros((len(self.form.memory), len(s.dq)))
+        begun = self._memory.beginning((*numbers, *self._first), start[:, s.begins])
+        for of_state, first in zip(start, begun, strict=True):
+            of_state[s.begins] = first
+        states = self._memory(values, s.dt, s.begins, list(start), self.discretisation)
         columns = np.empty((len(s.dq), len(self.space.linear)), order="F")
         for i, column in enumerate(self._columns(*values, *states, s.dt)):
             columns[:, i] = column
@@ -211,4 +216,5 @@ def _compiled(form: LawForm, space: SearchSpace) -> tuple[StatesOverLog, Any]:
     states = tuple(s for m in memory for s in (m.state, m.derivative))
     arguments = (*searched, *INPUTS)
     read = set().union(*(e.free_symbols for e in columns))
-    return StatesOverLog(memory, arguments, read), lowered((*arguments, *states, DT), columns)
+    states_over_log = StatesOverLog(memory, arguments, read, form.component.settling)
+    return states_over_log, lowered((*arguments, *states, DT), columns)

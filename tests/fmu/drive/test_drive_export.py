@@ -103,7 +103,8 @@ def test_what_inputs_give_is_seen_until_the_initialisation_ends(make_law, tmp_pa
     )
     names = ["tau_link[1]", "tau_f[2]", "der(z[1])", "tau_f[1]"]
     with Component(fmu) as drive:
-        drive.enter_initialisation(start={"dq_start[1]": 0.5, "dq_start[2]": 0.5, "z[1]": 0.1})
+        drive.enter_initialisation(start={"dq_start[1]": 0.5, "dq_start[2]": 0.5, "z_start[1]": 0.1,
+                                          "start_mode": 2})  # fmt: skip
         first = drive.get(names)
         assert first[:2] == pytest.approx([2.0, 4.5 + 12.0 * 0.5**3 + 0.5])
         drive.set({"q_link[1]": 0.1, "dq_link[1]": 0.2, "tau_load[1]": 7.0, "tau_load[2]": -8.0})

@@ -45,8 +45,8 @@ class HysteresisFeatures:
         slope = s.dq * (1.0 - target**2)
         before = np.concatenate([[0.0], h[:-1]])
         a_by_alpha = -s.dt * a if self.discretisation == "exact" else -s.dt
-        by_alpha = s.recurrence(a, a_by_alpha * (before - target))
-        by_beta = s.recurrence(a, (1.0 - a) * slope)
+        by_alpha = s.recurrence(a, a_by_alpha * (before - target), np.zeros_like(a))
+        by_beta = s.recurrence(a, (1.0 - a) * slope, slope)
         dh = np.stack([by_alpha, by_beta], axis=1)
         ddh = np.stack([target - h - alpha * by_alpha, alpha * (slope - by_beta)], axis=1)
         return features, dh, ddh
@@ -57,7 +57,7 @@ class HysteresisFeatures:
         return np.exp(-z) if self.discretisation == "exact" else 1.0 - z
 
     def _columns(self, alpha: float, target: Array, a: Array) -> Array:
-        h = self.samples.recurrence(a, (1.0 - a) * target)
+        h = self.samples.recurrence(a, (1.0 - a) * target, target)
         columns = np.empty((len(h), 4), order="F")
         columns[:, 0] = 1.0
         columns[:, 1] = self.samples.dq
