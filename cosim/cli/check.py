@@ -1,12 +1,15 @@
 """The command that checks FMUs before others see them: check."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cosim.cli.app import Json, Trust, app, trusted
 from cosim.cli.console import answer, shown_progress, working
+
+if TYPE_CHECKING:
+    from fmu_src.check.report import Report
 
 
 @app.command()
@@ -32,12 +35,19 @@ def check(
             help="Also run them under a master at its worst: odd steps, steps taken back.",
         ),
     ] = False,
+    references: Annotated[
+        bool,
+        typer.Option(
+            "--references", help="Also run them against the reference results that they carry."
+        ),
+    ] = False,
     json_file: Json = None,
     trust: Trust = False,
 ) -> None:
     """Check FMUs by every validator there is.
 
-    The exit code is 1 if anything is wrong. No code of an FMU is run but with --convention.
+    The exit code is 1 if anything is wrong. No code of an FMU is run but with --convention,
+    --hostile and --references.
 
     Example: hesr check Friction.fmu --vdmcheck .tools/vdmcheck2
     """
@@ -56,7 +66,8 @@ def check(
     with shown_progress() as progress:
         for k, fmu in enumerate(fmus):
             progress("checking", k, len(fmus))
-            reports.append(check_fmu(fmu, vdmcheck=vdmcheck, hostile=hostile))
+            report = check_fmu(fmu, vdmcheck=vdmcheck, hostile=hostile)
+            reports.append(_with_references(report) if references else report)
     for fmu, report in zip(fmus, reports, strict=True):
         for problem in report.problems:
             typer.echo(f"{fmu}: [{problem.check}] {problem.text}")
@@ -85,3 +96,18 @@ def check(
         answer(json_file, data)
     if any(report.problems for report in reports):
         raise typer.Exit(1)
+
+
+def _with_references(report: "Report") -> "Report":
+    """Return a report with what came of the FMU's reference results."""
+    from dataclasses import replace
+
+    from cosim.references import verify
+    from fmu_src.check.report import problems_of
+
+    found = verify(report.path)
+    return replace(
+        report,
+        problems=(*report.problems, *problems_of("references", found.problems)),
+        skipped=(*report.skipped, *found.skipped),
+    )

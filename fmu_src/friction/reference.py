@@ -1,7 +1,8 @@
 """A motion on which importers can be compared, and reference results that an FMU carries.
 
-The files follow the FMI cross-check: NAME_in.csv, NAME_ref.csv and NAME_ref.opt. They are computed
-from the laws in Python, not by the FMU, so that they are a check of the FMU, too.
+The files follow the FMI cross-check: NAME_in.csv, NAME_ref.csv and NAME_ref.opt; a manifest of
+FMI-LS-REF names them, too. They are computed from the laws in Python, not by the FMU, so that they
+are a check of the FMU.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,7 +10,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu_src.friction.settings import CONTINUOUS, Motion, torques
+from fmu_src.friction.settings import CONTINUOUS, SHOWN, Motion, torques
+from fmu_src.layered import Experiment, manifest_files
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.model import FrictionModel
@@ -30,7 +32,8 @@ _SAME, _CLOSE = 1e-12, 1e-6
 """RelTol of the files: rounding for co-simulation, an integrator's error for model exchange."""
 
 _README = """\
-Reference results, in the file style of the FMI cross-check. They are computed from the law in
+Reference results, in the file style of the FMI cross-check; the manifest of FMI-LS-REF in
+org.fmi-standard.fmi-ls-ref/ names them by their roles. They are computed from the law in
 Python, not by this FMU. Units are SI: {units}.
 
 co_simulation/{name}_in.csv, _ref.csv, _ref.opt
@@ -38,6 +41,10 @@ co_simulation/{name}_in.csv, _ref.csv, _ref.opt
     is read after it. Then for each row k: set its inputs, step by {step} s, and compare with row
     k + 1 of the reference. Nothing is interpolated: inputs hold over the step. An importer that
     does so agrees but for rounding (RelTol {same:g}, of the largest torque of a joint).
+
+co_simulation/{name}_shown.csv
+    The same run as tools show it that read outputs once the inputs of the next step are set, or
+    refresh them then: row k holds the torque after step k with the inputs of row k.
 
 model_exchange/{name}_in.csv, _ref.csv, _ref.opt
     Inputs are linear between the rows. The reference is the law integrated over {substeps} substeps
@@ -128,6 +135,7 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
     if found is None:
         return {"extra/README.txt": _NONE.encode()}
     step, motion, torque = found
+    shown = torques(model, motion, SHOWN)
     # In motion from the start on, so that no row lies on a reversal, where laws may jump.
     smooth = _rounded(_motion(model, step))
     fine = torques(model, smooth, CONTINUOUS, substeps=_SUBSTEPS)
@@ -139,11 +147,38 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
         substeps=_SUBSTEPS,
         units=_units(model.sliding),
     )
-    return {
+    stepped, solved = (f"extra/{kind}/{identifier}" for kind in ("co_simulation", "model_exchange"))
+    members = {
         "extra/README.txt": text.encode(),
-        **_members(f"extra/co_simulation/{identifier}", motion, torque, 14, step, _SAME),
-        **_members(f"extra/model_exchange/{identifier}", smooth, fine, 8, 0.0, _CLOSE),
+        **_members(stepped, motion, torque, 14, step, _SAME),
+        f"{stepped}_shown.csv": _torques(motion, shown, 14),
+        **_members(solved, smooth, fine, 8, 0.0, _CLOSE),
     }
+    experiments = [
+        _experiment(name, text, motion, step, _SAME, stepped, references)
+        for name, text, references in (
+            ("hold", "co-simulation: inputs hold over each step, outputs are read after it", "ref"),
+            ("shown", "the same, outputs read once the inputs of the next step are set", "shown"),
+        )
+    ]
+    continuous = "model exchange: inputs linear between the rows"
+    experiments.append(_experiment("continuous", continuous, smooth, 0.0, _CLOSE, solved, "ref"))
+    return members | manifest_files(experiments, members)
+
+
+def _experiment(
+    name: str, text: str, motion: Motion, step: float, tolerance: float, stem: str, references: str
+) -> Experiment:
+    return Experiment(
+        name=name,
+        description=text,
+        start=float(motion.t[0]),
+        stop=float(motion.t[-1]),
+        step=step,
+        tolerance=tolerance,
+        stimuli=f"{stem}_in.csv",
+        references=f"{stem}_{references}.csv",
+    )
 
 
 def _units(sliding: Sequence[bool]) -> str:
@@ -197,11 +232,14 @@ def _members(
     rows = np.column_stack([motion.t, motion.dq, motion.q, motion.tau_load])
     return {
         f"{stem}_in.csv": _csv(["time", *inputs], rows, 12),
-        f"{stem}_ref.csv": _csv(
-            ["time", *(f"tau[{i}]" for i in joints)], np.column_stack([motion.t, torque]), digits
-        ),
+        f"{stem}_ref.csv": _torques(motion, torque, digits),
         f"{stem}_ref.opt": ("\n".join(lines) + "\n").encode(),
     }
+
+
+def _torques(motion: Motion, torque: Array, digits: int) -> bytes:
+    names = [f"tau[{i}]" for i in range(1, torque.shape[1] + 1)]
+    return _csv(["time", *names], np.column_stack([motion.t, torque]), digits)
 
 
 def _csv(header: list[str], rows: Array, digits: int) -> bytes:

@@ -28,6 +28,10 @@ SETTINGS: Mapping[str, str] = {
 }
 """Ways to hand inputs over, from the commonest on."""
 
+SHOWN = "shown"
+"""As "hold", with the torque read once the inputs of the next step are set, as some tools show it.
+"""
+
 CONTINUOUS = "continuous"
 """Not a way of a master: the law integrated finely, its inputs linear between the rows."""
 
@@ -84,7 +88,7 @@ def torques(model: FrictionModel, motion: "Motion", setting: str, *, substeps: i
 
     Parameters
     ----------
-    setting : one of `SETTINGS`, or `CONTINUOUS`.
+    setting : one of `SETTINGS`, `SHOWN` or `CONTINUOUS`.
     substeps : of `CONTINUOUS` between two rows.
 
     Raises
@@ -123,9 +127,20 @@ def _torque(
         return _predicted(law, t, inputs)
     if setting == "hold":
         return _predicted(law, t, [np.concatenate([u[:1], u[:-1]]) for u in inputs])
+    if setting == SHOWN:
+        return _shown(law, t, inputs)
     if setting == "linear":
         return _read_at_rows(law, t, inputs, 1)
     return _read_at_rows(replace(law, discretisation="exact"), t, inputs, substeps)
+
+
+def _shown(law: FrictionLaw, t: Array, inputs: Sequence[Array]) -> Array:
+    """Step with the inputs of the row before, and read once those of the row are set.
+
+    A step of no length reads the torque with the row's own inputs and leaves the states.
+    """
+    before_and_after = [np.repeat(u, 2)[:-1] for u in inputs]
+    return _predicted(law, np.repeat(t, 2)[1:], before_and_after)[::2]
 
 
 def _read_at_rows(law: FrictionLaw, t: Array, inputs: Sequence[Array], substeps: int) -> Array:

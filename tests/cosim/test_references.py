@@ -1,0 +1,115 @@
+"""Reference results that FMUs carry: ours give theirs, and what does not is told."""
+
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cosim.references import verify
+from fmu_src.layered import EXPERIMENTS, FOLDER, MANIFEST, Experiment, manifest_files
+
+STEPS = "extra/steps"
+
+
+def repacked(fmu: Path, target: Path, more: dict[str, bytes]) -> Path:
+    """Copy an FMU with some members changed or added."""
+    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(target, "w") as new:
+        for name in {*old.namelist(), *more}:
+            new.writestr(name, more.get(name) or old.read(name))
+    return target
+
+
+@pytest.fixture
+def with_results(lag_fmu: Path, tmp_path: Path) -> Callable[..., Path]:
+    """The lag T x' = u - x with given experiments: stimuli and results as text."""
+
+    def make(stimuli: str, results: str, *, name: str = "own", step: float = 0.1) -> Path:
+        members = {f"{STEPS}_in.csv": stimuli.encode(), f"{STEPS}_ref.csv": results.encode()}
+        own = Experiment(
+            name=name, description="", start=0.0, stop=0.2, step=step, tolerance=1e-9,
+            stimuli=f"{STEPS}_in.csv", references=f"{STEPS}_ref.csv",
+        )  # fmt: skip
+        files = members | manifest_files([own], members)
+        return repacked(lag_fmu, tmp_path / "Lag.fmu", files)
+
+    return make
+
+
+STIMULI = "time,u\n0,1\n0.1,2\n0.2,2\n"
+AFTER = 0.8187307530779818  # exp(-0.1 / T), T = 0.5
+
+
+def results(*inputs: float) -> str:
+    """Results of the lag from x = 0.25 for the inputs that are held over its steps."""
+    rows, x = [0.25], 0.25
+    for u in inputs:
+        x = u + (x - u) * AFTER
+        rows.append(x)
+    return "time,y\n" + "".join(f"{0.1 * k:g},{y:.17g}\n" for k, y in enumerate(rows))
+
+
+def test_friction_fmus_give_their_own(friction_fmu: Path) -> None:
+    found = verify(friction_fmu)
+    assert found.problems == []
+    assert found.passed == {"hold": "hold", "shown": "shown"}
+    assert found.skipped == [
+        "Experiment 'continuous': it has no step size, so that it is for a solver; co-simulation "
+        "is run here."
+    ]
+
+
+@pytest.mark.parametrize(("way", "inputs"), [("hold", (1.0, 2.0)), ("direct", (2.0, 2.0))])
+def test_the_way_of_an_experiment_is_found(
+    with_results: Callable[..., Path], way: str, inputs: tuple[float, ...]
+) -> None:
+    found = verify(with_results(STIMULI, results(*inputs)))
+    assert (found.problems, found.passed) == ([], {"own": way})
+
+
+def test_other_results_are_told(with_results: Callable[..., Path]) -> None:
+    found = verify(with_results(STIMULI, results(1.0, 3.0), name="hold"))
+    assert found.passed == {}
+    (text,) = found.problems
+    assert text.startswith("experiment 'hold': y is ")
+    assert text.endswith(
+        "in place of 0.859798 at 0.2 s, more than its tolerance of 1e-09 of the largest value."
+    )
+
+
+@pytest.mark.parametrize(
+    ("stimuli", "answers", "problem"),
+    [
+        ("u\n1\n", "time,y\n0,1\n", "'extra/steps_in.csv' is no table over 'time'"),
+        ("time,u\n0,x\n", "time,y\n0,1\n", "could not convert string to float: 'x'"),
+        ("time,v\n0,1\n", "time,y\n0,1\n", "'v'"),
+    ],
+)
+def test_what_cannot_be_run_is_told(
+    with_results: Callable[..., Path], stimuli: str, answers: str, problem: str
+) -> None:
+    (text,) = verify(with_results(stimuli, answers)).problems
+    assert problem in text
+
+
+def test_changed_and_missing_files_are_told(
+    with_results: Callable[..., Path], tmp_path: Path
+) -> None:
+    fmu = with_results(STIMULI, results(1.0, 2.0))
+    changed = {f"{STEPS}_in.csv": STIMULI.replace("0,1", "0,1.0", 1).encode()}
+    found = verify(repacked(fmu, tmp_path / "Changed.fmu", changed))
+    assert found.problems == ["'extra/steps_in.csv' is not what its checksum says."]
+    with zipfile.ZipFile(fmu) as archive:
+        manifest = archive.read(MANIFEST).replace(b"experiments.xml", b"other.xml")
+    found = verify(repacked(fmu, tmp_path / "Missing.fmu", {MANIFEST: manifest}))
+    assert found.problems == [f"{MANIFEST} names '{FOLDER}/other.xml', which is not there."]
+    broken = {EXPERIMENTS: b"<Experiments>"}
+    found = verify(repacked(fmu, tmp_path / "Broken.fmu", broken))
+    assert found.problems[-1].startswith("its reference results cannot be read: no element found")
+
+
+def test_what_is_not_run_is_said(with_results: Callable[..., Path], lag_fmu: Path) -> None:
+    assert verify(lag_fmu).skipped == [f"Reference results: there is no {MANIFEST}."]
+    later = results(1.0, 2.0).replace("0.2,", "0.3,")
+    found = verify(with_results(STIMULI, later))
+    assert found.skipped == ["Experiment 'own': its results are at other times."]
