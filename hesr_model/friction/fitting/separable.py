@@ -106,7 +106,7 @@ class Separable:
         numbers = self.numbers(point)
         values = (*numbers, s.dq, s.q, s.tau_load)
         start = np.zeros((len(self.form.memory), len(s.dq)))
-        begun = self._memory.beginning((*numbers, *self._first), start[:, s.begins])
+        begun = self._memory.beginning((*numbers, *self._first), list(start[:, s.begins]))
         for of_state, first in zip(start, begun, strict=True):
             of_state[s.begins] = first
         states = self._memory(values, s.dt, s.begins, list(start), self.discretisation)

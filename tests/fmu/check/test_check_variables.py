@@ -46,7 +46,8 @@ VARIABLES = {
         "the variable 'dq[1]' has no start value, which its causality 'input' demands.",
     ),
     "state without start": (
-        own("h[1]", start=None),
+        both(var("h[1]", initial="exact"),
+             lambda xml: xml.drop(xml.unknown("InitialUnknowns", "h[1]"))),
         "the variable 'h[1]' has no start value, which its initial 'exact' demands.",
     ),
     "constant without start": (

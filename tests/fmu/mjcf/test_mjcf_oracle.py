@@ -99,6 +99,7 @@ def test_every_state_and_torque_of_the_reference_motion(law, make_model, tmp_pat
     assert export_mjcf_law(model, tmp_path / "friction.xml").exact
     joints = Joints(model.joints, tmp_path / "friction.xml", model.sample_time)
     stepper = Stepper(law)
+    stepper.step(0.0, motion.dq[0, 0], motion.q[0, 0])
     torques = [joints.torque(motion.q[0], motion.dq[0])]
     found, states = [joints.data.act.copy()], [deflections(law, stepper)]
     for q, dq in zip(motion.q[:-1], motion.dq[:-1], strict=True):
