@@ -286,3 +286,17 @@ def test_a_law_says_which_input_the_records_lack(law: str, need: str) -> None:
     assert str(caught.value) == (
         f"joint 'j1': law '{law}' needs the key '{need}', which the robot file does not give."
     )
+
+
+@pytest.mark.parametrize("speed", [-1.0, -0.3, -0.02, 0.02, 0.1, 1.0])
+def test_a_start_in_motion_is_no_kick(law: FrictionLaw, speed: float) -> None:
+    """The first torque is the steady one of the first inputs."""
+    held = np.full(3, speed)
+    tau = predict(
+        replace(law, discretisation="exact"),
+        t=1e4 * np.arange(3),
+        dq=held,
+        q=0.3 * np.ones(3),
+        tau_load=4.0 * np.ones(3),
+    )
+    assert abs(tau[0] - tau[-1]) <= 0.05 * abs(tau[-1])
