@@ -333,12 +333,12 @@ class Job:
         """
         comparisons, predictions = {}, {}
         tests = self.study.logs.test
-        rows = [
+        variants = [
             (law, with_start)
             for law, model in models.items()
             for with_start in ((False, True) if takes_start(model) else (False,))
         ]
-        cases = [(name, *row) for name in tests for row in rows]
+        cases = [(name, *row) for name in tests for row in variants]
         jobs = [
             partial(
                 predict_fmu,

@@ -32,7 +32,7 @@ def replay(
     dq : (N, n) joint velocity [rad/s].
     q : (N, n) joint position [rad]; zero where not given.
     tau_load : (N, n) load torque [N.m]; zero where not given.
-    start : parameters and start values of states by name, as {"h[1]": 0.2}.
+    start : parameters by name, as {"start_mode": 2, "h_start[1]": 0.2}.
 
     Returns
     -------

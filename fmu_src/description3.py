@@ -138,7 +138,7 @@ def _variable(array: Array, arrays: Arrays) -> ET.Element:
         }
         return ET.Element("Int32", attributes)
     attributes["declaredType"] = _type_of(first.unit or "1")
-    if not first.computed:
+    if not (first.computed or first.role == "state"):
         attributes["start"] = " ".join(repr(float(v.start)) for v in array.elements)
     if first.nominal != 1.0:
         attributes["nominal"] = repr(first.nominal)
@@ -171,12 +171,13 @@ def _structure(root: ET.Element, arrays: Arrays) -> None:
     # States of a co-simulation are its own.
     derivatives = table.derivatives if table.model_exchange else ()
     rates = list(dict.fromkeys(arrays.of[v.name] for v in derivatives))
+    states = [a for a in arrays.all if a.elements[0].role == "state"] if derivatives else []
     moving: tuple[Role, ...] = ("input", "state")
     _unknowns(structure, "Output", outputs, arrays, moving)
     _unknowns(structure, "ContinuousStateDerivative", rates, arrays, moving)
     _unknowns(
-        structure, "InitialUnknown", dict.fromkeys((*outputs, *rates)), arrays,
-        (*moving, "fixed", "tunable"), initially=True,
+        structure, "InitialUnknown", dict.fromkeys((*outputs, *states, *rates)), arrays,
+        ("input", "fixed", "tunable"), initially=True,
     )  # fmt: skip
     if table.indicators and table.model_exchange:
         ET.SubElement(structure, "EventIndicator", valueReference=str(len(table.variables) + 1))
@@ -193,9 +194,9 @@ def _unknowns(
 ) -> None:
     table = arrays.table
     for array in unknowns:
-        names = [n for v in array.elements for n in v.dependencies]
-        if initially:
-            names += [n for v in array.elements for n in v.initial_dependencies]
+        names = [
+            n for v in array.elements for n in (table.initially(v) if initially else v.dependencies)
+        ]
         places = {
             arrays.of[name].place
             for name in names

@@ -71,6 +71,7 @@ def header(model: FrictionModel, name: str) -> str:
         for text in (
             own.read(),
             own.step(),
+            *([own.begin()] if own.component.memory else []),
             *([own.switches()] if own.jumps.expressions else []),
             *([own.rates()] if euler and own.component.memory else []),
         )
@@ -105,7 +106,8 @@ def _rows(
     model: FrictionModel, joints: Sequence[Joint], functions: dict[Any, Functions], *, euler: bool
 ) -> list[dict[str, Any]]:
     """Return each joint as the template has it."""
-    rows, states, coefficients = [], 0, 0
+    rows: list[dict[str, Any]] = []
+    states, coefficients = 0, 0
     for label, law, joint in zip(model.joints, model.laws, joints, strict=True):
         own = functions[joint.component]
         numbers = [
@@ -114,6 +116,7 @@ def _rows(
         ]
         rows.append(
             {
+                "place": len(rows),
                 "label": _comment(label),
                 "law": own.name,
                 "numbers": numbers,

@@ -4,7 +4,7 @@ Both have the functions that are used under the same names, in a module that is 
 neither has under one name stands in the template of the file.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import frexp, ldexp
 
 import sympy
@@ -13,7 +13,14 @@ from sympy.printing.precedence import PRECEDENCE
 from fmu_src.equations.printer import LanguagePrinter
 from hesr_model.equations.component import Component
 from hesr_model.equations.memory import DT, EULER
-from hesr_model.equations.program import moved, sampled, straight_line
+from hesr_model.equations.program import (
+    Assignments,
+    beginning,
+    begun,
+    moved,
+    sampled,
+    straight_line,
+)
 from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import INPUTS, Q
 from hesr_model.friction.law import LawForm
@@ -73,6 +80,9 @@ class _Printer(LanguagePrinter):
     def _print_decay(self, expr: sympy.Function) -> str:
         return f"_decay({self._print(expr.args[0])})"
 
+    def _print_over(self, expr: sympy.Function) -> str:
+        return f"_over({', '.join(map(self._print, expr.args))})"
+
     def _print_share(self, expr: sympy.Function) -> str:
         z, e, _ = map(self._print, expr.args)
         return f"_share({z}, {e})"
@@ -95,10 +105,34 @@ def law_function(form: LawForm, name: str) -> str:
         If an expression has a function that there is none of for tensors.
     """
     component: Component = form.component
-    program = {symbol: _wrapped(e) for symbol, e in sampled(component).items()}
     torque = component.outputs[0].symbol
     ends = [moved(m) for m in form.memory]
-    lines, names = straight_line(program, (torque, *ends))
+    return _function(form, name, sampled(component), (DT,), (torque,), ends)
+
+
+def begin_function(form: LawForm, name: str) -> str:
+    """Return the text of `name(c, dq, q, tau_load, x_0, ..)`: where the states begin.
+
+    Raises
+    ------
+    ExportError
+        If an expression has a function that there is none of for tensors.
+    """
+    program = beginning(form.memory, form.component.settling)
+    return _function(form, name, program, (), (), [begun(m) for m in form.memory])
+
+
+def _function(
+    form: LawForm,
+    name: str,
+    program: Assignments,
+    more: Sequence[sympy.Symbol],
+    read: Sequence[sympy.Symbol],
+    ends: Sequence[sympy.Symbol],
+) -> str:
+    """Return a function of the inputs and `more`: it returns what is read, and the states' ends."""
+    program = {symbol: _wrapped(e) for symbol, e in program.items()}
+    lines, names = straight_line(program, (*read, *ends))
     states = [f"x_{i}" for i, _ in enumerate(form.memory)]
     known = {c.symbol: f'c["{c.name}"]' for c in form.coefficients}
     known |= {m.state: x for m, x in zip(form.memory, states, strict=True)}
@@ -115,8 +149,9 @@ def law_function(form: LawForm, name: str) -> str:
 
     body = [f"{names.get(symbol, str(symbol))} = {text(e)}" for symbol, e in lines.items()]
     ended = "".join(f"{names[symbol]}, " for symbol in ends)
-    arguments = ", ".join(("c", *(symbol.name for symbol in INPUTS), DT.name, *states))
-    result = f"return {names[torque]}, ({ended.rstrip(' ')})"
+    arguments = ", ".join(("c", *(symbol.name for symbol in (*INPUTS, *more)), *states))
+    first = "".join(f"{names[symbol]}, " for symbol in read)
+    result = f"return {first}({ended.rstrip(' ')})"
     return "\n".join([f"def {name}({arguments}):", *(f"    {line}" for line in (*body, result))])
 
 

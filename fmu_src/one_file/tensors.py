@@ -8,7 +8,7 @@ from typing import Any, Literal
 from fmu_src.friction.validity import require_numbers
 from fmu_src.one_file.c_header import templates
 from fmu_src.one_file.reference import write_beside
-from fmu_src.one_file.tensor_printer import law_function
+from fmu_src.one_file.tensor_printer import begin_function, law_function
 from hesr_model.errors import ExportError
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
@@ -88,6 +88,7 @@ def _law(name: str, form: LawForm, joints: list[int], laws: list[FrictionLaw]) -
     return {
         "name": name,
         "function": law_function(form, name),
+        "begin": begin_function(form, f"{name}_begin"),
         "joints": tuple(joints),
         "values": {c.name: tuple(law.values[c.name] for law in laws) for c in form.coefficients},
         "units": {c.name: c.unit for c in form.coefficients},

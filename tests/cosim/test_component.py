@@ -35,7 +35,7 @@ def without(fmu, copy, prefix):
 
 def test_values_are_set_and_read_by_name(friction_fmu):
     with Component(friction_fmu) as friction:
-        friction.initialise(start={"dq[1]": 0.2, "discretisation": 1, "h[2]": 0.5})
+        friction.initialise(start={"dq[1]": 0.2, "discretisation": 1, "h_start[2]": 0.5})
         assert friction.get(["h[2]", "dq[1]"]).tolist() == [0.5, 0.2]
         friction.set({"dq[2]": 0.3, "dq[1]": 0.1})
         friction.step(0.0, 0.005)

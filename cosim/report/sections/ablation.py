@@ -14,6 +14,7 @@ _STEPS = (
     ("lugre_load_ripple", "lugre_load_ripple + start", "a measured start"),
     ("parfam_h", "parfam_hx", "memory in position, load and ripple"),
     ("parfam_hx", "parfam_hx + start", "a measured start"),
+    ("parfam_s", "parfam_s + start", "a measured start"),
 )
 
 

@@ -52,7 +52,8 @@ def ready(binary: Binary, **start: float) -> ctypes.c_void_p:
 def test_before_the_first_step_outputs_are_the_start_values(fmu: Path) -> None:
     with Component(fmu) as component:
         component.initialise(
-            start={"q_start[2]": 0.3, "dq_start[2]": -0.2, "ratio[2]": 2.0, "z[2]": 1e-3,
+            start={"q_start[2]": 0.3, "dq_start[2]": -0.2, "ratio[2]": 2.0, "start_mode": 2,
+                   "z_start[2]": 1e-3,
                    "stiffness[2]": 50.0, "damping[2]": 4.0, "q_link[2]": 0.1, "dq_link[2]": 0.5}
         )  # fmt: skip
         q, dq, ddq, tau_f, tau_link, dz = component.get(

@@ -39,6 +39,17 @@ def inputs(joints: int, seconds: float = 10.0) -> tuple[np.ndarray, ...]:
     return tuple(row.astype(np.float32).astype(float) for row in rows)
 
 
+def first_torques_of(fmu: Path, row: tuple[np.ndarray, ...]) -> np.ndarray:
+    """(n,) first torque of an FMU whose first inputs are those of a row."""
+    joints = range(1, len(row[0]) + 1)
+    names = [f"{name}[{i}]" for name in ("dq", "q", "tau_load") for i in joints]
+    with Component(fmu) as component:
+        component.enter_initialisation()
+        component.set(dict(zip(names, np.concatenate(row).tolist(), strict=True)))
+        component.exit_initialisation()
+        return np.array(component.get([f"tau[{i}]" for i in joints]))
+
+
 def torques_of(fmu: Path, rows: tuple[np.ndarray, ...], step: float = STEP) -> np.ndarray:
     """(N, n) torque of an FMU that steps with the inputs of each row."""
     joints = range(1, rows[0].shape[1] + 1)

@@ -37,7 +37,12 @@ def of_torch(law, step):
         with torch.no_grad():
             return torques(c, rows, dtype, batch).numpy()
 
-    return run, slopes
+    def begun(row):
+        c = law.coefficients(torch.float64)
+        row = [torch.tensor(r) for r in row]
+        return law.step(c, law.begin(c, *row), *row, 0.0)[0].numpy()
+
+    return run, slopes, begun
 
 
 def of_jax(law, step):
@@ -61,13 +66,18 @@ def of_jax(law, step):
         c = [{k: xp.array(v, dtype) for k, v in of.items()} for of in c]
         return np.array(torques(c, rows, dtype, batch))
 
-    return run, slopes
+    def begun(row):
+        c = law.coefficients(xp.float64)
+        row = [xp.array(r) for r in row]
+        return np.array(law.step(c, law.begin(c, *row), *row, 0.0)[0])
+
+    return run, slopes, begun
 
 
 def changed(law):
     """Coefficients of a batch of robots: in row (i, k) the i-th of each law is changed."""
-    most = max(len(values) for _, _, values, _ in law._LAWS)
-    for _, joints, values, _ in law._LAWS:
+    most = max(len(values) for _, _, _, values, _ in law._LAWS)
+    for _, _, joints, values, _ in law._LAWS:
         own = {}
         for i, (name, value) in enumerate(values.items()):
             factor = np.ones((most, len(CHANGES), 1))
@@ -82,17 +92,18 @@ if __name__ == "__main__":
     import law
 
     data = np.load(folder / "rows.npz")
-    run, slopes = {"torch": of_torch, "jax": of_jax}[sys.argv[1]](law, float(data["step"]))
+    run, slopes, begun = {"torch": of_torch, "jax": of_jax}[sys.argv[1]](law, float(data["step"]))
     rows, weights = [data[name] for name in ("dq", "q", "load")], data["weights"]
     first = [r[: len(weights)] for r in rows]
-    plain = [{k: np.array(v) for k, v in values.items()} for _, _, values, _ in law._LAWS]
+    plain = [{k: np.array(v) for k, v in values.items()} for _, _, _, values, _ in law._LAWS]
     every = {"double": run(plain, rows), "single": run(plain, rows, single=True)}
+    every["begun"] = begun([r[:3] for r in rows])
     if any(plain):
         found = slopes(first, weights)
         batch = max(map(len, plain)) * len(CHANGES)
         sums = np.einsum("tbn,tn->bn", run([*changed(law)], first, batch=(batch,)), weights)
         finite = np.einsum("ikn,k->in", sums.reshape(-1, len(CHANGES), sums.shape[-1]), RULE)
-        for n, (_, joints, values, _) in enumerate(law._LAWS):
+        for n, (_, _, joints, values, _) in enumerate(law._LAWS):
             for i, (name, value) in enumerate(values.items()):
                 share = found[n][name] * np.array(value)
                 every[f"{n} {name}"] = np.stack([share, finite[i][list(joints)]])

@@ -13,7 +13,7 @@ import pytest
 from c_hosts import build_host
 from documents import blocks
 from fmpy import read_model_description
-from one_file_laws import STEP, inputs, maxwell_slip, torques_of
+from one_file_laws import STEP, first_torques_of, inputs, maxwell_slip, torques_of
 
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.one_file.c_header import export_c
@@ -31,6 +31,8 @@ LIBRARY = """
 #define EXPORT __attribute__((visibility("default")))
 EXPORT size_t size(void) { return sizeof(law_state); }
 EXPORT void init(law_state *s) { law_init(s); }
+EXPORT void begin(law_state *s, const double *dq, const double *q, const double *load) {
+    law_begin(s, dq, q, load); }
 EXPORT bool step(law_state *s, const double *dq, const double *q, const double *load, double dt,
                  double *tau) { return law_step(s, dq, q, load, dt, tau); }
 EXPORT size_t batch(law_state *s, size_t n, const double *dq, const double *q, const double *load,
@@ -57,6 +59,9 @@ class Law:
         for i in range(robots):
             self._library.init(ctypes.byref(state, i * size))
         return state
+
+    def begin(self, state, dq, q, load) -> None:
+        self._library.begin(state, *map(_pointer, (dq, q, load)))
 
     def step(self, state, dq, q, load, dt: float) -> np.ndarray | None:
         tau = np.full(self.joints, np.nan)
@@ -86,6 +91,17 @@ def test_every_law_has_the_bits_of_the_fmu(every, every_model, every_fmu) -> Non
     state = every.state()
     found = np.array([every.step(state, *row, STEP) for row in zip(*rows, strict=True)])
     np.testing.assert_array_equal(found, torques_of(every_fmu, rows))
+
+
+def test_it_begins_in_motion_where_the_fmu_does(every, every_fmu) -> None:
+    rows = inputs(every.joints, seconds=1.5)
+    for k in (0, 220, 299):  # in motion, at rest, in motion
+        row, state = [r[k] for r in rows], every.state()
+        before = bytes(state)
+        every.begin(state, *row)
+        assert (bytes(state) == before) is (k == 220)
+        found = every.step(state, *row, 0.0)
+        np.testing.assert_array_equal(found, first_torques_of(every_fmu, row))
 
 
 def test_the_laws_of_table_1_by_eulers_step(table1, table1_fmu, tmp_path) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import sympy
 from documents import blocks
-from one_file_laws import STEP, inputs, torques_of
+from one_file_laws import STEP, first_torques_of, inputs, torques_of
 
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.one_file.tensors import export_jax, export_torch, tensor_code
@@ -86,9 +86,17 @@ def test_every_law_over_ten_seconds(python, library, every_model, every_fmu, tmp
     assert_equal(single, expected, 1e-4)
 
 
+def test_it_begins_in_motion_where_the_fmu_does(every, every_fmu) -> None:
+    rows, (_, _, found) = every
+    for k, torque in enumerate(found["begun"]):
+        expected = first_torques_of(every_fmu, tuple(row[k] for row in rows))
+        np.testing.assert_allclose(torque, expected, rtol=1e-12, atol=1e-12)
+
+
 def test_slopes_over_the_coefficients_are_finite_differences(every) -> None:
     """Each times its coefficient, of the largest of the same joint."""
     _, (_, _, slopes) = every
+    slopes = {name: both for name, both in slopes.items() if name != "begun"}
     assert len(slopes) > 100
     for name, (found, finite) in slopes.items():
         assert np.all(np.abs(found - finite) <= 1e-6 * np.maximum(np.abs(finite), 1.0)), name
