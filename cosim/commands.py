@@ -162,12 +162,15 @@ def evaluate(
     *,
     accept: Sequence[str] = (),
 ) -> "Comparison":
-    """Score friction models on logs; they are named by their law, or as the mapping says."""
-    from cosim.scoring import by_joint, compare, predict_model
+    """Score friction models on logs; they are named by their law, or as the mapping says.
+
+    Models that can start from measured torques have a second row, ``NAME + start``.
+    """
+    from cosim.scoring import by_joint, compare, predict_models
 
     models_by_name = named(models)
     records = by_joint(records_of(logs, robot, rigid_body, accept)[0])
-    return compare(records, {name: predict_model(m, records) for name, m in models_by_name.items()})
+    return compare(records, predict_models(models_by_name, records))
 
 
 def replay(

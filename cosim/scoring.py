@@ -17,6 +17,7 @@ from hesr_model.friction.records import record_start
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.support.frames import pandas_frame
 from hesr_model.support.html import table
+from hesr_model.support.progress import Progress, counted, silent
 
 Records = Sequence[Sequence[FrictionRecord]]
 """For each joint its records, one for each log."""
@@ -261,6 +262,21 @@ def predict_model(
         model.predict(log, measured_start=measured_start) for log in zip(*records, strict=True)
     ]
     return [[torque[:, joint] for torque in torques] for joint in range(len(records))]
+
+
+def predict_models(
+    models: Mapping[str, FrictionModel], records: Records, progress: Progress = silent
+) -> dict[str, list[list[Array]]]:
+    """Return the torque of each row of a table, as `predict_model` does, by its name.
+
+    Rows are those of `input_classes`: models that can start from measured torques have two.
+    """
+    found = {}
+    for name, model in counted(models.items(), progress):
+        found[name] = predict_model(model, records)
+        if takes_start(model):
+            found[measured_start(name)] = predict_model(model, records, measured_start=True)
+    return found
 
 
 def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) -> list[list[Array]]:

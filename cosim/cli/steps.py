@@ -213,13 +213,7 @@ def evaluate(
     Example: hesr evaluate test.csv --robot robot.toml --rigid-body rigid_body.json law.json
     """
     from cosim.health import told
-    from cosim.scoring import (
-        compare,
-        input_classes,
-        measured_start,
-        predict_model,
-        takes_start,
-    )
+    from cosim.scoring import compare, input_classes, predict_models
     from hesr_model.artifacts import read_model
     from hesr_model.health.fitted import check_owner
 
@@ -237,13 +231,9 @@ def evaluate(
         records, own, _ = read_records(logs, robot, rigid_body, progress, accept)
         for model in models:
             told(check_owner(model, own))
-        predicted = {}
-        for name, model in counted(named.items(), partial(progress, "evaluating")):
-            predicted[name] = predict_model(model, records)
-            if takes_start(model):
-                torques = predict_model(model, records, measured_start=True)
-                predicted[measured_start(name)] = torques
-        scores = compare(records, predicted)
+        scores = compare(
+            records, predict_models(named, records, partial(progress, "evaluating"))
+        )
     _answer_scores(json_file, scores)
     inputs = input_classes(named)
     _print_scores("evaluation", scores, records, inputs)

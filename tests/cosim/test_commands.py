@@ -1,5 +1,7 @@
 """Commands as calls in Python: they find what the command line finds."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +10,7 @@ import pytest
 
 import hesr
 from hesr_model.errors import ConfigError, ExportError, HesrError, RobotError
+from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.robots.robot import RobotDescription
@@ -34,6 +37,19 @@ def test_from_a_log_to_scores_in_four_calls(arm: RobotDescription, file: Path) -
     np.testing.assert_allclose(replayed.laws["Friction"].rmse, model.training_rmse, rtol=1e-6)
     header = hesr.export(model, file.with_name("friction.h"), "c")
     assert header.read_text(encoding="utf-8")
+
+
+def test_a_start_from_measured_torques_has_a_row_of_its_own(
+    arm: RobotDescription, file: Path, make_law: Callable[[str], FrictionLaw]
+) -> None:
+    laws = (replace(make_law("lugre"), start_samples=5),) * len(arm.joints)
+    model = FrictionModel(
+        law="lugre", robot="arm", joints=arm.joints, laws=laws, sample_time=0.005
+    )
+    body = hesr.identify(str(file), str(arm.model))
+    scores = hesr.evaluate({"own": model}, str(file), body, str(arm.model))
+    assert list(scores.laws) == ["own", "own + start"]
+    assert scores.laws["own"] != scores.laws["own + start"]
 
 
 def test_a_log_is_looked_at(arm: RobotDescription, file: Path) -> None:
