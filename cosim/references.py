@@ -82,6 +82,7 @@ class _Experiment:
     t: Array  # (N,) [s]
     inputs: dict[str, Array]  # (N,) each
     outputs: dict[str, Array]
+    parameters: dict[str, float]
 
 
 class _Members:
@@ -111,8 +112,6 @@ class _Members:
         why = None
         if not {"Stimuli", "References"} <= parts.keys():
             why = "it has no stimuli with references"
-        elif "Parameters" in parts:
-            why = "it sets parameters"
         elif element.get("stepSize") is None:
             why = "it has no step size, so that it is for a solver"
         if why:
@@ -131,16 +130,30 @@ class _Members:
             t=t,
             inputs=stimuli,
             outputs=references,
+            parameters=self._parameters(folder, parts.get("Parameters")),
         )
+
+    def _parameters(self, folder: str, source: str | None) -> dict[str, float]:
+        """Return the values of a table's only row."""
+        if source is None:
+            return {}
+        columns = self._columns(_resolved(folder, source))
+        return {name: float(value[0]) for name, value in columns.items()}
 
     def _xml(self, name: str) -> ET.Element:
         return ET.fromstring(self._archive.read(name, MOST_TEXT))
 
     def _table(self, name: str) -> dict[str, Array]:
+        found = self._columns(name)
+        if "time" not in found:
+            raise ValueError(f"'{name}' is no table over 'time'")
+        return found
+
+    def _columns(self, name: str) -> dict[str, Array]:
         lines = self._archive.read(name, MOST_TEXT).decode("utf-8").splitlines()
         head, *rows = csv.reader(lines[: _MOST_ROWS + 1], skipinitialspace=True)
         columns = np.array([[float(cell) for cell in row] for row in rows]).T
-        if "time" not in head or columns.shape[:1] != (len(head),):
+        if columns.shape[:1] != (len(head),):
             raise ValueError(f"'{name}' is no table over 'time'")
         return dict(zip(head, columns, strict=True))
 
@@ -186,7 +199,7 @@ def _played(fmu: Path, experiment: _Experiment, way: str) -> Array:
             inputs.values[:] = rows[k]
             inputs.write()
 
-        component.enter_initialisation(time=float(t[0]))
+        component.enter_initialisation(time=float(t[0]), start=experiment.parameters)
         set_row(0)
         component.exit_initialisation()
         answers[0] = outputs.read()

@@ -35,6 +35,7 @@ class Experiment:
     step : communication step [s]; 0 where a solver chooses.
     tolerance : of the largest value of each output.
     stimuli, references : members of the archive, CSV.
+    parameters : one of a single row, values by name; empty where all are at their start values.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Experiment:
     tolerance: float
     stimuli: str
     references: str
+    parameters: str = ""
 
 
 def manifest_files(
@@ -70,9 +72,14 @@ def manifest_files(
                 **{name: f"{value:.12g}" for name, value in numbers.items()},
             },
         )
-        ET.SubElement(element, "Stimuli", source=_from_folder(own.stimuli), type="text/csv")
-        ET.SubElement(element, "References", source=_from_folder(own.references), type="text/csv")
+        files = {
+            "Stimuli": own.stimuli, "Parameters": own.parameters, "References": own.references,
+        }  # fmt: skip
+        for kind, file in files.items():
+            if file:
+                ET.SubElement(element, kind, source=_from_folder(file), type="text/csv")
     played = {e.stimuli: "stimuli" for e in experiments}
+    played |= {e.parameters: "parameters of the experiments" for e in experiments if e.parameters}
     texts = {EXPERIMENTS: _xml(root)}
     related = [("experiment/smoke-test", EXPERIMENTS, "application/xml", "how the stimuli are run")]
     for name in members:

@@ -14,6 +14,7 @@ from fmu_src import exported
 from fmu_src.description import Description, to_xml
 from fmu_src.description3 import Arrays, build_description, to_xml3
 from fmu_src.interface import Interface, to_c
+from fmu_src.recorded import Stimuli, result_files
 from fmu_src.toolchain import Target, build, targets
 from hesr_model.errors import ExportError
 from hesr_model.support.cache import kept
@@ -90,6 +91,7 @@ class Content:
     sources : text of its own C files, by name; all .c files make one translation unit.
     members : other members of the archive by name: documentation, resources.
     libraries : for each platform the library that the component needs, if it needs one.
+    stimuli : for which it carries its own answers; none where its members hold results already.
     """
 
     table: Interface
@@ -97,6 +99,7 @@ class Content:
     sources: Mapping[str, str]
     members: Mapping[str, bytes]
     libraries: Mapping[str, Binary] = field(default_factory=dict)
+    stimuli: Stimuli | None = None
 
 
 def own_source(name: str) -> str:
@@ -157,6 +160,8 @@ def write_fmu(
                 members[f"binaries/{folder}/{about.identifier}{target.suffix}"] = library
                 if own:
                     members[f"binaries/{folder}/{own.name}"] = own.content
+    if content.stimuli and fmi == 2:
+        members |= result_files(members, content.stimuli)
     write_archive(members, path, about.created)
     exported.remember(path)
     return path

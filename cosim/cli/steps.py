@@ -231,9 +231,7 @@ def evaluate(
         records, own, _ = read_records(logs, robot, rigid_body, progress, accept)
         for model in models:
             told(check_owner(model, own))
-        scores = compare(
-            records, predict_models(named, records, partial(progress, "evaluating"))
-        )
+        scores = compare(records, predict_models(named, records, partial(progress, "evaluating")))
     _answer_scores(json_file, scores)
     inputs = input_classes(named)
     _print_scores("evaluation", scores, records, inputs)

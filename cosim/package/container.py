@@ -29,6 +29,7 @@ from fmu_src.archive import Archive
 from fmu_src.exported import is_ours, remember
 from fmu_src.interface import literal
 from fmu_src.package import own_source, write_archive
+from fmu_src.recorded import Stimuli, result_files
 from fmu_src.toolchain import TARGETS, build
 from hesr_model.errors import ConfigError, ExportError
 
@@ -45,6 +46,9 @@ _TYPES = {"Real": "Float64", "Integer": "Int32", "Enumeration": "Int32"}
 
 def write_container(contents: SystemContents, path: Path) -> Path:
     """Write a system as an FMU that holds all of its FMUs: the same bytes every time.
+
+    Where all of them are ours it carries its own answers as reference results, inputs at their
+    start values.
 
     Parameters
     ----------
@@ -82,6 +86,8 @@ def write_container(contents: SystemContents, path: Path) -> Path:
     }
     # Whose code is in it, the runtime's but for that of its components.
     ours = [is_ours(component.fmu) for component in contents.spec.components]
+    if all(ours):
+        members |= result_files(members, Stimuli(step=contents.spec.step))
     write_archive(members, path, contents.created)
     if all(ours):
         remember(path)

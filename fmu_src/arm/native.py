@@ -18,10 +18,12 @@ from fmu_src.arm.variables import variables
 from fmu_src.description import Description
 from fmu_src.interface import Interface
 from fmu_src.package import Content, check_request, own_source, write_fmu
+from fmu_src.recorded import Stimuli, waves
 from hesr_model.errors import ExportError
 from hesr_model.support.progress import Progress, silent
 
 CREATED = "1980-01-01T00:00:00Z"
+_SMALL = 0.1  # controls of the reference results
 _OWN = 4  # numbers that mjcf.c remembers besides MuJoCo's state
 _SOURCES = (
     "mjcf.c",
@@ -132,6 +134,7 @@ def arm(
             **licences("mujoco"),
         },
         libraries={platform: library(platform) for platform in platforms},
+        stimuli=Stimuli(step=signals.step, inputs=waves({i.name: _SMALL for i in signals.inputs})),
     )
 
 

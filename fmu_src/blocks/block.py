@@ -1,15 +1,24 @@
 """An FMU whose joints all have the same equations."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 
 from fmu_src.blocks.table import block_description
 from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, own_size
 from fmu_src.interface import Enumeration, Interface, Variable
 from fmu_src.package import Content, own_source
+from fmu_src.recorded import Stimuli, waves
 from hesr_model.equations.component import Choice, Component, Parameter, Quantity
 
 
-def block(component: Component, joints: int, *, name: str, text: str, step: float) -> Content:
+def block(
+    component: Component,
+    joints: int,
+    *,
+    name: str,
+    text: str,
+    step: float,
+    example: Mapping[str, float],
+) -> Content:
     """Return the FMU of a component for a number of joints.
 
     Parameters
@@ -19,6 +28,7 @@ def block(component: Component, joints: int, *, name: str, text: str, step: floa
     name : of the model; in lower case that of the binaries.
     text : one sentence of description.
     step : preferred step [s].
+    example : parameters of its reference results, those of a joint by their own name.
     """
     own = [Joint(component=component, names=_names(component, i)) for i in range(1, joints + 1)]
     # What was at the last sample is no state of a solver.
@@ -39,6 +49,13 @@ def block(component: Component, joints: int, *, name: str, text: str, step: floa
             "equations.h": equations_header(own, table, Needs(functions=FRICTION)),
         },
         members={},
+        stimuli=Stimuli(
+            step=step,
+            inputs=waves({v.name: 1.0 for v in table.variables if v.role == "input"}),
+            parameters={
+                joint.names[name]: value for name, value in example.items() for joint in own
+            },
+        ),
     )
 
 

@@ -111,4 +111,5 @@ def controller(joints: int, *, step: float = 0.005) -> Content:
         name="Controller",
         text="Velocity commands from desired motion, models and measurements.",
         step=step,
+        example={"compensation": 3.0, "Kv": 100.0, "Ki": 500.0, "Kx": 5.0, "friction_gain": 0.9},
     )

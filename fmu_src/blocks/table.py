@@ -6,6 +6,7 @@ from importlib.metadata import version
 from fmu_src.description import Description
 from fmu_src.interface import Interface, Role, Variable
 from fmu_src.package import Content, own_source
+from fmu_src.recorded import Stimuli, waves
 
 _CREATED = "1980-01-01T00:00:00Z"  # blocks have no date of their own
 
@@ -54,7 +55,14 @@ def places(table: Interface, guard: str, first: Mapping[str, str], **sizes: int)
 
 
 def content(
-    table: Interface, *, name: str, text: str, source: str, headers: Mapping[str, str], step: float
+    table: Interface,
+    *,
+    name: str,
+    text: str,
+    source: str,
+    headers: Mapping[str, str],
+    step: float,
+    example: Mapping[str, float] | None = None,
 ) -> Content:
     """Return the FMU of a block.
 
@@ -66,10 +74,13 @@ def content(
     source : name of its C file.
     headers : generated headers by name.
     step : preferred step [s].
+    example : parameters of its reference results that are not at their start values.
     """
     sources = {source: own_source(source)} | dict(headers)
     about = block_description(name=name, text=text, step=step)
-    return Content(table=table, about=about, sources=sources, members={})
+    inputs = waves({v.name: 1.0 for v in table.variables if v.role == "input"})
+    stimuli = Stimuli(step=step, inputs=inputs, parameters=example or {})
+    return Content(table=table, about=about, sources=sources, members={}, stimuli=stimuli)
 
 
 def block_description(*, name: str, text: str, step: float) -> Description:

@@ -7,6 +7,7 @@ import numpy as np
 from fmu_src.blocks.table import content, places, scalar, vector
 from fmu_src.interface import Enumeration, Interface, Variable
 from fmu_src.package import Content
+from fmu_src.recorded import ROWS
 from hesr_model.errors import ExportError
 from hesr_model.motions.trajectories import Fourier, Sine, Sweep, Trajectory
 
@@ -39,6 +40,9 @@ _SCALARS = (
     ("last", "1/s", "frequency at the end of a sweep", 1.0),
     ("length", "s", "of a sweep", 10.0),
 )
+
+_FROM_REST = (("a", 1, 0.5), ("a", 3, -0.5), ("b", 1, 0.4), ("b", 2, -0.2))
+"""Coefficients of each joint in the reference results [rad/s]."""
 
 
 def trajectory(joints: int, *, step: float = 0.005) -> Content:
@@ -84,6 +88,16 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
         source="trajectory.c",
         headers={"motion.h": header},
         step=step,
+        example={
+            "kind": 1.0,
+            "period": ROWS * step,
+            "preview": 2.0 * step,
+            **{
+                f"{name}[{i},{k}]": value
+                for i in range(1, joints + 1)
+                for name, k, value in _FROM_REST
+            },
+        },
     )
 
 

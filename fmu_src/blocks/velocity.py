@@ -48,4 +48,5 @@ def velocity(joints: int, *, step: float = 0.005) -> Content:
         name="Velocity",
         text="Velocity of measured positions: backward differences and a low-pass.",
         step=step,
+        example={"time_constant": 4.0 * step},
     )

@@ -6,17 +6,22 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
+
 from fmu_src.description import Description
 from fmu_src.documentation.drive_page import to_html
-from fmu_src.drive.drive_component import SUBSTEP, equations_to_c, interface, motors
+from fmu_src.drive.drive_component import SUBSTEP, Motors, equations_to_c, interface, motors
 from fmu_src.friction.embedded_model import EMBEDDED_MODEL
 from fmu_src.friction.friction_fmu import date_of
 from fmu_src.friction.validity import require_numbers
 from fmu_src.package import Content, Version, check_request, own_source, write_fmu
+from fmu_src.recorded import ROWS, Stimuli, waves
 from hesr_model.artifacts import model_to_json
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.progress import Progress, silent
+
+_UNKNOWN = 10.0  # friction torque [N.m] where it is not known
 
 
 def export_drive(
@@ -104,4 +109,17 @@ def content(
             "documentation/index.html": to_html(model, table, about).encode(),
             EMBEDDED_MODEL: (json.dumps(model_to_json(model), indent=2) + "\n").encode(),
         },
+        stimuli=_stimuli(model, own),
     )
+
+
+def _stimuli(model: FrictionModel, own: Motors) -> Stimuli:
+    """Return torques of motors that overcome the friction, and the middle of trained loads."""
+    trained = model.trained or (None,) * len(model.joints)
+    sizes, loads = {}, {}
+    for i, (seen, ratio) in enumerate(zip(trained, own.ratio, strict=True), start=1):
+        friction = max(map(abs, seen.tau)) if seen else _UNKNOWN
+        sizes[f"tau_motor[{i}]"] = float(f"{3.0 * (friction or _UNKNOWN) / abs(ratio):.2g}")
+        load = sum(seen.tau_load) / 2.0 if seen else 0.0
+        loads[f"tau_load[{i}]"] = np.full(ROWS + 1, float(f"{load:.3g}"))
+    return Stimuli(step=SUBSTEP, inputs={**waves(sizes), **loads})

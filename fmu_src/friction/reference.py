@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fmu_src.friction.settings import CONTINUOUS, SHOWN, Motion, torques
 from fmu_src.layered import Experiment, manifest_files
+from fmu_src.recorded import WAYS, options, table
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.model import FrictionModel
@@ -156,10 +157,7 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
     }
     experiments = [
         _experiment(name, text, motion, step, _SAME, stepped, references)
-        for name, text, references in (
-            ("hold", "co-simulation: inputs hold over each step, outputs are read after it", "ref"),
-            ("shown", "the same, outputs read once the inputs of the next step are set", "shown"),
-        )
+        for (name, text), references in zip(WAYS.items(), ("ref", "shown"), strict=True)
     ]
     continuous = "model exchange: inputs linear between the rows"
     experiments.append(_experiment("continuous", continuous, smooth, 0.0, _CLOSE, solved, "ref"))
@@ -223,27 +221,18 @@ def _rounded(motion: Motion) -> Motion:
 def _members(
     stem: str, motion: Motion, torque: Array, digits: int, step: float, tolerance: float
 ) -> Mapping[str, bytes]:
-    joints = range(1, torque.shape[1] + 1)
-    inputs = [f"{symbol.name}[{i}]" for symbol in INPUTS for i in joints]
-    options = {"StartTime": motion.t[0], "StopTime": motion.t[-1], "StepSize": step}
-    if not step:
-        options["OutputIntervalLength"] = motion.t[1]
-    lines = [f"{name}, {value:.12g}" for name, value in (options | {"RelTol": tolerance}).items()]
-    rows = np.column_stack([motion.t, motion.dq, motion.q, motion.tau_load])
+    columns = {
+        f"{symbol.name}[{i}]": column
+        for symbol in INPUTS
+        for i, column in enumerate(getattr(motion, symbol.name).T, start=1)
+    }
     return {
-        f"{stem}_in.csv": _csv(["time", *inputs], rows, 12),
+        f"{stem}_in.csv": table({"time": motion.t, **columns}, 12),
         f"{stem}_ref.csv": _torques(motion, torque, digits),
-        f"{stem}_ref.opt": ("\n".join(lines) + "\n").encode(),
+        f"{stem}_ref.opt": options(motion.t, step, tolerance),
     }
 
 
 def _torques(motion: Motion, torque: Array, digits: int) -> bytes:
-    names = [f"tau[{i}]" for i in range(1, torque.shape[1] + 1)]
-    return _csv(["time", *names], np.column_stack([motion.t, torque]), digits)
-
-
-def _csv(header: list[str], rows: Array, digits: int) -> bytes:
-    lines = [",".join(f'"{name}"' for name in header)]
-    # Adding zero turns a negative zero into a plain one.
-    lines += [",".join(f"{value + 0.0:.{digits}g}" for value in row) for row in rows.tolist()]
-    return ("\n".join(lines) + "\n").encode()
+    columns = {f"tau[{i}]": column for i, column in enumerate(torque.T, start=1)}
+    return table({"time": motion.t, **columns}, digits)
