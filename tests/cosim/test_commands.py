@@ -1,6 +1,5 @@
 """Commands as calls in Python: they find what the command line finds."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,6 @@ import pytest
 
 import hesr
 from hesr_model.errors import ConfigError, ExportError, HesrError, RobotError
-from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.robots.robot import RobotDescription
@@ -40,12 +38,10 @@ def test_from_a_log_to_scores_in_four_calls(arm: RobotDescription, file: Path) -
 
 
 def test_a_start_from_measured_torques_has_a_row_of_its_own(
-    arm: RobotDescription, file: Path, make_law: Callable[[str], FrictionLaw]
+    arm: RobotDescription, file: Path, table1: FrictionModel
 ) -> None:
-    laws = (replace(make_law("lugre"), start_samples=5),) * len(arm.joints)
-    model = FrictionModel(
-        law="lugre", robot="arm", joints=arm.joints, laws=laws, sample_time=0.005
-    )
+    laws = tuple(replace(law, start_samples=5) for law in table1.laws)
+    model = replace(table1, joints=arm.joints, laws=laws)
     body = hesr.identify(str(file), str(arm.model))
     scores = hesr.evaluate({"own": model}, str(file), body, str(arm.model))
     assert list(scores.laws) == ["own", "own + start"]
