@@ -6,6 +6,7 @@ what is odd is logged.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -151,7 +152,9 @@ def fit(
     from hesr_model.friction.fitting.fit import fit as fit_law
 
     records, model = records_of(logs, robot, rigid_body, accept)
-    return fit_law(law, *records, seed=seed, options=options, robot=model.description.name)
+    fitted = fit_law(law, *records, seed=seed, options=options, robot=model.description.name)
+    owner = model.description.owner.known
+    return replace(fitted, provenance={**fitted.provenance, "owner": owner}) if owner else fitted
 
 
 def evaluate(

@@ -109,7 +109,8 @@ def run_study(
         rigid_body = job.rigid_body(logs, model)
         findings += told(check_body(rigid_body, model))
         about = [study.robot, job.robot.model, *(files[name] for name in job.trained_on)]
-        source = provenance(files=about, seed=study.seed)
+        owner = study.owner.known or job.robot.owner.known
+        source = provenance(files=about, seed=study.seed) | ({"owner": owner} if owner else {})
         write_rigid_body(folder / "rigid_body.json", rigid_body, source)
         records = {
             name: [friction_records(part, model, rigid_body) for part in log.parts()]

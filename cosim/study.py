@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from cosim.closed_loop import Tracking
 from hesr_model.friction.fitting.per_log import Nuisance
+from hesr_model.robots.owner import Owner
 from hesr_model.support.config import Config, RelativePath
 
 # Names that become names of files.
@@ -140,6 +141,7 @@ class Study(Config):
     twin : where the logs come from the digital twin.
     tracking : closed loop on the twin.
     logs : which logs serve for what.
+    owner : whose the models are; that of the robot file where not given.
     """
 
     name: str = Field(pattern=_NAME)
@@ -155,6 +157,7 @@ class Study(Config):
     twin: Twin | None = None
     tracking: Tracking | None = None
     logs: StudyLogs
+    owner: Owner = Owner()
 
     @model_validator(mode="after")
     def _bands_are_of_tests(self) -> Self:

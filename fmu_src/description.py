@@ -1,12 +1,14 @@
 """modelDescription.xml of an FMU, from its interface."""
 
+import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from xml.etree import ElementTree as ET
 
 from fmu_src.interface import ATTRIBUTES, Enumeration, Interface, Variable
 from hesr_model.errors import ExportError
+from hesr_model.robots.owner import Owner
 
 # Exponents of FMI's base units for each name from which our units are built.
 _BASE: Mapping[str, Mapping[str, int]] = {
@@ -20,6 +22,32 @@ _BASE: Mapping[str, Mapping[str, int]] = {
     "J": {"kg": 1, "m": 2, "s": -2},
     "W": {"kg": 1, "m": 2, "s": -3},
 }
+QUANTITIES: Mapping[str, str] = {
+    "rad": "Angle",
+    "rad/s": "AngularVelocity",
+    "rad/s2": "AngularAcceleration",
+    "m": "Length",
+    "m/s": "Velocity",
+    "m/s2": "Acceleration",
+    "N.m": "Torque",
+    "N": "Force",
+    "W": "Power",
+    "s": "Time",
+    "kg": "Mass",
+    "kg.m2": "MomentOfInertia",
+    "N.m/rad": "RotationalSpringConstant",
+    "N.m.s/rad": "RotationalDampingConstant",
+    "N/m": "TranslationalSpringConstant",
+    "N.s/m": "TranslationalDampingConstant",
+}
+"""Names of quantities by their unit, as Modelica.Units.SI has them."""
+
+DISPLAY: Mapping[str, str] = {"rad": "deg", "rad/s": "deg/s", "rad/s2": "deg/s2"}
+"""Units in which tools show others."""
+
+DEGREES = 180.0 / math.pi
+_EXPERIMENT = 1000
+
 _FACTOR = re.compile(r"([A-Za-z]+|1)(-?[0-9]+)?")
 
 
@@ -44,6 +72,7 @@ class Description:
     created : date and time, ISO 8601 in UTC with a final Z.
     step : preferred step size [s].
     sources : names of the files in sources/ to be compiled; none if they need a library.
+    owner : of the model; the licence of HESR's code is a file of its own in every FMU.
     """
 
     name: str
@@ -53,6 +82,19 @@ class Description:
     created: str
     step: float
     sources: tuple[str, ...]
+    owner: Owner = field(default_factory=Owner)
+
+    @property
+    def experiment(self) -> dict[str, str]:
+        """Times of the default experiment: a thousand of the preferred steps [s]."""
+        times = {"stopTime": _EXPERIMENT * self.step, "stepSize": self.step}
+        return {"startTime": "0"} | {name: f"{value:.12g}" for name, value in times.items()}
+
+
+def shown_as(unit: str) -> dict[str, str]:
+    """Return the attributes that name the quantity of a unit and the unit in which it is shown."""
+    found = {"quantity": QUANTITIES.get(unit), "displayUnit": DISPLAY.get(unit)}
+    return {name: text for name, text in found.items() if text}
 
 
 def si_exponents(unit: str) -> dict[str, int]:
@@ -92,12 +134,12 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
         guid=guid,
         description=about.text,
         version=about.version,
-        license="MIT",
         generationTool=f"HESR {about.version}",
         generationDateAndTime=about.created,
         variableNamingConvention="structured",
         numberOfEventIndicators=str(table.indicators),
     )
+    root.attrib.update(about.owner.known)
     common = {
         "modelIdentifier": about.identifier,
         "needsExecutionTool": "false",
@@ -126,7 +168,7 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
     categories = ET.SubElement(root, "LogCategories")
     for name, text in CATEGORIES.items():
         ET.SubElement(categories, "Category", name=name, description=text)
-    ET.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(about.step))
+    ET.SubElement(root, "DefaultExperiment", about.experiment)
     variables = ET.SubElement(root, "ModelVariables")
     for i, variable in enumerate(table.variables):
         variables.append(_scalar(variable, i, table))
@@ -156,6 +198,8 @@ def _units(root: ET.Element, table: Interface) -> None:
     for name in names:
         unit = ET.SubElement(definitions, "Unit", name=name)
         ET.SubElement(unit, "BaseUnit", {b: str(e) for b, e in si_exponents(name).items()})
+        if display := DISPLAY.get(name):
+            ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(DEGREES))
 
 
 def _types(root: ET.Element, table: Interface) -> None:
@@ -200,7 +244,8 @@ def _scalar(variable: Variable, reference: int, table: Interface) -> ET.Element:
             start=str(int(variable.start)),
         )
         return element
-    real = {"unit": variable.unit or "1"}
+    unit = variable.unit or "1"
+    real = {"unit": unit} | shown_as(unit)
     if not (variable.computed or variable.role == "state"):
         real["start"] = repr(float(variable.start))
     if variable.nominal != 1.0:

@@ -5,7 +5,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from xml.etree import ElementTree as ET
 
-from fmu_src.description import CATEGORIES, Description, si_exponents
+from fmu_src.description import (
+    CATEGORIES,
+    DEGREES,
+    DISPLAY,
+    Description,
+    shown_as,
+    si_exponents,
+)
 from fmu_src.interface import ATTRIBUTES, Array, Interface, Role
 
 _INDICATORS = "event_indicator"
@@ -59,11 +66,11 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
         instantiationToken=token,
         description=about.text,
         version=about.version,
-        license="MIT",
         generationTool=f"HESR {about.version}",
         generationDateAndTime=about.created,
         variableNamingConvention="structured",
     )
+    root.attrib.update(about.owner.known)
     common = {
         "modelIdentifier": about.identifier,
         "canGetAndSetFMUState": "true",
@@ -80,14 +87,18 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
     for name in dict.fromkeys(v.unit for v in table.variables if v.unit):
         unit = ET.SubElement(definitions, "Unit", name=name)
         ET.SubElement(unit, "BaseUnit", {b: str(e) for b, e in si_exponents(name).items()})
+        if display := DISPLAY.get(name):
+            ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(DEGREES))
     # Units by types, since fmi-sim knows none at a variable.
     types = ET.SubElement(root, "TypeDefinitions")
     for name in dict.fromkeys(v.unit for v in table.variables if v.unit):
-        ET.SubElement(types, "Float64Type", name=_type_of(name), unit=name)
+        ET.SubElement(
+            types, "Float64Type", {"name": _type_of(name), "unit": name, **shown_as(name)}
+        )
     categories = ET.SubElement(root, "LogCategories")
     for name, text in CATEGORIES.items():
         ET.SubElement(categories, "Category", name=name, description=text)
-    ET.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(about.step))
+    ET.SubElement(root, "DefaultExperiment", about.experiment)
     arrays = Arrays(table)
     variables = ET.SubElement(root, "ModelVariables")
     for array in arrays.all:

@@ -182,6 +182,7 @@ def fit(
         files = [robot, own.description.model, rigid_body, *logs]
         health = [to_json(finding) for finding in findings]
         source = provenance(files=files, seed=seed, options=options, health=health)
+        source |= {"owner": owner} if (owner := own.description.owner.known) else {}
         model = fit_models(
             [law],
             records,

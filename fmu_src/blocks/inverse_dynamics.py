@@ -61,6 +61,7 @@ def inverse_dynamics(
         source="inverse_dynamics.c",
         headers={"places.h": header, "tree.h": _tree(robot)},
         step=step,
+        owner=robot.description.owner,
     )
 
 

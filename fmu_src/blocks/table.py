@@ -7,6 +7,7 @@ from fmu_src.description import Description
 from fmu_src.interface import Interface, Role, Variable
 from fmu_src.package import Content, own_source
 from fmu_src.recorded import Stimuli, waves
+from hesr_model.robots.owner import OURS, Owner
 
 _CREATED = "1980-01-01T00:00:00Z"  # blocks have no date of their own
 
@@ -63,6 +64,7 @@ def content(
     headers: Mapping[str, str],
     step: float,
     example: Mapping[str, float] | None = None,
+    owner: Owner = OURS,
 ) -> Content:
     """Return the FMU of a block.
 
@@ -75,15 +77,16 @@ def content(
     headers : generated headers by name.
     step : preferred step [s].
     example : parameters of its reference results that are not at their start values.
+    owner : ours where it holds nothing of a robot.
     """
     sources = {source: own_source(source)} | dict(headers)
-    about = block_description(name=name, text=text, step=step)
+    about = block_description(name=name, text=text, step=step, owner=owner)
     inputs = waves({v.name: 1.0 for v in table.variables if v.role == "input"})
     stimuli = Stimuli(step=step, inputs=inputs, parameters=example or {})
     return Content(table=table, about=about, sources=sources, members={}, stimuli=stimuli)
 
 
-def block_description(*, name: str, text: str, step: float) -> Description:
+def block_description(*, name: str, text: str, step: float, owner: Owner = OURS) -> Description:
     """Return what the description of a block says of it; the arguments are those of `content`."""
     return Description(
         name=name,
@@ -93,4 +96,5 @@ def block_description(*, name: str, text: str, step: float) -> Description:
         created=_CREATED,
         step=step,
         sources=("all.c",),
+        owner=owner,
     )

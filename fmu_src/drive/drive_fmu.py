@@ -19,6 +19,7 @@ from fmu_src.recorded import ROWS, Stimuli, waves
 from hesr_model.artifacts import model_to_json
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
+from hesr_model.robots.owner import Owner
 from hesr_model.support.progress import Progress, silent
 
 _UNKNOWN = 10.0  # friction torque [N.m] where it is not known
@@ -98,6 +99,7 @@ def content(
         created=date_of(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
         step=SUBSTEP,
         sources=("all.c",),
+        owner=Owner.of(model.provenance),
     )
     names = ("balance.h", "coupling.h", "drive.c", "law_math.h", "root.h")
     sources = {name: own_source(name) for name in names}

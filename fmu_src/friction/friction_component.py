@@ -102,13 +102,14 @@ def interface(model: FrictionModel, more: tuple[Equation, ...] = ()) -> Interfac
     """
     numbered = list(enumerate(zip(model.joints, model.slides, strict=True), start=1))
     inputs = [
-        _of_joint(quantity, joint, name, slides, role="input")
+        _of_joint(model, quantity, joint, name, slides, role="input")
         for quantity in QUANTITIES
         for joint, (name, slides) in numbered
     ]
     joints = joints_of(model, more)
     outputs = [
         _of_joint(
+            model,
             equation,
             joint,
             name,
@@ -181,14 +182,16 @@ def _output_dependencies(
 
 
 def _of_joint(
-    quantity: Quantity, joint: int, name: str, slides: bool, *, role: str,
+    model: FrictionModel, quantity: Quantity, joint: int, name: str, slides: bool, *, role: str,
     dependencies: tuple[str, ...] = (),
 ) -> Variable:  # fmt: skip
+    seen = model.trained[joint - 1] if model.trained else None
     return Variable(
         name=f"{quantity.name}[{joint}]",
         role="input" if role == "input" else "output",
         description=quantity.description.format(joint=name, effort=_EFFORT[slides]),
         unit=unit_of_joint(quantity.unit, slides=slides),
+        nominal=_usual(max(map(abs, getattr(seen, quantity.name, (0.0,))))),
         dependencies=dependencies,
     )
 
@@ -352,6 +355,11 @@ def nominal(law: FrictionLaw, element: Element) -> float:
     first, second = (float(e.subs(at)) for e in element.parts)
     slides_at = abs(first / second) if second else 0.0
     size = slides_at if isinstance(element, Relaxation) else second
+    return _usual(size)
+
+
+def _usual(size: float) -> float:
+    """Return a size with two digits; 1 where it is nothing usable."""
     return float(f"{size:.2g}") if 0.0 < size < inf else 1.0
 
 

@@ -29,6 +29,7 @@ from hesr_model.equations.component import Equation
 from hesr_model.errors import ExportError
 from hesr_model.friction.audit.properties import Properties
 from hesr_model.friction.model import FrictionModel
+from hesr_model.robots.owner import Owner
 from hesr_model.support.progress import Progress, silent
 
 # The dates that a ZIP archive can hold; the first also stands for no date.
@@ -179,6 +180,7 @@ def _about(model: FrictionModel, kind: str, text: str) -> Description:
         created=date_of(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
         step=model.sample_time,
         sources=("all.c",),
+        owner=Owner.of(model.provenance),
     )
 
 

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 from hesr_model.errors import RobotError
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.robots.model_file import load, motion_subspace, require_one_axis, set_joint
+from hesr_model.robots.owner import Owner
 from hesr_model.robots.transmission import Coupling, Transmission
 from hesr_model.support.config import Config, PrintableName, RelativePath, read_toml
 
@@ -45,6 +46,8 @@ class RobotDescription(Config):
         Where there is a transmission they are those of its diagonal.
     transmission
         How motors move joints, where a motor turns with more than one, or logs are of motors.
+    owner
+        Whose the models are that are made of its logs.
     """
 
     name: PrintableName
@@ -56,6 +59,7 @@ class RobotDescription(Config):
     gear_ratio: tuple[Annotated[float, Field(gt=0)], ...] | None = None
     transmission: Transmission | None = None
     log: LogFormat = LogFormat()
+    owner: Owner = Owner()
 
     @model_validator(mode="after")
     def _one_gear_per_joint(self) -> Self:

@@ -11,6 +11,7 @@ import hesr
 from hesr_model.errors import ConfigError, ExportError, HesrError, RobotError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import RobotLog
+from hesr_model.robots.owner import Owner
 from hesr_model.robots.robot import RobotDescription
 
 
@@ -46,6 +47,13 @@ def test_a_start_from_measured_torques_has_a_row_of_its_own(
     scores = hesr.evaluate({"own": model}, str(file), body, str(arm.model))
     assert list(scores.laws) == ["own", "own + start"]
     assert scores.laws["own"] != scores.laws["own + start"]
+
+
+def test_models_are_those_of_the_robots_owner(arm: RobotDescription, file: Path) -> None:
+    owned = arm.model_copy(update={"owner": Owner(author="A", license="MIT")})
+    for robot, owner in ((arm, {}), (owned, {"author": "A", "license": "MIT"})):
+        model = hesr.fit("stribeck", str(file), robot)
+        assert Owner.of(model.provenance).known == owner
 
 
 def test_a_log_is_looked_at(arm: RobotDescription, file: Path) -> None:

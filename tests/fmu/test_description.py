@@ -1,5 +1,6 @@
 """modelDescription.xml and the documentation say what the FMU is."""
 
+import math
 import zipfile
 from xml.etree import ElementTree as ET
 
@@ -8,9 +9,11 @@ from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
 from fmu_src import export_fmu
+from fmu_src.blocks.velocity import velocity
 from fmu_src.description import si_exponents
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.errors import ExportError
+from hesr_model.friction.trained import TrainedRange
 
 
 def described(fmu):
@@ -126,6 +129,57 @@ def test_si_exponents(unit, exponents):
     assert si_exponents(unit) == exponents
 
 
+def test_quantities_and_units_for_people(table1_fmu):
+    about = described(table1_fmu)
+    variables = {v.name: v for v in about.modelVariables}
+    shown = {
+        n: (variables[n].quantity, variables[n].displayUnit) for n in ("dq[1]", "q[1]", "tau[1]")
+    }
+    assert shown == {
+        "dq[1]": ("AngularVelocity", "deg/s"), "q[1]": ("Angle", "deg"), "tau[1]": ("Torque", None),
+    }  # fmt: skip
+    units = {u.name: u for u in about.unitDefinitions}
+    (degrees,) = units["rad"].displayUnits
+    assert (degrees.name, degrees.factor * math.pi) == ("deg", pytest.approx(180.0, rel=1e-15))
+
+
+def test_the_sign_of_the_torque_is_said(table1_fmu):
+    (tau,) = (v for v in described(table1_fmu).modelVariables if v.name == "tau[1]")
+    assert tau.description.endswith(": what the drive must deliver, a plant subtracts it")
+
+
+def test_nominals_are_those_of_the_training(make_law, make_model, tmp_path):
+    seen = TrainedRange(
+        dq=(-0.5, 1.234), q=(-1.0, 1.0), tau_load=(-40.4, 3.0), tau=(0.0, 0.0), sample_time=0.005
+    )
+    model = make_model(make_law("viscous"), trained=(seen,))
+    about = described(export_bare(model, tmp_path / "F.fmu"))
+    nominals = {v.name: v.nominal for v in about.modelVariables}
+    assert [nominals[n] for n in ("dq[1]", "tau_load[1]", "tau[1]")] == ["1.2", "40.0", None]
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_author_and_licence_are_the_owners(fmi, make_law, make_model, tmp_path):
+    owner = {"author": "A & B", "license": "Apache-2.0"}
+    whose = {"mine": make_model(make_law("viscous"), provenance={"owner": owner})}
+    whose["unknown"] = make_model(make_law("viscous"))
+    for name, expected in (("mine", owner), ("unknown", {})):
+        fmu = export_bare(whose[name], tmp_path / f"{name}.fmu", fmi=fmi)
+        with zipfile.ZipFile(fmu) as archive:
+            root = ET.fromstring(archive.read("modelDescription.xml"))
+            assert b"HESR authors" in archive.read("documentation/licenses/license.txt")
+        found = {k: root.get(k) for k in ("author", "copyright", "license") if root.get(k)}
+        assert found == expected
+
+
+def test_fmus_of_nothing_but_our_code_are_ours():
+    about = velocity(1).about
+    assert about.owner.known == {
+        "author": "The HESR authors", "license": "MIT",
+        "copyright": "Copyright (c) 2026 The HESR authors",
+    }  # fmt: skip
+
+
 def test_unknown_units_are_refused():
     with pytest.raises(ExportError, match=r"unit 'lbf\.ft': 'lbf' is unknown"):
         si_exponents("lbf.ft")
@@ -133,7 +187,8 @@ def test_unknown_units_are_refused():
 
 def test_experiment(table1_fmu):
     about = described(table1_fmu)
-    assert float(about.defaultExperiment.stepSize) == 0.005
+    experiment = about.defaultExperiment
+    assert (experiment.startTime, experiment.stopTime, experiment.stepSize) == ("0", "5", "0.005")
     assert about.generationDateAndTime.endswith("Z")
 
 

@@ -61,7 +61,9 @@ def test_every_variable_has_the_unit_of_its_joint(mixed_fmu):
         ("joint[{}].v_s", "rad/s", "m/s"),
     ):
         assert [found[name.format(i)].unit for i in (1, 2)] == [turning, sliding], name
-    assert found["tau[1]"].description == "friction torque of axis_1"
+    assert found["tau[1]"].description == (
+        "friction torque of axis_1: what the drive must deliver, a plant subtracts it"
+    )
     assert found["tau[2]"].description == "friction force of axis_2"
     assert (
         found["tau_load[2]"].description == "load force on axis_2: rigid-body force of the motion"

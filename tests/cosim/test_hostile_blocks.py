@@ -1,0 +1,37 @@
+"""Parts of a loop, and the whole, bear a master at its worst."""
+
+from pathlib import Path
+
+import pytest
+from closed_loop import Bench
+
+from cosim.closed_loop import Compensation, Scheme
+from cosim.package.container import write_container
+from cosim.package.contents import read_contents
+from fmu_src.check import check
+
+
+def complaints(fmu: Path) -> list[str]:
+    report = check(fmu, hostile=True)
+    assert not any(reason.startswith("Hostile") for reason in report.skipped)
+    return [problem.text for problem in report.problems]
+
+
+@pytest.mark.parametrize("name", ["trajectory", "body", "controller", "velocity"])
+def test_a_part_bears_everything(bench: Bench, name: str) -> None:
+    assert complaints(getattr(bench.fmus, name)) == []
+
+
+@pytest.mark.soak
+def test_the_arm_bears_everything(bench: Bench) -> None:
+    assert complaints(bench.fmus.arm) == []
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("compensation", ["torque_error", "servo_inversion"])
+def test_a_container_bears_everything(
+    bench: Bench, compensation: Compensation, tmp_path: Path
+) -> None:
+    spec = bench.system(bench.loop(Scheme(compensation=compensation, Kx=5.0)))
+    contents = read_contents(spec.model_copy(update={"name": "closed"}), Path("closed.toml"))
+    assert complaints(write_container(contents, tmp_path / "Closed.fmu")) == []

@@ -1,0 +1,36 @@
+"""Whose models are."""
+
+from pathlib import Path
+
+import pytest
+
+from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.robots.owner import OURS, Owner
+from hesr_model.robots.robot import RobotDescription
+
+ROBOT = 'name = "arm"\nmodel = "arm.urdf"\njoints = ["a"]\n'
+
+
+def test_what_is_known_is_what_is_said() -> None:
+    assert Owner().known == {}
+    assert Owner(author="A", license="MIT").known == {"author": "A", "license": "MIT"}
+    assert set(OURS.known) == {"author", "copyright", "license"}
+
+
+def test_the_owner_of_a_model_stands_in_its_provenance() -> None:
+    assert Owner.of({}) == Owner()
+    assert Owner.of({"owner": {"copyright": "(c) B"}}) == Owner(copyright="(c) B")
+    for wrong in ({"author": 3}, {"name": "B"}, {"author": "a\nb"}, "B"):
+        with pytest.raises(
+            ArtifactError, match=r"the provenance's 'owner' is .*; needed are texts"
+        ):
+            Owner.of({"owner": wrong})
+
+
+def test_a_robot_file_names_it(tmp_path: Path) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text(f'{ROBOT}[owner]\nauthor = "A"\n', encoding="utf-8")
+    assert RobotDescription.read(file).owner == Owner(author="A")
+    file.write_text(f'{ROBOT}[owner]\nauthor = "A"\nname = "B"\n', encoding="utf-8")
+    with pytest.raises(ConfigError, match="owner"):
+        RobotDescription.read(file)
