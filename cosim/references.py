@@ -7,8 +7,9 @@ experiment that is called as one of them is run in this way alone.
 import csv
 import hashlib
 import posixpath
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -61,28 +62,45 @@ def verify(fmu: Path) -> Verified:
     """
     found = Verified()
     with Archive(fmu) as archive:
-        if MANIFEST not in archive.names:
-            found.skipped.append(f"Reference results: there is no {MANIFEST}.")
-            return found
-        members = _Members(archive)
-        try:
-            experiments = list(members.experiments(found))
-        except (ValueError, ET.ParseError, HesrError) as error:
-            found.problems.append(f"its reference results cannot be read: {_one_line(error)}.")
-            return found
-    for experiment in experiments:
-        _judge(fmu, experiment, found)
+        stored = experiments(archive, found)
+    for experiment in stored:
+        own = experiment.name
+        ways = [own] if own in WAYS else list(WAYS)
+        judged(experiment, ways, partial(_played, fmu, experiment), found)
     return found
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Experiment:
+class Experiment:
+    """Stimuli and results that were read.
+
+    Attributes
+    ----------
+    name : that of a way of handing values over, or any other.
+    tolerance : of the largest value of each output.
+    t : (N,) [s].
+    inputs, outputs : (N,) each, by name.
+    parameters : values by name.
+    """
+
     name: str
     tolerance: float
-    t: Array  # (N,) [s]
-    inputs: dict[str, Array]  # (N,) each
+    t: Array
+    inputs: dict[str, Array]
     outputs: dict[str, Array]
     parameters: dict[str, float]
+
+
+def experiments(archive: Archive, found: Verified) -> list[Experiment]:
+    """Return the experiments for co-simulation that an archive carries; tell what is wrong."""
+    if MANIFEST not in archive.names:
+        found.skipped.append(f"Reference results: there is no {MANIFEST}.")
+        return []
+    try:
+        return list(_Members(archive).experiments(found))
+    except (ValueError, ET.ParseError, HesrError) as error:
+        found.problems.append(f"its reference results cannot be read: {_one_line(error)}.")
+        return []
 
 
 class _Members:
@@ -91,7 +109,7 @@ class _Members:
     def __init__(self, archive: Archive) -> None:
         self._archive = archive
 
-    def experiments(self, found: Verified) -> Iterator[_Experiment]:
+    def experiments(self, found: Verified) -> Iterator[Experiment]:
         """Yield the experiments for co-simulation; say what is wrong with files, what is left."""
         for related in self._xml(MANIFEST).iter("Related"):
             place = _resolved(FOLDER, related.get("source", ""))
@@ -106,7 +124,7 @@ class _Members:
 
     def _experiment(
         self, element: ET.Element, folder: str, found: Verified
-    ) -> Iterator[_Experiment]:
+    ) -> Iterator[Experiment]:
         name = plain(element.get("name", ""))
         parts = {part.tag: part.get("source", "") for part in element}
         why = None
@@ -124,7 +142,7 @@ class _Members:
         if t.shape != same.shape or np.any(np.abs(t - same) > 1e-9 * max(1.0, abs(t[-1]))):
             found.skipped.append(f"Experiment '{name}': its results are at other times.")
             return
-        yield _Experiment(
+        yield Experiment(
             name=name,
             tolerance=float(element.get("tolerance", _TOLERANCE)),
             t=t,
@@ -166,12 +184,23 @@ class _Members:
         return hashlib.new(algorithm, content).hexdigest() == digest.lower()
 
 
-def _judge(fmu: Path, experiment: _Experiment, found: Verified) -> None:
+def judged(
+    experiment: Experiment, ways: Sequence[str], played: Callable[[str], Array], found: Verified
+) -> None:
+    """Tell whether an experiment gives its results in one of several ways.
+
+    Parameters
+    ----------
+    experiment : with its results.
+    ways : to try.
+    played : returns the (N, outputs) values of a way.
+    found : what is told.
+    """
     own = experiment.name
     worst: list[tuple[float, str]] = []
-    for way in [own] if own in WAYS else WAYS:
+    for way in ways:
         try:
-            rows = _played(fmu, experiment, way)
+            rows = played(way)
         except HesrError as error:
             found.problems.append(f"experiment '{own}': {_one_line(error)}.")
             return
@@ -186,7 +215,7 @@ def _judge(fmu: Path, experiment: _Experiment, found: Verified) -> None:
     )
 
 
-def _played(fmu: Path, experiment: _Experiment, way: str) -> Array:
+def _played(fmu: Path, experiment: Experiment, way: str) -> Array:
     """Return the (N, outputs) values that the FMU gives."""
     t = experiment.t
     rows = np.column_stack([*experiment.inputs.values(), t])[:, :-1]
@@ -212,7 +241,7 @@ def _played(fmu: Path, experiment: _Experiment, way: str) -> Array:
     return answers
 
 
-def _difference(experiment: _Experiment, rows: Array) -> tuple[float, str]:
+def _difference(experiment: Experiment, rows: Array) -> tuple[float, str]:
     """Return the largest difference, of the largest value of its output, and where it is."""
     expected = np.column_stack(list(experiment.outputs.values()))
     size = np.maximum(np.abs(expected).max(axis=0), np.finfo(float).tiny)

@@ -47,15 +47,24 @@ def check(
     """Check FMUs by every validator there is.
 
     The exit code is 1 if anything is wrong. No code of an FMU is run but with --convention,
-    --hostile and --references.
+    --hostile and --references. An SSP is checked by its reference results alone.
 
     Example: hesr check Friction.fmu --vdmcheck .tools/vdmcheck2
     """
     from fmu_src.check import check as check_fmu
     from fmu_src.check import opened
+    from fmu_src.check.report import Report
+    from hesr_model.errors import ConfigError
 
+    systems = [fmu for fmu in fmus if fmu.suffix.lower() == ".ssp"]
+    if systems and (not references or convention or hostile):
+        raise ConfigError(
+            f"{systems[0]}: of an SSP the reference results are checked and nothing else; give "
+            "--references, and neither --convention nor --hostile."
+        )
     for fmu in fmus:
-        opened(fmu).close()  # what cannot be opened is told before the work on others
+        if fmu not in systems:
+            opened(fmu).close()  # what cannot be opened is told before the work on others
     if convention:
         from cosim.convention import judge
 
@@ -66,7 +75,11 @@ def check(
     with shown_progress() as progress:
         for k, fmu in enumerate(fmus):
             progress("checking", k, len(fmus))
-            report = check_fmu(fmu, vdmcheck=vdmcheck, hostile=hostile)
+            report = (
+                Report(fmu, (), ())
+                if fmu in systems
+                else check_fmu(fmu, vdmcheck=vdmcheck, hostile=hostile)
+            )
             reports.append(_with_references(report) if references else report)
     for fmu, report in zip(fmus, reports, strict=True):
         for problem in report.problems:
@@ -102,10 +115,12 @@ def _with_references(report: "Report") -> "Report":
     """Return a report with what came of the FMU's reference results."""
     from dataclasses import replace
 
+    from cosim.package.ssp_results import verify_ssp
     from cosim.references import verify
     from fmu_src.check.report import problems_of
 
-    found = verify(report.path)
+    system = report.path.suffix.lower() == ".ssp"
+    found = (verify_ssp if system else verify)(report.path)
     return replace(
         report,
         problems=(*report.problems, *problems_of("references", found.problems)),

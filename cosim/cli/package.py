@@ -22,7 +22,7 @@ def package(
         bool, typer.Option("--container", help="Write one FMU that holds the whole system.")
     ] = False,
 ) -> None:
-    """Write a system of FMUs as one file: an SSP, or one FMU. No code of theirs is run.
+    """Write a system of FMUs as one file: an SSP, or one FMU. No foreign code is run.
 
     Examples: hesr package loop.toml -o loop.ssp; hesr package loop.toml --container -o Loop.fmu
     """

@@ -13,7 +13,7 @@ from xml.etree import ElementTree as ET
 from cosim.package.contents import Unit, description_of
 from cosim.package.markup import NAMESPACES
 from cosim.package.names import safe_names
-from cosim.package.ssp import SSD
+from cosim.package.ssd import SSD
 from cosim.package.units import Quantity, differ, in_unit_of, read_units
 from cosim.system import SystemSpec
 from cosim.variables import Variables

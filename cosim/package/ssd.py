@@ -13,6 +13,9 @@ from cosim.package.markup import NAMESPACES, Version, add_units, to_bytes
 from cosim.system import ComponentSpec
 from cosim.wiring import Element
 
+SSD = "SystemStructure.ssd"
+"""Name of the description in an SSP."""
+
 OMSIMULATOR = "org.openmodelica"
 OSP = "com.opensimulationplatform"
 _ENGINES = {

@@ -4,17 +4,18 @@ from pathlib import Path
 
 from cosim.package.contents import SystemContents
 from cosim.package.markup import Version
-from cosim.package.ssd import resource, to_ssd
+from cosim.package.ssd import SSD, resource, to_ssd
+from cosim.package.ssp_results import result_files
 from cosim.package.ssv import to_ssv
 from fmu_src.package import zip_members
 from hesr_model.errors import ConfigError
 from hesr_model.support.files import written_whole
 
-SSD = "SystemStructure.ssd"
-
 
 def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0") -> Path:
     """Write a system with its FMUs as an SSP: the same bytes every time.
+
+    Where all FMUs are ours it carries the system's signals as reference results.
 
     Parameters
     ----------
@@ -41,6 +42,7 @@ def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0")
         if contents.wiring.start[name]:
             members[resource(name, ".ssv")] = to_ssv(contents, name, version)
         members[resource(name, ".fmu")] = component.fmu.read_bytes()
+    members |= result_files(contents)
     with written_whole(path) as temporary:
         zip_members(temporary, members, contents.created)
     return path

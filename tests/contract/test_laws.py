@@ -17,13 +17,14 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from cosim.replay import replay
+from cosim.slave import Component
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.artifacts import read_model, write_model
 from hesr_model.errors import ArtifactError, HesrError
 from hesr_model.friction.evaluate import Stepper, predict
 from hesr_model.friction.fitting.fit import fit_joint
 from hesr_model.friction.inputs import INPUTS
-from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.law import MOVING, FrictionLaw
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
@@ -261,9 +262,17 @@ def test_a_law_survives_its_file(law: FrictionLaw, tmp_path: Path) -> None:
     np.testing.assert_array_equal(torque(found.laws[0], unseen()), torque(law, unseen()))
 
 
-def test_the_fmu_gives_the_torque_of_the_law(law: FrictionLaw, tmp_path: Path) -> None:
-    model = model_of(law)
-    fmu = export_bare(model, tmp_path / "Friction.fmu")
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Return the FMU of a law, which is made once."""
+    folder = tmp_path_factory.mktemp("fmus")
+    return cache(lambda name: export_bare(model_of(fitted(name)), folder / f"{name}.fmu"))
+
+
+def test_the_fmu_gives_the_torque_of_the_law(
+    name: str, law: FrictionLaw, exported: Callable[[str], Path]
+) -> None:
+    model, fmu = model_of(law), exported(name)
     both = (unseen(), first_rows(training()[0], len(unseen().t)))
     columns: Mapping[str, np.ndarray] = {
         name: np.stack([getattr(data, name) for data in both], axis=1)
@@ -286,6 +295,24 @@ def test_a_law_says_which_input_the_records_lack(law: str, need: str) -> None:
     assert str(caught.value) == (
         f"joint 'j1': law '{law}' needs the key '{need}', which the robot file does not give."
     )
+
+
+def test_the_first_torque_of_the_fmu_is_the_steady_one(
+    name: str, exported: Callable[[str], Path]
+) -> None:
+    """At any speed of the training from that on which counts as motion."""
+    trained = max(float(np.abs(data.dq).max()) for data in training())
+    held = {"q": 0.3, "tau_load": 4.0}
+    with Component(exported(name)) as friction:
+        for speed in np.geomspace(MOVING, trained, 12):
+            for dq in (speed, -speed):
+                inputs = {f"{n}[{i}]": v for i in (1, 2) for n, v in (held | {"dq": dq}).items()}
+                friction.initialise(start=inputs | {"discretisation": 1})
+                first = friction.get(["tau[1]", "tau[2]"])
+                friction.step(0.0, 1e4)
+                steady = friction.get(["tau[1]", "tau[2]"])
+                assert np.all(np.abs(first - steady) <= 0.05 * np.abs(steady)), dq
+                friction.reset()
 
 
 @pytest.mark.parametrize("speed", [-1.0, -0.3, -0.02, 0.02, 0.1, 1.0])

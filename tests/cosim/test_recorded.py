@@ -8,11 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from closed_loop import STEP, Bench
+from small_study import Hesr, hesr_here
 
 from cosim.closed_loop import Scheme
 from cosim.package.container import write_container
 from cosim.package.contents import read_contents
+from cosim.package.ssp import write_ssp
+from cosim.package.ssp_results import result_files as result_files_of
+from cosim.package.ssp_results import verify_ssp
 from cosim.references import verify
+from cosim.system import ComponentSpec, SystemSpec
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.package import zip_members
 from fmu_src.recorded import ROWS, TOLERANCE, Stimuli, result_files
@@ -21,6 +26,11 @@ from hesr_model.motions.trajectories import Fourier
 
 EVERY = ("arm", "trajectory", "body", "controller", "velocity")
 BOTH = {"hold": "hold", "shown": "shown"}
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
 
 
 def table(fmu: Path, kind: str) -> dict[str, np.ndarray]:
@@ -108,3 +118,42 @@ def test_without_a_binary_for_this_machine_there_are_none(bench: Bench) -> None:
     with zipfile.ZipFile(bench.fmus.velocity) as archive:
         members = {n: archive.read(n) for n in archive.namelist() if not n.startswith("binaries/")}
     assert result_files(members, Stimuli(step=STEP)) == {}
+
+
+WAYS = {"hold": "hold", "shown": "shown", "refreshed": "refreshed"}
+
+
+def test_an_ssp_carries_results_of_each_coupling(bench: Bench, tmp_path: Path, hesr: Hesr) -> None:
+    spec = bench.system(bench.loop(Scheme(compensation="servo_inversion", Kx=5.0)))
+    contents = read_contents(spec.model_copy(update={"name": "closed"}), Path("closed.toml"))
+    ssp = write_ssp(contents, tmp_path / "closed.ssp")
+    found = verify_ssp(ssp)
+    assert (found.problems, found.skipped, found.passed) == ([], [], WAYS)
+    with zipfile.ZipFile(ssp) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    results = {way: members[f"extra/results/system_{way}.csv"] for way in WAYS}
+    assert len(set(results.values())) == 3  # engines differ
+    answer = hesr("check", ssp, "--references")
+    assert (answer.code, answer.out.strip()) == (0, f"{ssp}: no problem found.")
+    # Those of another coupling are not an engine's own.
+    members["extra/results/system_hold.csv"] = results["refreshed"]
+    swapped = tmp_path / "swapped.ssp"
+    zip_members(swapped, members, "1980-01-01T00:00:00Z")
+    checksum, experiment = verify_ssp(swapped).problems
+    assert checksum.endswith("is not what its checksum says.")
+    assert experiment.startswith("experiment 'hold': ")
+
+
+@pytest.mark.parametrize("options", [(), ("--references", "--hostile")])
+def test_of_an_ssp_nothing_else_is_checked(
+    options: tuple[str, ...], tmp_path: Path, hesr: Hesr
+) -> None:
+    answer = hesr("check", tmp_path / "a.ssp", *options)
+    assert answer.code == 2
+    assert "a.ssp: of an SSP the reference results are checked and nothing else; give" in answer.err
+
+
+def test_systems_of_foreign_fmus_carry_none(lag_fmu: Path) -> None:
+    lag = ComponentSpec(name="a", fmu=lag_fmu)
+    spec = SystemSpec(name="one", step=0.1, stop=1.0, components=(lag,), observe=("a.y",))
+    assert result_files_of(read_contents(spec, Path("one.toml"))) == {}

@@ -14,7 +14,8 @@ from cosim.master import simulate
 from cosim.package.contents import read_contents
 from cosim.package.names import safe_names
 from cosim.package.read import opened_system
-from cosim.package.ssp import SSD, write_ssp
+from cosim.package.ssd import SSD
+from cosim.package.ssp import write_ssp
 from cosim.package.units import Quantity, in_unit_of
 from cosim.system import SystemSpec
 from cosim.variables import SI, Variables
