@@ -15,7 +15,7 @@ from cosim.study import Study
 from cosim.verdict import Verdict, verdict, write_verdict
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.toolchain import targets
-from hesr_model.artifacts import provenance, write_json, write_model, write_rigid_body
+from hesr_model.artifacts import newest, provenance, write_json, write_model, write_rigid_body
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health.examine import checked
 from hesr_model.health.fitted import check_body, check_laws
@@ -111,6 +111,8 @@ def run_study(
         about = [study.robot, job.robot.model, *(files[name] for name in job.trained_on)]
         owner = study.owner.known or job.robot.owner.known
         source = provenance(files=about, seed=study.seed) | ({"owner": owner} if owner else {})
+        if study.twin is None:  # whose logs are new each time
+            source |= {"created": newest([files[name] for name in job.trained_on])}
         write_rigid_body(folder / "rigid_body.json", rigid_body, source)
         records = {
             name: [friction_records(part, model, rigid_body) for part in log.parts()]

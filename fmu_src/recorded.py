@@ -84,7 +84,9 @@ def waves(amplitudes: Mapping[str, float], middle: float = 0.0) -> dict[str, Arr
 
 
 def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, bytes]:
-    """Return the members of an FMU's folder `extra/`; none without a binary for this machine.
+    """Return the members of an FMU's folder `extra/`.
+
+    There are none without a binary for this machine, or where a run fails.
 
     Parameters
     ----------
@@ -92,6 +94,7 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
     stimuli : for it.
     """
     import fmpy
+    from fmpy.fmi1 import FMICallException
 
     root = ET.fromstring(members["modelDescription.xml"])
     kind = root.find("CoSimulation")
@@ -111,7 +114,10 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
                 file = Path(home, member)
                 file.parent.mkdir(parents=True, exist_ok=True)
                 file.write_bytes(content)
-        rows = {way: _run(Path(home), root, name, stimuli, outputs, way) for way in WAYS}
+        try:
+            rows = {way: _run(Path(home), root, name, stimuli, outputs, way) for way in WAYS}
+        except FMICallException:
+            return {}
     if not all(np.all(np.isfinite(found)) for found in rows.values()):
         return {}
     return _files(name, fmpy.platform, stimuli, outputs, rows)
@@ -122,7 +128,12 @@ def _run(
     way: str,
 ) -> Array:  # fmt: skip
     """Return the outputs (ROWS + 1, outputs) of an FMU that is unpacked in a folder."""
-    from fmpy.fmi2 import FMU2Slave
+    from fmpy.fmi2 import (
+        FMU2Slave,
+        defaultCallbacks,
+        fmi2CallbackFunctions,
+        fmi2CallbackLoggerTYPE,
+    )
 
     variables = {v.get("name", ""): v for v in root.iter("ScalarVariable")}
 
@@ -139,7 +150,11 @@ def _run(
     inputs, read = references([*stimuli.inputs]), references(outputs)
     columns = np.column_stack([*stimuli.inputs.values(), stimuli.t])[:, :-1]
     found = np.empty((ROWS + 1, len(outputs)))
-    slave.instantiate()
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = fmi2CallbackLoggerTYPE(lambda *_: None)
+    callbacks.allocateMemory = defaultCallbacks.allocateMemory
+    callbacks.freeMemory = defaultCallbacks.freeMemory
+    slave.instantiate(callbacks=callbacks)
     try:
         for name, value in stimuli.parameters.items():
             integer = variables[name].find("Integer") is not None

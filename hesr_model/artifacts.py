@@ -8,6 +8,7 @@ import json
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,15 @@ def provenance(*, files: Sequence[Path], seed: int | None = None, **more: Any) -
         "versions": {"python": platform.python_version(), **{p: version(p) for p in _VERSIONED}},
         **more,
     }
+
+
+def newest(files: Sequence[Path]) -> str:
+    """Return the date of the newest of some files, ISO 8601 in UTC: that of what is made of them.
+
+    It is the same whenever they are used, as today's would not be.
+    """
+    seconds = max(int(file.stat().st_mtime) for file in files)
+    return datetime.fromtimestamp(seconds, tz=UTC).isoformat()
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:

@@ -169,7 +169,7 @@ def fit(
     -o law.json --option 'search="paper"'
     """
     from cosim.health import told
-    from hesr_model.artifacts import provenance, write_model
+    from hesr_model.artifacts import newest, provenance, write_model
     from hesr_model.friction.fitting.fit import fit_models
     from hesr_model.friction.registry import estimator
     from hesr_model.health.fitted import check_laws
@@ -182,6 +182,7 @@ def fit(
         files = [robot, own.description.model, rigid_body, *logs]
         health = [to_json(finding) for finding in findings]
         source = provenance(files=files, seed=seed, options=options, health=health)
+        source |= {"created": newest(logs)}
         source |= {"owner": owner} if (owner := own.description.owner.known) else {}
         model = fit_models(
             [law],

@@ -20,6 +20,7 @@ from fmu_src.archive import Archive
 from fmu_src.exported import is_ours
 from fmu_src.layered import Experiment, manifest_files
 from fmu_src.recorded import ROWS, table
+from hesr_model.errors import HesrError
 
 _COUPLINGS: Mapping[str, tuple[Coupling, str]] = {
     "hold": (Coupling(), "all FMUs step with the inputs of the step's beginning"),
@@ -47,15 +48,18 @@ def result_files(contents: SystemContents) -> dict[str, bytes]:
     """Return the members of an SSP's folder `extra/`.
 
     There are none where FMUs are not ours, whose code is not run here, where one has a step of its
-    own, or nothing is observed.
+    own, nothing is passed on or observed, or a run fails.
     """
     spec = contents.spec
-    signals = [f"{c}.{v}" for c, v in contents.wiring.observed if (c, v) in set(contents.used)]
+    signals = [f"{component}.{output}" for component, output in contents.used]
     mixed = any(spec.every(c) > 1 for c in spec.components)
     if mixed or not signals or not all(is_ours(c.fmu) for c in spec.components):
         return {}
     t = np.round(spec.step * np.arange(min(ROWS, spec.steps) + 1), 12)
-    found = {name: _run(spec, signals, t, name) for name in _COUPLINGS}
+    try:
+        found = {name: _run(spec, signals, t, name) for name in _COUPLINGS}
+    except HesrError:
+        return {}
     ways = "\n".join(f"    {_STEM}_{name}.csv: {text}" for name, (_, text) in _COUPLINGS.items())
     files = {"extra/README.txt": _README.format(step=spec.step, ways=ways).encode()}
     files[f"{_STEM}_in.csv"] = table({"time": t}, 12)

@@ -135,31 +135,25 @@ def _torque(
 
 
 def _shown(law: FrictionLaw, t: Array, inputs: Sequence[Array]) -> Array:
-    """Step with the inputs of the row before, and read once those of the row are set.
-
-    A step of no length reads the torque with the row's own inputs and leaves the states.
-    """
-    before_and_after = [np.repeat(u, 2)[:-1] for u in inputs]
-    return _predicted(law, np.repeat(t, 2)[1:], before_and_after)[::2]
+    """Step with the inputs of the row before, and read once those of the row are set."""
+    held = [np.concatenate([u[:1], u[:-1]]) for u in inputs]
+    return _predicted(law, t, held, inputs)
 
 
 def _read_at_rows(law: FrictionLaw, t: Array, inputs: Sequence[Array], substeps: int) -> Array:
-    """Step between rows with inputs held at the middle of each substep, and read at the rows.
-
-    A step of no length follows the substeps of a row: it reads the torque with the row's own
-    inputs and leaves the states where they are.
-    """
-    middles = np.append((np.arange(substeps) + 0.5) / substeps, 1.0)
-    ends = np.append(np.arange(1, substeps + 1) / substeps, 1.0)
+    """Step between rows with inputs held at the middle of each substep, and read at the rows."""
+    ends = np.arange(1, substeps + 1) / substeps
 
     def between(row: Array, share: Array) -> Array:
         inner = row[:-1, None] * (1.0 - share) + row[1:, None] * share
         return np.concatenate([row[:1], inner.ravel()])
 
-    torque = _predicted(law, between(t, ends), [between(u, middles) for u in inputs])
-    return torque[:: substeps + 1]
+    held, shown = ([between(u, share) for u in inputs] for share in (ends - 0.5 / substeps, ends))
+    return _predicted(law, between(t, ends), held, shown)[::substeps]
 
 
-def _predicted(law: FrictionLaw, t: Array, inputs: Sequence[Array]) -> Array:
+def _predicted(
+    law: FrictionLaw, t: Array, inputs: Sequence[Array], shown: Sequence[Array] | None = None
+) -> Array:
     dq, q, tau_load = inputs
-    return predict(law, t=t, dq=dq, q=q, tau_load=tau_load)
+    return predict(law, t=t, dq=dq, q=q, tau_load=tau_load, shown=shown)

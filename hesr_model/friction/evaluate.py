@@ -62,6 +62,7 @@ def predict(
     q: ArrayLike | None = None,
     tau_load: ArrayLike | None = None,
     start: tuple[float, ...] | None = None,
+    shown: Sequence[Array] | None = None,
 ) -> Array:
     """Return the friction torque of a law over a log.
 
@@ -73,6 +74,8 @@ def predict(
     q : (N,) joint position [rad]; zero where not given.
     tau_load : (N,) load torque [N.m]; zero where not given.
     start : values of the states at t[0]; `first_states` of the first row where not given.
+    shown : (N,) of `dq`, `q` and `tau_load` at which the torque is read, the states being where the
+        others have taken them; those themselves where not given.
 
     Returns
     -------
@@ -96,6 +99,10 @@ def predict(
         first_states(law, *(float(u[0]) for u in inputs)) if start is None else start,
         law.discretisation,
     )
+    if shown is not None:
+        values = (*numbers(law), *shown)
+        every = np.ones(time.shape, dtype=bool)  # so that states stay and derivatives follow
+        states = memory(values, dt, every, states[::2], law.discretisation)
     return np.array(np.broadcast_to(output(*values, *states, dt)[0], time.shape))
 
 

@@ -153,7 +153,10 @@ def test_of_an_ssp_nothing_else_is_checked(
     assert "a.ssp: of an SSP the reference results are checked and nothing else; give" in answer.err
 
 
-def test_systems_of_foreign_fmus_carry_none(lag_fmu: Path) -> None:
-    lag = ComponentSpec(name="a", fmu=lag_fmu)
+def test_systems_of_foreign_fmus_carry_none(lag_fmu: Path, tmp_path: Path) -> None:
+    # By their hash: one byte more makes it another file.
+    foreign = tmp_path / "Lag.fmu"
+    foreign.write_bytes(lag_fmu.read_bytes() + b"\0")
+    lag = ComponentSpec(name="a", fmu=foreign, start={"u": 1.0})
     spec = SystemSpec(name="one", step=0.1, stop=1.0, components=(lag,), observe=("a.y",))
     assert result_files_of(read_contents(spec, Path("one.toml"))) == {}

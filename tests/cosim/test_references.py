@@ -7,7 +7,14 @@ from pathlib import Path
 import pytest
 
 from cosim.references import verify
+from fmu_src import export_fmu
 from fmu_src.layered import EXPERIMENTS, FOLDER, MANIFEST, Experiment, manifest_files
+from hesr_model.equations.functions import absolute
+from hesr_model.equations.memory import Stop
+from hesr_model.friction.inputs import DQ, TAU_LOAD
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.trained import TrainedRange
 
 STEPS = "extra/steps"
 
@@ -113,3 +120,21 @@ def test_what_is_not_run_is_said(with_results: Callable[..., Path], lag_fmu: Pat
     later = results(1.0, 2.0).replace("0.2,", "0.3,")
     found = verify(with_results(STIMULI, later))
     assert found.skipped == ["Experiment 'own': its results are at other times."]
+
+
+def test_outputs_shown_leave_stops_where_they_are(tmp_path: Path) -> None:
+    """New inputs lower the bound; the next step alone brings the stop there."""
+    level = Coefficient(name="F", unit="N.m", description="level")
+    stop = Stop(
+        name="e", unit="1", velocity=DQ, deflection=2e-3, bound=1 / (1 + absolute(TAU_LOAD))
+    )
+    form = LawForm(coefficients=(level,), memory=(stop,), output=level.symbol * stop.state)
+    law = FrictionLaw(name="own", form=form, values={"F": 8.0})
+    seen = TrainedRange(
+        dq=(-1.0, 1.0), q=(-1.0, 1.0), tau_load=(-9.0, 9.0), tau=(-8.0, 8.0), sample_time=0.01
+    )
+    model = FrictionModel(
+        law="own", robot="bench", joints=("a",), laws=(law,), sample_time=0.01, trained=(seen,)
+    )
+    found = verify(export_fmu(model, tmp_path / "Stop.fmu"))
+    assert (found.problems, found.passed) == ([], {"hold": "hold", "shown": "shown"})

@@ -1,6 +1,7 @@
 """Saved results: they come back bit for bit; what is wrong in a file is said in one sentence."""
 
 import json
+import os
 import platform
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 from hesr_model.artifacts import (
     MODEL_FORMAT,
     RIGID_BODY_FORMAT,
+    newest,
     provenance,
     read_json,
     read_model,
@@ -409,3 +411,11 @@ def test_nothing_in_a_file_is_run_as_code(tmp_path: Path) -> None:
         with suppress(ArtifactError):
             read_model(path)
         assert not trace.exists()
+
+
+def test_what_is_made_of_files_has_the_date_of_the_newest(tmp_path: Path) -> None:
+    files = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    for file, seconds in zip(files, (1_700_000_000, 1_600_000_000), strict=True):
+        file.touch()
+        os.utime(file, (0, seconds))
+    assert newest(files) == "2023-11-14T22:13:20+00:00"

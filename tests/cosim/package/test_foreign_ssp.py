@@ -70,7 +70,7 @@ def test_start_values_in_other_units_are_converted(edited: Edit) -> None:
     path = edited({A: list(MS), SSD: [("<ssd:Elements>", inline)]})
     with opened_system(path) as spec:
         assert [dict(c.start) for c in spec.components] == [
-            {"u": 2.0, "T": pytest.approx(0.5, rel=1e-15), "x": 0.25},
+            {"u": 2.0, "T": pytest.approx(0.5, rel=1e-15), "x_start": 0.25},
             {"T": pytest.approx(0.5, rel=1e-15)},
         ]
 

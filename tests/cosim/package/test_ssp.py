@@ -65,7 +65,7 @@ def test_its_files_are_valid(version: Version, either: SystemContents, tmp_path:
         ".ssd": etree.XMLSchema(file=SCHEMAS[version] / "SystemStructureDescription.xsd"),
         ".ssv": etree.XMLSchema(file=SCHEMAS[version] / "SystemStructureParameterValues.xsd"),
     }
-    files = [name for name in members(path) if not name.endswith(".fmu")]
+    files = [n for n in members(path) if not n.endswith(".fmu") and not n.startswith("extra/")]
     assert {Path(name).suffix for name in files} == set(schemas)
     for name in files:
         assert parsed(path, name).get("version") == version
@@ -77,7 +77,7 @@ def test_what_is_in_it(closed: SystemContents, tmp_path: Path) -> None:
     names = ["arm", "trajectory", "body", "friction", "gravity", "controller"]
     fmus = {f"resources/{name}.fmu" for name in names}
     sets = {f"resources/{name}.ssv" for name in ("arm", "trajectory", "gravity", "controller")}
-    found = members(path)
+    found = {name: file for name, file in members(path).items() if not name.startswith("extra/")}
     assert found.keys() == {"SystemStructure.ssd"} | fmus | sets
     for component in closed.spec.components:
         assert found[f"resources/{component.name}.fmu"] == component.fmu.read_bytes()

@@ -98,14 +98,14 @@ class Place:
 
 
 def start_of(places: list[Place]) -> dict[str, float]:
-    start: dict[str, float] = {}
+    start: dict[str, float] = {"start_mode": 2}
     for i, own in enumerate(places, start=1):
         start |= {
             f"inertia[{i}]": own.inertia, f"ratio[{i}]": own.ratio, f"tau_load[{i}]": LOAD,
             f"q_start[{i}]": own.q, f"dq_start[{i}]": own.dq, f"tau_motor[{i}]": own.tau_motor,
         }  # fmt: skip
         start |= {f"{name}[{i}]": value for name, value in own.link.items()}
-        names = [f"{r.name}[{i}]" for r in own.law.form.relaxations]
+        names = [f"{r.name}_start[{i}]" for r in own.law.form.relaxations]
         start |= dict(zip(names, own.x, strict=True))
     return start
 
