@@ -148,14 +148,14 @@ def test_the_sign_of_the_torque_is_said(table1_fmu):
     assert tau.description.endswith(": what the drive must deliver, a plant subtracts it")
 
 
-def test_nominals_are_those_of_the_training(make_law, make_model, tmp_path):
+def test_the_torque_has_its_size_in_the_training(make_law, make_model, tmp_path):
     seen = TrainedRange(
-        dq=(-0.5, 1.234), q=(-1.0, 1.0), tau_load=(-40.4, 3.0), tau=(0.0, 0.0), sample_time=0.005
+        dq=(-0.5, 1.234), q=(-1.0, 1.0), tau_load=(-40.4, 3.0), tau=(-12.34, 3.0), sample_time=0.005
     )
     model = make_model(make_law("viscous"), trained=(seen,))
     about = described(export_bare(model, tmp_path / "F.fmu"))
     nominals = {v.name: v.nominal for v in about.modelVariables}
-    assert [nominals[n] for n in ("dq[1]", "tau_load[1]", "tau[1]")] == ["1.2", "40.0", None]
+    assert [nominals[n] for n in ("dq[1]", "tau_load[1]", "tau[1]")] == [None, None, "12.0"]
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

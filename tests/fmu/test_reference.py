@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 from fmu_src import export_fmu
 from fmu_src.friction.reference import UNKNOWN_SPEED, reference_files, reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, torques
+from fmu_src.layered import EXPERIMENTS, MANIFEST
 from hesr_model.equations.functions import lowered
 from hesr_model.friction.evaluate import first_states
 from hesr_model.friction.inputs import INPUTS
@@ -244,6 +245,9 @@ def test_files_keep_the_rules_of_the_cross_check(table1: FrictionModel) -> None:
             for kind in ("co_simulation", "model_exchange")
             for end in ("_in.csv", "_ref.csv", "_ref.opt")
         ),
+        f"extra/co_simulation/{NAME}_shown.csv",
+        MANIFEST,
+        EXPERIMENTS,
     }
     inputs = table(files, f"extra/co_simulation/{NAME}_in.csv")
     assert len(inputs) <= 200
