@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from hesr_model.health.causes import check_causes
 from hesr_model.health.evidence import Motionwise, Torques, as_logged, motionwise
 from hesr_model.health.findings import Finding, merged, require_known, require_sound
+from hesr_model.health.loss import check_loss
 from hesr_model.health.positions import check_columns, check_jumps, check_limits, check_time
 from hesr_model.health.torque import Explained, check_torque, explained
 from hesr_model.health.velocity import check_velocity
@@ -78,6 +79,7 @@ def examine(
     if model and not _hopeless(findings):
         for (part, torque), fit in zip(logged, fits, strict=True):
             findings += check_torque(part, torque, fit, model)
+            findings += check_loss(part, torque, model)
         findings = _caused(findings, check_causes(parts, model))
     return Examination(
         findings=tuple(merged(findings)),

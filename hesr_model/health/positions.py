@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.findings import Finding
+from hesr_model.health.loss import loses_rows, share_of_long_steps
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.units import OTHERS
@@ -15,8 +16,6 @@ Array = NDArray[np.float64]
 
 _PERIODS = (5e-5, 0.9)
 """[s] Between samples of a robot; 1 s is 1 kHz in undeclared milliseconds."""
-_SKIPPED = 0.05
-"""Share of the steps that may be longer than 1.8 periods."""
 _TURN = 2.0 * np.pi
 _SPIKE = 40.0
 """Of a row's distance from its neighbours, over what is usual in the log."""
@@ -59,10 +58,10 @@ def check_time(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
             cause=f"rows are missing; its {len(log.parts())} parts are filtered and fitted one "
             "by one",
         )  # fmt: skip
-    elif (share := float(np.mean(steps > 1.8 * period))) > _SKIPPED:
+    if loses_rows(log):
         yield Finding(
             check="missing-rows", severity="warning", logs=(log.name,),
-            found=f"{100 * share:.0f} % of its steps are longer than 1.8 periods of {period:.4g} s",
+            found=f"{100 * share_of_long_steps(log):.0f} % of its steps are longer than 1.8 periods of {period:.4g} s",
             cause="rows are missing, so that reversals are seen less sharply",
         )  # fmt: skip
     if log.dropped:

@@ -22,7 +22,10 @@ from hesr_model.support.files import path_of, sha256, written_whole
 Array = NDArray[np.float64]
 
 _LONGEST_GAP = 10.0
-"""In sample periods: across a longer gap, velocity and hysteresis states are guesswork."""
+"""In usual steps: across a longer gap, velocity and hysteresis states are guesswork."""
+
+_USUAL = 0.95
+"""Share of the steps, the shortest ones, whose mean is the usual step."""
 
 _SHORTEST_PART = 1.0
 """[s] What lies between two gaps tells nothing of a motion where it is shorter."""
@@ -103,22 +106,35 @@ class RobotLog:
         return float(np.median(np.diff(self.t)))
 
     @property
+    def longest_step(self) -> float:
+        """Ten usual steps [s]: what is longer is a gap.
+
+        Where rows are lost at random, or come in bursts, the median says less of what is usual
+        than the mean.
+        """
+        steps = np.diff(self.t)
+        usual = steps[steps <= np.quantile(steps, _USUAL, method="lower")]
+        return _LONGEST_GAP * max(self.period, float(np.mean(usual)))
+
+    @property
     def rate(self) -> float:
         """Mean rate between gaps [Hz]."""
-        steps = np.diff(self.t)
-        return float(1.0 / np.mean(steps[steps <= _LONGEST_GAP * self.period]))
+        return float(1.0 / np.mean(self._steps))
 
     @property
     def jitter(self) -> float:
         """Standard deviation of the steps between gaps, over their mean."""
+        return float(np.std(self._steps) / np.mean(self._steps))
+
+    @property
+    def _steps(self) -> Array:
         steps = np.diff(self.t)
-        steps = steps[steps <= _LONGEST_GAP * self.period]
-        return float(np.std(steps) / np.mean(steps))
+        return np.asarray(steps[steps <= self.longest_step])
 
     @property
     def gaps(self) -> NDArray[np.intp]:
-        """Rows (K,), without unit, before which more than ten sample periods are missing."""
-        return np.flatnonzero(np.diff(self.t) > _LONGEST_GAP * self.period) + 1
+        """Rows (K,), without unit, before which more than ten usual steps are missing."""
+        return np.flatnonzero(np.diff(self.t) > self.longest_step) + 1
 
     def rows(self, rows: slice | NDArray[np.intp]) -> "RobotLog":
         """Return the log of some of its rows, a slice or (K,) places without unit."""
@@ -143,8 +159,8 @@ class RobotLog:
         kept = tuple(part for part in parts if np.ptp(part.t) >= _SHORTEST_PART)
         if not kept:
             raise LogError(
-                f"{self.where}: its {len(parts) - 1} gaps of more than {_LONGEST_GAP:g} sample "
-                f"periods of {self.period:.4g} s leave no part of {_SHORTEST_PART:g} s."
+                f"{self.where}: its {len(parts) - 1} gaps of more than {self.longest_step:.4g} s, "
+                f"{_LONGEST_GAP:g} usual steps, leave no part of {_SHORTEST_PART:g} s."
             )
         return kept
 
@@ -322,8 +338,7 @@ def _require_steady_time(log: RobotLog, samples: Samples, robot: RobotDescriptio
         )
     nominal = robot.log.sample_rate
     # The mean counts where steps jitter, the median where rows are missing.
-    steady = steps[steps <= _LONGEST_GAP * log.period]
-    found = [nominal * period for period in (log.period, float(np.mean(steady))) if nominal]
+    found = [nominal * period for period in (log.period, 1.0 / log.rate) if nominal]
     if nominal and not any(1 / _RATE_MARGIN <= ratio <= _RATE_MARGIN for ratio in found):
         raise LogError(
             f"{log.where}: {samples.time}: rows are {log.period:.4g} s apart, but the robot "

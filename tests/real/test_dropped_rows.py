@@ -1,17 +1,20 @@
 """Half the rows of a measured log are lost at random: the same sliding torque, or a refusal."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from hesr_model.errors import HesrError
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fitting.fit import fit
 from hesr_model.health.examine import checked
+from hesr_model.health.findings import HealthError
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import friction_records
-from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.robot import RobotDescription, RobotModel
 
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
 SPEEDS = np.array([-0.6, -0.3, 0.3, 0.6])
 
 
@@ -25,19 +28,35 @@ def sliding_torques(log: RobotLog, model: RobotModel) -> np.ndarray:
     )
 
 
+def halved(log: RobotLog, seed: int) -> RobotLog:
+    rows = np.random.default_rng(seed).choice(len(log.t), len(log.t) // 2, replace=False)
+    return log.rows(np.sort(rows))
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_half_the_rows_give_the_same_sliding_torque_or_are_refused(
     seed: int, id_logs: list[RobotLog], ur10e_model: RobotModel
 ) -> None:
     whole = id_logs[0]
-    kept = np.sort(
-        np.random.default_rng(seed).choice(len(whole.t), len(whole.t) // 2, replace=False)
-    )
-    half = whole.rows(kept)
+    half = halved(whole, seed)
     try:
         checked([half], ur10e_model)
-        found = sliding_torques(half, ur10e_model)
-    except HesrError:  # refused, which is as good
+    except HealthError as refused:
+        assert {finding.check for finding in refused.findings} == {"missing-rows"}
         return
-    expected = sliding_torques(whole, ur10e_model)
+    expected, found = (sliding_torques(log, ur10e_model) for log in (whole, half))
     np.testing.assert_allclose(found, expected, rtol=0.03)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_five_seconds_determine_too_little_to_lose_half_of_them(seed: int) -> None:
+    """Joint 3 would be 6 % off with seed 0, and joint 5 21 % with seed 1."""
+    log = DATA / "tx40" / "tx40_first.csv"
+    if not log.is_file():
+        pytest.skip("the measured TX40 log is not beside the repository")
+    robot = RobotDescription.read(Path(__file__).with_name("tx40.toml"))
+    whole = RobotLog.read(log, robot)
+    with pytest.raises(HealthError, match=r"leaves its sliding torque at .* uncertain by \d") as no:
+        checked([halved(whole, seed)], RobotModel(robot))
+    assert {finding.check for finding in no.value.findings} == {"missing-rows"}
+    assert "joint_3" in no.value.findings[0].joints

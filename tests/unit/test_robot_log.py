@@ -196,8 +196,17 @@ def test_a_log_is_cut_where_rows_are_missing(read: Callable[..., RobotLog]) -> N
 
 def test_a_log_of_gaps_is_refused(read: Callable[..., RobotLog]) -> None:
     text = [HEADER, *(row(k) for k in [*range(20), *range(40, 60)])]
-    with pytest.raises(LogError, match=r"its 1 gaps of more than 10 sample periods .* leave no"):
+    with pytest.raises(LogError, match=r"its 1 gaps of more than 0\.1 s, 10 usual steps, leave no"):
         read(text).parts()
+
+
+def test_rows_lost_at_random_are_no_gaps(read: Callable[..., RobotLog]) -> None:
+    """Half the steps are of one period then, and some longer than ten."""
+    kept = np.flatnonzero(np.random.default_rng(1).random(9000) < 0.5)
+    log = read([HEADER, *(row(int(k)) for k in kept)])
+    assert np.max(np.diff(log.t)) > 10 * log.period
+    assert len(log.parts()) == 1
+    assert log.rate == pytest.approx(50.0, rel=0.03)
 
 
 def test_rows_that_lack_a_number_or_a_new_stamp_are_dropped(read: Callable[..., RobotLog]) -> None:

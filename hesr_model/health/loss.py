@@ -1,0 +1,89 @@
+"""What lost rows cost: how uncertain the sliding torque is for want of them."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.health.evidence import Motionwise, Torques
+from hesr_model.health.findings import Finding
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.robots.robot import RobotModel
+
+Array = NDArray[np.float64]
+
+_SKIPPED = 0.05
+"""Share of the steps between gaps that may be longer than 1.8 periods."""
+_UNCERTAIN = 0.03
+"""Of the sliding torque: two standard deviations of what lost rows do to it."""
+_SPEEDS = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0])
+"""Shares of a joint's peak speed between which friction is straight."""
+_JUDGED = (0.1, 0.7)
+"""Of them, those at which a joint slides and that it does not reach for an instant only."""
+_SPLITS = 16
+_HALF_WAY = 0.2
+"""Share of the slowest straight piece within which friction changes its sign."""
+
+
+def share_of_long_steps(log: RobotLog) -> float:
+    """Return which share of the steps between gaps is longer than 1.8 median periods."""
+    steps = np.diff(log.t)
+    return float(np.mean(steps[steps <= log.longest_step] > 1.8 * log.period))
+
+
+def loses_rows(log: RobotLog) -> bool:
+    """Whether rows are missing throughout a log, not in a few gaps only."""
+    return share_of_long_steps(log) > _SKIPPED
+
+
+def check_loss(motion: Motionwise, torques: Torques, model: RobotModel) -> Iterator[Finding]:
+    """Check that the rows that are left determine the sliding torque of each joint.
+
+    Its standard deviation for want of the lost rows is that of estimates from halves of the rows
+    that are left: the variance of the difference of two halves is four times that of the estimate
+    from all rows, of which lost rows account for their share.
+    """
+    if not loses_rows(motion.log):
+        return
+    for j in np.flatnonzero(motion.moves & (np.ptp(motion.tau, axis=0) > 0.0)):
+        speeds, torque, deviation = _sliding(motion, torques, int(j))
+        uncertain = 2.0 * deviation / np.maximum(np.abs(torque), 1e-300)
+        worst = int(np.argmax(uncertain))
+        if uncertain[worst] <= _UNCERTAIN:
+            continue
+        unit = "m/s" if model.tree[j].prismatic else "rad/s"
+        yield Finding(
+            check="missing-rows", severity="refusal",
+            joints=(model.description.joints[j],), logs=(motion.log.name,),
+            found=f"rows are missing throughout, which leaves its sliding torque at "
+            f"{speeds[worst]:.2g} {unit} uncertain by {100 * min(uncertain[worst], 9.99):.2g} %",
+            cause=f"friction cannot be had within {100 * _UNCERTAIN:g} % from what is left; log "
+            "without losses, or for longer",
+        )  # fmt: skip
+
+
+def _sliding(motion: Motionwise, torques: Torques, j: int) -> tuple[Array, Array, Array]:
+    """Return speeds (K,) [rad/s; m/s], sliding torque there, and its deviation by lost rows."""
+    v, tau = motion.v[:, j], motion.tau[:, j]
+    speeds = float(np.max(np.abs(v))) * _SPEEDS
+    hats = np.stack([np.interp(np.abs(v), speeds, one) for one in np.eye(len(speeds))], axis=1)
+    way = np.tanh(v / (_HALF_WAY * speeds[1]))
+    columns = np.column_stack(
+        [way[:, None] * hats, torques.gravity[:, j], torques.inertial[:, j], np.ones_like(v)]
+    )
+
+    def estimate(rows: NDArray[np.intp]) -> Array:
+        return np.asarray(np.linalg.lstsq(columns[rows], tau[rows], rcond=None)[0])
+
+    rng, middle = np.random.default_rng(0), len(v) // 2
+    differences = []
+    for _ in range(_SPLITS):
+        order = rng.permutation(len(v))
+        differences.append(estimate(order[:middle]) - estimate(order[middle:]))
+    steps = np.diff(motion.log.t)
+    steps = steps[steps <= motion.log.longest_step]
+    lost = 1.0 - float(np.quantile(steps, 0.1) / np.mean(steps))
+    rows = len(v) / len(motion.log.t)
+    deviation = np.std(differences, axis=0) * 0.5 * np.sqrt(lost * rows)
+    judged = np.flatnonzero((_SPEEDS >= _JUDGED[0]) & (_SPEEDS <= _JUDGED[1]))
+    return speeds[judged], estimate(np.arange(len(v)))[judged], deviation[judged]

@@ -1,0 +1,66 @@
+"""Rows that are missing throughout are told, and refused where they cost friction's accuracy."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hesr_model.health.examine import checked
+from hesr_model.health.findings import HealthError
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import Motion
+from hesr_model.robots.robot import RobotModel
+
+
+def lossy(log: RobotLog, share: float) -> RobotLog:
+    kept = np.random.default_rng(3).random(len(log.t)) >= share
+    return log.rows(np.flatnonzero(kept))
+
+
+@pytest.fixture
+def noisy(make_motion: Callable[..., Motion]) -> Callable[[float], RobotLog]:
+    """Logs of 20 s with noise of the torque [N.m] on friction of 3 N.m."""
+
+    def make(deviation: float) -> RobotLog:
+        motion = make_motion(name="run", seconds=20.0, friction=3.0)
+        noise = np.random.default_rng(0).normal(0.0, deviation, motion.tau.shape)
+        return RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)
+
+    return make
+
+
+def test_rows_that_cost_nothing_are_told(
+    noisy: Callable[[float], RobotLog], arm_model: RobotModel
+) -> None:
+    (told,) = checked([lossy(noisy(0.2), 0.5)], arm_model)
+    assert (told.check, told.severity) == ("missing-rows", "warning")
+
+
+def test_rows_whose_want_makes_friction_uncertain_are_refused(
+    noisy: Callable[[float], RobotLog], arm_model: RobotModel
+) -> None:
+    log = noisy(3.0)
+    assert checked([log], arm_model) == []
+    with pytest.raises(
+        HealthError, match=r"'j1'.* rows are missing throughout, .* rad/s uncertain"
+    ):
+        checked([lossy(log, 0.5)], arm_model)
+    told = checked([lossy(log, 0.5)], arm_model, ["missing-rows"])
+    assert {finding.check for finding in told} == {"missing-rows"}
+
+
+def test_the_uncertainty_is_what_losses_do(
+    noisy: Callable[[float], RobotLog], arm_model: RobotModel
+) -> None:
+    """Estimates without other halves of the rows scatter as one log's own halves say."""
+    from hesr_model.health.evidence import Torques, motionwise
+    from hesr_model.health.loss import _sliding
+
+    log = noisy(2.0)
+    found = []
+    for seed in range(40):
+        rows = np.random.default_rng(seed).choice(len(log.t), len(log.t) // 2, replace=False)
+        part = max(motionwise(log.rows(np.sort(rows)), 15.0), key=lambda part: len(part.t))
+        found.append(_sliding(part, Torques.of(arm_model, part.q, part.v, part.a), 1))
+    torques, deviations = (np.array([one[k] for one in found]) for k in (1, 2))
+    np.testing.assert_allclose(deviations.mean(axis=0), torques.std(axis=0), rtol=0.4)
