@@ -1,60 +1,147 @@
-"""Damaged files made from real ones, by seeds."""
+"""Damage to files, as bad disks, cut transfers and bad will do it."""
 
 import io
-import random
+import re
+import struct
 import zipfile
 from pathlib import Path
 
-_ODD = (
+import numpy as np
+
+_WORD = re.compile(rb"[-+.\w]+")
+_HOSTILE = (
+    *(b"1e300", b"-1e308", b"1e-300", b"1e999", b"nan", b"inf", b"-1", b"0", b"4294967296"),
+    *(b"9" * 400, b"9" * 5000, b"0x" + b"f" * 400, b"1" + b"0" * 309 + b".0"),
+    *(b"[" * 2000, b"{" * 2000, b'{"a":' * 5000, b"<a>" * 5000, b"a.b." * 3000),
+    *(
+        b"",
+        b'"',
+        b"'",
+        b"\0",
+        b"\\u0000",
+        b"\\ud800",
+        b"\xff\xfe",
+        b"\xef\xbb\xbf",
+        b"\r",
+        b"\n" * 9,
+    ),
+    *(b"&x;", b"]]>", b"<!--", b"\xf0\x9f\xa4\x96", b"../../../etc/passwd", b"/dev/zero", b"%s%n"),
+)
+_PLAIN = (
+    *(b"0", b"-1", b"1e-300", b"1e300", b"-1e308", b"5e-324", b"1e20", b"1e9", b"7", b"2000000000"),
+    *(b"9999999999999999999999", b"nan", b"inf", b"true", b"null", b'""', b"[]", b"{}", b"x" * 300),
+)
+"""What may stand in a text in place of a number or a name without breaking its syntax."""
+_GENTLY = 0.4
+"""Share of damage that a syntax does not see, so that what is behind it is reached."""
+_NUMBERS = (
+    *(struct.pack("<I", n) for n in (0, 1, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)),
+    *(struct.pack("<Q", n) for n in (2**31, 2**40, 2**63 - 1, 2**64 - 1)),
+    *(struct.pack("<d", x) for x in (1e300, -1e-300, float("nan"), float("inf"))),
+)
+
+
+def damaged(content: bytes, rng: np.random.Generator) -> bytes:
+    """Return content with one to four kinds of damage, or with one word put in another's place."""
+    data = bytearray(content)
+    if rng.random() < _GENTLY:
+        _replace_word(data, rng)
+        return bytes(data)
+    for _ in range(int(rng.integers(1, 5))):
+        _KINDS[rng.integers(len(_KINDS))](data, rng)
+    return bytes(data)
+
+
+def _span(data: bytearray, rng: np.random.Generator) -> slice:
+    start = int(rng.integers(len(data) + 1))
+    longest = max(1, min(len(data) // 2, 10 ** int(rng.integers(5))))
+    return slice(start, start + int(rng.integers(1, longest + 1)))
+
+
+def _flip(data: bytearray, rng: np.random.Generator) -> None:
+    for place in rng.integers(len(data), size=rng.integers(1, 20)) if data else ():
+        data[place] ^= 1 << int(rng.integers(8))
+
+
+def _overwrite(data: bytearray, rng: np.random.Generator) -> None:
+    place, number = int(rng.integers(len(data) + 1)), _NUMBERS[rng.integers(len(_NUMBERS))]
+    data[place : place + len(number)] = number
+
+
+def _overwrite_head(data: bytearray, rng: np.random.Generator) -> None:
+    place, number = int(rng.integers(300)) & ~3, _NUMBERS[rng.integers(len(_NUMBERS))]
+    data[place : place + len(number)] = number
+
+
+def _truncate(data: bytearray, rng: np.random.Generator) -> None:
+    del data[int(rng.integers(len(data) + 1)) :]
+
+
+def _delete(data: bytearray, rng: np.random.Generator) -> None:
+    del data[_span(data, rng)]
+
+
+def _repeat(data: bytearray, rng: np.random.Generator) -> None:
+    span = _span(data, rng)
+    data[span.start : span.start] = data[span] * int(rng.integers(1, 4))
+
+
+def _insert(data: bytearray, rng: np.random.Generator) -> None:
+    place = int(rng.integers(len(data) + 1))
+    data[place:place] = rng.bytes(int(rng.integers(1, 100)))
+
+
+def _replace_words(data: bytearray, rng: np.random.Generator) -> None:
+    words = [match.span() for match in _WORD.finditer(bytes(data))]
+    for _ in range(int(rng.integers(1, 4))):
+        if words:
+            start, stop = words.pop(int(rng.integers(len(words))))
+            data[start:stop] = _HOSTILE[rng.integers(len(_HOSTILE))]
+            words = [span for span in words if span[1] <= start]
+
+
+def _replace_word(data: bytearray, rng: np.random.Generator) -> None:
+    words = [match.span() for match in _WORD.finditer(bytes(data))]
+    if words:
+        start, stop = words[rng.integers(len(words))]
+        data[start:stop] = _PLAIN[rng.integers(len(_PLAIN))]
+
+
+_KINDS = (
+    _flip,
+    _overwrite,
+    _overwrite_head,
+    _truncate,
+    _delete,
+    _repeat,
+    _insert,
+    _replace_words,
+    _replace_words,
+)
+
+
+_ODD_NAMES = (
     *("../evil", "/evil", "C:/evil", "a\\..\\..\\evil", "x" * 5000),
     *("é/\u202e", "binaries", ".", "a//b"),
 )
-"""Names that no file should have."""
-
-
-def damaged(content: bytes, seed: int) -> bytes:
-    """Return a file with bytes changed, lost, doubled, moved, or put there by chance."""
-    chance = random.Random(seed)
-    data = bytearray(content)
-    for _ in range(chance.choice((1, 1, 2, 5, 30))):
-        first, last = sorted(chance.randrange(len(data) + 1) for _ in range(2))
-        short = min(last, first + chance.choice((1, 2, 4, 8, 300)))
-        match chance.randrange(7):
-            case 0:
-                data[first:short] = chance.randbytes(short - first)
-            case 1:
-                del data[first:short]
-            case 2:
-                data[first:first] = data[first:short]
-            case 3:
-                data[first:short] = bytes([chance.choice((0, 255, 127, 10, 60))]) * (short - first)
-            case 4:
-                del data[last:]
-            case 5:
-                data[first:short] = data[first:short][::-1]
-            case _:
-                place = chance.randrange(max(1, len(data)))
-                data[place : place + 1] = bytes([chance.randrange(256)])
-        if not data:
-            return b""
-    return bytes(data)
+"""That no file in an archive should have."""
 
 
 def damaged_archive(path: Path, seed: int) -> bytes:
     """Return an archive that is damaged itself, or holds a file that is, all sums being right."""
-    chance = random.Random(seed)
-    if chance.randrange(3) == 0:
-        return damaged(path.read_bytes(), seed)
+    rng = np.random.default_rng(seed)
+    if rng.random() < 1 / 3:
+        return damaged(path.read_bytes(), rng)
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     # What is read of it: XML and JSON above all.
     texts = [name for name in members if name.endswith((".xml", ".ssd", ".ssv", ".json"))]
-    victim = chance.choice(texts) if chance.randrange(4) else chance.choice(list(members))
-    members[victim] = damaged(members[victim], seed)
-    if chance.randrange(10) == 0:
-        members[chance.choice(_ODD)] = members.pop(chance.choice(list(members)))
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", chance.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as z:
+    victim = str(rng.choice(texts if rng.random() < 3 / 4 else list(members)))
+    members[victim] = damaged(members[victim], rng)
+    if rng.random() < 0.1:
+        members[str(rng.choice(_ODD_NAMES))] = members.pop(str(rng.choice(list(members))))
+    file, packing = io.BytesIO(), (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)[rng.integers(2)]
+    with zipfile.ZipFile(file, "w", packing) as archive:
         for name, content in members.items():
-            z.writestr(name, content)
+            archive.writestr(name, content)
     return file.getvalue()

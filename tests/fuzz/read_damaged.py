@@ -14,8 +14,9 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from damage import damaged
-from readers import READERS
+from readers import READERS  # which also finds the next
+
+from damage import damaged  # isort: skip
 
 from hesr_model.errors import HesrError
 

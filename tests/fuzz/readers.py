@@ -87,6 +87,127 @@ def _table(path: Path, *, separator: str = ",") -> None:
         path.write_text(text, encoding="utf-8")
 
 
+def _recording(path: Path) -> None:
+    """As the recorder of Universal Robots writes: blanks between cells, joints from 0."""
+    rng = np.random.default_rng(6)
+    values = np.column_stack([0.008 * np.arange(80) + 1.6e9, rng.normal(size=(80, 8))])
+    kinds = ("actual_q", "actual_qd", "actual_current", "target_moment")
+    header = ["timestamp", *(f"{kind}_{k}" for kind in kinds for k in range(2))]
+    rows = [" ".join(map(str, row)) for row in values]
+    path.write_text("\r\n".join([" ".join(header), *rows, ""]), encoding="utf-8")
+
+
+def _inspected(path: Path) -> object:
+    from hesr_model.health.proposal import inspected, robot_file, summary_rows
+
+    found = inspected([path])
+    return robot_file(found, path.with_suffix(".toml")), list(summary_rows(found))
+
+
+def _results(file: str) -> Callable[[Path], None]:
+    """A file of results of version 1."""
+    return lambda path: shutil.copy(TESTS / "version_1" / file, path) and None
+
+
+def _result(module: str, name: str) -> Callable[[Path], object]:
+    def read(path: Path) -> object:
+        from importlib import import_module
+
+        from hesr_model.artifacts import read_json
+        from hesr_model.support.typed_json import from_json
+
+        schema: Any = getattr(import_module(module), name)
+        data = read_json(path)
+        return from_json(schema, data, path, "a result")
+
+    return read
+
+
+def _run(path: Path) -> object:
+    from cosim.saved import SavedRun
+
+    return SavedRun.read(path)
+
+
+def _scores(path: Path) -> object:
+    from cosim.report.results import _comparisons
+
+    return _comparisons(path)
+
+
+def _battery(path: Path) -> object:
+    from hesr_model.friction.audit.properties import read_properties
+
+    return read_properties(path)
+
+
+def _write_findings(path: Path) -> None:
+    from cosim.health import HEALTH, write_findings
+    from hesr_model.health.findings import Finding
+
+    write_findings(
+        path.parent,
+        [
+            Finding(
+                check="limits", severity="warning", joints=("a", "b"), logs=("x",),
+                found="its position comes to 7", cause="its zero is wrong",
+            )
+        ],
+    )  # fmt: skip
+    (path.parent / HEALTH).rename(path)
+
+
+def _findings(path: Path) -> object:
+    from cosim.health import HEALTH, read_findings
+
+    folder = path.parent / "results"
+    folder.mkdir(exist_ok=True)
+    shutil.copy(path, folder / HEALTH)
+    return read_findings(folder)
+
+
+def _write_paths(path: Path) -> None:
+    from cosim.closed_loop import Scheme
+    from cosim.studies.traces import Trace, write_traces
+
+    rng, t = np.random.default_rng(2), 0.01 * np.arange(50)
+    trace = Trace(t=t, q_d=rng.normal(size=(50, 2)), q=rng.normal(size=(50, 2)))
+    write_traces(path, [(Scheme(compensation="none"), "stribeck", trace)])
+
+
+def _paths(path: Path) -> object:
+    from cosim.studies.traces import read_traces
+
+    return read_traces(path)
+
+
+SWEEP = """
+name = "payload"
+system = "loop.toml"
+design = "sobol"
+runs = 64
+seed = 1
+[[inputs]]
+variables = ["arm.payload"]
+low = 0.0
+high = 5.0
+[[inputs]]
+variables = ["controller.Kp", "controller.Kd"]
+factor = true
+mean = 1.0
+std = 0.1
+[[correlated]]
+variables = ["friction.F_c[1]", "friction.F_s[1]"]
+mean = [12.1, 14.0]
+covariance = [[0.04, 0.01], [0.01, 0.09]]
+[[outputs]]
+name = "tracking"
+signal = "arm.q_true"
+reference = "trajectory.q"
+measure = "rms"
+"""
+
+
 def _matlab(save: str) -> Callable[[Path], None]:
     def write(path: Path) -> None:
         import test_log_matlab as matlab
@@ -184,6 +305,8 @@ READERS = {
     "csv with decimal commas": Reader(
         suffix=".csv", write=lambda path: _table(path, separator=";"), read=_log
     ),
+    "rtde": Reader(suffix=".csv", write=_recording, read=_inspected),
+    "csv of a stranger": Reader(suffix=".csv", write=_table, read=_inspected),
     "parquet": Reader(suffix=".parquet", write=_table, read=_log),
     "matlab": Reader(suffix=".mat", write=_matlab("save_classic"), read=_log),
     "matlab 4": Reader(suffix=".mat", write=_matlab_4, read=_log),
@@ -215,6 +338,24 @@ READERS = {
         read=_toml("cosim.studies.motions", "Motions"),
     ),
     "system": Reader(suffix=".toml", write=_text(SYSTEM), read=_toml("cosim.system", "SystemSpec")),
+    "sweep": Reader(
+        suffix=".toml", write=_text(SWEEP), read=_toml("cosim.sweep.study", "SweepStudy")
+    ),
+    "signals": Reader(
+        suffix=".toml",
+        write=_copy(UF850 / "arm.toml"),
+        read=_toml("fmu_src.arm.table", "SignalTable"),
+    ),
+    "run": Reader(suffix=".json", write=_results("run.json"), read=_run),
+    "scores": Reader(suffix=".json", write=_results("evaluation.json"), read=_scores),
+    "properties": Reader(suffix=".json", write=_results("properties.json"), read=_battery),
+    "closed loop": Reader(
+        suffix=".json",
+        write=_results("closed_loop.json"),
+        read=_result("cosim.studies.whole_loop", "LoopOutcome"),
+    ),
+    "findings": Reader(suffix=".json", write=_write_findings, read=_findings),
+    "paths": Reader(suffix=".parquet", write=_write_paths, read=_paths),
     "urdf": Reader(suffix=".urdf", write=_text(URDF), read=_robot),
     "mjcf": Reader(suffix=".xml", write=_copy(UF850 / "uf850.xml"), read=_robot),
 }
