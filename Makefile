@@ -1,6 +1,7 @@
 # make run        set everything up in .venv and do the main job
 # make test       set everything up and run the tests
 # make contract   run the tests of what every law and module must keep to
+# make hard       run the tests of hostile files, foreign FMUs, full disks and killed processes
 # make soak       run the tests that take too long for every day
 # make lint       formatting, static checks, types
 # make mutate     put small faults into the sources and count those that tests notice
@@ -13,7 +14,10 @@ BIN := $(VENV)/bin
 override IGNORED += tests/benchmarks
 C_FILES := $(wildcard fmu_src/c/*.c fmu_src/c/*.h tests/fmu/*.c tests/fmu/*.h tests/fmu/one_file/*.c tests/fmu/one_file/m7/*.[ch] tests/cosim/properties/*.c)
 
-.PHONY: run test contract soak mutate lint format interop benchmark clean
+HARD := tests/fuzz tests/unit/test_cache.py tests/fmu/test_state.py tests/fmu/test_blocks.py \
+  $(patsubst %,tests/cosim/test_%.py,hard_to_break hostile_archives foreign_fmus workers replay)
+
+.PHONY: run test contract hard soak mutate lint format interop benchmark clean
 
 run: $(VENV)/installed
 	$(BIN)/hesr run
@@ -23,6 +27,9 @@ test: $(VENV)/installed
 
 contract: $(VENV)/installed
 	$(BIN)/pytest tests/contract -m "not soak"
+
+hard: $(VENV)/installed
+	$(BIN)/pytest $(HARD) -m "not soak"
 
 soak: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) -n 2 --dist worksteal -m soak
