@@ -98,7 +98,7 @@ class _Host:
     """An instance, its batches, and what it has said since the last answer."""
 
     def __init__(self, connection: Connection) -> None:
-        self._connection = connection
+        self._connection, self._process = connection, os.getpid()
         self._messages: list[tuple[int, str]] = []
         self._batches: list[Batch] = []
         with Path(PLACE).open("r+b") as file:
@@ -110,10 +110,12 @@ class _Host:
             while True:
                 request = self._connection.recv_bytes()
                 if request[:1] == EXCHANGE:
-                    self._connection.send_bytes(self._exchanged(request[1:]))
+                    answer = self._exchanged(request[1:])
                 else:
-                    text = json.dumps(self._answered(*json.loads(request[1:])))
-                    self._connection.send_bytes(text.encode())
+                    answer = json.dumps(self._answered(*json.loads(request[1:]))).encode()
+                if os.getpid() != self._process:  # the FMU has forked: one answer is enough
+                    os._exit(0)
+                self._connection.send_bytes(answer)
 
     def _tell(self, status: int, text: str) -> None:
         self._messages.append((status, text[:LONGEST_MESSAGE]))

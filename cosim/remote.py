@@ -82,8 +82,10 @@ class Remote:
         self._written: list[tuple[int, bytes]] = []
         self._known: dict[int, bytes] = {}
         self._asked: dict[int, None] = {}
-        self._place = folder / PLACE
-        self._place.write_bytes(b"\0")
+        # Kept open: what stands under its name in the end may be anything.
+        self._place = (folder / PLACE).open("w+b", buffering=0)
+        self._place.write(b"\0")
+        self._reached = 0
         self._connection, theirs = Pipe()
         # -P: what lies in the current folder is not imported.
         command = (sys.executable, "-P", "-m", "cosim.host", str(theirs.fileno()))
@@ -104,6 +106,7 @@ class Remote:
                 **more,
             )
         except FailedError as error:
+            self._place.close()
             self._connection.close()
             raise failure(DiedError(f"for its process: {error}")) from error
         finally:
@@ -180,6 +183,10 @@ class Remote:
 
     def kill(self) -> None:
         """End the process, and all that it has started."""
+        if not self._place.closed:
+            self._place.seek(0)
+            self._reached = next(iter(self._place.read(1)), 0)
+            self._place.close()
         self._connection.close()
         if self._started.process.stdin:
             self._started.process.stdin.close()
@@ -284,8 +291,8 @@ class Remote:
 
     def _died(self, functions: Sequence[str], how: str) -> Exception:
         self.kill()
-        place = next(iter(self._place.read_bytes()), 0)
-        return self._failure(DiedError(f"{functions[min(place, len(functions) - 1)]} {how}"))
+        place = min(self._reached, len(functions) - 1)
+        return self._failure(DiedError(f"{functions[place]} {how}"))
 
 
 def _waiting(connection: Connection) -> Callable[..., object]:

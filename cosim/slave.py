@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -16,6 +15,7 @@ from cosim.variables import Variables
 from fmu_src import exported
 from fmu_src.archive import Archive
 from hesr_model.errors import ArtifactError, SimulationError
+from hesr_model.support.files import scratch_folder
 
 if TYPE_CHECKING:
     from cosim.remote import Remote
@@ -75,7 +75,7 @@ class Component:
     def __enter__(self) -> Self:
         """Unpack, load and instantiate."""
         with ExitStack() as cleanup:
-            folder = Path(cleanup.enter_context(TemporaryDirectory(prefix="hesr-")))
+            folder = cleanup.enter_context(scratch_folder())
             try:
                 known = self._unpack(folder)
             except ArtifactError as error:

@@ -12,6 +12,8 @@ int chdir(const char *path);
 int close(int file);
 int fork(void);
 int getpid(void);
+int mkdir(const char *path, unsigned mode);
+int mkfifo(const char *path, unsigned mode);
 int setsid(void);
 unsigned sleep(unsigned seconds);
 long write(int file, const void *bytes, size_t size);
@@ -81,6 +83,21 @@ static void misbehave(const char *call) {
     } else if (strcmp(deed, "flee") == 0) {
         flee();
         exit(0);
+    } else if (strcmp(deed, "pull away") == 0) {
+        /* What the other end might open when this process has ended: reading it never ends. */
+        remove("place");
+        if (mkfifo("place", 0600) != 0) {
+            abort();
+        }
+        exit(0);
+    } else if (strcmp(deed, "fork") == 0) {
+        fork(); /* and both go on */
+    } else if (strcmp(deed, "dig") == 0) {
+        for (int i = 0; i < 1200; i++) {
+            if (mkdir("d", 0700) != 0 || chdir("d") != 0) {
+                abort();
+            }
+        }
     } else if (strcmp(deed, "flood") == 0) {
         for (int i = 0; i < 1000000; i++) {
             puts("I write and write and write.");

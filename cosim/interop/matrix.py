@@ -2,8 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -12,6 +10,7 @@ from cosim.interop.case import Alone, Array, Case, Run, Together, deviation
 from cosim.interop.engine import Engine, SkippedError, Tools
 from cosim.interop.engines import ENGINES
 from cosim.interop.reference import alone, together
+from hesr_model.support.files import scratch_folder
 from hesr_model.support.process import FailedError
 from hesr_model.support.progress import Progress, counted, silent
 
@@ -162,13 +161,13 @@ def run_cell(engine: Engine, case: Case, tools: Tools, expected: References) -> 
 
 
 def _run(engine: Engine, case: Case, tools: Tools) -> Run:
-    with TemporaryDirectory(prefix="hesr-") as folder:
+    with scratch_folder() as folder:
         if isinstance(case, Together):
             if engine.together is None:
                 raise SkippedError("it runs one FMU only")
             if any(case.spec.every(component) > 1 for component in case.spec.components):
                 raise SkippedError("engines take components with steps of their own in many ways")
-            return engine.together(tools, case, Path(folder))
+            return engine.together(tools, case, folder)
         if engine.alone is None:
             raise SkippedError("it runs systems")
-        return engine.alone(tools, case, Path(folder))
+        return engine.alone(tools, case, folder)

@@ -85,5 +85,5 @@ def _sliding(motion: Motionwise, torques: Torques, j: int) -> tuple[Array, Array
     lost = 1.0 - float(np.quantile(steps, 0.1) / np.mean(steps))
     rows = len(v) / len(motion.log.t)
     deviation = np.std(differences, axis=0) * 0.5 * np.sqrt(lost * rows)
-    judged = np.flatnonzero((_SPEEDS >= _JUDGED[0]) & (_SPEEDS <= _JUDGED[1]))
+    judged = np.flatnonzero((_JUDGED[0] <= _SPEEDS) & (_JUDGED[1] >= _SPEEDS))
     return speeds[judged], estimate(np.arange(len(v)))[judged], deviation[judged]

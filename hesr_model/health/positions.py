@@ -59,9 +59,10 @@ def check_time(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
             "by one",
         )  # fmt: skip
     if loses_rows(log):
+        share = share_of_long_steps(log)
         yield Finding(
             check="missing-rows", severity="warning", logs=(log.name,),
-            found=f"{100 * share_of_long_steps(log):.0f} % of its steps are longer than 1.8 periods of {period:.4g} s",
+            found=f"{100 * share:.0f} % of its steps are longer than 1.8 periods of {period:.4g} s",
             cause="rows are missing, so that reversals are seen less sharply",
         )  # fmt: skip
     if log.dropped:

@@ -41,8 +41,6 @@ _WORDS: Mapping[str, frozenset[str]] = {
             "qm",
             "encoder",
             "enc",
-            "joint",
-            "axis",
         ]
     ),
     "tau": frozenset(
@@ -55,6 +53,8 @@ _WORDS: Mapping[str, frozenset[str]] = {
 """Words in the names of each quantity's columns; the first quantity with a word of a name has
 it.
 """
+_PLACES = frozenset(["joint", "axis"])
+"""Words of positions where no word of another quantity stands beside them."""
 _OTHERS = frozenset(
     [
         "target",
@@ -112,6 +112,8 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
           "nanoseconds": "ns", "milliseconds": "ms"},
 }  # fmt: skip
 _TOKEN = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°")
+_NUMBER = re.compile(r"(?<!\d)\d{1,9}(?!\d)")
+"""Of a joint; more digits are none, and take long to read."""
 _RATES = (5.0, 20_000.0)
 """[Hz] Of robots' logs."""
 
@@ -177,7 +179,7 @@ def _groups(names: Sequence[str], joints: Sequence[str]) -> Iterator[tuple[str, 
     numbered: dict[str, dict[int, str]] = {}
     named: dict[str, dict[int, str]] = {}
     for name in names:
-        for place in re.finditer(r"\d+", name):
+        for place in _NUMBER.finditer(name):
             key = f"{name[: place.start()]}{{}}{name[place.end() :]}"
             numbered.setdefault(key, {})[int(place[0])] = name
         for k, joint in enumerate(joints):
@@ -197,12 +199,14 @@ def _quantity(name: str) -> str:
     tokens = set(_tokens(name))
     if tokens & _OTHERS:
         return ""
-    return next((quantity for quantity, words in _WORDS.items() if tokens & words), "")
+    found = next((quantity for quantity, words in _WORDS.items() if tokens & words), "")
+    return found or ("q" if tokens & _PLACES else "")
 
 
 def _unit(quantity: str, name: str) -> str:
     known = _UNITS[quantity]
-    return next((known[token] for token in _tokens(name) if token in known), "")
+    words = re.split(r"[^a-z°]+", name.lower())  # "mA" is one word here
+    return next((known[word] for word in (*words, *_tokens(name)) if word in known), "")
 
 
 def _time(table: Table) -> str:

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 _MOST_COLUMNS = 10_000
 _MOST_LISTED = 30  # names in a sentence
+_LONGEST_NAME = 60  # characters of one of them
 _MOST_CSV = 2**31 - 2  # bytes, of which one block is made
 _LONGEST_LINE = 2**24  # characters
 _DELIMITERS = ",;\t "
@@ -158,7 +159,8 @@ class Table:
 def listed(names: Sequence[str]) -> str:
     """Return names for a sentence; of very many the first ones."""
     more = len(names) - _MOST_LISTED
-    return ", ".join((*names[:_MOST_LISTED], *([f"and {more} more"] if more > 0 else [])))
+    shown = [name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..." for name in names]
+    return ", ".join((*shown[:_MOST_LISTED], *([f"and {more} more"] if more > 0 else [])))
 
 
 def most_bytes(path: Path) -> int:

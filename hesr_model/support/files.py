@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from secrets import token_hex
 
 from filelock import FileLock, Timeout
 
@@ -138,6 +139,34 @@ def _move(temporary: Path, path: Path) -> None:
             file.replace(target)
         except OSError as error:
             raise _unwritable(target, error) from error
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Yield a temporary folder in which a program of anybody may write whatever it likes."""
+    folder = Path(tempfile.mkdtemp(prefix="hesr-"))
+    try:
+        yield folder
+    finally:
+        with interrupts.deferred(), suppress(OSError):
+            _remove_whatever(folder)
+
+
+def _remove_whatever(folder: Path) -> None:
+    """Remove a folder, however deep: `shutil.rmtree` calls itself once for each level."""
+    piled = [folder]
+    while piled:
+        path = piled.pop()
+        path.chmod(0o700)
+        with os.scandir(path) as entries:
+            found = list(entries)
+        for entry in found:
+            if entry.is_dir(follow_symlinks=False):
+                near = folder.with_name(f"{folder.name}-{token_hex(8)}")
+                piled.append(Path(entry.path).rename(near))
+            else:
+                Path(entry.path).unlink()
+        path.rmdir()
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import tempfile
 import time
 import zipfile
 from contextlib import suppress
@@ -148,6 +149,7 @@ EXIT = r"ended its process with exit code 0\."
         ("fmi2DoStep file", r"fmi2DoStep ended its process with exit code 9\."),
         # Into every file, also the one from which is known which call it is.
         ("fmi2DoStep talk", r"fmi2\w+ answered what no FMU answers and was ended\."),
+        ("fmi2DoStep pull away", f"fmi2DoStep {EXIT}"),
         ("fmi2DoStep hang up", "fmi2DoStep closed its connection and was ended."),
     ],
 )
@@ -176,19 +178,25 @@ def test_what_never_comes_back_is_ended(
 
 @pytest.mark.parametrize(
     "deed",
-    ["fmi2DoStep chdir", "fmi2DoStep flood", "fmi2FreeInstance segfault", "fmi2FreeInstance exit"],
+    [
+        *("fmi2DoStep chdir", "fmi2DoStep flood", "fmi2DoStep dig", "fmi2DoStep fork"),
+        *("fmi2FreeInstance segfault", "fmi2FreeInstance exit"),
+    ],
 )
 def test_what_harms_nobody_else_passes(
     hostile_lag: Path,
     monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
     capfd: pytest.CaptureFixture[str],
     deed: str,
 ) -> None:
     here, before = Path.cwd(), children()
     monkeypatch.setenv("DEED", deed)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     go(hostile_lag)
     assert Path.cwd() == here
     assert children() == before
+    assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr() == ("", "")
 
 

@@ -14,8 +14,10 @@ from cosim.pipeline import Job
 from cosim.study import Study
 from hesr_model.errors import ArtifactError, LogError
 from hesr_model.health.proposal import propose, robot_file
+from hesr_model.logs.guess import guess
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import Motion
+from hesr_model.logs.tables import table_of
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.progress import silent
 
@@ -149,3 +151,35 @@ def test_a_table_without_positions_is_refused(tmp_path: Path, hesr: Hesr) -> Non
     said = hesr("inspect", path)
     assert said.code == 2
     assert "no columns look like positions of several joints; it has time, a, b" in said.err
+
+
+def test_a_number_of_5000_digits_in_a_name_is_no_joint(tmp_path: Path, hesr: Hesr) -> None:
+    path = tmp_path / "odd.csv"
+    names = ["t", "q1", "q2", f"q{'9' * 5000}"]
+    rows = [f"{0.01 * k},1,2,3" for k in range(9)]
+    path.write_text("\n".join([",".join(names), *rows]), encoding="utf-8")
+    said = hesr("inspect", path)
+    assert said.code == 2
+    assert said.err.startswith(f"hesr: {path}: column 'tau1' (torque) or 'i1' (current)")
+    assert len(said.err) < 400
+
+
+@pytest.mark.parametrize(
+    ("names", "quantity", "unit"),
+    [
+        (["shoulder_joint.torque", "elbow_joint.torque"], "tau", None),
+        (["joint1_torque", "joint2_torque"], "tau", None),
+        (["axis1_current_mA", "axis2_current_mA"], "current", "mA"),
+        (["joint_1", "joint_2"], "q", None),
+        (["J1 vel [deg/s]", "J2 vel [deg/s]"], "dq", "deg/s"),
+    ],
+)
+def test_a_word_for_the_joint_hides_no_quantity(
+    names: list[str], quantity: str, unit: str | None
+) -> None:
+    columns = {"t": 0.01 * np.arange(5), "q1": np.arange(5.0), "q2": np.arange(5.0)}
+    table = table_of(Path("log"), columns | {name: np.arange(5.0) for name in names})
+    found = guess(table, ("shoulder_joint", "elbow_joint"))
+    if quantity != "q":
+        assert found.columns[quantity] == tuple(names)
+    assert found.units.get(quantity) == unit

@@ -3,6 +3,7 @@
 import hashlib
 import os
 import stat
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from hesr_model.support.files import (
     folder_written_whole,
     is_empty,
     models_folder,
+    scratch_folder,
     sha256,
     written_whole,
 )
@@ -198,3 +200,26 @@ def test_the_hash_of_a_folder_is_of_the_names_and_bytes_in_it(tmp_path: Path) ->
     changed = sha256(folder)
     (folder / "inner" / "a").rename(folder / "inner" / "b")
     assert len({first, changed, sha256(folder)}) == 3
+
+
+def test_a_scratch_folder_goes_whatever_is_in_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    outside = tmp_path.with_name(f"{tmp_path.name} outside")
+    outside.mkdir()
+    (outside / "kept").touch()
+    with scratch_folder() as folder:
+        (folder / "link").symlink_to(outside)
+        (folder / "locked" / "inner").mkdir(parents=True)
+        (folder / "locked" / "inner" / "file").touch()
+        (folder / "locked").chmod(0)
+        here = os.open(folder, os.O_RDONLY)
+        for _ in range(1200):  # deeper than any path may be long
+            os.mkdir("d", dir_fd=here)
+            below = os.open("d", os.O_RDONLY, dir_fd=here)
+            os.close(here)
+            here = below
+        os.close(here)
+    assert list(tmp_path.iterdir()) == []
+    assert (outside / "kept").is_file()
