@@ -39,7 +39,10 @@ def view(
     ] = 1.0,
     video: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.mp4", help="Write a video instead; needs no screen."),
+        typer.Option(
+            metavar="FILE",
+            help="Write a video (.mp4) or an animated picture (.webp) instead; needs no screen.",
+        ),
     ] = None,
 ) -> None:
     """Show the arm of a closed loop beside the pose it was told.
@@ -60,8 +63,8 @@ def view(
 
         show(shown, choice)
         return
-    from cosim.view.video import RATE, write_video
+    from cosim.view.video import write_video
 
     with shown_progress() as progress:
-        frames = write_video(video, shown, choice, progress=partial(progress, "drawing"))
-    typer.echo(f"{frames / RATE:.1f} s of video, written to {video}.")
+        seconds = write_video(video, shown, choice, progress=partial(progress, "drawing"))
+    typer.echo(f"{seconds:.1f} s of video, written to {video}.")

@@ -7,6 +7,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
@@ -23,42 +24,45 @@ from hesr_model.support.progress import Progress, counted, silent
 Image = NDArray[np.uint8]
 
 RATE = 30  # frames per second
+_PAGE = 2  # an animated picture for a page has the size and the rate of a video over this
 _BACKENDS = {"egl": "EGL", "osmesa": "OSMesa"}
 _GEOMS = 4000
 
 
-def write_video(path: Path, shown: Shown, choice: Choice, *, progress: Progress = silent) -> int:
-    """Write a video; return the number of its frames.
+def write_video(path: Path, shown: Shown, choice: Choice, *, progress: Progress = silent) -> float:
+    """Write a video; return how long it is [s].
 
     Parameters
     ----------
-    path : file in ``.mp4``.
+    path : file in ``.mp4``, or an animated picture for a page in ``.webp``.
     shown, choice : what is shown, and how.
     progress : told how many frames are done and how many there are.
 
     Raises
     ------
     ConfigError
-        If the file's name does not end in .mp4, if nothing can draw on this machine, or if the
-        package that encodes videos is not installed.
+        If the file's name ends in neither, if nothing can draw on this machine, or if the package
+        that encodes videos is not installed.
     RobotError
         If the arm cannot be shown.
     ArtifactError
         If the file cannot be written or encoded.
     """
-    if path.suffix.lower() != ".mp4":
-        raise ConfigError(f"--video is '{path}'; needed is a file in .mp4.")
-    encoder = _encoder()
+    kind = path.suffix.lower()
+    if kind not in (".mp4", ".webp"):
+        raise ConfigError(f"--video is '{path}'; needed is a file in .mp4 or .webp.")
+    rate = RATE if kind == ".mp4" else RATE / _PAGE
+    encoding = partial(_encoding, _encoder()) if kind == ".mp4" else _animating
     stage = Stage(shown, choice)
-    count = max(round(stage.duration / choice.speed * RATE), 1)
+    count = max(round(stage.duration / choice.speed * rate), 1)
     with (
         written_whole(path) as temporary,
         drawing(stage) as draw,
-        _encoding(encoder, temporary, path) as write,
+        encoding(temporary, path) as write,
     ):
         for k in counted(range(count), progress):
-            write(draw(k * choice.speed / RATE))
-    return count
+            write(draw(k * choice.speed / rate))
+    return count / rate
 
 
 @contextmanager
@@ -177,6 +181,21 @@ def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image]
             lines = said.read().decode(errors="replace").strip().splitlines()
             reason = lines[-1].rstrip(".") if lines else f"exit code {process.returncode}"
             raise ArtifactError(f"{path}: the video cannot be encoded ({reason}).")
+
+
+@contextmanager
+def _animating(file: Path, path: Path) -> Iterator[Callable[[Image], None]]:
+    """Yield a function that adds an image to an animated WebP, which pages play by themselves."""
+    import PIL.Image
+
+    del path
+    frames: list[PIL.Image.Image] = []
+    size = (WIDTH // _PAGE, HEIGHT // _PAGE)
+    yield lambda image: frames.append(PIL.Image.fromarray(image).resize(size))
+    frames[0].save(
+        file, format="WEBP", save_all=True, append_images=frames[1:], loop=0, quality=60, method=4,
+        duration=round(1000 * _PAGE / RATE),
+    )  # fmt: skip
 
 
 def _send(pipe: IO[bytes], image: Image) -> None:

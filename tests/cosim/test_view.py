@@ -15,6 +15,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import PIL.Image
 import pytest
 from small_study import Hesr, hesr_here
 
@@ -164,7 +165,7 @@ def test_what_cannot_be_shown_is_refused(result: Path, hesr: Hesr, tmp_path: Pat
         ("--scheme", "x"): f"--scheme is 'x'; there are 'none', 'servo_inversion' in {result}.",
         ("--magnify", "0"): "--magnify is 0; needed is a number above 0.",
         ("--speed", "nan"): "--speed is nan; needed is a number above 0.",
-        ("--video", "arm.avi"): "--video is 'arm.avi'; needed is a file in .mp4.",
+        ("--video", "arm.avi"): "--video is 'arm.avi'; needed is a file in .mp4 or .webp.",
         ("--law", "parfam_h") * 5: "--law is given 5 times; at most 4 fit side by side.",
     }
     for options, sentence in cases.items():
@@ -315,6 +316,21 @@ def test_a_video_is_as_long_as_the_motion(result: Path, tmp_path: Path, hesr: He
             assert np.abs(images[k].astype(float) - draw(2.0 * k / RATE)).mean() < 3.0
     assert np.abs(images[0].astype(float) - images[14]).mean() > 0.1
     assert [p.name for p in path.parent.iterdir()] == ["arm.mp4"]
+
+
+@draws
+def test_an_animated_picture_for_a_page_needs_no_encoder(
+    result: Path, tmp_path: Path, hesr: Hesr
+) -> None:
+    path = tmp_path / "arm.webp"
+    answer = hesr("view", result, "--law", "parfam_h", "--speed", "2", "--video", path)
+    assert answer.code == 0, answer.err
+    with PIL.Image.open(path) as film:
+        assert film.size == (WIDTH // 2, HEIGHT // 2)
+        assert film.n_frames == round(0.5 * RATE / 2)
+        first = np.asarray(film.convert("RGB"), dtype=float)
+        film.seek(film.n_frames - 1)
+        assert np.abs(np.asarray(film.convert("RGB"), dtype=float) - first).mean() > 0.1
 
 
 @draws
