@@ -47,13 +47,15 @@ def _joint(model: FrictionModel, i: int, own: Component) -> Joint:
     names = {q.name: f"{q.name}[{i}]" for q in (*own.inputs, *own.outputs)}
     return Joint(
         # Starts are no part of the equations: joints that differ in them alone share their C.
-        component=replace(own, parameters=tuple(
+        # States begin at their start values: steady bounds would take the factors' first ones.
+        component=replace(own, settling=sympy.S.Zero, parameters=tuple(
             replace(p, start=0.0, description="", unit="1") if isinstance(p, Parameter)
             else replace(p, description="", unit="1") for p in own.parameters
         )),
         names=names | {ADAPT.name: ADAPT.name},
         states=at.states,
         derivatives=at.derivatives,
+        starts=at.starts,
         parameters=tuple(f"joint[{i}].{p.name}" for p in own.parameters),
     )  # fmt: skip
 
@@ -104,6 +106,8 @@ def _own(
         for variable in law_variables(law, i, known):
             element = elements.get(variable.name)
             at_start = _initial(joint, element.derivative) if element else ()
+            if variable.role == "state":
+                at_start = (joint.starts[joint.states.index(variable.name)],)
             yield replace(variable, initial_dependencies=at_start)
         for name, parameter in zip(
             joint.parameters[count:], component.parameters[count:], strict=True
