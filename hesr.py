@@ -11,7 +11,7 @@ Every command of `hesr` is one call, and every object one name::
 
 Objects   Robot, Log, RigidBody, FrictionModel, FrictionRegressor; HesrError, the base of all errors
 Commands  new, inspect, run, report, results, excite, identify, fit, evaluate, audit, properties,
-          arena, laws, export, check, replay, simulate, package
+          arena, laws, export, check, replay, monitor, simulate, package
 Files     read_model, write_model, read_rigid_body, write_rigid_body
 
 Paths are text or paths. Logs, bodies, laws and comparisons show themselves as tables in a notebook;
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         identify,
         inspect,
         laws,
+        monitor,
         new,
         package,
         properties,
@@ -71,6 +72,7 @@ if TYPE_CHECKING:
         "identify",
         "inspect",
         "laws",
+        "monitor",
         "new",
         "package",
         "properties",
@@ -98,7 +100,8 @@ _COMMANDS = (
         "evaluate",
         "audit",
     ),
-    *("properties", "arena", "laws", "export", "check", "replay", "simulate", "package"),
+    *("properties", "arena", "laws", "export", "check", "replay", "monitor", "simulate"),
+    "package",
 )
 _HOMES = dict.fromkeys(_COMMANDS, "cosim.commands") | {
     "FrictionModel": "hesr_model.friction.model",

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from cosim.starter import Started
     from cosim.studies.design import Design
     from fmu_src.check.report import Report
+    from hesr_model.friction.adaptive.monitor import Watched
     from hesr_model.friction.audit.audit import Audit
     from hesr_model.friction.audit.properties import Properties
     from hesr_model.friction.fitting.estimator import Estimator
@@ -190,6 +191,27 @@ def replay(
     file = path_of(fmu, "an FMU")
     records = by_joint(records_of(logs, robot, rigid_body, accept)[0])
     return compare(records, {file.stem: predict_fmu(file, records)})
+
+
+def monitor(
+    logs: Log | Sequence[Log],
+    law: Model,
+    rigid_body: Body,
+    robot: RobotLike | None = None,
+    *,
+    accept: Sequence[str] = (),
+) -> "Watched":
+    """Follow friction over days of logs, in their order, from a law of other logs.
+
+    Raises
+    ------
+    HesrError
+        If a log, the robot or the law do not allow it.
+    """
+    from hesr_model.friction.adaptive.monitor import watch
+
+    model = model_given(law)
+    return watch(model, records_of(logs, robot, rigid_body, accept)[0])
 
 
 def audit(model: Model) -> "dict[str, Audit]":

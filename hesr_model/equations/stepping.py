@@ -79,10 +79,9 @@ class Run:
             self._given[place] = float(value)  # NumPy's numbers are slow, and no plain ones
 
     def begin(self, *inputs: float) -> Sequence[float]:
-        """Return what is observed before the first step; what is remembered stays, if anything."""
+        """Return what is observed before the first step."""
         self._set(inputs)
-        seen, remembered = self._start(self._given, self.states)
-        self.remembered = self.remembered or remembered
+        seen, self.remembered = self._start(self._given, self.states)
         return seen  # type: ignore[no-any-return]
 
     def step(self, dt: float, *inputs: float) -> Sequence[float]:

@@ -1,13 +1,16 @@
 """Commands for friction that is followed: the adaptive FMU, and the monitor of logs."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
-from adaptive_models import model
+from adaptive_models import model as model_of
 from fmpy import read_model_description
-from small_study import hesr_here
+from small_study import Run, hesr_here, uf850
 
+from cosim.commands import fit
 from hesr_model.artifacts import write_model
+from hesr_model.friction.adaptive.tuning import TUNING
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.lugre import LuGre
 
@@ -18,7 +21,7 @@ def test_an_adaptive_fmu(tmp_path: Path, capsys, monkeypatch) -> None:
     values = {"sigma_0": 4e4, "sigma_1": 0.0, "sigma_2": 14.0, "F_c": 12.0, "F_s": 14.0,
               "v_s": 0.1, "tau_0": 0.3}  # fmt: skip
     own = FrictionLaw(name="lugre", form=LuGre.form({}), values=values)
-    write_model(law, replace(model(own), law="lugre"))
+    write_model(law, replace(model_of(own), law="lugre"))
     for more, sentence in (
         (("--power",), "--adaptive goes with neither --power nor --properties."),
         (("--format", "modelica"), "--adaptive needs --format fmu, but the format is 'modelica'."),
@@ -28,3 +31,47 @@ def test_an_adaptive_fmu(tmp_path: Path, capsys, monkeypatch) -> None:
     answer = hesr("export", law, "--adaptive", "-o", fmu)
     assert answer.code == 0, answer.err
     assert {v.name for v in read_model_description(fmu).modelVariables} >= {"level[1]", "adapt"}
+
+
+def test_friction_is_monitored_over_logs(
+    study_run: Run, tmp_path: Path, capsys, monkeypatch
+) -> None:
+    hesr = hesr_here(capsys, monkeypatch)
+    page, found, law = tmp_path / "page.html", tmp_path / "found.json", tmp_path / "law.json"
+    sweep, body = study_run.log("sweep"), study_run.rigid_body
+    model = fit("lugre", sweep, uf850("robot.toml"), body)
+    write_model(law, model)
+    answer = hesr(
+        *("monitor", sweep, study_run.log("trial"), "--law", law, "--robot", uf850("robot.toml")),
+        *("--rigid-body", body, "-o", page, "--json", found),
+    )
+    assert answer.code == 0, answer.err
+    data = json.loads(found.read_text(encoding="utf-8"))
+    joints = model.joints
+    assert [(s["log"], s["joint"]) for s in data["states"]] == [
+        (log, joint) for log in ("sweep", "trial") for joint in joints
+    ]
+    for state in data["states"]:
+        # The law was fitted to the sweep: it stays near what it is.
+        assert abs(state["level"] - 1.0) < 0.1
+        assert 0.0 < state["level_sd"] <= TUNING.level_sd
+        assert state["rmse"] < 1.02 * state["rmse_fixed"]
+    assert f"{joints[0]}: level " in answer.out
+    text = page.read_text(encoding="utf-8")
+    assert "No change was found." in text or data["alarms"]
+    assert text.count("<svg") >= len(joints)
+    assert not list(tmp_path.glob("*.png"))
+
+
+def test_a_law_that_cannot_be_monitored(
+    study_run: Run, tmp_path: Path, capsys, monkeypatch
+) -> None:
+    hesr = hesr_here(capsys, monkeypatch)
+    answer = hesr(
+        *("monitor", study_run.log("trial"), "--law", study_run.law("stribeck")),
+        *("--robot", uf850("robot.toml"), "--rigid-body", study_run.rigid_body),
+        *("-o", tmp_path / "page.html"),
+    )
+    assert answer.code == 2
+    assert "has neither stops nor bristles" in answer.err
+    assert not list(tmp_path.iterdir())

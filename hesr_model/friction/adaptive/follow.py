@@ -7,7 +7,7 @@ import numpy as np
 
 from hesr_model.equations.component import Component, Parameter
 from hesr_model.equations.over_log import Array
-from hesr_model.equations.stepping import Run, Steps
+from hesr_model.equations.stepping import Steps
 from hesr_model.errors import SimulationError
 from hesr_model.friction.adaptive.component import INPUTS, adaptive_component
 from hesr_model.friction.adaptive.tuning import TUNING, Tuning
@@ -67,7 +67,9 @@ def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[
 
 
 class Follower:
-    """A friction model on a robot: what its factors are is carried from log to log.
+    """A friction model on a robot: a share of what its factors become is carried from log to log.
+
+    Each log is an FMU that starts from these factors, as uncertain as one that has just begun.
 
     Parameters
     ----------
@@ -76,16 +78,13 @@ class Follower:
     """
 
     def __init__(self, model: FrictionModel, tuning: Tuning = TUNING) -> None:
-        self._model = model
-        self._steps: list[Steps] = []
-        self._runs: list[Run] = []
-        for law, own in zip(model.laws, adaptive_components(model, tuning), strict=True):
-            values = dict(law.values) | {
-                p.name: p.start for p in own.parameters if isinstance(p, Parameter)
-            }
-            steps = Steps(own)
-            self._steps.append(steps)
-            self._runs.append(steps.run(values, law.start, _HANDED))
+        self._model, self._tuning = model, tuning
+        components = adaptive_components(model, tuning)
+        self._steps = [Steps(own) for own in components]
+        self._values = [
+            dict(law.values) | {p.name: p.start for p in own.parameters if isinstance(p, Parameter)}
+            for law, own in zip(model.laws, components, strict=True)
+        ]
 
     def follow(self, records: Sequence[FrictionRecord], *, adapt: bool = True) -> list[Followed]:
         """Follow friction over one log.
@@ -110,8 +109,8 @@ class Follower:
         return [self._of_joint(j, record, adapt) for j, record in enumerate(records)]
 
     def _of_joint(self, j: int, record: FrictionRecord, adapt: bool) -> Followed:
-        law, run, names = self._model.laws[j], self._runs[j], self._steps[j].observed
-        run.states = list(record_start(law, record))
+        law, steps = self._model.laws[j], self._steps[j]
+        run = steps.run(self._values[j], record_start(law, record), _HANDED)
         columns = (
             record.dq, record.q, record.tau_load, record.tau + record.tau_load, record.tau_load,
             np.full_like(record.t, float(adapt)),
@@ -119,9 +118,8 @@ class Follower:
         rows = zip(np.diff(record.t).tolist(), *(c[1:].tolist() for c in columns), strict=True)
         values = [run.begin(*(float(c[0]) for c in columns))]
         values += [run.step(dt, *row) for dt, *row in rows]
-        table = np.array(values)
-        return Followed(
-            record=record,
-            fixed=predict_record(law, record),
-            outputs={name: table[:, k] for k, name in enumerate(names)},
-        )
+        outputs = dict(zip(steps.observed, np.array(values).T, strict=True))
+        for name, known in (("level", 1.0), ("viscosity", 1.0), ("offset", 0.0)):
+            learned = self._tuning.carried * (float(outputs[name][-1]) - known)
+            self._values[j][f"{name}_start"] = known + learned
+        return Followed(record=record, fixed=predict_record(law, record), outputs=outputs)

@@ -21,6 +21,8 @@ class Tuning:
     outlier : innovations over so many standard deviations are not learned from.
     clipped : innovations count as no more than so many.
     hold : for how long nothing is learned after an outlier [s].
+    carried : share of what factors had become that the next log starts from; how sure they are
+        starts anew, since a night lies between days.
     change : smallest change of friction that is looked for, as a share.
     change_of_offset : the same of the offset, over the noise.
     alarm : log-likelihood ratio at which a change counts as found.
@@ -39,6 +41,7 @@ class Tuning:
     outlier: float = 6.0
     clipped: float = 3.0
     hold: float = 0.5
+    carried: float = 0.5
     change: float = 0.1
     change_of_offset: float = 0.5
     alarm: float = 20.0

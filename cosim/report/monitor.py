@@ -1,0 +1,107 @@
+"""The page of `hesr monitor`: factors over days of logs, alarms, and what they point to."""
+
+from pathlib import Path
+
+import numpy as np
+from markupsafe import Markup
+
+from cosim.figures.chart import Chart, Line, Panel, drawn
+from cosim.figures.style import SERIES, Stroke, svg
+from cosim.report.markup import Pictures, Section, joined, paragraph, table, write_sections
+from cosim.tables.table import ResultTable, TableRow
+from hesr_model.friction.adaptive.monitor import Watched
+
+_TRENDS = (
+    ("level", "level", 1.0),
+    ("viscosity", "viscous factor", 1.0),
+    ("offset", "offset [N.m; N]", 0.0),
+)
+
+
+def write_monitor(path: Path, watched: Watched) -> None:
+    """Write the page.
+
+    Raises
+    ------
+    ArtifactError
+        If it cannot be written.
+    """
+    pictures = Pictures(folder=path.parent)  # its figures stand in the page only
+    count = len(watched.alarms)
+    said = f"{count} change{'s' if count != 1 else ''} found." if count else "No change was found."
+    robot = watched.model.robot
+    write_sections(
+        path,
+        title=f"HESR: friction of {robot}",
+        heading=f"Friction of {robot} over {len(watched.followed)} logs",
+        summary=paragraph(f"{said} The law is {watched.model.law}, as it was fitted."),
+        sections=[
+            Section(key="alarms", title="Alarms", html=_alarms(watched)),
+            Section(key="trends", title="Trends", html=_trends(watched, pictures)),
+            Section(key="states", title="After each log", html=_states(watched)),
+        ],
+    )
+
+
+def _alarms(watched: Watched) -> Markup:
+    if not watched.alarms:
+        return paragraph("None.")
+    rows = [
+        TableRow(
+            head=f"{alarm.log}: {alarm.joint}",
+            cells=(f"{alarm.time:.1f}", alarm.kind, "more" if alarm.sign > 0 else "less",
+                   alarm.points_to),
+        )
+        for alarm in watched.alarms
+    ]  # fmt: skip
+    head = ("log: joint", "time in s", "alarm", "torque", "points to")
+    return table(ResultTable(caption="Changes that were found", head=head, rows=rows))
+
+
+def _trends(watched: Watched, pictures: Pictures) -> Markup:
+    """Draw every factor of every joint with its band, logs one after the other."""
+    ends = np.cumsum([float(np.ptp(log[0].record.t)) for log in watched.followed])
+    begins = np.concatenate([[0.0], ends[:-1]])
+    marks = tuple((float(at), log[0].record.log)
+                  for at, log in zip(begins, watched.followed, strict=True))  # fmt: skip
+    drawings = []
+    for j, joint in enumerate(watched.model.joints):
+        logs = [log[j] for log in watched.followed]
+        t = np.concatenate([at + one.record.t - one.record.t[0]
+                            for at, one in zip(begins, logs, strict=True)])  # fmt: skip
+        rows = []
+        for name, title, _ in _TRENDS:
+            value, sd = (
+                np.concatenate([one.outputs[key] for one in logs]) for key in (name, f"{name}_sd")
+            )
+            edge = Stroke(colour=SERIES[1], width=0.7, dash=(3.0, 2.0))
+            lines = (
+                Line(name="followed", x=t, y=value, stroke=Stroke(colour=SERIES[0])),
+                Line(name="two standard deviations", x=t, y=value - 2.0 * sd, stroke=edge),
+                Line(name="two standard deviations", x=t, y=value + 2.0 * sd, stroke=edge),
+            )
+            rows.append((Panel(title=title, y="", lines=lines, marks=marks if not rows else ()),))
+        chart = Chart(x="t [s], logs one after the other", rows=tuple(rows), height=1.2)
+        drawings.append(pictures.drawing(
+            f"trend-{j + 1}", Markup(svg(drawn(chart), f"trend-{j + 1}")),
+            f"Joint {joint}: factors on its Coulomb and viscous friction, and its offset.",
+            alt=f"Level, viscous factor and offset of {joint} over time, with bands.",
+        ))  # fmt: skip
+    return joined(*drawings)
+
+
+def _states(watched: Watched) -> Markup:
+    rows = [
+        TableRow(
+            head=f"{s.log}: {s.joint}",
+            cells=(f"{s.level:.3f} ± {2 * s.level_sd:.3f}",
+                   f"{s.viscosity:.3f} ± {2 * s.viscosity_sd:.3f}",
+                   f"{s.offset:.3g} ± {2 * s.offset_sd:.2g}",
+                   f"{s.rmse_fixed:.3g}", f"{s.rmse:.3g}", f"{100 * s.learning:.0f}"),
+        )
+        for s in watched.states
+    ]  # fmt: skip
+    head = ("log: joint", "level", "viscous factor", "offset", "error of the law", "followed",
+            "learning in %")  # fmt: skip
+    caption = "Factors with two standard deviations, and errors (RMSE) in N.m, or N"
+    return table(ResultTable(caption=caption, head=head, rows=rows))

@@ -1,0 +1,56 @@
+"""Friction over days: what is found, in which joint, and what it points to."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adaptive_models import lugre, model, motion, truth
+
+from hesr_model.friction.adaptive.monitor import watch
+from hesr_model.friction.adaptive.tuning import TUNING
+from hesr_model.rigid_body.residual import FrictionRecord
+
+MODEL = model(lugre(), lugre(), lugre())
+
+
+def day(log: str, seed: int, *, seconds: float = 45.0, worn: tuple[int, ...] = (),
+        offset: float = 0.0) -> list[FrictionRecord]:  # fmt: skip
+    """Records of three joints; friction of worn ones rises by a quarter after 20 s."""
+    found = []
+    for k, joint in enumerate(MODEL.joints):
+        rise = 0.25 * float(k in worn)
+        record = truth(
+            lugre(), *motion(seconds, seed + k), seed=10 * seed + k,
+            level=lambda t, rise=rise: 1.0 + rise * (t > 20.0), viscosity=np.ones_like,
+        )  # fmt: skip
+        shifted = record.tau + offset * (k == 0) * (record.t > 20.0)
+        found.append(replace(record, log=log, joint=joint, tau=shifted))
+    return found
+
+
+def test_wear_is_found_in_its_joint_and_carried_on() -> None:
+    watched = watch(MODEL, [day("one", 0), day("two", 1, worn=(1,)), day("three", 2)])
+    assert {(a.log, a.joint, a.kind, a.sign) for a in watched.alarms if a.log != "three"} == {
+        ("two", "j2", "drift", 1)
+    }
+    [first] = [a for a in watched.alarms if a.log == "two"]
+    assert 20.0 < first.time < 40.0
+    assert "wear" in first.points_to
+    level = {(s.log, s.joint): s.level for s in watched.states}
+    assert level["two", "j2"] > 1.07
+    assert abs(level["two", "j1"] - 1.0) < 0.05
+    # Half of what was learned stands at the beginning of the next log.
+    carried = watched.followed[2][1].outputs["level"][0] - 1.0
+    assert carried == pytest.approx(TUNING.carried * (level["two", "j2"] - 1.0), abs=1e-12)
+    assert all(0.9 < s.learning <= 1.0 for s in watched.states)
+
+
+def test_what_all_joints_do_is_no_wear() -> None:
+    watched = watch(MODEL, [day("one", 3, worn=(0, 1, 2))])
+    assert {(a.kind, a.sign) for a in watched.alarms} == {("shared drift", 1)}
+
+
+def test_a_load_is_no_friction() -> None:
+    watched = watch(MODEL, [day("one", 4, offset=3.0)])
+    assert [(a.joint, a.kind, a.sign) for a in watched.alarms][:1] == [("j1", "shift", 1)]
+    assert not any("drift" in a.kind for a in watched.alarms)
