@@ -69,7 +69,7 @@ def _trends(watched: Watched, pictures: Pictures) -> Markup:
         logs = [log[j] for log in watched.followed]
         t = np.concatenate([at + one.record.t - one.record.t[0]
                             for at, one in zip(begins, logs, strict=True)])  # fmt: skip
-        rows = []
+        rows: list[tuple[Panel, ...]] = []
         for name, title, _ in _TRENDS:
             value, sd = (
                 np.concatenate([one.outputs[key] for one in logs]) for key in (name, f"{name}_sd")

@@ -1,0 +1,33 @@
+"""What a step of the adaptive FMU costs beside one of the friction FMU, of the same laws."""
+
+from pathlib import Path
+
+import pytest
+from adaptive_models import lugre, model, stops
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from cosim.slave import Component
+from fmu_src.friction.friction_fmu import adaptive_content, export_bare
+from fmu_src.package import write_fmu
+
+STEP = 0.005
+
+
+@pytest.mark.parametrize("law", [lugre, stops])
+@pytest.mark.parametrize("adaptive", [False, True])
+def test_step(law, adaptive: bool, tmp_path: Path, benchmark: BenchmarkFixture) -> None:
+    """Aim: at most 1 us more than the friction FMU for three joints; the call itself takes most."""
+    benchmark.group = f"doStep of three joints through FMPy, {law().name}"
+    own = model(law(), law(), law())
+    fmu = tmp_path / "Friction.fmu"
+    if adaptive:
+        write_fmu(adaptive_content(own), fmu)
+    else:
+        export_bare(own, fmu)
+    with Component(fmu) as component:
+        more = {"tau_meas[1]": 18.0} if adaptive else {}
+        component.initialise(start={"dq[1]": 0.3, "dq[2]": -0.4, "dq[3]": 0.2} | more)
+        step, instance = component._instance._slave.fmi2DoStep, component._instance._slave.component
+        counter = iter(range(10**9))
+        benchmark(lambda: step(instance, next(counter) * STEP, STEP, True))
+        assert component.get(["tau[1]"])[0] != 0.0
