@@ -277,7 +277,9 @@ def _toml(value: Any) -> str:
 def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
     """Yield what tables show of each log and joint that moves, as text."""
     examination = proposal.examination
+    names = [part.log.name for part in examination.parts]
     for k, part in enumerate(examination.parts):
+        whole = names.count(part.log.name) == 1
         fits = examination.explained[k] if examination.explained else {}
         for j in np.flatnonzero(part.moves):
             fit = fits.get(int(j))
@@ -288,7 +290,7 @@ def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
                 else match(v, part.dq[:, j], float(np.median(np.diff(part.t))))
             )
             yield (
-                part.log.name,
+                part.log.name if whole else f"{part.log.name} from {part.t[0]:.3g} s",
                 proposal.robot.joints[j],
                 f"{part.q[:, j].min():.2f} to {part.q[:, j].max():.2f}",
                 f"{np.max(np.abs(v)):.2f}",

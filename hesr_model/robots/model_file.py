@@ -96,9 +96,13 @@ def joints_of(path: Path) -> tuple[ModelJoint, ...]:
         As `load`.
     """
     model = load(path, mimic=True)
+    try:
+        names = list(model.names)[1:]
+    except UnicodeDecodeError as error:
+        raise RobotError(f"{path}: a joint's name is no UTF-8 text.") from error
     return tuple(
         ModelJoint(name=name, freedom=joint.nv, slides=_slides(joint))
-        for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
+        for name, joint in zip(names, list(model.joints)[1:], strict=True)
     )
 
 

@@ -65,3 +65,10 @@ def test_a_file_without_a_joint_to_drive_is_refused(tmp_path: Path) -> None:
     path = urdf(tmp_path, {"name": "float", "kind": "floating"})
     with pytest.raises(RobotError, match="has no revolute or prismatic joint; at least one"):
         driven_joints(path)
+
+
+def test_a_name_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    path = urdf(tmp_path, {"name": "turn", "kind": "revolute"})
+    path.write_bytes(path.read_bytes().replace(b'"turn"', b'"t\xf4rn"'))
+    with pytest.raises(RobotError, match=r"chain\.urdf: a joint's name is no UTF-8 text\.$"):
+        joints_of(path)
