@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Self
 
-from pydantic import ValidationError
+from pydantic import ValidationError, model_serializer
 
 from hesr_model.errors import ArtifactError
 from hesr_model.support.config import Config, PrintableName
@@ -26,7 +26,12 @@ class Owner(Config):
     @property
     def known(self) -> dict[str, str]:
         """What is known, by name."""
-        return {name: text for name, text in self.model_dump().items() if text}
+        found = {name: str(getattr(self, name)) for name in type(self).model_fields}
+        return {name: text for name, text in found.items() if text}
+
+    @model_serializer(mode="plain")
+    def _as_written(self) -> dict[str, str]:
+        return self.known
 
     @classmethod
     def of(cls, provenance: Mapping[str, Any]) -> Self:
