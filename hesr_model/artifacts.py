@@ -21,6 +21,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained import TrainedRange
+from hesr_model.inference.covariance import Covariance
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support.bounded import parse_json, read_text
@@ -130,6 +131,7 @@ class _JointEntry:
     discretisation: Discretisation
     start: tuple[float, ...]
     start_samples: int = 0
+    covariance: Covariance | None = None
     trained: TrainedRange | None = None
     training_rmse: float | None = None
 
@@ -154,6 +156,7 @@ class _JointEntry:
             start=self.start,
             start_samples=self.start_samples,
             standard_errors={name: e for name, e in errors.items() if e is not None},
+            covariance=self.covariance,
         )
 
 
@@ -191,6 +194,7 @@ def model_to_json(model: FrictionModel) -> dict[str, Any]:
                 discretisation=law.discretisation,
                 start=law.start,
                 start_samples=law.start_samples,
+                covariance=law.covariance,
                 trained=trained,
                 training_rmse=error,
             )

@@ -30,6 +30,7 @@ from hesr_model.equations.memory import Element
 from hesr_model.equations.over_log import Discretisation
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, QUANTITIES
+from hesr_model.inference.covariance import Covariance
 from hesr_model.units import unit_of_joint
 
 TORQUE = "tau"
@@ -142,7 +143,8 @@ class FrictionLaw:
         begin in the steady state (`SETTLING`).
     start_samples : how many measured torques at the beginning of a log can set the start in its
         place (`records.record_start`); 0 for none.
-    standard_errors : of the coefficients, in their units, as far as they are known.
+    standard_errors : of the coefficients, in their units, of those that have an interval.
+    covariance : of the coefficients that were fitted; None where it is not known.
 
     Raises
     ------
@@ -158,6 +160,7 @@ class FrictionLaw:
     start: tuple[float, ...] = ()
     start_samples: int = 0
     standard_errors: Mapping[str, float] = field(default_factory=dict)
+    covariance: Covariance | None = None
 
     def __post_init__(self) -> None:
         needed = [c.name for c in self.form.coefficients]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
-from hesr_model.friction.fitting.uncertainty import standard_errors
+from hesr_model.inference.correlation import standard_errors
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.identification import LEAST_PEAK

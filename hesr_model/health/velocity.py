@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hesr_model.friction.fitting.uncertainty import standard_errors
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.findings import Finding
+from hesr_model.inference.correlation import standard_errors
 from hesr_model.logs.log_format import LogUnits, column_names
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.units import OTHERS, TURNING

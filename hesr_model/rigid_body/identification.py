@@ -17,14 +17,16 @@ from pydantic import (
 from threadpoolctl import threadpool_limits
 
 from hesr_model.errors import FitError, RobotError
+from hesr_model.inference.covariance import Covariance
 from hesr_model.logs.robot_log import RobotLog, parts_of, require_moving
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body import physical as consistent
 from hesr_model.rigid_body.base_parameters import at_random_states, base_columns
-from hesr_model.rigid_body.least_squares import Block, solve
+from hesr_model.rigid_body.least_squares import Block, covariance_of, solve
 from hesr_model.rigid_body.observations import (
     averaged,
     friction_columns,
+    logs_of,
     per_joint,
     rubbing_speeds,
     stacked,
@@ -39,6 +41,12 @@ Weighting = Literal["wls", "ols"]
 
 LEAST_PEAK = 0.02
 """[rad/s, m/s] A joint that is never faster tells nothing of its inertia."""
+
+_MATTERS = 1e-2
+"""Of the largest error of the torque over all states: smaller ones are not carried on."""
+
+_AT_ONCE = 4096
+"""Samples whose regressor is held at a time."""
 
 _log = logging.getLogger(__name__)
 
@@ -58,8 +66,7 @@ class RigidBody:
         Indices of the base parameters, which carry the others linearly (eq. 6).
     standard_errors
         Of the base parameters, (len(base),), what the parameters outside `base` add to them
-        included, from the residual's variance. Residuals of neighbouring samples are alike, so
-        these are too small by some factor.
+        included: the roots of the covariance's diagonal.
     condition
         Condition number of the weighted observation matrix, each column relative to its size
         over random states of the robot.
@@ -78,6 +85,8 @@ class RigidBody:
         Names of the logs.
     physical
         Whether the parameters are those of bodies of positive mass density.
+    covariance
+        Of the base parameters; None in results of earlier versions.
     """
 
     robot: str
@@ -95,6 +104,7 @@ class RigidBody:
     method: Method
     weighting: Weighting
     physical: bool = False
+    covariance: Covariance | None = None
 
     def __repr__(self) -> str:
         return (
@@ -127,11 +137,32 @@ class RigidBody:
             )
         return model.torque(self.parameters, motion.q, motion.dq, motion.ddq)
 
+    def torque_spread(self, model: RobotModel, motion: Motion) -> Array | None:
+        """Return by how much the torque over a motion is off, (N, n, r) [N.m].
+
+        For one standard deviation of each of the r independent errors of the parameters that
+        matter; None where their covariance is not known.
+        """
+        if self.covariance is None:
+            return None
+        values, vectors = np.linalg.eigh(self.covariance.matrix)
+        spread = vectors * np.sqrt(np.maximum(values, 0.0))
+        columns = list(self.base)
+        _, s, vt = np.linalg.svd(at_random_states(model)[:, columns] @ spread, full_matrices=False)
+        spread = spread @ vt[s > _MATTERS * s[0]].T
+        parts = [
+            model.regressor(motion.q[k], motion.dq[k], motion.ddq[k])[:, :, columns] @ spread
+            for k in (slice(at, at + _AT_ONCE) for at in range(0, len(motion.t), _AT_ONCE))
+        ]
+        return np.concatenate(parts)
+
     @model_serializer(mode="wrap")
     def _by_name(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """In JSON, parameters stand under their names, some of which `base` names."""
         data: dict[str, Any] = serialise(self)
         names = data.pop("names")
+        if data["covariance"] is None:  # as in files of versions that knew none
+            del data["covariance"]
         data["parameters"] = dict(zip(names, data["parameters"], strict=True))
         return data | {"base": [names[k] for k in self.base]}
 
@@ -246,6 +277,11 @@ def identify_motions(
             solution.condition,
             solution.ridge,
         )
+    labels = logs_of(motions if method == "paper" else everything)
+    # Of friction's columns no name is needed: only the base parameters' part is kept.
+    covariance = covariance_of(("",) * len(scale), blocks, solution, labels).mapped(
+        [model.parameter_names[k] for k in base], np.eye(len(base), len(scale))
+    )
     parameters = np.zeros(len(model.parameter_names))
     parameters[list(base)] = solution.x[: len(base)]
     body = RigidBody(
@@ -254,7 +290,7 @@ def identify_motions(
         names=model.parameter_names,
         parameters=parameters,
         base=base,
-        standard_errors=solution.standard_errors[: len(base)],
+        standard_errors=covariance.standard_errors,
         condition=solution.condition,
         ridge=solution.ridge,
         friction=per_joint(solution.x[len(base) :], friction),
@@ -263,24 +299,30 @@ def identify_motions(
         logs=tuple(dict.fromkeys(motion.name for motion in everything)),
         method=method,
         weighting=weighting,
+        covariance=covariance,
     )
     if not physical:
         return body
-    return _consistent(body, blocks_of(tuple(range(len(body.names)))), model, friction)
+    return _consistent(body, blocks_of(tuple(range(len(body.names)))), model, friction, labels)
 
 
 def _consistent(
-    body: RigidBody, blocks: Sequence[Block], model: RobotModel, friction: NDArray[np.bool_]
+    body: RigidBody,
+    blocks: Sequence[Block],
+    model: RobotModel,
+    friction: NDArray[np.bool_],
+    labels: NDArray[np.int_],
 ) -> RigidBody:
     """Replace an estimate by the physically consistent one from the same rows."""
     with threadpool_limits(1):
         found = consistent.fit(
-            blocks, model, body.base, rmse=body.rmse, weighted=body.weighting == "wls"
+            blocks, model, body.base, labels, rmse=body.rmse, weighted=body.weighting == "wls"
         )
     return replace(
         body,
         parameters=found.parameters,
-        standard_errors=found.standard_errors,
+        standard_errors=found.covariance.standard_errors,
+        covariance=found.covariance,
         ridge=0.0,
         friction=per_joint(found.friction, friction),
         rmse=found.rmse,

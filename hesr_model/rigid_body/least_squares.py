@@ -1,11 +1,13 @@
 """Weighted linear least squares over blocks of rows of unlike noise."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
+
+from hesr_model.inference.covariance import Covariance, blocks_of_time, covariance, left_out
 
 Array = NDArray[np.float64]
 
@@ -19,10 +21,19 @@ _RIDGE = 3e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Block:
-    """Rows of equal noise: matrix (N, P) and target (N,)."""
+    """Rows of equal noise.
+
+    Attributes
+    ----------
+    matrix, target
+        (N, P) and (N,).
+    samples
+        (N,) number of the sample that each row is of; blocks share samples.
+    """
 
     matrix: Array
     target: Array
+    samples: NDArray[np.int_] = field(default_factory=lambda: np.zeros(0, dtype=int))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,21 +42,26 @@ class Solution:
 
     Attributes
     ----------
-    x, standard_errors
-        (P,) unknowns and their standard errors, in their units.
+    x
+        (P,) unknowns, in their units.
     condition
         Of the weighted matrix, columns divided by their scales.
     ridge
         Weight of the pull of the scaled unknowns towards zero, relative to the largest singular
         value; 0 where none was needed.
+    pull
+        (P,) what one unit of each unknown costs by it, beside the weighted residuals.
+    weights
+        Of each block.
     rmse
         Residual of each block.
     """
 
     x: Array
-    standard_errors: Array
     condition: float
     ridge: float
+    pull: Array
+    weights: Array
     rmse: Array
 
 
@@ -74,6 +90,44 @@ def solve(blocks: Sequence[Block], *, scale: Array, weighted: bool) -> Solution:
     return solution
 
 
+def covariance_of(
+    names: Sequence[str],
+    blocks: Sequence[Block],
+    solution: Solution,
+    labels: NDArray[np.int_],
+    carried: Array | None = None,
+) -> Covariance:
+    """Return the covariance of a solution, residuals of all blocks at one sample taken together.
+
+    Parameters
+    ----------
+    names
+        Of the unknowns.
+    blocks, solution
+        The problem and what was found; the blocks know their samples.
+    labels
+        (samples,) number of the log of each sample.
+    carried
+        As for `inference.covariance`.
+    """
+    labels = blocks_of_time(labels)
+    size, logs = len(solution.x), int(np.max(labels)) + 1
+    gradients, hessians = np.zeros((len(labels), size)), np.zeros((logs, size, size))
+    weighted = [
+        (weight * block.matrix, weight * (block.target - block.matrix @ solution.x))
+        for block, weight in zip(blocks, solution.weights, strict=True)
+    ]
+    known = np.diag(solution.pull**2)
+    for block, (rows, _) in zip(blocks, weighted, strict=True):
+        own = labels[block.samples]
+        for log in range(logs):
+            hessians[log] += rows[own == log].T @ rows[own == log]
+    whole = hessians.sum(axis=0) + known
+    for block, (rows, residual) in zip(blocks, weighted, strict=True):
+        gradients[block.samples] += rows * left_out(rows, residual, whole)[:, None]
+    return covariance(names, gradients, hessians, labels, known=known, carried=carried)
+
+
 def _compressed(block: Block) -> Array:
     """Triangular factor of [matrix, target]: a few rows that have the same squared residuals."""
     rows = np.column_stack([block.matrix, block.target])
@@ -92,14 +146,12 @@ def _solve(
     ridge = _RIDGE if condition > _HUGE_CONDITION else 0.0
     pull = ridge * s[0]
     x = vt.T @ (s / (s**2 + pull**2) * (u.T @ target)) / scale
-    residual = target - matrix @ x
-    variance = float(residual @ residual) / max(int(np.sum(counts)) - len(x), 1)
-    spread = np.sqrt(variance * np.sum((vt.T / np.hypot(s, pull)) ** 2, axis=1))
     squares = [np.sum((f[:, -1] - f[:, :-1] @ x) ** 2) for f in factors]
     return Solution(
         x=x,
-        standard_errors=spread / scale,
         condition=condition,
         ridge=ridge,
+        pull=pull * scale,
+        weights=np.asarray(weights),
         rmse=np.sqrt(squares / counts),
     )

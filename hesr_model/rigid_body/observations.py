@@ -43,6 +43,13 @@ def friction_columns(model: RobotModel, base: tuple[int, ...]) -> NDArray[np.boo
     return columns
 
 
+def logs_of(motions: Sequence[Motion]) -> NDArray[np.int_]:
+    """Return the number of the log (N,) of each sample of all motions; parts of a log share it."""
+    names = list(dict.fromkeys(motion.name for motion in motions))
+    numbers = [names.index(motion.name) for motion in motions]
+    return np.repeat(numbers, [len(motion.t) for motion in motions])
+
+
 def per_joint(found: Array, friction: NDArray[np.bool_]) -> Array:
     """Return coefficients of friction by joint, (n, 3), zero where there are no columns.
 
@@ -90,7 +97,7 @@ def stacked(
         rubbing = np.zeros((len(speed), n, 3))
         rubbing[:, joint] = np.column_stack([np.sign(speed), speed, np.ones_like(speed)])
         matrix = np.hstack([rigid[rows, joint], rubbing[:, friction]])
-        blocks.append(Block(matrix=matrix, target=tau[rows, joint]))
+        blocks.append(Block(matrix=matrix, target=tau[rows, joint], samples=np.flatnonzero(rows)))
     return blocks
 
 
@@ -133,9 +140,16 @@ def averaged(
                 f"log {', '.join(motion.name for motion in motions)}: joint '{joint}' never moves "
                 "against its time-reversed counterpart; both logs must move it."
             )
+    first = np.cumsum([0, *(len(motion.t) for motion in motions)])
+    samples = np.concatenate(
+        [
+            start + np.flatnonzero(np.isin(motion.t, pair.forward.t))
+            for start, motion, pair in zip(first, motions, pairs, strict=False)
+        ]
+    )
     return [
-        Block(matrix=matrix[kept[:, joint], joint], target=target[kept[:, joint], joint])
-        for joint in range(model.n)
+        Block(matrix=matrix[rows, joint], target=target[rows, joint], samples=samples[rows])
+        for joint, rows in enumerate(kept.T)
     ]
 
 

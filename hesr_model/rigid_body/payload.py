@@ -180,11 +180,13 @@ def loaded(unloaded: RigidBody, payload: Payload, model: RobotModel) -> RigidBod
     parameters = unloaded.parameters.copy()
     parameters[columns] += payload.parameters
     carried = dependence(model, unloaded.base)[:, columns]
-    more = np.sum(carried @ payload.covariance * carried, axis=1)
+    more = carried @ payload.covariance @ carried.T
+    own = unloaded.covariance
     return replace(
         unloaded,
         parameters=parameters,
-        standard_errors=np.sqrt(unloaded.standard_errors**2 + more),
+        standard_errors=np.sqrt(unloaded.standard_errors**2 + np.diag(more)),
+        covariance=None if own is None else replace(own, carried=own.carried + more),
         physical=False,
         friction=payload.friction,
         rmse=payload.rmse,

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
 from scipy.optimize import least_squares
 
+from hesr_model.inference.covariance import Covariance
 from hesr_model.rigid_body.base_parameters import dependence
-from hesr_model.rigid_body.least_squares import Block
+from hesr_model.rigid_body.least_squares import Block, Solution, covariance_of
 from hesr_model.robots.robot import RobotModel
 
 Array = NDArray[np.float64]
@@ -54,16 +55,16 @@ class PhysicalFit:
         (P,) all standard parameters and rotor inertias.
     friction
         Coefficients of the columns after the P first, as in the blocks.
-    standard_errors
-        (len(base),) of the base parameters that these parameters amount to, the pull towards the
-        model file taken as knowledge.
+    covariance
+        Of the base parameters that these parameters amount to, the pull towards the model file
+        taken as knowledge.
     rmse
         Residual of each block.
     """
 
     parameters: Array
     friction: Array
-    standard_errors: Array
+    covariance: Covariance
     rmse: Array
 
 
@@ -93,6 +94,7 @@ def fit(
     blocks: Sequence[Block],
     model: RobotModel,
     base: tuple[int, ...],
+    labels: NDArray[np.int_],
     *,
     rmse: Array,
     weighted: bool,
@@ -104,7 +106,9 @@ def fit(
     blocks
         Rows of all P standard columns and the columns of friction after them.
     base
-        Whose standard errors are given.
+        Whose covariance is given.
+    labels
+        (samples,) number of the log of each sample.
     rmse
         (blocks,) residual of each block under the unconstrained fit [N.m], for the first weights.
     weighted
@@ -114,7 +118,8 @@ def fit(
     count, size = sum(len(block.target) for block in blocks), len(model.parameter_names)
     x = chart.start
     for _ in range(_REWEIGHTINGS):
-        factor, free = _eliminated(blocks, _weights(blocks, rmse, weighted), size)
+        weights = _weights(blocks, rmse, weighted)
+        factor, free = _eliminated(blocks, weights, size)
         problem = _Problem(chart=chart, rows=free, pull=chart.pull * np.sqrt(count))
         x = least_squares(problem.residuals, x, jac=problem.slopes, method="lm").x
         parameters = chart.parameters(x)
@@ -125,12 +130,28 @@ def fit(
         )
         every = np.concatenate([parameters, friction])
         rmse = np.array([np.sqrt(np.mean((b.target - b.matrix @ every) ** 2)) for b in blocks])
-    _, s, vt = np.linalg.svd(problem.slopes(x), full_matrices=False)
-    spread = dependence(model, base) @ chart.slopes(x) @ (vt.T / s)
+    slopes = np.eye(len(every), len(x) + others)
+    slopes[:size, : len(x)] = chart.slopes(x)
+    slopes[size:, len(x) :] = np.eye(others)
+    moved = [
+        # At the solution a step of the coordinates is one of the parameters along the slopes.
+        Block(matrix=b.matrix @ slopes, target=b.target - b.matrix @ every, samples=b.samples)
+        for b in blocks
+    ]
+    at = Solution(
+        x=np.zeros(len(x) + others),
+        condition=1.0,
+        ridge=0.0,
+        pull=np.concatenate([problem.pull, np.zeros(others)]),
+        weights=weights,
+        rmse=rmse,
+    )
+    to_base = np.hstack([dependence(model, base) @ chart.slopes(x), np.zeros((len(base), others))])
+    covariance = covariance_of(("",) * len(at.x), moved, at, labels)
     return PhysicalFit(
         parameters=parameters,
         friction=friction,
-        standard_errors=np.linalg.norm(spread, axis=1),
+        covariance=covariance.mapped([model.parameter_names[k] for k in base], to_base),
         rmse=rmse,
     )
 

@@ -36,6 +36,9 @@ class FrictionRecord:
         (N,) [N.m], rigid-body torque.
     tau
         (N,) [N.m], friction: measured torque less rigid-body torque (eq. 8), not smoothed.
+    tau_load_spread
+        (N, r) [N.m], by how much `tau_load` is off for one standard deviation of each independent
+        error of the rigid body; None where these are not known.
     gear_ratio
         Turns of the motor per turn of the joint, where the robot file gives it.
     sliding
@@ -52,6 +55,7 @@ class FrictionRecord:
     q: Array
     tau_load: Array
     tau: Array
+    tau_load_spread: Array | None = None
     gear_ratio: float | None = None
     sliding: bool = False
     coupling: Coupling | None = None
@@ -72,6 +76,9 @@ def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
 
     dq, q = moved("dq", coupling.motion), moved("q", coupling.motion)
     load, tau = moved("tau_load", coupling.torque), moved("tau", coupling.torque)
+    spreads = [record.tau_load_spread for record in records]
+    known = [spread for spread in spreads if spread is not None]
+    spread = coupling.torque(np.stack(known, axis=1)) if len(known) == len(spreads) else None
     return [
         replace(
             record,
@@ -79,6 +86,7 @@ def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
             q=np.ascontiguousarray(q[:, k]),
             tau_load=np.ascontiguousarray(load[:, k]),
             tau=np.ascontiguousarray(tau[:, k]),
+            tau_load_spread=None if spread is None else spread[:, k],
             coupling=None,
         )
         for k, record in enumerate(records)
@@ -105,6 +113,7 @@ def friction_records(
     """
     motion = smooth(log, model.description.log.filter_cutoff)
     load = rigid_body.torque(model, motion)
+    spread = rigid_body.torque_spread(model, motion)
     ratios = model.description.gear_ratio or (None,) * model.n
     coupling = model.description.coupling
     return [
@@ -116,6 +125,7 @@ def friction_records(
             q=np.ascontiguousarray(motion.q_raw[:, k]),
             tau_load=np.ascontiguousarray(load[:, k]),
             tau=motion.tau[:, k] - load[:, k],
+            tau_load_spread=None if spread is None else spread[:, k],
             gear_ratio=ratios[k],
             sliding=model.tree[k].prismatic,
             coupling=coupling,

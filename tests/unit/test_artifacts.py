@@ -5,6 +5,7 @@ import os
 import platform
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from hesr_model.errors import ArtifactError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.parfam import family
 from hesr_model.friction.model import FrictionModel
+from hesr_model.inference.covariance import Covariance
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.support.files import models_folder, sha256
 
@@ -69,6 +71,26 @@ def table_1() -> FrictionModel:
 
 
 # --- round trips ------------------------------------------------------------------------------
+
+
+def test_a_covariance_comes_back_with_its_law(tmp_path: Path) -> None:
+    law = parfam([1.0] * 11, covariance=covariance_of_two(("c_h", "c_dh")))
+    write_model(tmp_path / "law.json", model_of(law))
+    found = read_model(tmp_path / "law.json")
+    assert found == model_of(law)
+    assert found != model_of(replace(law, covariance=covariance_of_two(("c_h", "alpha"))))
+
+
+def test_a_covariance_must_be_that_of_its_names(tmp_path: Path) -> None:
+    def change(data: dict[str, Any]) -> None:
+        first(data)["covariance"] = {
+            "names": ["alpha"], "within": [[1.0, 0.0], [0.0, 1.0]], "between": 1.0, "degrees": 0.0,
+            "carried": [[0.0]],
+        }  # fmt: skip
+
+    assert refused(changed(tmp_path, change)) == (
+        "a covariance has the shape (2, 2); needed is (1, 1), that of its names."
+    )
 
 
 def test_a_published_model_comes_back(table_1: FrictionModel, tmp_path: Path) -> None:
@@ -135,6 +157,14 @@ def rigid_body() -> RigidBody:
         logs=("one", "two"),
         method="stacked",
         weighting="wls",
+        covariance=covariance_of_two(("j1.m", "j2.mx")),
+    )
+
+
+def covariance_of_two(names: tuple[str, str]) -> Covariance:
+    root = np.random.default_rng(1).normal(size=(2, 2)) / 3.0
+    return Covariance(
+        names=names, within=root @ root.T, between=7.0 / 3.0, degrees=5.5, carried=root.T @ root
     )
 
 
@@ -150,6 +180,18 @@ def test_a_rigid_body_comes_back_bit_for_bit(rigid_body: RigidBody, tmp_path: Pa
         *("method", "weighting"),
     ):
         assert getattr(found, name) == getattr(rigid_body, name)
+    assert found.covariance == rigid_body.covariance
+
+
+def test_files_of_versions_without_a_covariance_are_read(
+    rigid_body: RigidBody, tmp_path: Path
+) -> None:
+    path = tmp_path / "rigid_body.json"
+    write_rigid_body(path, rigid_body, {"seed": None})
+    data = read_json(path, "hesr-rigid-body-1")
+    del data["covariance"]
+    write_json(path, {"format": "hesr-rigid-body-1", **data})
+    assert read_rigid_body(path).covariance is None
     data = json.loads(path.read_text())
     assert data["format"] == RIGID_BODY_FORMAT
     assert data["provenance"] == {"seed": None}

@@ -15,7 +15,10 @@ def moving(t: np.ndarray, dq: np.ndarray) -> Motion:
 
 
 def solved(x: np.ndarray, rmse: list[float]) -> Solution:
-    return Solution(x=x, standard_errors=x, condition=1.0, ridge=0.0, rmse=np.array(rmse))
+    size = np.array(rmse)
+    return Solution(
+        x=x, condition=1.0, ridge=0.0, pull=np.zeros_like(x), weights=1.0 / size, rmse=size
+    )
 
 
 @pytest.fixture

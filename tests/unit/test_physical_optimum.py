@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from hesr_model.inference.covariance import covariance, left_out
 from hesr_model.rigid_body.base_parameters import base_columns, dependence
 from hesr_model.rigid_body.least_squares import Block
 from hesr_model.rigid_body.physical import _Chart, _weights, fit, link_parameters
@@ -17,12 +18,14 @@ def blocks(model: RobotModel) -> list[Block]:
     rng = np.random.default_rng(4)
     q, dq, ddq = rng.uniform(-2.0, 2.0, (3, 30, 3))
     regressor = model.regressor(q, dq, ddq)
-    made = []
+    made, first = [], 0
     for joint, (rows, noise) in enumerate(((30, 2.0), (20, 0.5), (10, 0.1))):
         matrix = np.hstack([regressor[:rows, joint], rng.standard_normal((rows, 2))])
         truth = np.concatenate([1.2 * model.nominal_parameters, FRICTION])
         target = matrix @ truth + noise * rng.standard_normal(rows)
-        made.append(Block(matrix=matrix, target=target))
+        samples = np.arange(first, first + rows)
+        first += rows
+        made.append(Block(matrix=matrix, target=target, samples=samples))
     return made
 
 
@@ -52,14 +55,27 @@ def test_the_fit_is_the_least_sum_of_residuals_and_pull(
         found = least_squares(residuals, point, jac="3-point", x_scale="jac", xtol=1e-14)
         point, parts = found.x, np.split(residuals(found.x)[:60], [30, 50])
         rmse = np.array([s * np.sqrt(np.mean(p**2)) for s, p in zip(scale, parts, strict=True)])
-    body = fit(given, arm_model, base, rmse=np.array([1.0, 0.4, 0.2]), weighted=weighted)
+    labels = np.arange(60) % 3
+    body = fit(given, arm_model, base, labels, rmse=np.array([1.0, 0.4, 0.2]), weighted=weighted)
     np.testing.assert_allclose(body.parameters, chart.parameters(point[:33]), rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(body.friction, point[33:], rtol=1e-4)
     np.testing.assert_allclose(body.rmse, rmse, rtol=1e-5)
     spread = dependence(arm_model, base) @ chart.slopes(point[:33])
-    covariance = np.linalg.inv(found.jac.T @ found.jac)[:33, :33]
-    errors = np.sqrt(np.diag(spread @ covariance @ spread.T))
-    np.testing.assert_allclose(body.standard_errors, errors, rtol=1e-3)
+    spread = np.hstack([spread, np.zeros((len(base), 2))])
+    jacobian, residual = found.jac[:60], residuals(found.x)[:60]
+    known = np.diag(np.concatenate([pull**2, np.zeros(2)]))
+    hessians = [jacobian[labels == k].T @ jacobian[labels == k] for k in range(3)]
+    expected = covariance(
+        ("",) * 35,
+        jacobian * left_out(jacobian, residual, found.jac.T @ found.jac)[:, None],
+        hessians,
+        labels,
+        known=known,
+    ).mapped(("",) * len(base), spread)
+    np.testing.assert_allclose(np.diag(body.covariance.within), np.diag(expected.within), rtol=3e-3)
+    inverse = np.linalg.inv(found.jac.T @ found.jac)
+    carried = spread @ inverse @ known @ inverse @ spread.T
+    np.testing.assert_allclose(np.diag(body.covariance.carried), np.diag(carried), rtol=3e-3)
 
 
 def test_weights_are_one_over_residuals_and_bounded() -> None:

@@ -12,13 +12,14 @@ from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.fitting.separable import Separable
 from hesr_model.friction.fitting.uncertainty import (
     MOST_COEFFICIENTS,
-    correlation_length,
-    standard_errors,
+    with_pooled_errors,
     with_standard_errors,
 )
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.dahl import DahlBasis
+from hesr_model.friction.laws.lugre import STATIC_RATIO_BOUNDS, LuGre
 from hesr_model.friction.laws.strain_wave import StrainWave
+from hesr_model.inference.correlation import correlation_length, standard_errors
 
 TRUTH = law(
     "strain_wave", {}, x_0=4e-3, mu_avg=0.12, mu_dif=0.03, F_c=5.0, sigma_2=7.0, tau_0=0.5
@@ -46,7 +47,9 @@ def test_standard_errors_are_the_scatter_of_repeated_fits(memory: float) -> None
     fits = [refitted(CLEAN.tau + noise(seed, memory)) for seed in range(60)]
     scatter = {name: np.std([f.values[name] for f in fits], ddof=1) for name in TRUTH.values}
     stated = [
-        with_standard_errors(f, [with_tau(CLEAN, CLEAN.tau + noise(seed, memory))]).standard_errors
+        with_standard_errors(
+            f, [with_tau(CLEAN, CLEAN.tau + noise(seed, memory))], StrainWave().space()
+        ).standard_errors
         for seed, f in enumerate(fits[:10])
     ]
     for name in TRUTH.values:
@@ -131,9 +134,72 @@ def test_a_fit_states_the_errors_of_its_law() -> None:
     bare = DahlBasis().fit([record], np.random.default_rng(0))
     assert bare.standard_errors == {}
     found = fit_joint("dahl", [record], seed=0)
-    idle = {f"kappa_{i}" for i in range(1, 6) if found.values[f"F_{i}"] == 0.0}
-    assert set(found.standard_errors) == set(found.values) - idle
+    carried = {n for n, value in found.values.items() if n.startswith("F_") and value > 0.0}
+    # Deflections are given, and forces at zero are at their bound.
+    assert set(found.standard_errors) == {*carried, "sigma_2", "tau_0"}
     assert all(error > 0.0 for error in found.standard_errors.values())
+    assert found.covariance is not None
+    assert found.covariance.names == tuple(n for n in found.values if n in found.standard_errors)
+
+
+def test_coefficients_at_a_bound_have_no_interval() -> None:
+    """With F_s / F_c at its bound F_s has none, and F_c moves F_s along with it."""
+    ratio = STATIC_RATIO_BOUNDS[1]
+    values = {"sigma_0": 4e3, "sigma_1": 0.0, "sigma_2": 5.0, "F_c": 4.0, "F_s": 4.0 * ratio,
+              "v_s": 0.05, "tau_0": 0.1}  # fmt: skip
+    truth = law("lugre", {}, **values)
+    record = along(truth, path(0), noise=0.3)
+    found = with_standard_errors(truth, [record], LuGre().space())
+    assert set(found.standard_errors) == {"sigma_0", "sigma_2", "F_c", "v_s", "tau_0"}
+    assert found.covariance is not None
+    matrix, names = found.covariance.matrix, found.covariance.names
+    # What is searched as a logarithm is stated by the wider side of its interval.
+    for name, error in found.standard_errors.items():
+        plain = float(np.sqrt(matrix[names.index(name), names.index(name)]))
+        wide = values[name] * np.expm1(1.96 * plain / abs(values[name])) / 1.96
+        assert error == pytest.approx(wide if name in ("sigma_0", "v_s") else plain, rel=1e-9)
+    f_c, f_s = names.index("F_c"), names.index("F_s")
+    assert matrix[f_s, f_s] == pytest.approx(ratio**2 * matrix[f_c, f_c], rel=1e-6)
+    inside = with_standard_errors(
+        replace(truth, values={**values, "F_s": 5.0, "sigma_1": 10.0}), [record], LuGre().space()
+    )
+    assert set(inside.standard_errors) == set(values)
+
+
+def test_a_chosen_structure_has_a_covariance_but_no_intervals() -> None:
+    chosen = replace(TRUTH, structure={"of": "the data"})
+    found = with_standard_errors(chosen, [with_tau(CLEAN, CLEAN.tau + noise(0, 0.0))])
+    assert found.standard_errors == {}
+    assert found.covariance is not None
+    assert np.all(np.diag(found.covariance.matrix) > 0.0)
+
+
+def test_what_the_load_is_off_by_is_carried_on() -> None:
+    """A constant error of the load of 0.2 N.m makes the offset uncertain by as much."""
+    record = with_tau(CLEAN, CLEAN.tau + noise(0, 0.0))
+    alone = with_standard_errors(TRUTH, [record], StrainWave().space())
+    off = replace(record, tau_load_spread=np.full((len(record.t), 1), 0.2))
+    found = with_standard_errors(TRUTH, [off], StrainWave().space())
+    more = found.standard_errors["tau_0"] ** 2 - alone.standard_errors["tau_0"] ** 2
+    assert more == pytest.approx(0.2**2, rel=1e-6)
+    assert found.standard_errors["sigma_2"] == pytest.approx(alone.standard_errors["sigma_2"])
+
+
+def test_joints_share_what_logs_differ_by() -> None:
+    one = with_standard_errors(TRUTH, [CLEAN, with_tau(CLEAN, CLEAN.tau + noise(0, 0.0))])
+    assert one.covariance is not None
+    alike, unlike = (
+        replace(one, covariance=replace(one.covariance, between=b, degrees=10.0))
+        for b in (1.0, 9.0)
+    )
+    whole = with_pooled_errors([alike, replace(one, covariance=None), unlike])
+    assert whole[1].covariance is None
+    for law_ in (whole[0], whole[2]):
+        assert law_.covariance is not None
+        assert law_.covariance.factor == pytest.approx(np.sqrt(5.0))
+        plain = np.sqrt(np.diag(one.covariance.within))
+        found = [law_.standard_errors[name] for name in one.covariance.names]
+        np.testing.assert_allclose(found, np.sqrt(5.0) * plain, rtol=1e-12)
 
 
 def test_single_coefficients_of_networks_mean_nothing() -> None:

@@ -12,9 +12,10 @@ from threadpoolctl import threadpool_limits
 
 from hesr_model.artifacts import provenance as source_of
 from hesr_model.errors import FitError
+from hesr_model.friction.fitting.declarative import OneForm
 from hesr_model.friction.fitting.kept import keep, key_of, read_kept
 from hesr_model.friction.fitting.per_log import Nuisance, OwnOfLog, own_of_logs, without_own
-from hesr_model.friction.fitting.uncertainty import with_standard_errors
+from hesr_model.friction.fitting.uncertainty import with_pooled_errors, with_standard_errors
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import training_error
@@ -62,7 +63,8 @@ def fit_joint(
             )
     with threadpool_limits(1):
         fitted = configured.fit(records, np.random.default_rng(seed))
-        return with_standard_errors(fitted, records)
+        space = configured.space() if isinstance(configured, OneForm) else None
+        return with_standard_errors(fitted, records, space)
 
 
 def fit(
@@ -207,7 +209,7 @@ def fit_models(
             law=law,
             robot=robot,
             joints=joints,
-            laws=tuple(done[law, joint] for joint in range(len(records))),
+            laws=tuple(with_pooled_errors([done[law, joint] for joint in range(len(records))])),
             sliding=tuple(of_joint[0].sliding for of_joint in records),
             coupling=coupling,
             sample_time=round(float(np.median(periods)), 9),

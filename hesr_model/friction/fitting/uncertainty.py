@@ -1,88 +1,215 @@
-"""How well data determine the coefficients of a law: linearised least squares (LM covariance).
+"""How well data determine the coefficients of a law: the one covariance, by their Jacobian.
 
-Neighbouring rows of a log do not err independently, so the variance of the coefficients is that of
-independent rows times the integrated autocorrelation of the residual.
+Searched unknowns enter as the solved ones do, by the derivatives of the law's own prediction.
+Coefficients at a bound, or in a structure that the data chose, have a covariance for what is made
+of the law, but no interval: it would be that of a fit that knew what this one had to find. What is
+searched as a logarithm errs further up than down; the wider side is what is stated.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
+import sympy
 
 from hesr_model.equations.over_log import Array
 from hesr_model.friction.evaluate import predict
+from hesr_model.friction.fitting.separable import LEAST, SearchSpace
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import record_start
+from hesr_model.inference.covariance import blocks_of_time, covariance, left_out, pooled
 from hesr_model.rigid_body.residual import FrictionRecord
 
 MOST_COEFFICIENTS = 64
 """Laws with more coefficients are networks, whose single coefficients mean nothing."""
 _STEP = 1e-6
-_NONE = 1e-12  # a derivative below this is rounding
+_NONE = 1e-12
+"""A derivative below this is rounding."""
+_WIDTH = 1.96
+"""Standard errors of a 95 % interval to either side."""
+_WIDEST = 2.0
+"""Width of a logarithm's interval from which on the coefficient is hardly determined at all."""
+_AT_BOUND = 1e-3
+"""Of the logarithmic range of a searched number: nearer to an end it is at the bound."""
 
 
-def with_standard_errors(law: FrictionLaw, records: Sequence[FrictionRecord]) -> FrictionLaw:
-    """Return the law with the standard error of every coefficient that the records determine.
+@dataclass(frozen=True, kw_only=True)
+class Coordinates:
+    """The numbers of a law that its fit could move.
 
-    Derivatives are central differences of the law's own prediction. Coefficients on which the
-    torque does not depend at all have no standard error.
+    Attributes
+    ----------
+    point : (P,) the numbers, in their units.
+    values : all coefficients of the law at a point.
+    held : names of the coefficients that a bound holds.
+    scales : names of the coefficients that a fit searches as logarithms.
+    """
+
+    point: Array
+    values: Callable[[Array], dict[str, float]]
+    held: frozenset[str]
+    scales: frozenset[str] = frozenset()
+
+
+def with_standard_errors(
+    law: FrictionLaw, records: Sequence[FrictionRecord], space: SearchSpace | None = None
+) -> FrictionLaw:
+    """Return the law with the covariance of its coefficients, and with their standard errors.
 
     Parameters
     ----------
     law : the law of one joint.
     records : those that it was fitted to.
+    space : how it was searched, where its form was not chosen by the data.
     """
     if len(law.values) > MOST_COEFFICIENTS:
         return law
-    names, columns = [], []
+    moved = _searched(law, space) if space and not law.structure else _every(law)
     # Where a log starts is held: it is measured, and no coefficient.
     starts = [record_start(law, r) for r in records]
-    for name, value in law.values.items():
-        step = _STEP * max(abs(value), 1e-3)
-        if value:  # laws divide by some of their coefficients, so none may become zero
-            step = min(step, 0.5 * abs(value))
-        sides = [_predicted(_moved(law, name, value + d), records, starts) for d in (step, -step)]
-        column = (sides[0] - sides[1]) / (2.0 * step)
-        if np.abs(column).max() > _NONE:
-            names.append(name)
-            columns.append(column)
-    predicted = _predicted(law, records, starts)
-    residual = predicted - np.concatenate([r.tau for r in records])
-    errors = standard_errors(np.stack(columns, axis=1), residual)
-    return replace(law, standard_errors=dict(zip(names, map(float, errors), strict=True)))
+    size = np.abs(moved.point)
+    steps = _STEP * np.maximum(size, 1e-3)
+    # Laws divide by some of their coefficients, so none may become zero.
+    steps = np.where(size > 0.0, np.minimum(steps, 0.5 * size), steps)
+    columns, slopes, names = [], [], list(law.values)
+    for k, step in enumerate(steps):
+        sides = []
+        for sign in (1.0, -1.0):
+            point = moved.point.copy()
+            point[k] += sign * step
+            values = moved.values(point)
+            there = replace(law, values=values)
+            sides.append((_predicted(there, records, starts), np.array([values[n] for n in names])))
+        columns.append((sides[0][0] - sides[1][0]) / (2.0 * step))
+        slopes.append((sides[0][1] - sides[1][1]) / (2.0 * step))
+    jacobian, slope = np.stack(columns, axis=1), np.stack(slopes, axis=1)
+    used = np.abs(jacobian).max(axis=0) > _NONE
+    jacobian, slope = jacobian[:, used], slope[:, used]
+    residual = np.concatenate([r.tau for r in records]) - _predicted(law, records, starts)
+    logs = list(dict.fromkeys(r.log for r in records))
+    own = np.repeat([logs.index(r.log) for r in records], [len(r.t) for r in records])
+    labels = blocks_of_time(own)
+    spreads = [r.tau_load_spread for r in records]
+    carried = (
+        None
+        if any(s is None for s in spreads)
+        else jacobian.T @ np.concatenate([s for s in spreads if s is not None])
+    )
+    found = covariance(
+        [str(k) for k in np.flatnonzero(used)],
+        jacobian * left_out(jacobian, residual, jacobian.T @ jacobian)[:, None],
+        [jacobian[labels == k].T @ jacobian[labels == k] for k in range(int(labels[-1]) + 1)],
+        labels,
+        carried=carried,
+    )
+    # Of coefficients that move, in their order.
+    moves = np.any(slope != 0.0, axis=1)
+    own_names = [name for name, m in zip(names, moves, strict=True) if m]
+    whole = found.mapped(own_names, slope[moves])
+    shown = () if law.structure else (name for name in own_names if name not in moved.held)
+    return _stated(replace(law, covariance=whole), {name: name in moved.scales for name in shown})
 
 
-def standard_errors(jacobian: Array, residual: Array) -> Array:
-    """Return the (P,) standard errors of a least-squares solution, in the unknowns' units.
+def with_pooled_errors(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:
+    """Return the laws of all joints of a robot with one between-log factor for all of them."""
+    shared = iter(pooled([law.covariance for law in laws if law.covariance is not None]))
+    found = []
+    for law in laws:
+        if law.covariance is None:
+            found.append(law)
+            continue
+        plain = dict(zip(law.covariance.names, law.covariance.standard_errors, strict=True))
+        # Only those of scales are larger than the roots of the covariance's diagonal.
+        shown = {n: e > plain[n] * (1.0 + 1e-12) for n, e in law.standard_errors.items()}
+        found.append(_stated(replace(law, covariance=next(shared)), shown))
+    return found
 
-    Parameters
-    ----------
-    jacobian : (N, P) derivatives of the residual.
-    residual : (N,) at the solution.
-    """
-    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-150)
-    _, s, vt = np.linalg.svd(np.linalg.qr(jacobian / scale, mode="r"))
-    spread = np.sqrt(np.sum((vt.T / np.maximum(s, 1e-13 * s[0])) ** 2, axis=1)) / scale
-    rows, parameters = jacobian.shape
-    variance = float(residual @ residual) / max(rows - parameters, 1)
-    return np.asarray(spread * np.sqrt(variance * correlation_length(residual)))
+
+def _stated(law: FrictionLaw, shown: Mapping[str, bool]) -> FrictionLaw:
+    """Return the law with the standard errors of some coefficients, and whether each is a scale."""
+    if law.covariance is None:
+        return law
+    errors = dict(
+        zip(law.covariance.names, map(float, law.covariance.standard_errors), strict=True)
+    )
+    stated = {
+        name: _wider(errors[name], law.values[name]) if scale else errors[name]
+        for name, scale in shown.items()
+    }
+    return replace(law, standard_errors=stated)
 
 
-def correlation_length(residual: Array) -> float:
-    """Integrated autocorrelation of a residual (N,), in rows whatever the residual's unit.
+def _wider(error: float, value: float) -> float:
+    """Return what the upper side of the interval of a logarithm is as a standard error."""
+    share = min(_WIDTH * error / abs(value), _WIDEST) if value else 0.0
+    return error * float(np.expm1(share)) / share if share else error
 
-    At least 1; cut at the first crossing.
-    """
-    centred = residual - residual.mean()
-    size = 2 ** int(np.ceil(np.log2(2 * len(centred))))
-    spectrum = np.abs(np.fft.rfft(centred, size)) ** 2
-    correlation = np.fft.irfft(spectrum)[: len(centred) // 4]
-    if correlation[0] <= 0.0:
-        return 1.0
-    correlation = correlation / correlation[0]
-    negative = np.flatnonzero(correlation <= 0.0)
-    stop = int(negative[0]) if len(negative) else len(correlation)
-    return float(max(1.0, 1.0 + 2.0 * correlation[1:stop].sum()))
+
+def _every(law: FrictionLaw) -> Coordinates:
+    """Return every coefficient that is not at zero as a coordinate of its own."""
+    names = [name for name, value in law.values.items() if abs(value) > LEAST]
+
+    def values(point: Array) -> dict[str, float]:
+        return {**law.values, **dict(zip(names, map(float, point), strict=True))}
+
+    return Coordinates(
+        point=np.array([law.values[name] for name in names]),
+        values=values,
+        held=frozenset(law.values) - frozenset(names),
+    )
+
+
+def _searched(law: FrictionLaw, space: SearchSpace) -> Coordinates:
+    """Return the searched and solved numbers of a law that are at no bound as coordinates."""
+    numbers = _unknowns(law.values, space)
+    at = {name for name, (low, high) in space.bounds if _at_end(numbers[name], low, high)}
+    at |= {name for name in space.linear[: space.non_negative] if numbers[name] <= LEAST}
+    names = [name for name in numbers if name not in at]
+    through = [(name, tuple(str(s) for s in e.free_symbols)) for name, e in space.values]
+    held = at | {name for name, sources in through if at & set(sources) or not sources}
+
+    def values(point: Array) -> dict[str, float]:
+        known = numbers | dict(zip(names, map(float, point), strict=True))
+        computed = _functions(space)(*(known[name] for name in numbers))
+        known |= dict(zip((name for name, _ in space.values), map(float, computed), strict=True))
+        return {name: known[name] for name in law.values}
+
+    logarithms = {name for name, (low, _) in space.bounds if low > 0.0}
+    return Coordinates(
+        point=np.array([numbers[name] for name in names]),
+        values=values,
+        held=frozenset(held),
+        scales=frozenset(
+            logarithms | {name for name, sources in through if logarithms & set(sources)}
+        ),
+    )
+
+
+def _at_end(number: float, low: float, high: float) -> bool:
+    value, ends = (np.log(number), np.log([low, high])) if low > 0 else (number, (low, high))
+    margin = _AT_BOUND * (ends[1] - ends[0])
+    return bool(value < ends[0] + margin or value > ends[1] - margin)
+
+
+def _unknowns(values: Mapping[str, float], space: SearchSpace) -> dict[str, float]:
+    """Return the searched and the solved numbers of a law, each by its name."""
+    every = (*space.names, *space.linear)
+    known = {name: values[name] for name in every if name in values}
+    for name, expression in space.values:
+        rest = [s for s in expression.free_symbols if s.name not in known]
+        if len(rest) == 1:
+            at = {s: known[s.name] for s in expression.free_symbols if s.name in known}
+            (found, *_) = sympy.solve(expression.subs(at) - values[name], rest[0]) or [0.0]
+            known[rest[0].name] = float(found)
+    return {name: known[name] for name in every}
+
+
+@lru_cache(maxsize=64)
+def _functions(space: SearchSpace) -> Callable[..., Sequence[float]]:
+    symbols = [sympy.Symbol(name, real=True) for name in (*space.names, *space.linear)]
+    found: Callable[..., Sequence[float]] = sympy.lambdify(symbols, [e for _, e in space.values])
+    return found
 
 
 def _predicted(
@@ -93,7 +220,3 @@ def _predicted(
         for r, start in zip(records, starts, strict=True)
     ]
     return np.concatenate(parts)
-
-
-def _moved(law: FrictionLaw, name: str, value: float) -> FrictionLaw:
-    return replace(law, values={**law.values, name: value})

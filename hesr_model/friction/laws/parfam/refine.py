@@ -11,11 +11,11 @@ from hesr_model.equations.over_log import Array
 from hesr_model.errors import FitError
 from hesr_model.friction.audit.audit import explodes
 from hesr_model.friction.fitting.samples import Rows
-from hesr_model.friction.fitting.uncertainty import correlation_length, standard_errors
 from hesr_model.friction.laws.parfam.calibrate import bounds
 from hesr_model.friction.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.friction.laws.parfam.features import HysteresisFeatures
 from hesr_model.friction.trained import TrainedRange
+from hesr_model.inference.correlation import correlation_length, standard_errors
 from hesr_model.support.progress import step
 
 SIGNIFICANCE = 2.0

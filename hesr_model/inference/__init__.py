@@ -1,0 +1,1 @@
+"""What estimates are worth: covariances of least squares over logs."""

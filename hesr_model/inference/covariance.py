@@ -1,0 +1,281 @@
+"""One covariance for whatever least squares estimates from logs: rigid body and friction.
+
+An estimate errs by the sum of its rows' influences, psi_t = H^-1 g_t, g_t being the gradient of row
+t and H the Hessian of half the sum of squares. Neighbouring rows of a log do not err independently,
+and logs differ by more than their rows tell (the day, the temperature, what a law leaves out), so
+
+    cov = factor^2 sum over logs S_log + carried,    S = long-run covariance of the influences.
+
+S is prewhitened by a first-order autoregression of each unknown and weighted by Bartlett's kernel,
+whose bandwidth the whitened influences give (Andrews and Monahan 1992). The factor is what
+estimates from logs, each left out in turn, differ by beyond that: one number for a group of
+unknowns, because a few logs cannot tell more. From `ENOUGH` logs on the influences of whole logs
+are summed (cluster-robust, Liang and Zeger 1986), and there is no factor. What is carried is the
+uncertainty of what was estimated before.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, norm
+from scipy.stats import t as student
+
+from hesr_model.errors import ArtifactError
+from hesr_model.support.typed_json import Numbers, to_json
+
+Array = NDArray[np.float64]
+
+ENOUGH = 20
+"""Logs from which on their own scatter tells the covariance."""
+
+BLOCKS = 4
+"""Blocks of time that stand in for logs where there is only one."""
+
+_MOST_MEMORY = 0.995
+"""Of the autoregression from row to row: more would be a drift, which no covariance describes."""
+
+_MOST_LEVERAGE = 0.9
+"""A row that decides an unknown alone has no residual, and nothing to tell of its error."""
+
+_UPPER = 0.975
+"""Probability at the upper end of a 95 % interval."""
+
+_BY_CHANCE = 0.05
+"""Probability with which logs of one kind are taken for different."""
+
+_RANK = 1e-13
+"""Of a scaled Hessian: what it determines less is not determined."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Covariance:
+    """Of the unknowns of one least-squares problem.
+
+    Attributes
+    ----------
+    names
+        Of the unknowns (P,).
+    within
+        (P, P) from the rows of each log, in the unknowns' units.
+    between
+        Mean square of what logs differ by, over what `within` says of it.
+    degrees
+        Independent comparisons behind `between`; 0 where there are none.
+    carried
+        (P, P) from what was estimated before and is uncertain itself.
+
+    Raises
+    ------
+    ArtifactError
+        If the matrices are not those of the unknowns.
+    """
+
+    names: tuple[str, ...]
+    within: Numbers
+    between: float
+    degrees: float
+    carried: Numbers
+
+    def __post_init__(self) -> None:
+        shape = (len(self.names),) * 2
+        for matrix in (self.within, self.carried):
+            if matrix.shape != shape:
+                raise ArtifactError(
+                    f"a covariance has the shape {matrix.shape}; needed is {shape}, that of its "
+                    "names."
+                )
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Covariance) and to_json(self) == to_json(other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def factor(self) -> float:
+        """What logs differ by over what their rows say; 1 where that can be chance."""
+        if not self.degrees:
+            return 1.0
+        by_chance = chi2.ppf(1.0 - _BY_CHANCE, self.degrees) / self.degrees
+        return float(np.sqrt(self.between)) if self.between > by_chance else 1.0
+
+    @property
+    def matrix(self) -> Array:
+        """(P, P) covariance, in the unknowns' units."""
+        return np.asarray(self.factor**2 * self.within + self.carried)
+
+    @property
+    def standard_errors(self) -> Array:
+        """(P,) in the unknowns' units."""
+        return np.sqrt(np.diag(self.matrix))
+
+    def mapped(self, names: Sequence[str], slopes: Array) -> "Covariance":
+        """Return the covariance of (Q,) functions of the unknowns, (Q, P) their slopes."""
+        return replace(
+            self,
+            names=tuple(names),
+            within=slopes @ self.within @ slopes.T,
+            carried=slopes @ self.carried @ slopes.T,
+        )
+
+
+def pooled(group: Sequence[Covariance]) -> list[Covariance]:
+    """Return covariances of one group with one between-log factor, as of one kind of unknowns."""
+    degrees = sum(c.degrees for c in group)
+    if not degrees:
+        return list(group)
+    between = sum(c.between * c.degrees for c in group) / degrees
+    return [replace(c, between=between, degrees=degrees) for c in group]
+
+
+def left_out(jacobian: Array, residual: Array, hessian: Array) -> Array:
+    """Return the residual (N,) of each row by an estimate without it.
+
+    A few rows around reversals determine some unknowns alone, and hide their errors by it
+    (MacKinnon and White 1985, HC3).
+
+    Parameters
+    ----------
+    jacobian, residual
+        (N, P) and (N,), in one unit per that of each unknown.
+    hessian
+        (P, P) of half the sum of squares of all rows there are.
+    """
+    leverage = np.sum((jacobian @ _inverse(hessian, hessian)) * jacobian, axis=1)
+    return np.asarray(residual / (1.0 - np.minimum(leverage, _MOST_LEVERAGE)))
+
+
+def blocks_of_time(logs: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Return labels of logs (N,), or of blocks of time where there is one log only."""
+    if np.any(logs != logs[0]):
+        return logs
+    return np.arange(len(logs)) * BLOCKS // len(logs)
+
+
+def covariance(
+    names: Sequence[str],
+    gradients: Array,
+    hessians: Sequence[Array] | Array,
+    labels: NDArray[np.int_],
+    *,
+    known: Array | None = None,
+    carried: Array | None = None,
+) -> Covariance:
+    """Return the covariance of a least-squares estimate.
+
+    Parameters
+    ----------
+    names
+        Of the unknowns (P,).
+    gradients
+        (N, P) of half the squared residual of each row at the estimate, in the order of time; as of
+        residuals that each row would have if it were left out (`left_out`).
+    hessians
+        For each label its (P, P) share of the Hessian.
+    labels
+        (N,) number of each row's log, or block of time.
+    known
+        (P, P) Hessian of what is known beforehand, as a pull towards it.
+    carried
+        (P, r) directions by which the estimate is off where what it builds on is off by one
+        standard deviation, `gradients` per such deviation summed over rows.
+    """
+    own = np.sum(hessians, axis=0)
+    whole = own if known is None else own + known
+    inverse = _inverse(whole, whole)
+    influences = [gradients[labels == k] @ inverse for k in range(len(hessians))]
+    given = np.zeros_like(inverse) if known is None else inverse @ known @ inverse
+    if carried is not None:
+        spread = inverse @ carried
+        given = given + spread @ spread.T
+    one = Covariance(
+        names=tuple(names), within=np.zeros_like(inverse), between=1.0, degrees=0.0, carried=given
+    )
+    if len(influences) >= ENOUGH:
+        sums = np.array([psi.sum(axis=0) for psi in influences])
+        return replace(one, within=sums.T @ sums * (len(sums) / (len(sums) - 1)))
+    parts = long_run(influences)
+    between, degrees = _between(influences, parts, hessians, whole)
+    within = np.sum(parts, axis=0) * _for_few_rows(influences)
+    return replace(one, within=within, between=between, degrees=degrees)
+
+
+def long_run(influences: Sequence[Array]) -> list[Array]:
+    """Return for each log the (P, P) covariance of the sum of its (N, P) rows."""
+    memory = _memory(influences)
+    white = [np.concatenate([psi[:1], psi[1:] - memory * psi[:-1]]) for psi in influences]
+    bandwidth = _bandwidth(white)
+    back = np.outer(1.0 / (1.0 - memory), 1.0 / (1.0 - memory))
+    return [back * _bartlett(psi, bandwidth) for psi in white]
+
+
+def _for_few_rows(influences: Sequence[Array]) -> Array:
+    """Return by what (P, P) a covariance grows that few rows around reversals tell alone.
+
+    Student's quantile over the normal one, of Satterthwaite's degrees of freedom of a sum of
+    squared influences (Bell and McCaffrey 2002).
+    """
+    squares = np.sum([np.sum(psi**2, axis=0) for psi in influences], axis=0)
+    fourths = np.sum([np.sum(psi**4, axis=0) for psi in influences], axis=0)
+    degrees = np.maximum(3.0 * squares**2 / np.maximum(fourths, 1e-300), 2.0)
+    ratio = student.ppf(_UPPER, degrees) / norm.ppf(_UPPER)
+    return np.outer(ratio, ratio)
+
+
+def _between(
+    influences: Sequence[Array],
+    parts: Sequence[Array],
+    hessians: Sequence[Array] | Array,
+    whole: Array,
+) -> tuple[float, float]:
+    """Compare the estimate of each log with that of the others, one Gauss-Newton step each.
+
+    Returns the mean square of the differences over their variance by `parts`, and how many
+    independent ones there are.
+    """
+    if len(influences) < 2:
+        return 1.0, 0.0
+    every = np.sum(parts, axis=0)
+    squares = []
+    for psi, part, hessian in zip(influences, parts, hessians, strict=True):
+        alone, others = (_inverse(h, whole) @ whole for h in (hessian, whole - hessian))
+        difference = (alone + others) @ psi.sum(axis=0)
+        variance = np.diag(alone @ part @ alone.T + others @ (every - part) @ others.T)
+        squares.append(difference**2 / np.maximum(variance, 1e-300))
+    size = np.sqrt(np.maximum(np.diag(every), 1e-300))
+    alike = every / np.outer(size, size)
+    np.fill_diagonal(alike, 1.0)
+    independent = len(size) ** 2 / float(np.sum(alike**2))
+    return float(np.mean(squares)), (len(influences) - 1) * independent
+
+
+def _inverse(hessian: Array, whole: Array) -> Array:
+    """Inverse by which what the rows do not determine has no influence, on the scale of `whole`."""
+    size = np.sqrt(np.where(np.diag(whole) > 0.0, np.diag(whole), 1.0))
+    scaled = np.linalg.pinv(hessian / np.outer(size, size), hermitian=True, rcond=_RANK)
+    return np.asarray(scaled / np.outer(size, size))
+
+
+def _memory(influences: Sequence[Array]) -> Array:
+    """First-order autoregression of each column (P,), pooled over logs."""
+    above = np.sum([np.sum(psi[1:] * psi[:-1], axis=0) for psi in influences], axis=0)
+    below = np.sum([np.sum(psi**2, axis=0) for psi in influences], axis=0)
+    return np.asarray(np.clip(above / np.maximum(below, 1e-300), -_MOST_MEMORY, _MOST_MEMORY))
+
+
+def _bandwidth(white: Sequence[Array]) -> int:
+    """Bandwidth of Bartlett's kernel [rows] (Andrews 1991, eq. 6.2 and 6.4), columns alike."""
+    rho = _memory(white)
+    above = np.sum(4.0 * rho**2 * (1.0 - rho**2) ** 2 / ((1.0 - rho) ** 6 * (1.0 + rho) ** 2))
+    below = np.sum((1.0 - rho**2) ** 2 / (1.0 - rho) ** 4)
+    rows = np.mean([len(psi) for psi in white])
+    return int(np.ceil(1.1447 * (above / below * rows) ** (1.0 / 3.0)))
+
+
+def _bartlett(psi: Array, bandwidth: int) -> Array:
+    total = psi.T @ psi
+    for lag in range(1, min(bandwidth, len(psi) - 1) + 1):
+        product = psi[lag:].T @ psi[:-lag]
+        total += (1.0 - lag / (bandwidth + 1.0)) * (product + product.T)
+    return np.asarray(total)
