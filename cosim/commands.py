@@ -170,11 +170,11 @@ def evaluate(
 
     Models that can start from measured torques have a second row, ``NAME + start``.
     """
-    from cosim.scoring import by_joint, compare, predict_models
+    from cosim.scoring import by_joint, compare, input_classes, predict_models
 
     models_by_name = named(models)
     records = by_joint(records_of(logs, robot, rigid_body, accept)[0])
-    return compare(records, predict_models(models_by_name, records))
+    return compare(records, predict_models(models_by_name, records), input_classes(models_by_name))
 
 
 def replay(

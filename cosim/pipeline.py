@@ -17,6 +17,7 @@ from cosim.scoring import (
     Comparison,
     by_joint,
     compare,
+    input_classes,
     measured_start,
     predict_fmu,
     takes_start,
@@ -332,6 +333,7 @@ class Job:
         Returns the scores, and the torques on the test sets.
         """
         comparisons, predictions = {}, {}
+        inputs = input_classes(models)
         tests = self.study.logs.test
         variants = [
             (law, with_start)
@@ -359,7 +361,7 @@ class Job:
             predicted = replayed[name]
             if self.study.twin:
                 predicted[ORACLE] = self._true_friction([files[log] for log in logs])
-            comparisons[name], predictions[name] = compare(tested, predicted), predicted
+            comparisons[name], predictions[name] = compare(tested, predicted, inputs), predicted
             if per_log := self.study.per_log:
                 comparisons[name] = replace(comparisons[name], per_log=())
                 fitted = {
@@ -367,7 +369,7 @@ class Job:
                     for law, whole in predicted.items()
                 }
                 fitted_name = f"{name}, {' and '.join(per_log)} of each log fitted"
-                comparisons[fitted_name] = replace(compare(tested, fitted), per_log=per_log)
+                comparisons[fitted_name] = replace(compare(tested, fitted, inputs), per_log=per_log)
             for band in self.study.bands:
                 if band.test == name:
                     parts = {
@@ -376,7 +378,7 @@ class Job:
                     }
                     rows = next(iter(parts.values()))[0]
                     comparisons[band.name] = compare(
-                        rows, {law: p for law, (_, p) in parts.items()}
+                        rows, {law: p for law, (_, p) in parts.items()}, inputs
                     )
         return comparisons, predictions
 

@@ -1,7 +1,7 @@
 """How well laws predict logs: as Python models, or as the FMUs made of them."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +11,10 @@ from hesr_model.equations.over_log import Array
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.friction.evaluate import first_states
 from hesr_model.friction.inputs import INPUTS
-from hesr_model.friction.metrics import rmse, rmse_ratio_interval, score, time_band
+from hesr_model.friction.metrics import score, time_band
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import record_start
+from hesr_model.inference.paired import compare_errors, holm
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.support.frames import pandas_frame
 from hesr_model.support.html import table
@@ -25,30 +26,68 @@ Records = Sequence[Sequence[FrictionRecord]]
 MEASURES = ("rmse", "rmse_reversal", "rmse_moving", "r2")
 
 REFERENCE = "lugre"
-"""Law to which ratios are taken, the first one where it is not among the laws."""
+"""Law to which ratios are taken where no class has one of its own; else the first law."""
+CLASSIC = (
+    *("stribeck", "lugre", "lugre_textbook", "lugre_passive", "dahl", "strain_wave"),
+    *("lugre_load", "lugre_load_ripple", "dahl_load"),
+)
+"""Laws of the literature, the strongest of which is the reference of its class of inputs."""
 MEASURED_START = " + start"
 """Behind the name of a law in the row where its start comes from measured torques."""
 ORACLE = "true friction"
 """Row of the twin's own friction: what is left is noise and the error of the rigid body."""
-BLOCK = 1.0
-"""Length of a bootstrap's blocks [s]: errors of neighbouring rows are alike for about as long."""
+SIGNIFICANCE = 0.05
+"""Probability, adjusted for all comparisons of a table, below which a difference counts."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ratio:
-    """RMSE of a law over that of the reference, with its 95 % interval (block bootstrap)."""
+    """RMSE of a law over that of its reference.
+
+    Attributes
+    ----------
+    value, low, high : the ratio and its 95 % interval by itself, None of a log that is too short.
+    p : probability of such a difference by chance, adjusted for all ratios of the table (Holm);
+        None in results of earlier versions.
+    """
 
     value: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
+    p: float | None = None
+
+    @property
+    def verdict(self) -> str:
+        """Whether the law is "better" or "worse" than its reference, or "alike"."""
+        if self.p is None:  # as earlier versions judged
+            sure = self.low is not None and self.high is not None
+            sure = sure and (self.high < 1.0 or self.low > 1.0)  # type: ignore[operator]
+        else:
+            sure = self.p < SIGNIFICANCE
+        if not sure:
+            return "alike"
+        return "better" if self.value < 1.0 else "worse"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ratios:
-    """Ratios of each other law to the reference, one for each joint."""
+    """Ratios of each other law to the reference of its class, one for each joint.
+
+    Attributes
+    ----------
+    reference : of laws whose class has none of its own.
+    laws : ratios by law.
+    references : of each law, the strongest classic law that has no other inputs; empty in results
+        of earlier versions, and where inputs are not known.
+    """
 
     reference: str
     laws: Mapping[str, tuple[Ratio, ...]]
+    references: Mapping[str, str] = field(default_factory=dict)
+
+    def of(self, law: str) -> str:
+        """Return the law to which a law's ratios are taken."""
+        return self.references.get(law, self.reference)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +110,9 @@ class Comparison:
     tau_std : standard deviation of the measured friction of each joint [N.m].
     laws : scores of each law.
     ratios : of each other law to the reference.
-    leading : for each joint the law of the least error, and those whose ratio to it may be 1 by
-        its interval; empty in results of earlier versions.
+    leading : for each joint the law of the least error, and those that it is not better than
+        beyond chance, adjusted for all such comparisons (Holm); empty in results of earlier
+        versions.
     per_log : what of each test log was fitted before it was compared; empty where nothing was,
         None in a study that fits nothing of the kind.
     """
@@ -108,9 +148,18 @@ def by_joint(logs: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionReco
     return [list(of_joint) for of_joint in zip(*logs, strict=True)]
 
 
-def compare(records: Records, predictions: Mapping[str, Sequence[Sequence[Array]]]) -> Comparison:
-    """Score predictions [law][joint][log], (N,) [N.m] each, on records [joint][log]."""
-    reference = REFERENCE if REFERENCE in predictions else next(iter(predictions))
+def compare(
+    records: Records,
+    predictions: Mapping[str, Sequence[Sequence[Array]]],
+    inputs: Mapping[str, str] | None = None,
+) -> Comparison:
+    """Score predictions [law][joint][log], (N,) [N.m] each, on records [joint][log].
+
+    Parameters
+    ----------
+    inputs : of each law, as `inputs_of` names them: laws are compared with the strongest classic
+        law that has no inputs besides.
+    """
     errors = {
         law: [
             [p - r.tau for r, p in zip(*of_joint, strict=True)]
@@ -122,24 +171,55 @@ def compare(records: Records, predictions: Mapping[str, Sequence[Sequence[Array]
         law: [score(r, p) for r, p in zip(records, predicted, strict=True)]
         for law, predicted in predictions.items()
     }
+    fallback = REFERENCE if REFERENCE in predictions else next(iter(predictions))
+    size = {
+        law: float(np.mean([s.rmse / max(s.tau_std, 1e-300) for s in of]))
+        for law, of in scores.items()
+    }
+    references = {law: _reference(law, size, inputs or {}, fallback) for law in predictions}
+    periods = [[float(np.median(np.diff(r.t))) for r in of_joint] for of_joint in records]
+
+    def paired(pairs: Iterable[tuple[str, str, int]]) -> dict[tuple[str, str, int], Ratio]:
+        """Compare laws with others on joints, as one family."""
+        found = {
+            (law, other, j): compare_errors(errors[law][j], errors[other][j], periods[j])
+            for law, other, j in pairs
+        }
+        adjusted = holm({key: one.p for key, one in found.items()})
+        return {
+            key: Ratio(value=one.value, low=one.low, high=one.high, p=adjusted[key])
+            for key, one in found.items()
+        }
+
+    numbered = range(len(records))
+    others = [law for law in predictions if references[law] != law]
+    ratios = paired((law, references[law], j) for law in others for j in numbered)
+    ranked = [law for law in predictions if _runs(law)]
+    best = [min(ranked, key=lambda law: scores[law][j].rmse) for j in numbered] if ranked else []
+    apart = paired((law, best[j], j) for j in numbered for law in ranked if law != best[j])
     return Comparison(
         joints=tuple(of_joint[0].joint for of_joint in records),
-        tau_std=tuple(s.tau_std for s in scores[reference]),
+        tau_std=tuple(s.tau_std for s in scores[fallback]),
         laws={
             law: LawScores(**{m: tuple(getattr(s, m) for s in row) for m in MEASURES})
             for law, row in scores.items()
         },
         ratios=Ratios(
-            reference=reference,
-            laws={
-                law: tuple(map(_ratio, row, errors[reference], records))
-                for law, row in errors.items()
-                if law != reference
-            },
+            reference=fallback,
+            laws={law: tuple(ratios[law, references[law], j] for j in numbered) for law in others},
+            references={law: references[law] for law in others} if inputs else {},
         ),
         leading=tuple(
-            _leading({law: row[j] for law, row in errors.items() if _runs(law)}, of_joint)
-            for j, of_joint in enumerate(records)
+            (
+                best[j],
+                *(
+                    law
+                    for law in ranked
+                    if law != best[j] and apart[law, best[j], j].verdict == "alike"
+                ),
+            )
+            for j in numbered
+            if best
         ),
     )
 
@@ -149,25 +229,19 @@ def _runs(law: str) -> bool:
     return law != ORACLE and not law.endswith(MEASURED_START)
 
 
-def _leading(
-    errors: Mapping[str, list[Array]], records: Sequence[FrictionRecord]
-) -> tuple[str, ...]:
-    """Return the laws of a joint that none is better than beyond chance, the best one first."""
-    if not errors:
-        return ()
-    best = min(errors, key=lambda law: rmse(np.concatenate(errors[law])))
-    others = (law for law in errors if law != best)
-    return (best, *(k for k in others if _ratio(errors[k], errors[best], records).low <= 1.0))
-
-
-def _ratio(errors: list[Array], below: list[Array], records: Sequence[FrictionRecord]) -> Ratio:
-    period = float(np.median(np.diff(records[0].t)))
-    low, high = rmse_ratio_interval(
-        errors, below, block=max(1, round(BLOCK / period)), rng=np.random.default_rng(0)
-    )
-    return Ratio(
-        value=rmse(np.concatenate(errors)) / rmse(np.concatenate(below)), low=low, high=high
-    )
+def _reference(
+    law: str, size: Mapping[str, float], inputs: Mapping[str, str], fallback: str
+) -> str:
+    """Return the strongest classic law among those with no inputs that a law lacks."""
+    if law not in inputs:
+        return fallback
+    own = set(inputs[law].split(", "))
+    fair = [
+        k
+        for k in size
+        if k.removesuffix(MEASURED_START) in CLASSIC and set(inputs.get(k, "v").split(", ")) <= own
+    ]
+    return min(fair, key=lambda k: size[k]) if fair else fallback
 
 
 def within(

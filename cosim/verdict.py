@@ -82,8 +82,8 @@ def verdict(
 ) -> Verdict:
     """Judge a run by its first test set.
 
-    Of the laws that no other one beats on as many joints, by the intervals of the ratios of their
-    errors, the one is taken that has most properties of friction, then the least error.
+    Of the laws that no other one beats on as many joints, beyond chance among all comparisons, the
+    one is taken that has most properties of friction, then the least error.
 
     Parameters
     ----------

@@ -233,9 +233,11 @@ def evaluate(
         records, own, _ = read_records(logs, robot, rigid_body, progress, accept)
         for model in models:
             told(check_owner(model, own))
-        scores = compare(records, predict_models(named, records, partial(progress, "evaluating")))
+        inputs = input_classes(named)
+        scores = compare(
+            records, predict_models(named, records, partial(progress, "evaluating")), inputs
+        )
     _answer_scores(json_file, scores)
-    inputs = input_classes(named)
     _print_scores("evaluation", scores, records, inputs)
     for name, model in named.items():
         _print_audit(name, model, records)
@@ -310,7 +312,9 @@ def _print_law(model: "FrictionModel") -> None:
         typer.echo(f"{joint}:")
         for line in equations(law):
             typer.echo(f"  {line}")
-        typer.echo("  95 % intervals (linearised least squares, autocorrelated residual):")
+        typer.echo(
+            "  95 % intervals (within and between logs; none at bounds or of chosen structures):"
+        )
         for line in coefficient_lines(law):
             typer.echo(f"    {line}")
     _print_audit(model.law, model)

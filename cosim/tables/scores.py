@@ -23,7 +23,7 @@ def errors(
 ) -> ResultTable:
     """Return laws by joints of one measure on one test set, the least error first.
 
-    The best law of a joint stands out where no other may be as good, by the intervals.
+    The best law of a joint stands out where it is better than all others beyond chance.
 
     What nobody can run is not among the best: the truth, and starts from measured torques.
 
@@ -67,7 +67,12 @@ def errors(
         ]
     unit, speed = (unit_of_joints(u, sliding) for u in ("N.m", "rad/s"))
     words = MEASURES[measure].format(speed=speed)
-    small = f"; small: ratio to {title(scores.ratios.reference)} with its 95\u00a0% interval"
+    to = (
+        "the strongest classic law of the same inputs or fewer"
+        if scores.ratios.references
+        else title(scores.ratios.reference)
+    )
+    small = f"; small: ratio to {to} with its 95\u00a0% interval"
     return ResultTable(
         caption=f"{name}: RMSE of the predicted torque [{unit}] {words}{small if ratios else ''}"
         f"{_sight(scores.per_log)}",
@@ -92,6 +97,8 @@ def _relative(scores: Comparison, law: str) -> tuple[bool, float]:
 
 
 def _notes(ratio: Ratio) -> tuple[str, str]:
+    if ratio.low is None or ratio.high is None:
+        return f"{ratio.value:.2f}", "too short"
     return f"{ratio.value:.2f}", f"{ratio.low:.2f}–{ratio.high:.2f}"
 
 

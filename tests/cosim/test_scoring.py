@@ -104,7 +104,7 @@ def wrong_by(
 
 def test_the_interval_of_a_ratio_contains_the_truth() -> None:
     """Errors of known size, many times over: about 95 of 100 intervals hold the true ratio."""
-    rows = [[record("j1", 0, rows=2500), record("j1", 1, rows=2500)]]
+    rows = [[record("j1", 0, rows=5000), record("j1", 1, rows=5000)]]
     held, widths = [], []
     for seed in range(40):
         lugre, other = wrong_by(rows, 1.0, 2 * seed), wrong_by(rows, 0.7, 2 * seed + 1)
@@ -154,11 +154,49 @@ def test_a_comparison_is_json(records: list[list[FrictionRecord]]) -> None:
         assert all(len(values) == 2 for values in of_law.values())
     assert data["ratios"]["reference"] == "lugre"
     for entry in data["ratios"]["laws"]["other"]:
-        assert entry["low"] < entry["value"] < entry["high"]
+        assert entry["low"] <= entry["value"] <= entry["high"]
     assert from_json(Comparison, data, Path("scores.json"), "scores") == scores
     assert scores == compare(
         records, {"lugre": wrong_by(records, 1.0, 0), "other": wrong_by(records, 0.5, 1)}
     )
+
+
+def test_each_class_of_inputs_has_its_strongest_classic_law_as_reference(
+    records: list[list[FrictionRecord]],
+) -> None:
+    sizes = {"stribeck": 2.0, "lugre": 1.0, "lugre_load": 0.8, "dahl_load": 0.9, "hx_bare": 0.7,
+             "hx_load": 0.6, "parfam_hx": 0.5}  # fmt: skip
+    inputs = {"stribeck": "v", "lugre": "v", "lugre_load": "v, load", "dahl_load": "v, load",
+              "hx_bare": "v", "hx_load": "v, load", "parfam_hx": "v, q, load, start"}  # fmt: skip
+    predictions = {law: wrong_by(records, size, k) for k, (law, size) in enumerate(sizes.items())}
+    scores = compare(records, predictions, inputs)
+    assert scores.ratios.references == {
+        "stribeck": "lugre", "hx_bare": "lugre", "dahl_load": "lugre_load",
+        "hx_load": "lugre_load", "parfam_hx": "lugre_load",
+    }  # fmt: skip
+    assert "lugre_load" not in scores.ratios.laws  # which is stronger than what has fewer inputs
+    found = scores.ratios.laws["parfam_hx"][0].value
+    rmses = [scores.laws[law].rmse[0] for law in ("parfam_hx", "lugre_load")]
+    assert found == pytest.approx(rmses[0] / rmses[1], rel=1e-12)
+    text = shown(Drawn(errors("unseen", scores, inputs=inputs)))
+    assert "the strongest classic law" in " ".join(text.split())
+
+
+def test_probabilities_of_a_table_are_adjusted_for_all_its_comparisons() -> None:
+    """Twice as many equal comparisons double the probability of the smallest."""
+    rows = [[record("j1", 0, rows=9000)]]
+    base = {"lugre": wrong_by(rows, 1.0, 0), "other": wrong_by(rows, 0.8, 1)}
+    (alone,) = compare(rows, base).ratios.laws["other"]
+    more = {f"copy{k}": base["lugre"] for k in range(3)}
+    (among,) = compare(rows, base | more).ratios.laws["other"]
+    assert alone.p is not None
+    assert among.p == pytest.approx(min(1.0, 4.0 * alone.p))
+    assert (among.value, among.low, among.high) == (alone.value, alone.low, alone.high)
+    assert alone.verdict == "better"
+    assert replace(alone, p=0.2).verdict == "alike"
+    assert replace(alone, value=1.2).verdict == "worse"
+    assert replace(alone, p=None).verdict == "better"  # by its interval, as earlier versions
+    assert replace(alone, p=None, high=1.1).verdict == "alike"
 
 
 def test_records_turn_from_logs_to_joints_and_back(records: list[list[FrictionRecord]]) -> None:

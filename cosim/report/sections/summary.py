@@ -126,18 +126,19 @@ def _paper(results: Results) -> Tile | None:
     found = scores.laws[PAPERS]
     return Tile(
         figure=_listed([r.value for r in found]),
-        unit=f"× {title(scores.reference)}",
+        unit=f"× {title(scores.of(PAPERS))}",
         text=f"error of the paper’s {title(PAPERS)} relative to a "
-        f"{title(scores.reference)} that is fitted with the same care: {_verdict(results)}",
+        f"{title(scores.of(PAPERS))} that is fitted with the same care: {_verdict(results)}",
     )
 
 
 def _verdict(results: Results) -> str:
-    """Say on how many joints the paper's law is better or worse, by the intervals."""
+    """Say on how many joints the paper's law is better or worse, beyond chance."""
     found = results.comparisons[results.tests[0]].ratios.laws[PAPERS]
-    better = [j for j, r in zip(results.joints, found, strict=True) if r.high < 1.0]
-    worse = [j for j, r in zip(results.joints, found, strict=True) if r.low > 1.0]
-    alike = [j for j in results.joints if j not in (*better, *worse)]
+    better, worse, alike = (
+        [j for j, r in zip(results.joints, found, strict=True) if r.verdict == verdict]
+        for verdict in ("better", "worse", "alike")
+    )
     groups = {"better": better, "worse": worse, "alike": alike}
     return ", ".join(f"{word} on {', '.join(of)}" for word, of in groups.items() if of)
 
@@ -173,15 +174,23 @@ def _picture(results: Results, pictures: Pictures) -> Markup:
     if not scores.laws:
         return Markup()
     laws = {
-        title(law): [Interval(value=r.value, low=r.low, high=r.high) for r in row]
+        title(law): [
+            Interval(
+                value=r.value,
+                low=r.value if r.low is None else r.low,
+                high=r.value if r.high is None else r.high,
+            )
+            for r in row
+        ]
         for law, row in scores.laws.items()
     }
-    reference = title(scores.reference)
+    reference = "its reference" if scores.references else title(scores.reference)
     return pictures.figure(
         "ratios",
         ratios(laws, results.joints, x=f"RMSE / RMSE of {reference}"),
-        f"Error of every law relative to {reference} on ‘{test}’, with 95 % intervals (block "
-        "bootstrap). Left of the line is better; an interval across it is no difference.",
+        f"Error of every law relative to {reference} on ‘{test}’, with 95 % intervals (bootstrap "
+        "of blocks of time). Left of the line is better. The reference of a law is the strongest "
+        "classic law of the same inputs or fewer; the claim is about these logs.",
         alt=f"For each law and joint, a dot at its error relative to {reference} and its interval.",
     )
 
