@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hesr_model.friction.metrics import score, time_band
+from hesr_model.friction.metrics import rmse, rmse_ratio_interval, score, time_band
 from hesr_model.logs.phases import near_reversals, reversals
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -73,3 +73,41 @@ def test_a_band_holds_its_start_and_not_its_stop() -> None:
     t = np.array([0.0, 1.0, 2.0, 2.6, 3.0])
     np.testing.assert_array_equal(time_band(t, 1.0, 2.6), [False, True, True, False, False])
     np.testing.assert_array_equal(time_band(t, 2.6, 9.0), [False, False, False, True, True])
+
+
+def test_the_interval_of_a_ratio_covers_the_true_ratio() -> None:
+    covered = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        # Errors with a memory of about ten rows.
+        noise = rng.standard_normal((2, 2010))
+        a, b = (np.convolve(x, np.ones(10), mode="valid") for x in noise)
+        low, high = rmse_ratio_interval(
+            [0.8 * a[:800], 0.8 * a[800:]], [b[:800], b[800:]], block=60, rng=rng, resamples=400
+        )
+        covered += low <= 0.8 <= high
+    assert covered >= 51
+
+
+def test_a_ratio_of_the_same_errors_is_certain() -> None:
+    errors = [np.random.default_rng(0).standard_normal(50)]
+    rng = np.random.default_rng(1)
+    low, high = rmse_ratio_interval([2.0 * errors[0]], errors, block=100, rng=rng)
+    assert (low, high) == (pytest.approx(2.0), pytest.approx(2.0))
+
+
+def test_logs_weigh_by_their_rows_whatever_their_blocks_add_up_to() -> None:
+    """Two blocks of 10 rows stand for a log of 11, and count as 11 rows, not as 20."""
+    ones = [np.ones(10), np.ones(11)]
+    errors = [np.full(10, 2.0), np.ones(11)]
+    found = rmse_ratio_interval(errors, ones, block=10, rng=np.random.default_rng(0), resamples=9)
+    assert found == pytest.approx([np.sqrt((10 * 4 + 11 * 1) / 21)] * 2, rel=1e-12)
+
+
+def test_an_interval_is_the_same_for_the_same_seed() -> None:
+    a, b = np.random.default_rng(0).standard_normal((2, 300))
+    first, again = (
+        rmse_ratio_interval([a], [b], block=20, rng=np.random.default_rng(7)) for _ in range(2)
+    )
+    assert first == again
+    assert first[0] < rmse(a) / rmse(b) < first[1]
