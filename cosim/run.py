@@ -11,6 +11,7 @@ from cosim.describe import save_run
 from cosim.health import told, write_findings
 from cosim.pipeline import Job, records_of
 from cosim.scoring import Comparison
+from cosim.simulated import SIMULATION, simulate_tests
 from cosim.study import Study
 from cosim.verdict import Verdict, verdict, write_verdict
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
@@ -128,6 +129,9 @@ def run_study(
         export = partial(_export, folder=folder / "fmus", platforms=platforms)
         export(models, first, progress=partial(job.progress, "building FMUs"))
         comparisons, predictions = job.compare(models, records, files, folder / "fmus")
+        tested = {test: records_of(names, records) for test, names in study.logs.test.items()}
+        simulated = simulate_tests(models, tested, model, rigid_body)
+        write_json(folder / SIMULATION, {test: to_json(s) for test, s in simulated.items()})
         loop = job.closed_loop(model, rigid_body, folder, models)
         found = {} if quick else job.properties(model, rigid_body, models, folder)
         documented = {law: models[law] for law in found}

@@ -214,10 +214,16 @@ def evaluate(
 
     Example: hesr evaluate test.csv --robot robot.toml --rigid-body rigid_body.json law.json
     """
+    from rich.console import Console
+
     from cosim.health import told
     from cosim.scoring import compare, input_classes, predict_models
-    from hesr_model.artifacts import read_model
+    from cosim.simulated import simulate_laws
+    from cosim.tables.scores import position_errors
+    from cosim.tables.terminal import Drawn
+    from hesr_model.artifacts import read_model, read_rigid_body
     from hesr_model.health.fitted import check_owner
+    from hesr_model.support.typed_json import to_json
 
     law_files = [file for file in files if file.suffix == ".json"]
     logs = [file for file in files if file.suffix != ".json"]
@@ -237,8 +243,13 @@ def evaluate(
         scores = compare(
             records, predict_models(named, records, partial(progress, "evaluating")), inputs
         )
-    _answer_scores(json_file, scores)
+        progress("simulating", 0, 1)
+        simulated = simulate_laws(named, records, own, read_rigid_body(rigid_body))
+    answer(json_file, to_json(scores) | {"simulation": simulated and to_json(simulated)})
     _print_scores("evaluation", scores, records, inputs)
+    if simulated is not None:
+        sliding = [of_joint[0].sliding for of_joint in records]
+        Console().print(Drawn(position_errors("evaluation", simulated, sliding)))
     for name, model in named.items():
         _print_audit(name, model, records)
 

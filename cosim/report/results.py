@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.saved import RUN, TRACES, SavedLog, SavedRun, read_columns
 from cosim.scoring import MEASURED_START, ORACLE, Comparison
+from cosim.simulated import SIMULATION, Simulated
 from cosim.tables.table import PAPERS, joints
 from fmu_src.documentation.datasheet import audits
 from hesr_model.artifacts import read_json, read_model, read_rigid_body
@@ -42,6 +43,7 @@ class Results:
     models : the laws, by name.
     comparisons : scores on every test set and band, by name.
     properties : findings of the property battery, by law; empty where it was not run.
+    simulated : the laws as simulators, by test set; empty in results of earlier versions.
     loop : closed loop; None where there was none.
     paths : of the closed loop, by (scheme, law); empty where they were not saved.
     provenance : of the rigid body and the laws.
@@ -53,6 +55,7 @@ class Results:
     models: Mapping[str, FrictionModel]
     comparisons: Mapping[str, Comparison]
     properties: Mapping[str, Properties] = field(default_factory=dict)
+    simulated: Mapping[str, Simulated] = field(default_factory=dict)
     loop: "LoopOutcome | None" = None
     paths: "Mapping[tuple[Scheme, str], Trace]" = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -140,6 +143,7 @@ class Results:
             models={law: read_model(folder / "laws" / f"{law}.json") for law in run.inputs},
             comparisons=_comparisons(folder / "evaluation.json"),
             properties=read_properties(battery) if battery.is_file() and not run.quick else {},
+            simulated=_simulated(folder / SIMULATION),
             provenance=read_json(body_file).get("provenance", {}),
             **(_loop(folder) if run.controller else {}),
         )
@@ -152,6 +156,13 @@ def _comparisons(path: Path) -> dict[str, Comparison]:
     return {
         name: from_json(Comparison, of_test, path, f"the scores of a run on {name!r}")
         for name, of_test in scores.items()
+    }
+
+
+def _simulated(path: Path) -> dict[str, Simulated]:
+    return {
+        name: from_json(Simulated, of_test, path, f"the simulations of a run on {name!r}")
+        for name, of_test in (read_json(path) if path.is_file() else {}).items()
     }
 
 

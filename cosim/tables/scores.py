@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from cosim.scoring import ORACLE, Comparison, Ratio
+from cosim.simulated import Simulated
 from cosim.tables.table import ResultTable, TableRow, decimals, fixed, joints, named, title
 from hesr_model.units import unit_of_joints
 
@@ -77,6 +78,41 @@ def errors(
         caption=f"{name}: RMSE of the predicted torque [{unit}] {words}{small if ratios else ''}"
         f"{_sight(scores.per_log)}",
         head=("law", *joints(len(scores.joints))),
+        rows=rows,
+    )
+
+
+def position_errors(name: str, found: Simulated, sliding: Sequence[bool] = ()) -> ResultTable:
+    """Return laws as simulators: the error of the position of each joint over windows.
+
+    Parameters
+    ----------
+    name : of the test set.
+    found : of the laws.
+    sliding : whether each joint slides; empty if all turn.
+    """
+    parts = [
+        (f"windows of {length:g} s", {law: of_law[k] for law, of_law in found.windows.items()})
+        for k, length in enumerate(found.lengths)
+    ]
+    if found.open_loop:
+        parts.append(("whole logs, open loop", dict(found.open_loop)))
+    rows = []
+    for heading, errors in parts:
+        scaled = {
+            law: [None if e is None else 1e3 * e for e in of_law] for law, of_law in errors.items()
+        }
+        places = [decimals(column) for column in zip(*scaled.values(), strict=True)]
+        rows.append(TableRow(head=heading))
+        rows += [
+            TableRow(head=named(law), cells=[fixed(e, n) for e, n in zip(row, places, strict=True)])
+            for law, row in scaled.items()
+        ]
+    unit = unit_of_joints("mrad", sliding)
+    return ResultTable(
+        caption=f"{name}: RMS error of the simulated position [{unit}]: measured torque in, "
+        "identified body and friction, position out",
+        head=("law", *joints(len(found.joints))),
         rows=rows,
     )
 

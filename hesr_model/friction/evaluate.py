@@ -86,9 +86,30 @@ def predict(
     SimulationError
         If the discretisation is not stable at the log's steps.
     """
+    output, values, states, dt = _states(law, t, (dq, q, tau_load), start)
+    if shown is not None:
+        values = (*numbers(law), *shown)
+        every = np.ones(dt.shape, dtype=bool)  # so that states stay and derivatives follow
+        states = _functions(law.form)[0](values, dt, every, states[::2], law.discretisation)
+    return np.array(np.broadcast_to(output(*values, *states, dt)[0], dt.shape))
+
+
+def states_over(law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Array) -> Array:
+    """Return the states of a law over a log, (m, N) in their units; arguments as of `predict`."""
+    _, _, states, dt = _states(law, t, (dq, q, tau_load), None)
+    return np.array(states[::2]).reshape(len(law.form.memory), len(dt))
+
+
+def _states(
+    law: FrictionLaw,
+    t: ArrayLike,
+    given: tuple[ArrayLike | None, ...],
+    start: tuple[float, ...] | None,
+) -> tuple[Any, tuple[Any, ...], list[Array], Array]:
+    """Return the output's function, what it reads besides states, states and derivatives, steps."""
     time = np.asarray(t, dtype=float)
     zero = np.zeros_like(time)
-    inputs = [zero if u is None else np.asarray(u, dtype=float) for u in (dq, q, tau_load)]
+    inputs = [zero if u is None else np.asarray(u, dtype=float) for u in given]
     memory, output = _functions(law.form)
     values = (*numbers(law), *inputs)
     dt = np.diff(time, prepend=time[0])
@@ -99,11 +120,7 @@ def predict(
         first_states(law, *(float(u[0]) for u in inputs)) if start is None else start,
         law.discretisation,
     )
-    if shown is not None:
-        values = (*numbers(law), *shown)
-        every = np.ones(time.shape, dtype=bool)  # so that states stay and derivatives follow
-        states = memory(values, dt, every, states[::2], law.discretisation)
-    return np.array(np.broadcast_to(output(*values, *states, dt)[0], time.shape))
+    return output, values, states, dt
 
 
 def estimated_start(

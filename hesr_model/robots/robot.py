@@ -320,6 +320,34 @@ class RobotModel:
             parts.append(self.regressor(q[rows], dq[rows], ddq[rows]) @ parameters)
         return np.concatenate(parts)
 
+    def dynamics(self, parameters: Array, q: Array, dq: Array) -> tuple[Array, Array]:
+        """Mass matrix and the torque without acceleration, of any parameters.
+
+        Both from the regressor, whose rows are linear in ddq; see `torque`.
+
+        Parameters
+        ----------
+        parameters
+            (P,).
+        q, dq
+            (N, n) as in `regressor`.
+
+        Returns
+        -------
+        tuple
+            (N, n, n) [kg.m2; kg] and (N, n) [N.m; N].
+        """
+        rows, n = q.shape
+        units = np.vstack([np.zeros((1, n)), np.eye(n)])
+        each = self.torque(
+            parameters,
+            np.repeat(q, n + 1, axis=0),
+            np.repeat(dq, n + 1, axis=0),
+            np.tile(units, (rows, 1)),
+        ).reshape(rows, n + 1, n)
+        bias = each[:, 0]
+        return np.swapaxes(each[:, 1:] - bias[:, None], 1, 2), bias
+
     @contextmanager
     def under_gravity(self) -> Iterator[Callable[[Sequence[float]], None]]:
         """Yield what sets another gravity [m/s2]; the robot file's comes back at the end."""

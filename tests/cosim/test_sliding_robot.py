@@ -83,6 +83,8 @@ def test_from_a_log_to_an_arm_and_its_friction(tmp_path: Path, hesr: Hesr) -> No
     said = done("evaluate", training, law, *given)
     assert "predicted torque [N.m (N where it slides)] over all rows" in " ".join(said.split())
 
+    assert "simulated position [mrad (mm where it slides)]" in " ".join(said.split())
+
     done("export", law, "-o", tmp_path / "Friction.fmu")
     done("export", mjcf, "-o", tmp_path / "Arm.fmu")
     done("simulate", tmp_path / "system.toml", "-o", tmp_path / "lift.csv")

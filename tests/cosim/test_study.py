@@ -314,6 +314,19 @@ def test_scores_are_written(outcome: Outcome) -> None:
     assert set(data["unseen"]["ratios"]["laws"]) == {"stribeck", "hx", "hx_bare", ORACLE}
 
 
+def test_laws_are_scored_as_simulators_too(outcome: Outcome) -> None:
+    folder = outcome.fmus["hx"].parents[1]
+    data = json.loads((folder / "simulation.json").read_text())
+    assert data
+    for of_test in data.values():
+        assert set(of_test["windows"]) == set(outcome.models)
+        assert of_test["lengths"] == [0.2, 0.5]
+        assert of_test["open_loop"] == {}  # an upright arm diverges, whatever its friction
+        for short, long in of_test["windows"].values():
+            assert all(0.0 < a < b < 0.05 for a, b in zip(short, long, strict=True))
+    assert "As simulators: torque in, position out" in (folder / "report.html").read_text()
+
+
 def test_the_true_friction_is_the_floor_of_the_twin(outcome: Outcome) -> None:
     """What is left then is noise and the error of the rigid body, large on so short a motion."""
     for name in ("unseen", "early", "late"):

@@ -7,7 +7,7 @@ from cosim.report.markup import Pictures, Section, details, heading, joined, par
 from cosim.report.results import Results
 from cosim.report.sections.traces import torque_chart
 from cosim.scoring import input_classes
-from cosim.tables.scores import MEASURES, errors
+from cosim.tables.scores import MEASURES, errors, position_errors
 from cosim.tables.table import PAPERS, ResultTable, TableRow, named, number, title
 
 _WINDOW = 10.0  # [s] of a picture; the view that zooms shows all
@@ -53,6 +53,9 @@ def _of_test(results: Results, pictures: Pictures, test: str, *, first: bool) ->
     split = {band.test for band in results.run.bands}
     if log is not None and first:
         shown.append(_traces(results, pictures, test))
+    if test in results.simulated:
+        found = position_errors(test, results.simulated[test], results.sliding)
+        shown.append(details("As simulators: torque in, position out", table(found)))
     shown.append(details("Moving rows and reversals by themselves", *parts))
     if log is not None and not first and test not in split:
         shown.append(_traces(results, pictures, test))

@@ -1,0 +1,184 @@
+"""An identified body under measured torque and a friction law: where it moves.
+
+    M(q) ddq + c(q, dq) + g(q) + tau_f = tau
+
+A law that grips within a few mrad is far stiffer than a log is sampled, so that friction is taken
+at the end of each inner step, as in a drive: with A = M^-1 the velocity v+ after a step h solves
+
+    v+ + h A tau_f(v+) = v + h A (tau - c - g),  q+ = q + h v+.
+
+The body is linear enough over a row of the log: M, c and g are those of its middle.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hesr_model.equations.over_log import Array
+from hesr_model.errors import SimulationError
+from hesr_model.forward.stepping import Steps
+from hesr_model.forward.windows import Windows
+from hesr_model.friction.model import FrictionModel
+from hesr_model.robots.robot import RobotModel
+
+SUBSTEP = 2.5e-3
+"""Longest inner step [s]."""
+
+_SWEEPS = 3  # over joints, whose friction acts on each other by the mass matrix
+_ITERATIONS = 12  # of a root
+_PRECISION = 1e-10  # of a velocity [rad/s]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Simulator:
+    """A body and its friction.
+
+    Attributes
+    ----------
+    robot, parameters : the body, (P,) standard parameters.
+    friction : the law of each joint.
+    as_plant : take torque and friction from the beginning of each row and do not divide it, as
+        MuJoCo steps an arm: for logs of the twin at its own step.
+    """
+
+    robot: RobotModel
+    parameters: Array
+    friction: FrictionModel
+    as_plant: bool = False
+
+    def run(self, windows: Windows) -> Array:
+        """Return the position over windows, (W, K + 1, n) [rad; m].
+
+        Parameters
+        ----------
+        windows : where to start, and the torque.
+
+        Raises
+        ------
+        SimulationError
+            If the mass matrix is not that of a body somewhere.
+        """
+        q, v = windows.q[:, 0].copy(), windows.dq[:, 0].copy()
+        # MuJoCo's rates are those before a step: its states are a row behind a law's.
+        x = windows.states(self.friction, delay=int(self.as_plant))
+        found = np.empty_like(windows.q)
+        found[:, 0] = q
+        laws = [Steps(law) for law in self.friction.laws]
+        steps = np.diff(windows.t, axis=1)
+        with np.errstate(all="ignore"):  # what diverges is seen in the result
+            for k, dt in enumerate(steps.T):
+                middle = q if self.as_plant else q + 0.5 * dt[:, None] * v
+                inverse, bias = self._body(np.nan_to_num(middle), np.nan_to_num(v))
+                tau = windows.tau[:, k]
+                if self.as_plant:
+                    q, v = self._explicit(laws, dt, q, v, x, tau - bias, inverse, bias)
+                else:
+                    tau = 0.5 * (tau + windows.tau[:, k + 1])
+                    parts = int(np.ceil(dt.max() / SUBSTEP))
+                    for _ in range(parts):
+                        q, v = self._implicit(laws, dt / parts, q, v, x, tau - bias, inverse, bias)
+                found[:, k + 1] = q
+        return found
+
+    def _body(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return the inverse of the mass matrix, (W, n, n), and the torque without acceleration."""
+        mass, bias = self.robot.dynamics(self.parameters, q, v)
+        try:
+            np.linalg.cholesky(mass)
+        except np.linalg.LinAlgError as error:
+            raise SimulationError(
+                f"robot '{self.robot.description.name}': its identified mass matrix is not "
+                "positive, so that nothing can be simulated; identify it with --physical, or from "
+                "more logs."
+            ) from error
+        return np.asarray(np.linalg.inv(mass), dtype=np.float64), bias
+
+    def _at_friction(self, inverse: Array) -> tuple[Array, Array]:
+        """Return what turns motions into those of friction's coordinates, and the inverse there."""
+        coupling = self.friction.coupling
+        forward = np.eye(inverse.shape[1]) if coupling is None else coupling.forward
+        return forward, forward @ inverse @ forward.T
+
+    def _implicit(
+        self, laws: Sequence[Steps], h: Array, q: Array, v: Array, x: list[Array], tau: Array,
+        inverse: Array, load: Array,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """Do one inner step; states `x` are moved in place."""
+        forward, own = self._at_friction(inverse)
+        free = v + h[:, None] * np.einsum("wij,wj->wi", inverse, tau)
+        a, p, u = free @ forward.T, q @ forward.T, v @ forward.T
+        loads = load if self.friction.coupling is None else self.friction.coupling.torque(load)
+        force = np.stack(
+            [law(h, u[:, i], p[:, i], loads[:, i], x[i])[0] for i, law in enumerate(laws)], axis=1
+        )
+        speed = u.copy()
+        for _ in range(_SWEEPS if len(laws) > 1 else 1):
+            for i, law in enumerate(laws):
+                gain = h * own[:, i, i]
+                rest = np.einsum("wj,wj->w", own[:, i], force) - own[:, i, i] * force[:, i]
+                target = a[:, i] - h * rest
+                speed[:, i] = _root(law, h, p[:, i], loads[:, i], x[i], target, gain, speed[:, i])
+                force[:, i] = (target - speed[:, i]) / gain
+        for i, law in enumerate(laws):
+            _, x[i] = law(h, speed[:, i], p[:, i] + h * speed[:, i], loads[:, i], x[i])
+        v = free - h[:, None] * np.einsum("wij,wj->wi", inverse, force @ forward)
+        return q + h[:, None] * v, v
+
+    def _explicit(
+        self, laws: Sequence[Steps], h: Array, q: Array, v: Array, x: list[Array], tau: Array,
+        inverse: Array, load: Array,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """Do one step as MuJoCo's Euler does: all forces and rates are those before it."""
+        forward, _ = self._at_friction(inverse)
+        p, u = q @ forward.T, v @ forward.T
+        loads = load if self.friction.coupling is None else self.friction.coupling.torque(load)
+        force, still = np.empty_like(u), np.zeros_like(h)
+        for i, law in enumerate(laws):
+            force[:, i], _ = law(still, u[:, i], p[:, i], loads[:, i], x[i])
+            _, x[i] = law(h, u[:, i], p[:, i], loads[:, i], x[i])
+        v = v + h[:, None] * np.einsum("wij,wj->wi", inverse, tau - force @ forward)
+        return q + h[:, None] * v, v
+
+
+def position_errors(found: Array, windows: Windows) -> tuple[float | None, ...]:
+    """Return the RMS error of each joint's position over windows [rad; m]; None if it diverges.
+
+    Parameters
+    ----------
+    found : (W, K + 1, n) [rad; m].
+    windows : what was measured.
+    """
+    with np.errstate(all="ignore"):
+        error = np.sqrt(np.mean(np.square(found - windows.q), axis=(0, 1)))
+    return tuple(float(e) if np.isfinite(e) else None for e in error)
+
+
+def _root(
+    law: Steps, h: Array, q: Array, load: Array, x: Array, target: Array, gain: Array, start: Array
+) -> Array:
+    """Return the velocity s at which s + gain F(s) = target, (W,) [rad/s], by Illinois' method.
+
+    The slope of the left side is at least about 1, since friction hardly falls within a step, so
+    that the root is less than twice the first residual away.
+    """
+
+    def residual(s: Array) -> Array:
+        return s - target + gain * law(h, s, q + h * s, load, x)[0]
+
+    low, at_low = start, residual(start)
+    high = low - 2.0 * at_low
+    at_high = residual(high)
+    best = np.where(np.abs(at_high) < np.abs(at_low), high, low)
+    for _ in range(_ITERATIONS):
+        spread = at_high - at_low
+        middle = high - at_high * (high - low) / np.where(spread == 0.0, 1.0, spread)
+        at_middle = residual(middle)
+        best = middle
+        if not np.any(np.abs(at_middle) > _PRECISION):
+            break
+        crossed = at_middle * at_high < 0.0
+        at_low = np.where(crossed, at_high, 0.5 * at_low)
+        low = np.where(crossed, high, low)
+        high, at_high = middle, at_middle
+    return best

@@ -1,0 +1,101 @@
+"""Windows of measured motions, from which a simulation starts again and again."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hesr_model.equations.over_log import Array
+from hesr_model.errors import SimulationError
+from hesr_model.friction.evaluate import states_over
+from hesr_model.friction.model import FrictionModel
+from hesr_model.rigid_body.residual import FrictionRecord, at_friction
+
+RUN_IN = 1.0
+"""Of each log [s] before its first window: friction's state is run in along the measured motion."""
+
+Logs = Sequence[Sequence[FrictionRecord]]
+"""Records of each part of each log, [part][joint]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Windows:
+    """W windows of K steps.
+
+    Attributes
+    ----------
+    t : (W, K + 1) [s].
+    q, dq, tau : (W, K + 1, n), measured [rad, rad/s, N.m; m, m/s, N].
+    places : of each window, the part of a log and the row in it where it begins.
+    logs : from which they are cut.
+    """
+
+    t: Array
+    q: Array
+    dq: Array
+    tau: Array
+    places: tuple[tuple[int, int], ...]
+    logs: Logs = field(repr=False)
+
+    def states(self, model: FrictionModel, *, delay: int = 0) -> list[Array]:
+        """Return the states of each law where the windows begin, (m, W) each.
+
+        They are run in along the measured motion from the beginning of each log, and are those of
+        so many rows before (`delay`).
+        """
+        found: list[list[Array]] = [[] for _ in model.laws]
+        for number, log in enumerate(self.logs):
+            rows = [max(row - delay, 0) for place, row in self.places if place == number]
+            for i, (law, record) in enumerate(zip(model.laws, at_friction(log), strict=True)):
+                over = states_over(
+                    law,
+                    t=record.t,
+                    dq=record.dq,
+                    q=record.q,
+                    tau_load=record.tau_load,
+                )
+                found[i].append(over[:, rows])
+        return [np.concatenate(parts, axis=1) for parts in found]
+
+
+def windows_of(logs: Logs, length: float) -> Windows:
+    """Cut logs into windows of a length [s], one after the other, behind their run-in.
+
+    Raises
+    ------
+    SimulationError
+        If no log is long enough for one.
+    """
+    times = [log[0].t for log in logs]
+    steps = max(1, round(length / float(np.median(np.concatenate([np.diff(t) for t in times])))))
+    places = [
+        (number, row)
+        for number, t in enumerate(times)
+        for row in range(int(np.searchsorted(t, t[0] + RUN_IN)), len(t) - steps, steps)
+    ]
+    if not places:
+        names = ", ".join(dict.fromkeys(log[0].log for log in logs))
+        raise SimulationError(
+            f"log {names}: too short for a window of {length:g} s behind {RUN_IN:g} s in which "
+            "friction runs in."
+        )
+    return _cut(logs, places, steps)
+
+
+def whole(log: Sequence[FrictionRecord]) -> Windows:
+    """Return a log, [joint], as one window without a run-in."""
+    return _cut([log], [(0, 0)], len(log[0].t) - 1)
+
+
+def _cut(logs: Logs, places: Sequence[tuple[int, int]], steps: int) -> Windows:
+    signals = {
+        "q": [np.column_stack([r.q for r in log]) for log in logs],
+        "dq": [np.column_stack([r.dq for r in log]) for log in logs],
+        "tau": [np.column_stack([r.tau + r.tau_load for r in log]) for log in logs],
+        "t": [log[0].t for log in logs],
+    }
+    cut = {
+        name: np.stack([parts[n][row : row + steps + 1] for n, row in places])
+        for name, parts in signals.items()
+    }
+    return Windows(**cut, places=tuple(places), logs=logs)

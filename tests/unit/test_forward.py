@@ -1,0 +1,197 @@
+"""Forward simulation: bodies and laws whose motion is known, and the twin to the last digit."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_twin import MOTIONS
+
+from cosim.studies.excite import recordings
+from cosim.studies.motions import Motions
+from fmu_src.arm.plant import Plant
+from fmu_src.arm.truth import true_friction
+from hesr_model.errors import SimulationError
+from hesr_model.forward.simulation import Simulator, position_errors
+from hesr_model.forward.stepping import Steps
+from hesr_model.forward.windows import whole, windows_of
+from hesr_model.friction.evaluate import predict
+from hesr_model.friction.fitting.fit import fit
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import registry
+from hesr_model.logs.log_format import LogFormat
+from hesr_model.rigid_body.identification import identify
+from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import models_folder
+
+TWIN = models_folder() / "uf850"
+
+SLIDE = """
+<mujoco>
+  <worldbody>
+    <body name="carriage">
+      <joint name="axis" type="slide" axis="1 0 0"/>
+      <inertial pos="0 0 0" mass="5" diaginertia="1 1 1"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture
+def carriage(tmp_path: Path) -> RobotModel:
+    (tmp_path / "slide.xml").write_text(SLIDE, encoding="utf-8")
+    description = RobotDescription(
+        name="axis", model=tmp_path / "slide.xml", joints=("axis",), rotor_inertia=False,
+        log=LogFormat(),
+    )  # fmt: skip
+    return RobotModel(description)
+
+
+def stribeck(**values: float) -> FrictionModel:
+    form = registry()["stribeck"].form({})
+    numbers = {c.name: values.get(c.name, 0.0) for c in form.coefficients} | {"v_s": 0.1}
+    law = FrictionLaw(name="stribeck", form=form, values=numbers)
+    return FrictionModel(
+        law="stribeck", robot="axis", joints=("axis",), laws=(law,), sample_time=0.01,
+        sliding=(True,),
+    )  # fmt: skip
+
+
+def axis_record(t: np.ndarray, force: np.ndarray, dq: np.ndarray, q: np.ndarray) -> FrictionRecord:
+    zero = np.zeros_like(t)
+    return FrictionRecord(log="run", joint="axis", t=t, dq=dq, q=q, tau_load=zero, tau=force,
+                          sliding=True)  # fmt: skip
+
+
+def test_mass_and_weight_are_those_of_the_body(carriage: RobotModel) -> None:
+    mass, bias = carriage.dynamics(carriage.nominal_parameters, np.ones((3, 1)), np.ones((3, 1)))
+    np.testing.assert_allclose(mass, np.full((3, 1, 1), 5.0))
+    np.testing.assert_allclose(bias, 0.0, atol=1e-12)
+
+
+def test_a_mass_with_viscous_friction_moves_as_it_must(carriage: RobotModel) -> None:
+    """m q'' + d q' = F from rest, in closed form."""
+    t, m, d, force = np.arange(0, 1.0, 0.002), 5.0, 20.0, 3.0
+    lag = m / d
+    q = force / d * (t - lag * (1.0 - np.exp(-t / lag)))
+    dq = force / d * (1.0 - np.exp(-t / lag))
+    model = stribeck(sigma_2=d)
+    window = whole([axis_record(t, np.full_like(t, force), dq, q)])
+    found = Simulator(robot=carriage, parameters=carriage.nominal_parameters, friction=model).run(
+        window
+    )
+    # Implicit steps of 2 ms are half a step late in velocity.
+    np.testing.assert_allclose(found[0, :, 0], q, atol=2e-3 * np.abs(q).max())
+    (error,) = position_errors(found, window)
+    assert error is not None
+    assert error < 1e-3 * np.abs(q).max()
+
+
+@pytest.mark.parametrize("force", [1.9, -1.9])
+def test_a_force_below_coulombs_moves_nothing(carriage: RobotModel, force: float) -> None:
+    t = np.arange(0, 0.5, 0.01)
+    still = np.zeros_like(t)
+    dahl = FrictionModel(
+        law="lugre", robot="axis", joints=("axis",), sample_time=0.01, sliding=(True,),
+        laws=(FrictionLaw(
+            name="lugre", form=registry()["lugre"].form({}),
+            values={"F_c": 2.0, "F_s": 2.0, "v_s": 0.1, "sigma_0": 1e7, "sigma_1": 0.0,
+                    "sigma_2": 1.0, "tau_0": 0.0},
+        ),),
+    )  # fmt: skip
+    window = whole([axis_record(t, np.full_like(t, force), still, still)])
+    found = Simulator(robot=carriage, parameters=carriage.nominal_parameters, friction=dahl).run(
+        window
+    )
+    assert np.abs(found).max() < 2e-6  # bristles of 1e7 N/m, however long the step
+
+
+def test_steps_are_those_of_a_law_over_a_log(registry_models: dict[str, FrictionModel]) -> None:
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.uniform(0.002, 0.01, 60))
+    dq, q, load = np.cumsum(rng.normal(size=(3, 60)), axis=1) * np.array([[0.05], [0.01], [1.0]])
+    for name, model in registry_models.items():
+        law = model.laws[0]
+        expected = predict(law, t=t, dq=dq, q=q, tau_load=load)
+        steps, x = Steps(law), np.array(law.start)[:, None].repeat(2, axis=1)
+        for k in range(60):
+            dt = np.full(2, t[k] - t[k - 1] if k else 0.0)
+            inputs = (np.full(2, column[k]) for column in (dq, q, load))
+            torque, x = steps(dt, *inputs, x)
+            np.testing.assert_allclose(
+                torque, expected[k], rtol=1e-9, atol=1e-9, err_msg=f"{name}, row {k}"
+            )
+
+
+@pytest.fixture(scope="module")
+def twin(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
+    """The twin's body and friction, those that are fitted, and its torque at 1 ms."""
+    path = tmp_path_factory.mktemp("twin") / "motions.toml"
+    path.write_text(MOTIONS, encoding="utf-8")
+    motions, plant = Motions.read(path), Plant.read(TWIN / "plant.toml")
+    robot = RobotModel(RobotDescription.read(TWIN / "robot.toml"))
+    logs = {r.log.name: r.log for r in recordings(motions, plant)}
+    body = identify([logs["excitation"]], robot)
+    law = fit("lugre", friction_records(logs["sweep"], robot, body), robot="uf850")
+    one = motions.model_copy(
+        update={"motions": tuple(m for m in motions.motions if m.name == "trial")}
+    )
+    (fine,) = recordings(one, plant.model_copy(update={"sample_rate": 1000.0}))
+    truth = true_friction(plant.model, plant.joints, sample_time=1e-3)
+    zero = np.zeros(len(fine.log.t))
+    log = [
+        FrictionRecord(
+            log="trial", joint=joint, t=fine.log.t, tau_load=zero,
+            dq=fine.truth.dq[:, k].copy(), q=fine.truth.q[:, k].copy(),
+            tau=fine.truth.tau_meas[:, k].copy(),
+        )
+        for k, joint in enumerate(robot.description.joints)
+    ]  # fmt: skip
+    return {"robot": robot, "body": body, "law": law, "truth": truth, "log": log}
+
+
+@pytest.mark.parametrize("length", [0.2, 0.5])
+def test_true_parameters_simulate_the_twin(twin: dict[str, object], length: float) -> None:
+    """Below a hundredth of LuGre's error: in fact to rounding, in MuJoCo's own order of steps."""
+    robot, body = twin["robot"], twin["body"]
+    windows = windows_of([twin["log"]], length)
+    true = Simulator(robot=robot, parameters=robot.nominal_parameters, friction=twin["truth"],
+                     as_plant=True)  # fmt: skip
+    lugre = Simulator(robot=robot, parameters=body.parameters, friction=twin["law"], as_plant=True)
+    of_true, of_lugre = (
+        np.array(position_errors(one.run(windows), windows), dtype=float) for one in (true, lugre)
+    )
+    assert np.all(of_true < 0.01 * of_lugre)
+    assert np.all(of_true < 1e-9)
+    assert np.all(of_lugre > 1e-4)
+    assert np.all(of_lugre < 0.01)
+
+
+def test_inner_steps_of_both_orders_agree(twin: dict[str, object]) -> None:
+    """What the order of steps is worth at 1 ms is little beside what a law is worth."""
+    robot, windows = twin["robot"], windows_of([twin["log"]], 0.2)
+    true = Simulator(robot=robot, parameters=robot.nominal_parameters, friction=twin["truth"])
+    errors = np.array(position_errors(true.run(windows), windows), dtype=float)
+    assert np.all(errors < 2e-4)
+
+
+def test_what_cannot_be_simulated_is_refused(twin: dict[str, object]) -> None:
+    robot, log = twin["robot"], twin["log"]
+    with pytest.raises(SimulationError, match=r"log trial: too short for a window of 9 s behind 1"):
+        windows_of([log], 9.0)
+    hollow = Simulator(robot=robot, parameters=-robot.nominal_parameters, friction=twin["law"])
+    with pytest.raises(SimulationError, match="mass matrix is not positive, so that nothing can"):
+        hollow.run(windows_of([log], 0.2))
+
+
+def test_windows_cover_a_log_behind_its_run_in() -> None:
+    t = 0.01 * np.arange(500)
+    log = [axis_record(t, t, 2.0 * t, 3.0 * t)]
+    windows = windows_of([log, [replace(log[0], t=t + 7.0)]], 0.5)
+    assert [row for place, row in windows.places if place == 0] == list(range(100, 450, 50))
+    assert windows.t.shape == (14, 51)
+    np.testing.assert_array_equal(windows.q[:7, 0, 0], 3.0 * t[100:450:50])
+    np.testing.assert_array_equal(windows.t[7:], windows.t[:7] + 7.0)
