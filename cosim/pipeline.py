@@ -27,6 +27,7 @@ from cosim.study import Study
 from hesr_model.artifacts import write_json
 from hesr_model.equations.over_log import Array
 from hesr_model.errors import ConfigError, FitError, HesrError, LogError
+from hesr_model.forward.output_error import motions, refine
 from hesr_model.friction.fitting.fit import fit_models
 from hesr_model.friction.fitting.per_log import with_own
 from hesr_model.friction.model import FrictionModel
@@ -255,14 +256,19 @@ class Job:
         write_json(folder / "closed_loop.json", to_json(outcome))
         return outcome
 
-    def rigid_body(self, logs: Mapping[str, RobotLog], model: RobotModel) -> RigidBody:
-        """Identify the rigid body, again once friction is known where the study wants that."""
+    def rigid_body(
+        self, logs: Mapping[str, RobotLog], model: RobotModel
+    ) -> tuple[RigidBody, dict[str, FrictionModel]]:
+        """Identify the rigid body, again once friction is known where the study wants that.
+
+        Returns the body, and the law that was refined together with it, if one was.
+        """
         forward = [logs[name] for name in self.study.logs.identification]
         backward = [logs[name] for name in self.study.logs.reversed]
         self.progress("identifying the rigid body", 0, 1)
         found = identify(forward, model, reversed_logs=backward, physical=self.study.physical)
         self.progress("identifying the rigid body", 1, 1)
-        refinement = self.study.refinement
+        refinement, refined = self.study.refinement, {}
         for _ in range(refinement.rounds if refinement else 0):
             names = self.study.logs.training
             records = {
@@ -271,8 +277,12 @@ class Job:
             }
             law = refinement.law if refinement else ""
             friction = self.fit(records, (law,), "refining the rigid body", {})[law]
-            found = identify_again(forward, model, found, friction, reversed_logs=backward)
-        return found
+            if refinement and refinement.kind == "output_error":
+                together = refine(model, found, friction, motions([logs[x] for x in names], model))
+                found, refined = together.body, {law: together.friction}
+            else:
+                found = identify_again(forward, model, found, friction, reversed_logs=backward)
+        return found, refined
 
     def fit(
         self,

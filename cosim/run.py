@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -107,7 +107,7 @@ def run_study(
         files = job.log_files(folder)
         logs = {name: job.read(name, file) for name, file in files.items()}
         findings = told(checked(list(logs.values()), model, accepted))
-        rigid_body = job.rigid_body(logs, model)
+        rigid_body, refined = job.rigid_body(logs, model)
         findings += told(check_body(rigid_body, model))
         about = [study.robot, job.robot.model, *(files[name] for name in job.trained_on)]
         owner = study.owner.known or job.robot.owner.known
@@ -120,6 +120,9 @@ def run_study(
             for name, log in logs.items()
         }
         models, left_out = job.fit_all(records, source)
+        models |= {
+            law: replace(m, provenance=source) for law, m in refined.items() if law in models
+        }
         findings += told(check_laws(models, records_of(study.logs.training, records)))
         write_findings(folder, findings)
         for law, fitted in models.items():

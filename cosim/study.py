@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -110,14 +110,17 @@ class Band(Config):
 
 
 class RefinementStudy(Config):
-    """Rigid body and friction in turn.
+    """Rigid body and friction in turn, or together.
 
     Attributes
     ----------
-    law : whose torque is subtracted before the rigid body is identified again.
+    kind : "in_turn", least squares of the torque; "output_error", the simulated position, too.
+    law : whose torque is subtracted before the rigid body is identified again, or which is refined
+        together with it.
     rounds : how often.
     """
 
+    kind: Literal["in_turn", "output_error"] = "in_turn"
     law: str
     rounds: int = Field(default=1, ge=1)
 

@@ -36,7 +36,7 @@ class Simulator:
 
     Attributes
     ----------
-    robot, parameters : the body, (P,) standard parameters.
+    robot, parameters : the body, (P,) standard parameters, or (W, P) of each window its own.
     friction : the law of each joint.
     as_plant : take torque and friction from the beginning of each row and do not divide it, as
         MuJoCo steps an arm: for logs of the twin at its own step.
@@ -47,12 +47,20 @@ class Simulator:
     friction: FrictionModel
     as_plant: bool = False
 
-    def run(self, windows: Windows) -> Array:
+    def run(
+        self,
+        windows: Windows,
+        *,
+        values: Sequence[Array] | None = None,
+        states: Sequence[Array] | None = None,
+    ) -> Array:
         """Return the position over windows, (W, K + 1, n) [rad; m].
 
         Parameters
         ----------
         windows : where to start, and the torque.
+        values : (C, W) coefficients of each law for each window; the laws' own where not given.
+        states : (m, W) of each law at the start; run in along the logs where not given.
 
         Raises
         ------
@@ -61,10 +69,14 @@ class Simulator:
         """
         q, v = windows.q[:, 0].copy(), windows.dq[:, 0].copy()
         # MuJoCo's rates are those before a step: its states are a row behind a law's.
-        x = windows.states(self.friction, delay=int(self.as_plant))
+        run_in = (
+            windows.states(self.friction, delay=int(self.as_plant)) if states is None else states
+        )
+        x = [part.copy() for part in run_in]
         found = np.empty_like(windows.q)
         found[:, 0] = q
-        laws = [Steps(law) for law in self.friction.laws]
+        own = [None] * len(x) if values is None else values
+        laws = [Steps(law, one) for law, one in zip(self.friction.laws, own, strict=True)]
         steps = np.diff(windows.t, axis=1)
         with np.errstate(all="ignore"):  # what diverges is seen in the result
             for k, dt in enumerate(steps.T):

@@ -34,10 +34,12 @@ class Steps:
     Parameters
     ----------
     law : the law of one joint.
+    values : (C, W) of its coefficients for each motion, in their units; the law's own where not
+        given.
     """
 
-    def __init__(self, law: FrictionLaw) -> None:
-        self._values = numbers(law)
+    def __init__(self, law: FrictionLaw, values: Array | None = None) -> None:
+        self._values = numbers(law) if values is None else tuple(values)
         self._function = _lowered(law.form)
         self._euler = float(law.discretisation == "euler")
 

@@ -57,6 +57,17 @@ class Windows:
                 found[i].append(over[:, rows])
         return [np.concatenate(parts, axis=1) for parts in found]
 
+    def times(self, count: int) -> "Windows":
+        """Return the same windows so many times, one set after the other."""
+        return Windows(
+            t=np.tile(self.t, (count, 1)),
+            q=np.tile(self.q, (count, 1, 1)),
+            dq=np.tile(self.dq, (count, 1, 1)),
+            tau=np.tile(self.tau, (count, 1, 1)),
+            places=self.places * count,
+            logs=self.logs,
+        )
+
 
 def windows_of(logs: Logs, length: float) -> Windows:
     """Cut logs into windows of a length [s], one after the other, behind their run-in.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from hesr_model.errors import LogError
 from hesr_model.logs.phases import MOVING, reversals
 from hesr_model.logs.robot_log import RobotLog
-from hesr_model.logs.signals import smooth
+from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotModel
 from hesr_model.robots.transmission import Coupling
@@ -111,14 +111,26 @@ def friction_records(
     RobotError
         If `rigid_body` belongs to another robot.
     """
-    motion = smooth(log, model.description.log.filter_cutoff)
+    return motion_records(smooth(log, model.description.log.filter_cutoff), model, rigid_body)
+
+
+def motion_records(
+    motion: Motion, model: RobotModel, rigid_body: RigidBody
+) -> list[FrictionRecord]:
+    """Do what `friction_records` does with a log that has been smoothed.
+
+    Raises
+    ------
+    RobotError
+        If `rigid_body` belongs to another robot.
+    """
     load = rigid_body.torque(model, motion)
     spread = rigid_body.torque_spread(model, motion)
     ratios = model.description.gear_ratio or (None,) * model.n
     coupling = model.description.coupling
     return [
         FrictionRecord(
-            log=log.name,
+            log=motion.name,
             joint=joint,
             t=motion.t,
             dq=np.ascontiguousarray(motion.dq[:, k]),

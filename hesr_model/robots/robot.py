@@ -310,14 +310,17 @@ class RobotModel:
     def torque(self, parameters: Array, q: Array, dq: Array, ddq: Array) -> Array:
         """Rigid-body torque Y pi, (N, n) [N.m; N for prismatic joints], of any parameters.
 
-        Parameters are (P,), motions q, dq, ddq are (N, n) as in `regressor`. With dq = ddq = 0 this
+        Parameters are (P,), or (N, P) where each row has its own; motions q, dq, ddq are (N, n) as
+        in `regressor`. With dq = ddq = 0 this
         is the gravity torque. The recursive algorithms of the library would divide by the masses,
         which identified parameters leave at zero.
         """
         parts = [np.empty((0, self.n))]
         for start in range(0, len(q), _ROWS_AT_ONCE):
             rows = slice(start, start + _ROWS_AT_ONCE)
-            parts.append(self.regressor(q[rows], dq[rows], ddq[rows]) @ parameters)
+            regressor = self.regressor(q[rows], dq[rows], ddq[rows])
+            own = parameters if parameters.ndim == 1 else parameters[rows, :, None]
+            parts.append((regressor @ own).reshape(-1, self.n))
         return np.concatenate(parts)
 
     def dynamics(self, parameters: Array, q: Array, dq: Array) -> tuple[Array, Array]:
@@ -328,7 +331,7 @@ class RobotModel:
         Parameters
         ----------
         parameters
-            (P,).
+            (P,) or (N, P).
         q, dq
             (N, n) as in `regressor`.
 
@@ -340,7 +343,7 @@ class RobotModel:
         rows, n = q.shape
         units = np.vstack([np.zeros((1, n)), np.eye(n)])
         each = self.torque(
-            parameters,
+            parameters if parameters.ndim == 1 else np.repeat(parameters, n + 1, axis=0),
             np.repeat(q, n + 1, axis=0),
             np.repeat(dq, n + 1, axis=0),
             np.tile(units, (rows, 1)),

@@ -295,7 +295,7 @@ def test_the_rigid_body_is_the_refined_one(outcome: Outcome, tmp_path: Path) -> 
     logs = {
         name: RobotLog.read(folder / "logs" / f"{name}.csv", job.robot) for name in job.trained_on
     }
-    once = job.rigid_body(logs, RobotModel(job.robot))
+    once, _ = job.rigid_body(logs, RobotModel(job.robot))
     assert np.all(outcome.rigid_body.rmse < once.rmse)
     assert np.any(outcome.rigid_body.parameters != once.parameters)
 

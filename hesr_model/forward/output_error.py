@@ -1,0 +1,244 @@
+"""Body and friction together, so that what is simulated is what was measured (output error).
+
+Fits of torque weigh what errors do to the torque; a simulator integrates them twice. Here base
+parameters and coefficients are refined by the error of the position over windows, beside that of
+the torque, which keeps what windows do not see where it is (Gautier, Janot and Vandanjon 2013,
+"A new closed-loop output error method for parameter identification of robot dynamics", IEEE Trans.
+Control Syst. Technol. 21(2), DIDIM; here with friction that has a state, from many short windows).
+
+Derivatives are differences through the simulation: all parameters are moved at once, each in a copy
+of all windows.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hesr_model.equations.over_log import Array
+from hesr_model.forward.simulation import Simulator
+from hesr_model.forward.windows import windows_of
+from hesr_model.friction.model import FrictionModel
+from hesr_model.logs.robot_log import RobotLog, parts_of
+from hesr_model.logs.signals import Motion, smooth
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.rigid_body.residual import motion_records
+from hesr_model.robots.robot import RobotModel
+
+WINDOW = 0.5
+"""Length of the windows [s]."""
+MOST_TORQUE = 1.02
+"""Largest ratio of any joint's torque error to that before."""
+
+_STEP = 1e-3  # of a parameter, relative to its size
+_TORQUE = 0.5  # weight of the torque's mean square beside the position's
+_DAMPING = (1e-3, 1e-2, 1e-1, 1.0, 1e1)  # tried in each round, relative to the curvature
+_MOST = 0.7  # change of any parameter, relative to its size or in its logarithm
+_SPREAD = 0.15  # of further starts, relative to the size of each parameter
+_LEAST = 1e-3  # share of the cost; a round that gains less is the last one
+
+
+_SHARES = (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)
+"""Of the way to the optimum that are tried in the end."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Refined:
+    """A body and its friction after the refinement.
+
+    Attributes
+    ----------
+    body, friction : refined; those given where nothing better was found.
+    ratio : of the position errors over the windows to those before, root of the mean square over
+        joints; 1 where nothing better was found.
+    """
+
+    body: RigidBody
+    friction: FrictionModel
+    ratio: float
+
+
+def refine(
+    robot: RobotModel,
+    body: RigidBody,
+    friction: FrictionModel,
+    motions: Sequence[Motion],
+    *,
+    rounds: int = 6,
+    starts: int = 3,
+    seed: int = 0,
+) -> Refined:
+    """Refine body and friction together by output error, from several starts.
+
+    Parameters
+    ----------
+    robot, body, friction : what was identified from the logs.
+    motions : of the training logs.
+    rounds : Gauss-Newton steps, damped, from the best start.
+    starts : parameters as given, and so many less one with all of them moved at random.
+    seed : of the starts.
+
+    Raises
+    ------
+    SimulationError
+        If a log is too short, or the body cannot be simulated.
+    """
+    problem = _Problem(robot, body, friction, motions)
+    rng = np.random.default_rng(seed)
+    moved = rng.normal(scale=_SPREAD, size=(starts - 1, problem.size))
+    # A start leaves the body alone: least squares know it far better than by 15 %.
+    moved[:, : len(problem.columns)] = 0.0
+    theta = np.vstack([np.zeros((1, problem.size)), moved])
+    found = problem.costs(theta)
+    best = theta[int(np.argmin(found))]
+    cost = float(found.min())
+    for _ in range(rounds):
+        residuals, slopes = problem.linearised(best)
+        gradient, curvature = slopes.T @ residuals, slopes.T @ slopes
+        scale = np.diag(np.diag(curvature) + 1e-12 * np.trace(curvature))
+        tried = np.array(
+            [best - np.linalg.solve(curvature + d * scale, gradient) for d in _DAMPING]
+        )
+        tried = np.clip(tried, -_MOST, _MOST)
+        found = problem.costs(tried)
+        if not found.min() < (1.0 - _LEAST) * cost:
+            break
+        best, cost = tried[int(np.argmin(found))], float(found.min())
+    return problem.accepted(best)
+
+
+def motions(logs: Iterable[RobotLog], model: RobotModel) -> list[Motion]:
+    """Return the smooth motions of all parts of logs.
+
+    Raises
+    ------
+    LogError
+        If a log is too slow or too short for the low pass.
+    """
+    cutoff = model.description.log.filter_cutoff
+    return [smooth(part, cutoff) for part in parts_of(list(logs))]
+
+
+class _Problem:
+    """Residuals of position and torque as functions of relative changes of all parameters."""
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        body: RigidBody,
+        friction: FrictionModel,
+        motions: Sequence[Motion],
+    ) -> None:
+        self._robot, self._body, self._friction, self._motions = robot, body, friction, motions
+        self._logs = [motion_records(motion, robot, body) for motion in motions]
+        self._windows = windows_of(self._logs, WINDOW)
+        self.columns = [k for k in body.base if body.parameters[k] != 0.0]
+        self._names = [
+            (joint, number)
+            for joint, law in enumerate(friction.laws)
+            for number, value in enumerate(law.values.values())
+            if value != 0.0
+        ]
+        self.size = len(self.columns) + len(self._names)
+        self._loads = [
+            robot.regressor(m.q, m.dq, m.ddq)[:, :, self.columns] * body.parameters[self.columns]
+            for m in motions
+        ]
+        still = np.zeros(self.size)
+        self._position_sizes = _sizes(self._position(still[None])[0].reshape(-1, robot.n))
+        self._torque_sizes = _sizes(self._torque(still))
+
+    def costs(self, theta: Array) -> Array:
+        """Return the cost of changes (S, size); of what cannot be simulated it is infinite."""
+        with np.errstate(all="ignore"):
+            found = [
+                np.sum(np.square(self._residuals(position, change)))
+                for position, change in zip(self._position(theta), theta, strict=True)
+            ]
+        return np.where(np.isfinite(found), found, np.inf)
+
+    def linearised(self, theta: Array) -> tuple[Array, Array]:
+        """Return residuals (M,) and their slopes (M, size), without unit."""
+        moved = np.vstack([theta, theta + _STEP * np.eye(self.size)])
+        rows = np.array(
+            [
+                self._residuals(position, change)
+                for position, change in zip(self._position(moved), moved, strict=True)
+            ]
+        )
+        return rows[0], (rows[1:] - rows[0]).T / _STEP
+
+    def accepted(self, theta: Array) -> Refined:
+        """Return the furthest change towards `theta` to which no joint's torque objects."""
+        for share in _SHARES:
+            change = share * theta
+            torque = _sizes(self._torque(change))
+            position = _sizes(self._position(change[None])[0].reshape(-1, self._robot.n))
+            ratio = float(np.sqrt(np.mean(np.square(position / self._position_sizes))))
+            if np.all(torque <= MOST_TORQUE * self._torque_sizes) and ratio < 1.0:
+                friction = replace(self._moved(change), training_rmse=tuple(torque.tolist()))
+                return Refined(body=self._moved_body(change), friction=friction, ratio=ratio)
+        return Refined(body=self._body, friction=self._friction, ratio=1.0)
+
+    def _residuals(self, position: Array, theta: Array) -> Array:
+        """Return the errors of position and torque, each with a mean square of 1 before."""
+        scaled = (position / self._position_sizes).ravel()
+        torque = (self._torque(theta) / self._torque_sizes).ravel()
+        weight = np.sqrt(_TORQUE / torque.size)
+        return np.concatenate([scaled / np.sqrt(scaled.size), weight * torque])
+
+    def _position(self, theta: Array) -> Array:
+        """Return the errors of the position, (S, W, K + 1, n) [rad; m], for changes (S, size)."""
+        many, windows = len(theta), self._windows
+        friction = [self._moved(change) for change in theta]
+        count = len(windows.t)
+        states = [windows.states(model) for model in friction]
+        numbers = [[list(law.values.values()) for law in model.laws] for model in friction]
+        bodies = np.array([self._moved_body(change).parameters for change in theta])
+        simulator = Simulator(
+            robot=self._robot,
+            parameters=np.repeat(bodies, count, axis=0),
+            friction=self._friction,
+        )
+        found = simulator.run(
+            windows.times(many),
+            values=[np.repeat(np.array(of_law).T, count, axis=1)
+                    for of_law in zip(*numbers, strict=True)],
+            states=[np.concatenate(of_law, axis=1) for of_law in zip(*states, strict=True)],
+        )  # fmt: skip
+        return found.reshape(many, *windows.q.shape) - windows.q
+
+    def _torque(self, theta: Array) -> Array:
+        """Return the errors of the torque over all rows of all logs, (N, n) [N.m; N]."""
+        friction, found = self._moved(theta), []
+        for log, loads in zip(self._logs, self._loads, strict=True):
+            more = loads @ theta[: len(self.columns)]
+            own = [replace(r, tau_load=r.tau_load + more[:, k]) for k, r in enumerate(log)]
+            measured = np.column_stack([r.tau for r in log])
+            found.append(friction.predict(own) + more - measured)
+        return np.concatenate(found)
+
+    def _moved_body(self, theta: Array) -> RigidBody:
+        parameters = self._body.parameters.copy()
+        parameters[self.columns] *= 1.0 + theta[: len(self.columns)]
+        return replace(self._body, parameters=parameters)
+
+    def _moved(self, theta: Array) -> FrictionModel:
+        values = [list(law.values.values()) for law in self._friction.laws]
+        for (joint, number), change in zip(self._names, theta[len(self.columns) :], strict=True):
+            values[joint][number] *= np.exp(change)  # no coefficient changes its sign
+        laws = [
+            replace(
+                law,
+                values=dict(zip(law.values, map(float, own), strict=True)),
+                standard_errors={},  # those of another estimate
+            )
+            for law, own in zip(self._friction.laws, values, strict=True)
+        ]
+        return replace(self._friction, laws=tuple(laws))
+
+
+def _sizes(errors: Array) -> Array:
+    """Return the RMS of each joint, (n,), of errors (N, n)."""
+    with np.errstate(all="ignore"):
+        return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0)))

@@ -1,0 +1,169 @@
+"""A sliding axis the whole way: MATLAB log, mass and friction, open loop, output error, FMU."""
+
+import json
+from pathlib import Path
+
+import emps
+import numpy as np
+import pytest
+from small_study import Hesr, hesr_here
+
+from cosim.pipeline import Job
+from cosim.replay import replay
+from cosim.study import Study
+from hesr_model.artifacts import read_model, read_rigid_body
+from hesr_model.forward.output_error import MOST_TORQUE, Refined, motions, refine
+from hesr_model.forward.simulation import Simulator, position_errors
+from hesr_model.forward.windows import whole, windows_of
+from hesr_model.friction.fitting.fit import fit
+from hesr_model.friction.model import FrictionModel
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import RigidBody, identify
+from hesr_model.rigid_body.residual import friction_records
+from hesr_model.robots.robot import RobotDescription, RobotModel
+
+MOST = 5e-3
+"""Open loop [m]."""
+
+STUDY = """
+name = "emps"
+robot = "robot.toml"
+laws = ["stribeck"]
+refinement = { kind = "output_error", law = "stribeck" }
+[logs]
+identification = ["DATA_EMPS.mat"]
+test = { pulses = ["DATA_EMPS_PULSES.mat"] }
+"""
+
+Identified = tuple[RobotModel, RigidBody, FrictionModel]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("emps")
+    (path / "robot.toml").write_text(emps.ROBOT, encoding="utf-8")
+    (path / "emps.xml").write_text(emps.MODEL, encoding="utf-8")
+    (path / "study.toml").write_text(STUDY, encoding="utf-8")
+    emps.write(path / "DATA_EMPS.mat", seconds=6.0)
+    emps.write(path / "DATA_EMPS_PULSES.mat", seconds=4.0, pulses=True, seed=1)
+    return path
+
+
+@pytest.fixture(scope="module")
+def logs(folder: Path) -> tuple[RobotLog, RobotLog]:
+    robot = RobotDescription.read(folder / "robot.toml")
+    training, pulses = (
+        RobotLog.read(folder / f"{n}.mat", robot) for n in ("DATA_EMPS", "DATA_EMPS_PULSES")
+    )
+    return training, pulses
+
+
+@pytest.fixture(scope="module", params=["stribeck", "lugre"])
+def identified(
+    request: pytest.FixtureRequest, folder: Path, logs: tuple[RobotLog, RobotLog]
+) -> Identified:
+    robot = RobotModel(RobotDescription.read(folder / "robot.toml"))
+    body = identify([logs[0]], robot)
+    return robot, body, fit(request.param, friction_records(logs[0], robot, body), robot="EMPS")
+
+
+@pytest.fixture(scope="module")
+def refined(identified: Identified, logs: tuple[RobotLog, RobotLog]) -> Refined:
+    robot, body, law = identified
+    return refine(robot, body, law, motions([logs[0]], robot))
+
+
+def test_mass_and_friction_are_found(identified: Identified) -> None:
+    _, body, law = identified
+    assert body.parameters[body.names.index("axis.m")] == pytest.approx(emps.MASS, rel=0.05)
+    coulomb, viscous, offset = body.friction[0]
+    assert coulomb == pytest.approx(emps.COULOMB, rel=0.1)
+    assert viscous == pytest.approx(emps.VISCOUS, rel=0.05)
+    assert offset == pytest.approx(emps.OFFSET, rel=0.2)
+    assert {c.unit for c in law.laws[0].form.coefficients} >= {"N", "N.s/m", "m/s"}
+
+
+def torque_error(robot: RobotModel, body: RigidBody, law: FrictionModel, log: RobotLog) -> float:
+    """RMS over all rows [N]."""
+    records = friction_records(log, robot, body)
+    return float(np.sqrt(np.mean((law.predict(records)[:, 0] - records[0].tau) ** 2)))
+
+
+def position(
+    robot: RobotModel, body: RigidBody, law: FrictionModel, log: RobotLog, length: float
+) -> float:
+    """RMS over windows of a length [s], or open loop where it is 0 [m]."""
+    records = friction_records(log, robot, body)
+    one = Simulator(robot=robot, parameters=body.parameters, friction=law)
+    cut = windows_of([records], length) if length else whole(records)
+    (found,) = position_errors(one.run(cut), cut)
+    return np.inf if found is None else found
+
+
+def test_output_error_pays_on_a_log_that_it_has_not_seen(
+    identified: Identified, refined: Refined, logs: tuple[RobotLog, RobotLog]
+) -> None:
+    robot, body, law = identified
+    given, better = (robot, body, law), (robot, refined.body, refined.friction)
+    assert refined.ratio < 0.8
+    for length in (0.2, 0.5):
+        assert position(*better, logs[1], length) < 0.8 * position(*given, logs[1], length)
+    assert position(*better, logs[1], 0.0) <= MOST
+    assert torque_error(*better, logs[1]) <= 1.03 * torque_error(*given, logs[1])
+    mass = refined.body.parameters[body.names.index("axis.m")]
+    assert mass == pytest.approx(emps.MASS, rel=0.01)
+
+
+def test_torque_is_kept_on_the_training_log(
+    identified: Identified, refined: Refined, logs: tuple[RobotLog, RobotLog]
+) -> None:
+    robot, body, law = identified
+    after = torque_error(robot, refined.body, refined.friction, logs[0])
+    assert after <= MOST_TORQUE * torque_error(robot, body, law, logs[0])
+    np.testing.assert_allclose(refined.friction.training_rmse, [after], rtol=1e-9)
+    assert not refined.friction.laws[0].standard_errors  # those of another estimate
+
+
+def test_a_study_refines_by_output_error(folder: Path, logs: tuple[RobotLog, RobotLog]) -> None:
+    path = folder / "study.toml"
+    job = Job(study=Study.read(path), path=path, progress=lambda *_: None)
+    robot = RobotModel(job.robot)
+    body, together = job.rigid_body({"DATA_EMPS.mat": logs[0]}, robot)
+    once = identify([logs[0]], robot)
+    assert list(together) == ["stribeck"]
+    assert position(robot, body, together["stribeck"], logs[1], 0.5) < 1e-4
+    assert body.parameters[0] != once.parameters[0]
+
+
+def test_the_command_line_goes_the_whole_way(
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    hesr: Hesr = hesr_here(capsys, monkeypatch)
+    robot = ("--robot", folder / "robot.toml")
+    body, law, fmu = (tmp_path / name for name in ("body.json", "law.json", "Friction.fmu"))
+    for command in (
+        ("identify", folder / "DATA_EMPS.mat", *robot, "-o", body),
+        ("fit", folder / "DATA_EMPS.mat", *robot, "--rigid-body", body, "--law", "stribeck",
+         "-o", law),
+        ("export", law, "-o", fmu),
+    ):  # fmt: skip
+        answer = hesr(*command)
+        assert answer.code == 0, answer.err
+    pulses = folder / "DATA_EMPS_PULSES.mat"
+    said = hesr(
+        "evaluate", pulses, law, *robot, "--rigid-body", body, "--json", tmp_path / "a.json"
+    )
+    assert said.code == 0, said.err
+    assert "simulated position [mm]" in said.out
+    data = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
+    (free,) = data["simulation"]["open_loop"]["stribeck"]
+    assert free <= MOST
+    log = RobotLog.read(pulses, RobotDescription.read(folder / "robot.toml"))
+    model = RobotModel(RobotDescription.read(folder / "robot.toml"))
+    (record,) = friction_records(log, model, read_rigid_body(body))
+    torque = replay(fmu, record.t, record.dq[:, None])
+    expected = read_model(law).predict(t=record.t, dq=record.dq[:, None])
+    np.testing.assert_allclose(torque, expected, rtol=1e-9, atol=1e-9)
