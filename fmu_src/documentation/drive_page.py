@@ -40,8 +40,15 @@ def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
             if TAU_LOAD in law.form.inputs
         ],
         joints=[
-            {"name": name, "equations": equations(law), "rest": _rest(law), "verdict": verdict}
-            for name, law, verdict in zip(model.joints, model.laws, verdicts, strict=True)
+            {
+                "name": name,
+                "equations": equations(law),
+                "rest": _rest(law, slides=slides),
+                "verdict": verdict,
+            }
+            for name, law, slides, verdict in zip(
+                model.joints, model.laws, model.slides, verdicts, strict=True
+            )
         ],
         refused=refused,
     )
@@ -70,17 +77,18 @@ def _sliding(law: FrictionLaw, speeds: Array) -> Array:
     return np.asarray(0.5 * (tau[: len(speeds)] - tau[len(speeds) :]))
 
 
-def _rest(law: FrictionLaw) -> str:
+def _rest(law: FrictionLaw, *, slides: bool) -> str:
+    effort, unit = ("force", "N") if slides else ("torque", "N.m")
     with np.errstate(all="ignore"):  # what is not finite holds nothing
         held, stopped = holding_torque(law), stopping_torque(law)
     if held > _HOLDS:
         return (
-            f"At rest this law holds up to {figure(held, 3)} N.m without load; a torque below "
-            f"{figure(max(stopped, 0.0), 3)} N.m lets no motion last."
+            f"At rest this law holds up to {figure(held, 3)} {unit} without load; a {effort} "
+            f"below {figure(max(stopped, 0.0), 3)} {unit} lets no motion last."
         )
     return (
         "At rest this law holds nothing: it forgets where it came to rest, and the joint creeps "
-        "under any torque."
+        f"under any {effort}."
     )
 
 

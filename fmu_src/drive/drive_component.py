@@ -1,5 +1,6 @@
 """The drive component: its interface and its generated C, from a friction model and its motors."""
 
+import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
@@ -22,6 +23,7 @@ from hesr_model.errors import ExportError
 from hesr_model.friction.law import TORQUE
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.transmission import Coupling
+from hesr_model.units import unit_of_joint
 
 SUBSTEP = 1e-3
 """Longest inner step [s] unless set otherwise."""
@@ -158,6 +160,7 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
         *(v for joint, law in enumerate(model.laws, start=1)
           for v in law_variables(law, joint, laws[joint - 1], _sources(joint, model.coupling))),
     )  # fmt: skip
+    variables = tuple(_at_joint(v, model.slides) for v in variables)
     inputs = {v.name for v in variables if v.role == "input"}
     return Interface(
         variables=tuple(_of_the_last_step(v, inputs) for v in variables),
@@ -166,6 +169,21 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
         directional_derivatives=False,
         inner_steps=True,
     )
+
+
+def _at_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
+    """Return a variable as it is at a joint that slides, where its own does; no C knows of it."""
+    joint = re.search(r"\[(\d+)\]", variable.name)
+    if joint is None or not slides[int(joint[1]) - 1]:
+        return variable
+    text = variable.description
+    for turning, sliding in _WORDS.items():
+        text = re.sub(rf"\b{turning}\b", sliding, text)
+    unit = variable.unit and unit_of_joint(variable.unit, slides=True)
+    return replace(variable, unit=unit, description=text)
+
+
+_WORDS = {"torque": "force", "angle": "position", "inertia": "mass", "flexspline": "spring"}
 
 
 def _of_the_last_step(variable: Variable, inputs: Collection[str]) -> Variable:

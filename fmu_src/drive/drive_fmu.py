@@ -17,7 +17,6 @@ from fmu_src.friction.validity import require_numbers
 from fmu_src.package import Content, Version, check_request, own_source, write_fmu
 from fmu_src.recorded import ROWS, Stimuli, waves
 from hesr_model.artifacts import model_to_json
-from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.owner import Owner
 from hesr_model.support.progress import Progress, silent
@@ -45,7 +44,8 @@ def export_drive(
     ----------
     model : the friction law of each joint, in the joint's coordinates.
     path : the FMU to write, ending in .fmu.
-    inertia : (n,) of the rotor and all that turns with it [kg.m2], positive.
+    inertia : (n,) of the rotor and all that turns with it [kg.m2], positive; of a joint that slides
+        its mass [kg], and so on in m and N.
     stiffness : (n,) of the flexspline towards the link [N.m/rad]; none where not given.
     damping : (n,) of the flexspline [N.m.s/rad].
     ratio : (n,) turns of the motor for one of the joint; 1 where not given.
@@ -60,7 +60,7 @@ def export_drive(
     Raises
     ------
     ExportError
-        If a joint slides, a number is not what it must be, the model cannot be expressed in C or
+        If a number is not what it must be, the model cannot be expressed in C or
         FMI, or a binary cannot be built.
     ArtifactError
         If `path` cannot be written.
@@ -79,12 +79,6 @@ def content(
     ratio: Sequence[float] | None = None,
 ) -> Content:
     """Return the FMU of a drive, before it is compiled; arguments are those of `export_drive`."""
-    for joint, slides in zip(model.joints, model.slides, strict=True):
-        if slides:
-            raise ExportError(
-                f"drive: joint '{joint}' slides, and a drive turns; export its law as a friction "
-                "FMU (--format fmu), which knows both kinds."
-            )
     require_numbers(model)
     own = motors(
         len(model.laws), inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from fmpy import read_model_description
 
+from cosim.slave import Component
 from fmu_src import export_fmu
 from fmu_src.arm.truth import true_friction
 from fmu_src.check import check
@@ -102,14 +103,50 @@ def test_its_page_does_not_lie(mixed, mixed_fmu, make_law, make_model, tmp_path)
     assert "Units are SI: s, m, m/s, N.\n" in readme
 
 
-def test_a_drive_turns(mixed, tmp_path):
-    with pytest.raises(ExportError) as caught:
-        export_drive(mixed, tmp_path / "Drive.fmu", inertia=(1.0, 1.0))
-    assert str(caught.value) == (
-        "drive: joint 'axis_2' slides, and a drive turns; export its law as a friction FMU "
-        "(--format fmu), which knows both kinds."
-    )
-    assert list(tmp_path.iterdir()) == []
+@pytest.fixture(scope="module")
+def mixed_drive(mixed, tmp_path_factory):
+    return export_drive(mixed, tmp_path_factory.mktemp("mixed") / "Drive.fmu", inertia=(3.0, 3.0))
+
+
+def test_a_drive_slides_in_its_units(mixed_drive):
+    found = variables(mixed_drive)
+    for name, turning, sliding in (
+        ("tau_motor[{}]", "N.m", "N"),
+        ("q_link[{}]", "rad", "m"),
+        ("dq[{}]", "rad/s", "m/s"),
+        ("ddq[{}]", "rad/s2", "m/s2"),
+        ("tau_f[{}]", "N.m", "N"),
+        ("inertia[{}]", "kg.m2", "kg"),
+        ("stiffness[{}]", "N.m/rad", "N/m"),
+        ("damping[{}]", "N.m.s/rad", "N.s/m"),
+        ("q_start[{}]", "rad", "m"),
+        ("z[{}]", "rad", "m"),
+        ("joint[{}].sigma_0", "N.m/rad", "N/m"),
+    ):
+        assert [found[name.format(i)].unit for i in (1, 2)] == [turning, sliding], name
+    assert found["tau_motor[1]"].description == "motor torque, joint 1"
+    assert found["tau_motor[2]"].description == "motor force, joint 2"
+    assert found["inertia[2]"].description == "mass at the motor, joint 2"
+    assert check(mixed_drive).problems == ()
+    with zipfile.ZipFile(mixed_drive) as archive:
+        page = archive.read("documentation/index.html").decode()
+    assert "its inertia is a mass in kg" in page
+    assert " N without load; a force below " in page or "creeps under any force." in page
+
+
+def test_a_drive_slides_as_one_that_turns_does(mixed_drive):
+    """A mass under a force moves in m as an inertia under a torque in rad, to the last bit."""
+    with Component(mixed_drive) as drive:
+        drive.initialise()
+        force = drive.batch(["tau_motor[1]", "tau_motor[2]"])
+        moved = drive.batch(["q[1]", "q[2]", "dq[1]", "dq[2]"])
+        for k in range(200):
+            force.values[:] = 40.0 * np.sin(0.05 * k)
+            force.write()
+            drive.step(0.005 * k, 0.005)
+            q_turned, q_slid, dq_turned, dq_slid = moved.read()
+            assert (q_turned, dq_turned) == (q_slid, dq_slid)
+        assert abs(q_slid) > 1e-3
 
 
 def test_a_modelica_package_turns(mixed, tmp_path):
