@@ -238,15 +238,21 @@ class Functions:
         signature = "rates(IN(k), IN(u), IN(x), OUT(rate))"
         return self._written(False, own, targets, signature)
 
+    @property
+    def _beginning(self) -> dict[sympy.Symbol, sympy.Expr]:
+        component = self.component
+        own = beginning(component.memory, component.settling)
+        return {symbol: e.xreplace(component.starts) for symbol, e in own.items()}
+
     def begin(self) -> str:
         """Put the states x, which are at their start values, where they begin."""
         targets = {f"x[{i}]": begun(m) for i, m in enumerate(self.component.memory)}
-        own = beginning(self.component.memory, self.component.settling)
+        own = self._beginning
         return self._written(False, own, targets, "begin(IN(k), IN(u), double *x)")
 
     def begin_tangent(self) -> str:
         """Put the change tx of the start values x where it begins, along dk and du."""
-        own = beginning(self.component.memory, self.component.settling)
+        own = self._beginning
         changes = Tangent(self._seeds).of(own)
         targets = {f"tx[{i}]": change_of(begun(m)) for i, m in enumerate(self.component.memory)}
         signature = "begin_tangent(IN(k), IN(u), IN(x), IN(dk), IN(du), double *tx)"

@@ -11,7 +11,7 @@ from dataclasses import replace
 import sympy
 
 from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, indicators, own_size
-from fmu_src.friction.friction_component import law_variables
+from fmu_src.friction.friction_component import START_MODE, law_variables, start_mode
 from fmu_src.friction.variable_names import place
 from fmu_src.interface import Interface, Variable
 from hesr_model.equations.component import Component, Parameter
@@ -33,13 +33,15 @@ def adaptive_equations(model: FrictionModel) -> tuple[Interface, str]:
     components = adaptive_components(model)
     joints = [_joint(model, i, own) for i, own in enumerate(components, start=1)]
     table = Interface(
-        variables=(*_signals(model, joints), *_own(model, components, joints)),
+        variables=(*_signals(model, joints), start_mode(), *_own(model, components, joints)),
         indicators=indicators(joints),
         own=own_size(joints),
         model_exchange=False,
         directional_derivatives=False,
     )
-    return table, equations_header(joints, table, Needs(functions=FRICTION))
+    return table, equations_header(
+        joints, table, Needs(functions=FRICTION, places={"START_MODE": START_MODE})
+    )
 
 
 def _joint(model: FrictionModel, i: int, own: Component) -> Joint:
@@ -47,8 +49,7 @@ def _joint(model: FrictionModel, i: int, own: Component) -> Joint:
     names = {q.name: f"{q.name}[{i}]" for q in (*own.inputs, *own.outputs)}
     return Joint(
         # Starts are no part of the equations: joints that differ in them alone share their C.
-        # States begin at their start values: steady bounds would take the factors' first ones.
-        component=replace(own, settling=sympy.S.Zero, parameters=tuple(
+        component=replace(own, parameters=tuple(
             replace(p, start=0.0, description="", unit="1") if isinstance(p, Parameter)
             else replace(p, description="", unit="1") for p in own.parameters
         )),
@@ -105,10 +106,10 @@ def _own(
         elements = dict(zip(joint.derivatives, component.memory, strict=True))
         for variable in law_variables(law, i, known):
             element = elements.get(variable.name)
-            at_start = _initial(joint, element.derivative) if element else ()
-            if variable.role == "state":
-                at_start = (joint.starts[joint.states.index(variable.name)],)
-            yield replace(variable, initial_dependencies=at_start)
+            if element is not None:
+                at_start = _initial(joint, element.derivative)
+                variable = replace(variable, initial_dependencies=at_start)
+            yield variable
         for name, parameter in zip(
             joint.parameters[count:], component.parameters[count:], strict=True
         ):

@@ -82,11 +82,8 @@ def bench(fmu: Path, records: list[FrictionRecord]) -> Iterator[Bench]:
 def test_it_is_what_python_follows(bench: Bench, records: list[FrictionRecord]) -> None:
     bench.begin()
     found = bench.run(1, len(records[0].t))
-    # Without the start that measured torques tell of, which an FMU does not have.
     followed = Follower(MODEL).follow(records)
     for i, joint in enumerate(followed):
-        if MODEL.laws[i].start_samples:
-            continue
         for k, name in enumerate(OUTPUTS):
             expected = joint.outputs[name][1:]
             worst = np.abs(found[:, k * len(records) + i] - expected).max()

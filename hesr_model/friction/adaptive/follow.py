@@ -12,9 +12,10 @@ from hesr_model.errors import SimulationError
 from hesr_model.friction.adaptive.component import INPUTS, adaptive_component
 from hesr_model.friction.adaptive.tuning import TUNING, Tuning
 from hesr_model.friction.audit.certificate import least_viscosity
+from hesr_model.friction.evaluate import first_states
 from hesr_model.friction.inputs import QUANTITIES
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.records import predict_record, record_start
+from hesr_model.friction.records import predict_record
 from hesr_model.rigid_body.residual import FrictionRecord
 
 _HANDED = tuple(q.name for q in (*QUANTITIES, *INPUTS))
@@ -110,7 +111,11 @@ class Follower:
 
     def _of_joint(self, j: int, record: FrictionRecord, adapt: bool) -> Followed:
         law, steps = self._model.laws[j], self._steps[j]
-        run = steps.run(self._values[j], record_start(law, record), _HANDED)
+        run = steps.run(
+            self._values[j],
+            first_states(law, *(float(u[0]) for u in (record.dq, record.q, record.tau_load))),
+            _HANDED,
+        )
         columns = (
             record.dq, record.q, record.tau_load, record.tau + record.tau_load, record.tau_load,
             np.full_like(record.t, float(adapt)),
