@@ -44,8 +44,8 @@ def lags(fmu: Path, **more: object) -> SystemSpec:
         "step": 0.1,
         "stop": 60.0,
         "components": [
-            {"name": "a", "fmu": fmu, "start": {"T": 0.5, "x": 0.25}},
-            {"name": "b", "fmu": fmu, "start": {"T": 2.0, "x": 1.0}, "step": 0.3},
+            {"name": "a", "fmu": fmu, "start": {"T": 0.5, "x_start": 0.25}},
+            {"name": "b", "fmu": fmu, "start": {"T": 2.0, "x_start": 1.0}, "step": 0.3},
         ],
         "connections": {"a.u": "b.y", "b.u": "a.y"},
         "observe": ["b.y", "a.y"],
@@ -86,7 +86,7 @@ def test_a_step_that_fails(lag_fmu, order, component):
 
 def test_an_input_that_is_refused(lag_fmu):
     """A value near the largest number overflows on its way."""
-    start = {"T": 1e-3, "x": 1.7e308, "u": -1.7e308}
+    start = {"T": 1e-3, "x_start": 1.7e308, "u": -1.7e308}
     spec = lags(
         lag_fmu,
         components=[

@@ -12,9 +12,9 @@ from hesr_model.friction.adaptive.component import adaptive_component
 from hesr_model.friction.adaptive.follow import Followed, Follower, adaptive_components
 from hesr_model.friction.adaptive.tuning import TUNING
 from hesr_model.friction.audit.certificate import certify, least_viscosity, storage
-from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.stribeck import Stribeck
+from hesr_model.friction.records import predict_record
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.transmission import Coupling
 
@@ -38,11 +38,7 @@ def steady(law: FrictionLaw, seconds: float = 60.0, *, seed: int = 0, level: flo
 def test_without_adaptation_it_is_the_law(law) -> None:
     record = steady(law(), 5.0)
     found = followed(record, law(), adapt=False)
-    # It begins at its start values, in motion as at rest.
-    fixed = predict(
-        law(), t=record.t, dq=record.dq, q=record.q, tau_load=record.tau_load, start=law().start
-    )
-    np.testing.assert_allclose(found.outputs["tau"], fixed, rtol=1e-12)
+    np.testing.assert_allclose(found.outputs["tau"], predict_record(law(), record), rtol=1e-12)
     assert set(found.outputs["health"]) <= {1.0, 2.0}
     assert set(found.outputs["level"]) == {1.0}
 
