@@ -44,6 +44,8 @@ def open_page(chromium: "Browser") -> Iterator[OpenPage]:
 
     def open_one(path: Path, *, prepare: str = "", **options: Any) -> "Page":
         context = chromium.new_context(offline=True, **options)
+        # A machine without a graphics card that is busy with other tests draws slowly.
+        context.set_default_timeout(120_000)
         contexts.append(context)
         page = context.new_page()
         page.on("console", lambda message: wrong.append(f"{message.type}: {message.text}"))
