@@ -23,7 +23,7 @@ def monitor(
     accept: Accept = None,
     json_file: Json = None,
 ) -> None:
-    """Follow friction over days of logs: factors with bands, alarms, trends.
+    """Follow friction over days of logs: bands, alarms, trends.
 
     Example: hesr monitor monday.csv tuesday.csv --law law.json --robot robot.toml
     --rigid-body rigid_body.json -o page.html

@@ -95,7 +95,7 @@ def test_in_the_closed_loop_it_says_what_the_next_run_goes_on_from(tmp_path: Pat
     kept = tmp_path / ".results-unfinished"
     command = ("run", study, "-o", tmp_path / "results")
     with started(*command, folder=tmp_path) as process:
-        wait_for(lambda: len(list(kept.glob("*.json"))) >= 2, process)
+        wait_for(lambda: len(list(kept.glob("[!.]*.json"))) >= 2, process)  # not half of one
         said = ended(process, signal.SIGINT, tmp_path)
     one_sentence(said, STOPPED)
     found = re.search(r"(\d+) finished rows of the closed loop are kept in (\S+): the", said)
