@@ -34,7 +34,7 @@ def torque(t: np.ndarray, dq: np.ndarray, case: tuple[float, ...]) -> np.ndarray
 def record(case: tuple[float, ...], *, noise: float = 0.0, seed: int = 4) -> FrictionRecord:
     rng = np.random.default_rng(seed)
     t = 1.0 + np.cumsum(rng.uniform(0.004, 0.008, 2500))
-    dq = velocity(t)
+    dq = velocity(t) * np.minimum((t - t[0]) / 0.2, 1.0)  # from rest, where the law begins
     tau = torque(t, dq, case) + noise * rng.normal(size=len(t))
     zero = np.zeros_like(t)
     return FrictionRecord(log="run", joint="j1", t=t, dq=dq, q=zero, tau_load=zero, tau=tau)

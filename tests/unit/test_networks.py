@@ -29,6 +29,7 @@ def record(rows: int = 1500, seed: int = 0, *, noise: float = 0.05) -> FrictionR
     rng = np.random.default_rng(seed)
     t = np.cumsum(rng.uniform(0.006, 0.014, rows))
     dq = np.sin(1.3 * t + seed) * (0.6 + 0.4 * np.sin(0.31 * t))
+    dq *= np.minimum((t - t[0]) / 0.2, 1.0)  # from rest, where laws begin
     dq[rows // 2 : rows // 2 + 40] = 0.0
     h, states = 0.0, []
     for step, target in zip(np.diff(t, prepend=t[0]), np.tanh(BETA * dq), strict=True):
