@@ -111,7 +111,7 @@ class Comparison:
     laws : scores of each law.
     ratios : of each other law to the reference.
     leading : for each joint the law of the least error, and those that it is not better than
-        beyond chance, adjusted for all such comparisons (Holm); empty in results of earlier
+        beyond chance, adjusted for all comparisons on the joint (Holm); empty in results of earlier
         versions.
     per_log : what of each test log was fitted before it was compared; empty where nothing was,
         None in a study that fits nothing of the kind.
@@ -196,7 +196,13 @@ def compare(
     ratios = paired((law, references[law], j) for law in others for j in numbered)
     ranked = [law for law in predictions if _runs(law)]
     best = [min(ranked, key=lambda law: scores[law][j].rmse) for j in numbered] if ranked else []
-    apart = paired((law, best[j], j) for j in numbered for law in ranked if law != best[j])
+    # A family for each joint: over all of them so many comparisons leave few blocks no power.
+    apart = {
+        key: ratio
+        for j in numbered
+        if best
+        for key, ratio in paired((law, best[j], j) for law in ranked if law != best[j]).items()
+    }
     return Comparison(
         joints=tuple(of_joint[0].joint for of_joint in records),
         tau_std=tuple(s.tau_std for s in scores[fallback]),

@@ -79,7 +79,6 @@ def test_kinds_of_variables(root):
         ("output", "continuous", "calculated", False),
         ("output", "discrete", "calculated", False),
         ("local", "continuous", "calculated", False),
-        ("local", "continuous", "exact", True),
         ("parameter", "fixed", "exact", True),
         ("parameter", "tunable", "exact", True),
     }
@@ -96,9 +95,9 @@ def test_unknowns(root):
     states = [int(variables[i - 1][0].get("derivative")) for i in derivatives]
     assert listed["Outputs"] == outputs
     assert listed["Derivatives"] == derivatives
-    # In the order of the variables; a state whose start value is exact is no unknown.
-    assert listed["InitialUnknowns"] == sorted({*outputs, *derivatives})
-    assert {variables[i - 1].get("initial") for i in states} == {"exact"}
+    # In the order of the variables; states are calculated from the first inputs.
+    assert listed["InitialUnknowns"] == sorted({*outputs, *derivatives, *states})
+    assert {variables[i - 1].get("initial") for i in states} == {"calculated"}
     for part in root.find("ModelStructure"):
         for unknown in part:
             on = [int(i) for i in unknown.get("dependencies").split()]
@@ -119,9 +118,11 @@ def test_declared_dependencies_are_those_of_the_binary(root, fmu):
     moving |= {v: 3.0 for v in knowns if v.startswith("tau_load[")}
     fmu.set_all(c, moving)
     assert fmu("NewDiscreteStates", c, ctypes.create_string_buffer(64)) == OK
+    states = {variables[int(v[0].get("derivative")) - 1] for v in scalars(root)
+              if v[0].get("derivative")}  # fmt: skip
     for unknown in root.find("ModelStructure/InitialUnknowns"):
         name = variables[int(unknown.get("index")) - 1]
-        if name.startswith("dtau_ddq"):
+        if name.startswith("dtau_ddq") or name in states:  # states are knowns from then on
             continue
         on = {variables[int(i) - 1] for i in unknown.get("dependencies").split()}
         others = [v for v in knowns if v not in on]
@@ -135,13 +136,14 @@ def test_declared_dependencies_are_those_of_the_binary(root, fmu):
 def test_choice_of_the_integration(root):
     """An Integer: Maestro 3.1.1 loads no FMU with an Enumeration, libcosim sets none."""
     assert "Enumeration" not in {v[0].tag for v in scalars(root)}
-    (choice,) = (v for v in scalars(root) if v[0].tag == "Integer")
+    choice, start = (v for v in scalars(root) if v[0].tag == "Integer")
     assert choice.attrib["name"] == "discretisation"
+    assert start.attrib["name"] == "start_mode"
     assert choice.get("description").endswith(": 1 = exact, 2 = euler")
     assert (choice.get("causality"), choice.get("variability")) == ("parameter", "fixed")
     limits = {"min": "1", "max": "2"}
     assert choice[0].attrib == {"declaredType": "Discretisation", "start": "1"} | limits
-    (kind,) = root.findall("TypeDefinitions/SimpleType")
+    kind = root.findall("TypeDefinitions/SimpleType")[0]
     assert kind.get("name") == "Discretisation"
     assert kind.get("description").startswith("1 = exact for inputs held over a step")
     assert (kind[0].tag, kind[0].attrib) == ("Integer", limits)

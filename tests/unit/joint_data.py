@@ -27,7 +27,8 @@ class Path:
     load: np.ndarray
 
 
-def path(seed: int = 0, *, seconds: float = 12.0, peak: float = 1.0, rests: bool = True) -> Path:
+def path(seed: int = 0, *, seconds: float = 12.0, peak: float = 1.0, rests: bool = True,
+         from_rest: bool = False) -> Path:  # fmt: skip
     """A few harmonics, each path with other phases; at a third and two thirds the joint rests."""
     rng = np.random.default_rng(1000 + seed)
     t = np.cumsum(rng.uniform(0.005, 0.011, round(seconds / 0.008)))
@@ -43,6 +44,8 @@ def path(seed: int = 0, *, seconds: float = 12.0, peak: float = 1.0, rests: bool
     weights = peak * np.array([0.4, 0.3, 0.2, 0.1])
     angle = np.outer(run, rates) + phases
     dq = np.where(rest, 0.0, np.sin(angle) @ weights)
+    if from_rest:
+        dq *= np.minimum((t - t[0]) / 0.2, 1.0)
     q = -np.cos(angle) @ (weights / rates)
     load = 15.0 * np.sin(1.3 * t + phases[0]) + 10.0 * np.cos(0.7 * t + phases[1])
     return Path(t=t, dq=dq, q=q, load=load)

@@ -35,7 +35,7 @@ def test_forces_do_not_drive() -> None:
 
 
 def test_the_torque_is_that_of_the_equation() -> None:
-    way = path(2)
+    way = path(2, from_rest=True)
     z, expected = 0.0, []
     for k, (v, load) in enumerate(zip(way.dq, way.load, strict=True)):
         if k and v:

@@ -24,7 +24,7 @@ from hesr_model.inference.correlation import correlation_length, standard_errors
 TRUTH = law(
     "strain_wave", {}, x_0=4e-3, mu_avg=0.12, mu_dif=0.03, F_c=5.0, sigma_2=7.0, tau_0=0.5
 )  # fmt: skip
-CLEAN = along(TRUTH, path(0))
+CLEAN = along(TRUTH, path(0, from_rest=True))
 
 
 def noise(seed: int, memory: float) -> np.ndarray:

@@ -245,8 +245,8 @@ REGISTRY = {
     "parfam_h": "its state 'h' is driven by alpha*tanh(beta*dq), ",
     "strain_wave": "has the term mu_avg*z*abs(tau_load), which is of the load",
     "parfam_hx": "its state 'h' is driven by ",
-    "parfam_s": "its state 'x_1' is a stop, and MuJoCo's bristles relax",
-    "parfam_s_load": "its state 'x_1' is a stop, and MuJoCo's bristles relax",
+    "parfam_s": "is a stop, and MuJoCo's bristles relax",
+    "parfam_s_load": "is a stop, and MuJoCo's bristles relax",
     "parfam_s_v": "is a stop, and MuJoCo's bristles relax",
     "lugre_textbook": "has the term dq*sigma_t/(1 + abs(dq)/v_t), which is neither",
 }
