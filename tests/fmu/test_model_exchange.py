@@ -176,8 +176,8 @@ def stepped(fmu, step, *, followed, name="tau[1]"):
     ones = (ctypes.c_int * 3)(1, 1, 1)
     fmu("SetupExperiment", c, 0, 0.0, 0.0, 0, 0.0)
     fmu("EnterInitializationMode", c)
-    discretisation = fmu.references(["discretisation"])
-    assert fmu("SetInteger", c, discretisation, 1, (ctypes.c_int * 1)(1)) == 0
+    chosen = fmu.references(["discretisation", "start_mode"])  # exact, from the start values
+    assert fmu("SetInteger", c, chosen, 2, (ctypes.c_int * 2)(1, 2)) == 0
     u = motion(step * np.arange(round(END / step) + 1)).T.copy()
     pointers = [(ctypes.c_double * 3).from_buffer(row) for row in u]
     fmu("SetReal", c, inputs, 3, pointers[0])
@@ -230,6 +230,7 @@ def test_cvode_of_fmpy_equals_exact_steps(chosen, tmp_path):
             str(tmp_path / "F.fmu"),
             fmi_type="ModelExchange",
             solver="CVode",
+            start_values={"start_mode": 2},
             stop_time=END,
             output_interval=TIMES[1],
             relative_tolerance=1e-9,
@@ -248,6 +249,7 @@ def test_euler_of_fmpy(chosen, tmp_path):
         str(tmp_path / "F.fmu"),
         fmi_type="ModelExchange",
         solver="Euler",
+        start_values={"start_mode": 2},  # as the truth begins
         stop_time=END,
         step_size=t[1],
         output_interval=t[1],

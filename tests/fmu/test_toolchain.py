@@ -115,7 +115,8 @@ def test_only_the_functions_of_fmi_are_exported(folder, table1, tmp_path):
 
 def test_sizes(table1_fmu):
     with zipfile.ZipFile(table1_fmu) as archive:
-        assert archive.getinfo("binaries/linux64/friction_parfam_h.so").file_size <= 40 * 1024
+        # 40 KiB and what finds where states begin: start modes and steady states.
+        assert archive.getinfo("binaries/linux64/friction_parfam_h.so").file_size <= 42 * 1024
     assert table1_fmu.stat().st_size <= 120 * 1024
 
 
@@ -192,7 +193,7 @@ def test_a_date_that_is_none_is_refused(table1, tmp_path, monkeypatch):
         export_fmu(table1, tmp_path / "F.fmu")
 
 
-def test_an_export_that_fails_leaves_the_old_file(table1, tmp_path, monkeypatch):
+def test_an_export_that_fails_leaves_the_old_file(table1, tmp_path, monkeypatch, empty_cache):
     path = tmp_path / "F.fmu"
     path.write_bytes(b"old")
     monkeypatch.setattr("fmpy.validation.validate_fmu", lambda _: ["something is wrong"])
