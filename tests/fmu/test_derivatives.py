@@ -151,7 +151,8 @@ def test_directional_derivatives_where_a_step_has_ended(fmu, joint):
     places = [begun.get(name, name) for name in knowns]
     reached = dict(zip(knowns, fmu.get(slave, *places), strict=True))
     c = initialising(fmu, reached)
-    assert fmu.get(slave, *unknowns) == fmu.get(c, *unknowns)
+    # To the last bit but one: a step computes its end in another order than an evaluation does.
+    assert fmu.get(slave, *unknowns) == pytest.approx(fmu.get(c, *unknowns), rel=1e-14, abs=0.0)
     for known, place_of_it in zip(knowns, places, strict=True):
         moved = tangent(fmu, slave, unknowns, {place_of_it: 1.0})
         assert list(moved) == list(tangent(fmu, c, unknowns, {known: 1.0}))
