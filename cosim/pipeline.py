@@ -18,9 +18,8 @@ from cosim.scoring import (
     by_joint,
     compare,
     input_classes,
-    measured_start,
     predict_fmu,
-    takes_start,
+    rows_of,
     within,
 )
 from cosim.study import Study
@@ -345,12 +344,8 @@ class Job:
         comparisons, predictions = {}, {}
         inputs = input_classes(models)
         tests = self.study.logs.test
-        variants = [
-            (law, with_start)
-            for law, model in models.items()
-            for with_start in ((False, True) if takes_start(model) else (False,))
-        ]
-        cases = [(name, *row) for name in tests for row in variants]
+        variants = rows_of(models)
+        cases = [(name, row) for name in tests for row in variants]
         jobs = [
             partial(
                 predict_fmu,
@@ -358,14 +353,13 @@ class Job:
                 records_of(tests[name], records),
                 measured_start=with_start,
             )
-            for name, law, with_start in cases
+            for name, row in cases
+            for law, with_start in (variants[row],)
         ]
         replayed: dict[str, dict[str, list[list[Array]]]] = {name: {} for name in tests}
         with parallel.results_of(jobs) as results:
-            for name, law, with_start in counted(
-                cases, partial(self.progress, "replaying the FMUs")
-            ):
-                replayed[name][measured_start(law) if with_start else law] = next(results)
+            for name, row in counted(cases, partial(self.progress, "replaying the FMUs")):
+                replayed[name][row] = next(results)
         for name, logs in tests.items():
             tested = records_of(logs, records)
             predicted = replayed[name]

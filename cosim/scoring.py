@@ -60,8 +60,8 @@ class Ratio:
     def verdict(self) -> str:
         """Whether the law is "better" or "worse" than its reference, or "alike"."""
         if self.p is None:  # as earlier versions judged
-            sure = self.low is not None and self.high is not None
-            sure = sure and (self.high < 1.0 or self.low > 1.0)  # type: ignore[operator]
+            low, high = self.low, self.high
+            sure = low is not None and high is not None and (high < 1.0 or low > 1.0)
         else:
             sure = self.p < SIGNIFICANCE
         if not sure:
@@ -305,6 +305,15 @@ def takes_start(model: FrictionModel) -> bool:
     return any(law.start_samples for law in model.laws)
 
 
+def rows_of(models: Mapping[str, FrictionModel]) -> dict[str, tuple[str, bool]]:
+    """Return the model of each row of a table, and whether it starts from measured torques."""
+    return {
+        measured_start(name) if with_start else name: (name, with_start)
+        for name, model in models.items()
+        for with_start in ((False, True) if takes_start(model) else (False,))
+    }
+
+
 def input_classes(models: Mapping[str, FrictionModel]) -> dict[str, str]:
     """Return the inputs of each row of a table, by which rows compare fairly.
 
@@ -312,12 +321,10 @@ def input_classes(models: Mapping[str, FrictionModel]) -> dict[str, str]:
     ----------
     models : by their names; those that can start from measured torques are a second row, too.
     """
-    found = {}
-    for name, model in models.items():
-        found[name] = inputs_of(model)
-        if takes_start(model):
-            found[measured_start(name)] = f"{inputs_of(model)}, start"
-    return found
+    return {
+        row: inputs_of(models[name]) + (", start" if with_start else "")
+        for row, (name, with_start) in rows_of(models).items()
+    }
 
 
 def predict_model(
@@ -349,14 +356,13 @@ def predict_models(
 ) -> dict[str, list[list[Array]]]:
     """Return the torque of each row of a table, as `predict_model` does, by its name.
 
-    Rows are those of `input_classes`: models that can start from measured torques have two.
+    Rows are those of `rows_of`: models that can start from measured torques have two.
     """
-    found = {}
-    for name, model in counted(models.items(), progress):
-        found[name] = predict_model(model, records)
-        if takes_start(model):
-            found[measured_start(name)] = predict_model(model, records, measured_start=True)
-    return found
+    rows = rows_of(models)
+    return {
+        row: predict_model(models[name], records, measured_start=with_start)
+        for row, (name, with_start) in counted(rows.items(), progress)
+    }
 
 
 def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) -> list[list[Array]]:

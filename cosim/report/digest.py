@@ -4,17 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cosim.report.results import Results
+from cosim.scoring import CLASSIC
 from cosim.tables.loop import outcome
 from cosim.tables.markdown import markdown
 from cosim.tables.properties import legend, properties
 from cosim.tables.scores import MEASURES, errors
 from cosim.tables.table import PAPERS, ResultTable, TableRow, named
 from hesr_model.support.files import written_whole
-
-_CLASSIC = (
-    *("stribeck", "lugre", "lugre_textbook", "lugre_passive", "lugre_load", "lugre_load_ripple"),
-    *("dahl", "dahl_load", "strain_wave"),
-)
 
 
 def write_digest(folders: Sequence[Path], output: Path) -> Path:
@@ -72,7 +68,7 @@ def short(results: Results) -> ResultTable:
     test = results.tests[0]
     whole = errors(test, results.comparisons[test], sliding=results.sliding)
     ranked = [str(row.head) for row in whole.rows]
-    best = min((law for law in _CLASSIC if named(law) in ranked),
+    best = min((law for law in CLASSIC if named(law) in ranked),
                key=lambda law: ranked.index(named(law)), default=results.best)  # fmt: skip
     wanted = list(dict.fromkeys(named(law) for law in (best, PAPERS, results.best)))
     rows = {str(row.head): row for row in whole.rows}

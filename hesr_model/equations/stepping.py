@@ -109,6 +109,3 @@ def _function(
         modules=[dict(SCALAR), "math"],
         cse=lambda _: (list(lines.items()), wanted),
     )
-
-
-__all__ = ["Run", "Steps"]

@@ -17,7 +17,7 @@ import numpy as np
 
 from hesr_model.equations.over_log import Array
 from hesr_model.errors import SimulationError
-from hesr_model.forward.stepping import Steps
+from hesr_model.forward.stepping import LawSteps
 from hesr_model.forward.windows import Windows
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.robot import RobotModel
@@ -76,7 +76,7 @@ class Simulator:
         found = np.empty_like(windows.q)
         found[:, 0] = q
         own = [None] * len(x) if values is None else values
-        laws = [Steps(law, one) for law, one in zip(self.friction.laws, own, strict=True)]
+        laws = [LawSteps(law, one) for law, one in zip(self.friction.laws, own, strict=True)]
         steps = np.diff(windows.t, axis=1)
         with np.errstate(all="ignore"):  # what diverges is seen in the result
             for k, dt in enumerate(steps.T):
@@ -113,7 +113,7 @@ class Simulator:
         return forward, forward @ inverse @ forward.T
 
     def _implicit(
-        self, laws: Sequence[Steps], h: Array, q: Array, v: Array, x: list[Array], tau: Array,
+        self, laws: Sequence[LawSteps], h: Array, q: Array, v: Array, x: list[Array], tau: Array,
         inverse: Array, load: Array,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Do one inner step; states `x` are moved in place."""
@@ -138,7 +138,7 @@ class Simulator:
         return q + h[:, None] * v, v
 
     def _explicit(
-        self, laws: Sequence[Steps], h: Array, q: Array, v: Array, x: list[Array], tau: Array,
+        self, laws: Sequence[LawSteps], h: Array, q: Array, v: Array, x: list[Array], tau: Array,
         inverse: Array, load: Array,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Do one step as MuJoCo's Euler does: all forces and rates are those before it."""
@@ -167,7 +167,14 @@ def position_errors(found: Array, windows: Windows) -> tuple[float | None, ...]:
 
 
 def _root(
-    law: Steps, h: Array, q: Array, load: Array, x: Array, target: Array, gain: Array, start: Array
+    law: LawSteps,
+    h: Array,
+    q: Array,
+    load: Array,
+    x: Array,
+    target: Array,
+    gain: Array,
+    start: Array,
 ) -> Array:
     """Return the velocity s at which s + gain F(s) = target, (W,) [rad/s], by Illinois' method.
 

@@ -28,8 +28,8 @@ def _lowered(form: LawForm) -> Any:
     return lowered(arguments, (torque, *states.values()))
 
 
-class Steps:
-    """Steps a law, W motions at once.
+class LawSteps:
+    """LawSteps a law, W motions at once.
 
     Parameters
     ----------

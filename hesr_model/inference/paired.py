@@ -63,7 +63,8 @@ def units(
     periods : sample period of each log [s].
     """
     if len(above) >= ENOUGH:
-        return tuple(np.array([float(e @ e) for e in of]) for of in (above, below))  # type: ignore[return-value]
+        whole = [np.array([float(e @ e) for e in of]) for of in (above, below)]
+        return whole[0], whole[1]
     length = max(
         SHORTEST,
         *(

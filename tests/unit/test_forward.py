@@ -13,7 +13,7 @@ from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr_model.errors import SimulationError
 from hesr_model.forward.simulation import Simulator, position_errors
-from hesr_model.forward.stepping import Steps
+from hesr_model.forward.stepping import LawSteps
 from hesr_model.forward.windows import whole, windows_of
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fitting.fit import fit
@@ -117,7 +117,7 @@ def test_steps_are_those_of_a_law_over_a_log(registry_models: dict[str, Friction
     for name, model in registry_models.items():
         law = model.laws[0]
         expected = predict(law, t=t, dq=dq, q=q, tau_load=load)
-        steps, x = Steps(law), np.array(law.start)[:, None].repeat(2, axis=1)
+        steps, x = LawSteps(law), np.array(law.start)[:, None].repeat(2, axis=1)
         for k in range(60):
             dt = np.full(2, t[k] - t[k - 1] if k else 0.0)
             inputs = (np.full(2, column[k]) for column in (dq, q, load))
