@@ -17,6 +17,9 @@ NAMES = (
     "friction", "exact", "lugre", "trajectory", "body", "controller", "arm", "open", "closed",
 )  # fmt: skip
 
+# States at their start attributes: CasADi, which evaluates the equations only, begins there.
+EXACT = {"discretisation": "exact", "start_mode": "given"}
+
 LUGRE = {
     "sigma_0": 2.0e3, "sigma_1": 1.5, "sigma_2": 3.0,
     "F_c": 9.0, "F_s": 12.0, "v_s": 0.08, "tau_0": 0.2,
@@ -42,7 +45,7 @@ def alone(folder: Path, closed: Together) -> list[Alone]:
     names = ("trajectory", "body", "controller", "arm")
     return [
         driven(friction, name="friction"),
-        driven(friction, name="exact", start={"discretisation": "exact"}),
+        driven(friction, name="exact", start=EXACT),
         driven(export_fmu(lugre(), folder / "LuGre.fmu"), name="lugre"),
         *(driven(used[name].fmu, name=name, start=used[name].start) for name in names),
     ]
