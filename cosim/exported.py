@@ -2,14 +2,11 @@
 
 import json
 import os
-import sys
-from collections.abc import Callable, Iterator, Mapping
-from importlib.metadata import entry_points, requires, version
+from collections.abc import Callable, Mapping
+from importlib.metadata import entry_points
 from pathlib import Path
-from re import match
 
-import fmu_src
-import hesr_model
+from fmu_src.software import software
 from hesr_model.support.bounded import read_text
 from hesr_model.support.cache import kept
 from hesr_model.support.files import written_whole
@@ -46,22 +43,7 @@ def exported(
         return output.read_bytes()
 
     date = os.environ.get("SOURCE_DATE_EPOCH", "")
-    inputs = (text, json.dumps(options, sort_keys=True), output.suffix, date, *_software())
+    inputs = (text, json.dumps(options, sort_keys=True), output.suffix, date, software())
     data = kept("fmus", inputs, make)
     with written_whole(output) as temporary:
         temporary.write_bytes(data)
-
-
-def _software() -> Iterator[str | bytes]:
-    """Yield all of ours that exports a model, and the versions of what it is built upon."""
-    yield sys.version
-    for requirement in requires("hesr") or ():
-        name = match(r"[\w.-]+", requirement)
-        if name and "extra ==" not in requirement:
-            yield f"{name[0]} {version(name[0])}"
-    for package in (hesr_model, fmu_src):
-        home = Path(str(package.__file__)).parent
-        for file in sorted(home.rglob("*")):
-            if file.is_file() and file.suffix != ".pyc":
-                yield file.relative_to(home).as_posix()
-                yield file.read_bytes()

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from cosim.batch import Array, Batch
+from cosim.batch import Array, Batch, Buffer
 from cosim.instance import PLATFORM
+from cosim.slave import Component
 from cosim.stepping import Layout
 from fmu_src.package import own_source
 from fmu_src.toolchain import TARGETS, build
@@ -94,15 +95,8 @@ class Native:
         stations = (_Station * len(inputs))()
         self._held: list[Any] = [stations]  # as long as addresses of it are
         for at, into, out, station in zip(stations, inputs, outputs, layout.stations, strict=True):
-            at.component = into.instance
-            at.set, at.get, at.step = (
-                ctypes.cast(into.library[name], ctypes.c_void_p).value
-                for name in ("fmi2SetReal", "fmi2GetReal", "fmi2DoStep")
-            )
+            self._held += _connect(at, into, out)
             at.every = station.every
-            at.inputs, at.outputs = into.values.size, out.values.size
-            at.input_references = self._address(into.references)
-            at.output_references = self._address(out.references)
             at.sources = self._address(station.sources.astype(np.int64))
             at.input_values = self._address(into.values)
             at.output_values = self._address(out.values)
@@ -151,6 +145,76 @@ class Native:
             layout.require_limits((self.done - 1) * layout.step)
         if failing >= 0:
             self._fail[failing](_FUNCTIONS[end], int(system.status))
+
+
+def _connect(at: _Station, into: Batch, out: Batch) -> tuple[Batch, Batch]:
+    """Fill in how a component is called; return what must stay while it is."""
+    at.component = into.instance
+    at.set, at.get, at.step = (
+        ctypes.cast(into.library[name], ctypes.c_void_p).value
+        for name in ("fmi2SetReal", "fmi2GetReal", "fmi2DoStep")
+    )
+    at.inputs, at.outputs = into.values.size, out.values.size
+    at.input_references = into.references.ctypes.data
+    at.output_references = out.references.ctypes.data
+    return into, out
+
+
+_AT_ONCE = 1 << 16  # rows, after which signals are seen
+
+
+def through(
+    component: Component, inputs: Buffer, outputs: Buffer, times: Array, sizes: Array, rows: Array
+) -> Array:
+    """Take a component through rows of inputs, each set, then stepped over, then read.
+
+    In C where the FMU runs in this process and there is a compiler; the numbers are the same.
+
+    Parameters
+    ----------
+    component : the FMU, after its initialisation.
+    inputs, outputs : batches of it.
+    times, sizes : (K,) where steps begin, and how long they are [s].
+    rows : (K, m) values of the inputs, in their units.
+
+    Returns
+    -------
+    (K, n) values of the outputs.
+
+    Raises
+    ------
+    SimulationError
+        If the FMU fails.
+    """
+    found = np.empty((len(rows), outputs.values.size))
+    if isinstance(inputs, Batch) and isinstance(outputs, Batch) and (library := _library()):
+        _through(library["through"], component, (inputs, outputs), times, sizes, rows, found)
+        return found
+    for k, (time, size) in enumerate(zip(times.tolist(), sizes.tolist(), strict=True)):
+        inputs.values[:] = rows[k]
+        inputs.write()
+        component.step(time, size)
+        found[k] = outputs.read()
+    return found
+
+
+def _through(
+    function: Any, component: Component, batches: tuple[Batch, Batch],
+    times: Array, sizes: Array, rows: Array, found: Array,
+) -> None:  # fmt: skip
+    at, done, status = _Station(), ctypes.c_int64(0), ctypes.c_int(0)
+    _connect(at, *batches)
+    arrays = [np.ascontiguousarray(part, dtype=float) for part in (times, sizes, rows)]
+    places = [ctypes.c_void_p(part.ctypes.data) for part in (*arrays, found)]
+    while done.value < len(rows):
+        stop = min(done.value + _AT_ONCE, len(rows))
+        end = _End(function(ctypes.byref(at), *places, ctypes.c_int64(stop), ctypes.byref(done),
+                            ctypes.byref(status)))  # fmt: skip
+        k = done.value - (end is _End.DONE)
+        over = end in (_End.DONE, _End.GET_FAILED)
+        component.time = float(times[k] + sizes[k]) if over else float(times[k])
+        if end is not _End.DONE:
+            batches[0].fail(_FUNCTIONS[end], status.value)
 
 
 @cache

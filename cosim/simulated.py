@@ -24,6 +24,9 @@ LENGTHS = (0.2, 0.5)
 
 _WEIGHTLESS = 1e-9  # of the largest torque
 
+_Errors = tuple[float | None, ...]
+"""Of each joint [rad; m]; None where a law diverges."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -53,26 +56,7 @@ def simulate_laws(
 
     Why not is logged as a warning.
     """
-    logs = by_joint(records)
-    try:
-        cut = [windows_of(logs, length) for length in LENGTHS]
-        found = {
-            law: Simulator(robot=robot, parameters=body.parameters, friction=model)
-            for law, model in models.items()
-        }
-        free = _weightless(logs, robot, body)
-        return Simulated(
-            joints=tuple(robot.description.joints),
-            lengths=LENGTHS,
-            windows={
-                law: tuple(position_errors(one.run(w), w) for w in cut)
-                for law, one in found.items()
-            },
-            open_loop={law: _open_loop(one, logs) for law, one in found.items()} if free else {},
-        )
-    except SimulationError as error:
-        _log.warning("warning: laws are not scored as simulators: %s", error)
-        return None
+    return simulate_tests(models, {"": records}, robot, body).get("")
 
 
 def simulate_tests(
@@ -82,10 +66,45 @@ def simulate_tests(
     body: RigidBody,
 ) -> dict[str, Simulated]:
     """Score laws as simulators on test sets, by name; those that cannot be simulated are absent."""
-    jobs = [partial(simulate_laws, models, records, robot, body) for records in tests.values()]
+    jobs = [
+        partial(_simulated, model, records, robot, body)
+        for records in tests.values()
+        for model in models.values()
+    ]
+    found: dict[str, Simulated] = {}
     with parallel.results_of(jobs) as results:
-        found = dict(zip(tests, results, strict=True))
-    return {name: of_test for name, of_test in found.items() if of_test is not None}
+        for test in tests:
+            of_laws, reason = {}, None
+            for law in models:
+                part = next(results)
+                if isinstance(part, SimulationError):
+                    reason = reason or part
+                else:
+                    of_laws[law] = part
+            if reason:
+                _log.warning("warning: laws are not scored as simulators: %s", reason)
+                continue
+            found[test] = Simulated(
+                joints=tuple(robot.description.joints),
+                lengths=LENGTHS,
+                windows={law: windows for law, (windows, _) in of_laws.items()},
+                open_loop={law: free for law, (_, free) in of_laws.items() if free},
+            )
+    return found
+
+
+def _simulated(
+    model: FrictionModel, records: Records, robot: RobotModel, body: RigidBody
+) -> tuple[tuple[_Errors, ...], _Errors] | SimulationError:
+    """Return the errors over windows of each length and in open loop, or why there are none."""
+    logs = by_joint(records)
+    try:
+        one = Simulator(robot=robot, parameters=body.parameters, friction=model)
+        cut = [windows_of(logs, length) for length in LENGTHS]
+        windows = tuple(position_errors(one.run(w), w) for w in cut)
+        return windows, _open_loop(one, logs) if _weightless(logs, robot, body) else ()
+    except SimulationError as error:
+        return error
 
 
 def _weightless(logs: Logs, robot: RobotModel, body: RigidBody) -> bool:

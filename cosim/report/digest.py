@@ -10,6 +10,7 @@ from cosim.tables.markdown import markdown
 from cosim.tables.properties import legend, properties
 from cosim.tables.scores import MEASURES, errors
 from cosim.tables.table import PAPERS, ResultTable, TableRow, named
+from cosim.verdict import read_verdict
 from hesr_model.support.files import written_whole
 
 
@@ -42,9 +43,11 @@ def write_digest(folders: Sequence[Path], output: Path) -> Path:
 def _run(results: Results) -> list[str]:
     """Return the parts of a run's chapter."""
     run = results.run
+    said = read_verdict(results.folder)
     parts = [
         f"## {run.study}: {run.robot}\n",
         f"`{run.command}`\n",
+        *(f"{sentence}\n" for sentence in (said.sentences if said else ())),
         "### In short\n",
         markdown(short(results)),
         "### Prediction\n",

@@ -35,6 +35,7 @@ def export_drive(
     platforms: Sequence[str] = ("linux64",),
     progress: Progress = silent,
     fmi: Version = 2,
+    bare: bool = False,
 ) -> Path:
     """Write a friction model with the motors of its joints as an FMI 2.0 FMU for co-simulation.
 
@@ -52,6 +53,7 @@ def export_drive(
     platforms : names of `toolchain.TARGETS`, or "all".
     progress : told for how many of them it is built.
     fmi : version of FMI.
+    bare : without its documentation, to try the law in.
 
     Returns
     -------
@@ -66,7 +68,9 @@ def export_drive(
         If `path` cannot be written.
     """
     check_request(path, platforms)
-    own = content(model, inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio)
+    own = content(
+        model, inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio, bare=bare
+    )
     return write_fmu(own, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
@@ -77,6 +81,7 @@ def content(
     stiffness: Sequence[float] | None = None,
     damping: Sequence[float] | None = None,
     ratio: Sequence[float] | None = None,
+    bare: bool = False,
 ) -> Content:
     """Return the FMU of a drive, before it is compiled; arguments are those of `export_drive`."""
     require_numbers(model)
@@ -97,14 +102,19 @@ def content(
     )
     names = ("balance.h", "coupling.h", "drive.c", "law_math.h", "root.h")
     sources = {name: own_source(name) for name in names}
+    members = (
+        {}
+        if bare
+        else {
+            "documentation/index.html": to_html(model, table, about).encode(),
+            EMBEDDED_MODEL: (json.dumps(model_to_json(model), indent=2) + "\n").encode(),
+        }
+    )
     return Content(
         table=table,
         about=about,
         sources=sources | {"equations.h": equations_to_c(model, table)},
-        members={
-            "documentation/index.html": to_html(model, table, about).encode(),
-            EMBEDDED_MODEL: (json.dumps(model_to_json(model), indent=2) + "\n").encode(),
-        },
+        members=members,
         stimuli=_stimuli(model, own),
     )
 

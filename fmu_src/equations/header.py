@@ -7,8 +7,10 @@ import numpy as np
 
 from fmu_src.equations.c_functions import Functions
 from fmu_src.interface import Interface, literal
+from fmu_src.software import software
 from hesr_model.equations.component import Component
 from hesr_model.robots.transmission import Coupling
+from hesr_model.support.cache import kept
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,12 +156,7 @@ def equations_header(
         c: Functions(c, f"law_{i}", tunable=not first[c].constants, gathered=first[c].gathered)
         for i, c in enumerate(distinct, start=1)
     }
-    texts = [
-        write(own)
-        for own in functions.values()
-        for name, (write, _) in needs.functions.items()
-        if _wanted(name, own)
-    ]
+    texts = [_text(own, needs) for own in functions.values()]
     arrays, rows, before = [], [], 0
     for i, joint in enumerate(joints, start=1):
         own = functions[joint.component]
@@ -190,6 +187,18 @@ def equations_header(
         rows="\n".join(rows),
         coupling=_coupling(coupling, len(joints)),
     )
+
+
+def _text(own: Functions, needs: Needs) -> str:
+    """Return the functions of a component, of which writing takes long, or those kept of it."""
+    wanted = {name: write for name, (write, _) in needs.functions.items() if _wanted(name, own)}
+    about = (own.name, f"{own.tunable} {own.gathered}", repr(own.component))
+    made = kept(
+        "functions",
+        (software(), *wanted, *about),
+        lambda: "\n".join(write(own) for write in wanted.values()).encode(),
+    )
+    return made.decode()
 
 
 def _coupling(coupling: Coupling | None, joints: int) -> str:

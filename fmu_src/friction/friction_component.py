@@ -353,7 +353,8 @@ def nominal(law: FrictionLaw, element: Element) -> float:
     """
     at = {c.symbol: law.values[c.name] for c in law.form.coefficients}
     at |= dict.fromkeys(INPUTS, 0.0) | {DQ: _CRAWL} | {m.state: 0.0 for m in law.form.memory}
-    first, second = (float(e.subs(at)) for e in element.parts)
+    numbers = {symbol: sympy.Float(value) for symbol, value in at.items()}
+    first, second = (float(e.xreplace(numbers)) for e in element.parts)
     slides_at = abs(first / second) if second else 0.0
     size = slides_at if isinstance(element, Relaxation) else second
     return _usual(size)

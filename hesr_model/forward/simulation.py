@@ -25,7 +25,7 @@ from hesr_model.robots.robot import RobotModel
 SUBSTEP = 2.5e-3
 """Longest inner step [s]."""
 
-_SWEEPS = 3  # over joints, whose friction acts on each other by the mass matrix
+_SWEEPS = 2  # over joints, whose friction acts on each other by the mass matrix
 _ITERATIONS = 12  # of a root
 _PRECISION = 1e-10  # of a velocity [rad/s]
 

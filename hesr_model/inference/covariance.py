@@ -19,8 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
-from scipy.stats import t as student
+from scipy.special import chdtri, ndtri, stdtrit
 
 from hesr_model.errors import ArtifactError
 from hesr_model.support.typed_json import Numbers, to_json
@@ -97,7 +96,7 @@ class Covariance:
         """What logs differ by over what their rows say; 1 where that can be chance."""
         if not self.degrees:
             return 1.0
-        by_chance = chi2.ppf(1.0 - _BY_CHANCE, self.degrees) / self.degrees
+        by_chance = chdtri(self.degrees, _BY_CHANCE) / self.degrees
         return float(np.sqrt(self.between)) if self.between > by_chance else 1.0
 
     @property
@@ -219,7 +218,7 @@ def _for_few_rows(influences: Sequence[Array]) -> Array:
     squares = np.sum([np.sum(psi**2, axis=0) for psi in influences], axis=0)
     fourths = np.sum([np.sum(psi**4, axis=0) for psi in influences], axis=0)
     degrees = np.maximum(3.0 * squares**2 / np.maximum(fourths, 1e-300), 2.0)
-    ratio = student.ppf(_UPPER, degrees) / norm.ppf(_UPPER)
+    ratio = stdtrit(degrees, _UPPER) / ndtri(_UPPER)
     return np.outer(ratio, ratio)
 
 

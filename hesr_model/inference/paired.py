@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from hesr_model.inference.correlation import correlation_length
 
@@ -111,7 +111,7 @@ def compare_errors(
         drawn = rng.multinomial(len(a), np.full(len(a), 1.0 / len(a)), DRAWS)
         spread = _log_ratio(drawn @ a, drawn @ b) - _log_ratio(np.sum(a), np.sum(b))
         few = len(a) - 1
-        wider = student.ppf((1 + LEVEL) / 2, few) / 1.96 * np.sqrt(len(a) / few)
+        wider = stdtrit(few, (1 + LEVEL) / 2) / 1.96 * np.sqrt(len(a) / few)
         tails = np.quantile(spread, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
         low, high = (value * float(np.exp(wider * tail)) for tail in tails)
     return Paired(value=value, low=low, high=high, p=float(p))

@@ -12,11 +12,12 @@ from closed_loop import Bench
 import cosim.native
 from cosim.closed_loop import Scheme
 from cosim.master import Master, Result
-from cosim.native import Native
+from cosim.native import Native, through
+from cosim.slave import Component
 from cosim.stepping import Readable
 from cosim.system import SystemSpec
 from fmu_src.arm.python_fmu import export_python_arm
-from hesr_model.errors import ExportError
+from hesr_model.errors import ExportError, SimulationError
 from hesr_model.support.files import models_folder
 
 
@@ -142,3 +143,51 @@ def test_without_a_compiler_the_steps_are_those_in_python(lag_fmu, monkeypatch, 
         assert type(master._stepper) is Readable
     assert "systems are stepped in Python (the C compiler cannot be run.)" in caplog.text
     cosim.native._library.cache_clear()
+
+
+def rows_of_a_lag(fmu: Path, refused: float, count: int) -> tuple[bytes, str, float]:
+    """Outputs, failure and time of a lag that is taken through rows of uneven length."""
+    sizes = np.tile([0.1, 0.25, 0.03], count)
+    times = np.concatenate([[0.0], np.cumsum(sizes)[:-1]])
+    with Component(fmu) as component:
+        inputs, outputs = component.batch(["u"]), component.batch(["y", "x"])
+        component.initialise(start={"T": 0.5, "refused": refused})
+        try:
+            found = through(component, inputs, outputs, times, sizes, np.sin(times)[:, None])
+        except SimulationError as error:
+            return b"", str(error), component.time
+        assert np.ptp(found[:, 0]) > 0.1
+        assert found[:, 0].tobytes() == found[:, 1].tobytes()
+        return found.tobytes(), "", component.time
+
+
+@pytest.mark.parametrize("refused", [1e9, 5.0])
+def test_rows_are_gone_through_as_in_python(lag_fmu, refused, monkeypatch):
+    own = rows_of_a_lag(lag_fmu, refused, 40)
+    assert ("where it is refused" in own[1]) == (refused < 10.0)
+    monkeypatch.setattr(cosim.native, "_library", lambda: None)
+    assert rows_of_a_lag(lag_fmu, refused, 40) == own
+
+
+def test_signals_are_seen_between_many_rows(lag_fmu, monkeypatch):
+    whole = rows_of_a_lag(lag_fmu, 1e9, 40)
+    monkeypatch.setattr(cosim.native, "_AT_ONCE", 7)
+    assert rows_of_a_lag(lag_fmu, 1e9, 40) == whole
+
+
+def test_an_input_that_is_refused_among_rows(lag_fmu, monkeypatch):
+    """A number that is none is refused where it is set, after the rows before it."""
+
+    def found() -> tuple[str, float]:
+        with Component(lag_fmu) as component:
+            inputs, outputs = component.batch(["u"]), component.batch(["y"])
+            component.initialise()
+            rows = np.array([[1.0], [1.0], [np.nan], [1.0]])
+            with pytest.raises(SimulationError) as error:
+                through(component, inputs, outputs, np.arange(4.0), np.ones(4), rows)
+            return str(error.value), component.time
+
+    own = found()
+    assert own[1] == 2.0
+    monkeypatch.setattr(cosim.native, "_library", lambda: None)
+    assert found() == own

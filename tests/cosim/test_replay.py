@@ -1,7 +1,5 @@
 """Replaying a log through an FMU."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -24,12 +22,6 @@ def test_replay_equals_the_prediction_of_the_model(friction_fmu, log):
     for i, law in enumerate(read_model(model_file("uf850-table1")).laws):
         expected = predict(law, t=t, dq=dq[:, i])
         assert np.abs(torque[:, i] - expected).max() <= 1e-12 * np.abs(expected).max()
-
-
-def test_replay_takes_well_under_a_second(friction_fmu, log):
-    begin = time.perf_counter()
-    replay(friction_fmu, *log)
-    assert time.perf_counter() - begin < 1.0
 
 
 def test_the_first_sample_is_read_before_any_step(friction_fmu, log):

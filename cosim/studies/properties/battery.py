@@ -151,7 +151,8 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
         if model and inertia is not None:
             # The drive of a joint that slides moves by the same equations, its inertia a mass.
             turning = replace(model, sliding=())
-            drive = export_drive(turning, Path(folder, "drive.fmu"), inertia=inertia.tolist())
+            own = inertia.tolist()
+            drive = export_drive(turning, Path(folder, "drive.fmu"), inertia=own, bare=True)
             with drive_bench(drive, places) as driven:
                 for key, experiment in _DRIVEN.items():
                     found[key] = _tried(partial(experiment, driven, scale), joints)

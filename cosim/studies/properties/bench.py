@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.batch import Array
+from cosim.native import through
 from cosim.slave import Component
 from fmu_src.friction.friction_component import GIVEN, START_MODE
 from hesr_model.errors import SimulationError
@@ -125,14 +126,19 @@ class FrictionBench:
         -------
         (K, n) torque at the end of each [N.m].
         """
-        tau = np.empty_like(dq)
+        n = self.joints
         told = np.broadcast_to(self.places, dq.shape) if q is None else q
-        for k, seconds in enumerate(dt.tolist()):
-            parts = 1 if self.exact else max(1, int(np.ceil(seconds / _SUBSTEP)))
-            for _ in range(parts):
-                held = None if load is None else load[k]
-                tau[k] = self.step(seconds / parts, dq[k], told[k], held)
-        return tau
+        held = np.broadcast_to(self._inputs.values[2 * n :], dq.shape) if load is None else load
+        parts = np.ones(len(dt), dtype=int)
+        if not self.exact:
+            parts = np.maximum(np.ceil(dt / _SUBSTEP).astype(int), 1)
+        sizes = np.repeat(dt / parts, parts)
+        times = np.cumsum(np.concatenate([[self._time], sizes]))
+        rows = np.repeat(np.hstack([dq, told, held]), parts, axis=0)
+        tau = through(self._component, self._inputs, self._outputs, times[:-1], sizes, rows)
+        self._inputs.values[:] = rows[-1]
+        self._time = float(times[-1])
+        return np.asarray(tau[np.cumsum(parts) - 1])
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from cosim.report.digest import short, write_digest
 from cosim.report.results import Results
 from cosim.tables.markdown import markdown
 from cosim.tables.table import ResultTable, TableCell, TableRow, named
+from cosim.verdict import read_verdict
 from hesr_model.errors import ArtifactError
 
 
@@ -40,6 +41,9 @@ def test_every_figure_is_that_of_the_runs_files(small_results: Path, tmp_path: P
     text = page.read_text(encoding="utf-8")
     results = Results.read(small_results)
     assert text.count(f"## {results.run.study}: {results.run.robot}\n") == 2
+    said = read_verdict(small_results)
+    assert said
+    assert all(text.splitlines().count(sentence) == 2 for sentence in said.sentences)
     scores = results.comparisons[results.tests[0]]
     lines = [cells(line) for line in text.splitlines() if line.startswith("| ")]
     for law in scores.laws:
