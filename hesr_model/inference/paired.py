@@ -8,6 +8,7 @@ days and other motions are no part of it.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -95,26 +96,35 @@ def compare_errors(
     well be exchanged. It counts all exchanges where these are no more than `DRAWS`.
     """
     a, b = units(above, below, periods)
-    rng = np.random.default_rng(0)
+    flips, seen, drawn = _resamples(len(a))
     value = float(np.sqrt(np.sum(a) / max(float(np.sum(b)), 1e-300)))
     found = abs(_log_ratio(np.sum(a), np.sum(b)))
-    if 2 ** len(a) <= DRAWS:
-        flips = (np.arange(2 ** len(a))[:, None] >> np.arange(len(a))) % 2
-        seen = 0
-    else:
-        flips, seen = rng.integers(0, 2, (DRAWS, len(a))), 1
     change = flips @ (b - a)
     exchanged = np.abs(_log_ratio(np.sum(a) + change, np.sum(b) - change))
     p = (np.count_nonzero(exchanged >= found - 1e-9) + seen) / (len(flips) + seen)
     low = high = None
     if len(a) > 1:
-        drawn = rng.multinomial(len(a), np.full(len(a), 1.0 / len(a)), DRAWS)
         spread = _log_ratio(drawn @ a, drawn @ b) - _log_ratio(np.sum(a), np.sum(b))
         few = len(a) - 1
         wider = stdtrit(few, (1 + LEVEL) / 2) / 1.96 * np.sqrt(len(a) / few)
         tails = np.quantile(spread, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
         low, high = (value * float(np.exp(wider * tail)) for tail in tails)
     return Paired(value=value, low=low, high=high, p=float(p))
+
+
+@lru_cache(maxsize=8)
+def _resamples(count: int) -> tuple[Array, int, Array]:
+    """Return exchanges (F, count) of units, how many of them stand for what was seen, and draws.
+
+    The same for all comparisons of as many units: making them takes longer than a comparison.
+    """
+    rng = np.random.default_rng(0)
+    if 2**count <= DRAWS:
+        flips, seen = (np.arange(2**count)[:, None] >> np.arange(count)) % 2, 0
+    else:
+        flips, seen = rng.integers(0, 2, (DRAWS, count)), 1
+    drawn = rng.multinomial(count, np.full(count, 1.0 / count), DRAWS)
+    return flips.astype(float), seen, drawn.astype(float)
 
 
 def holm(p: Mapping[Key, float]) -> dict[Key, float]:
