@@ -14,6 +14,9 @@ BIN := $(VENV)/bin
 override IGNORED += tests/benchmarks
 C_FILES := $(wildcard fmu_src/c/*.c fmu_src/c/*.h tests/fmu/*.c tests/fmu/*.h tests/fmu/one_file/*.c tests/fmu/one_file/m7/*.[ch] tests/cosim/properties/*.c)
 
+# As many test processes as cores: more threads of linear algebra would wait for each other.
+test contract hard soak: export OMP_NUM_THREADS = 1
+
 HARD := tests/fuzz tests/unit/test_cache.py tests/fmu/test_state.py tests/fmu/test_blocks.py \
   $(patsubst %,tests/cosim/test_%.py,hard_to_break hostile_archives foreign_fmus workers replay)
 
@@ -26,10 +29,10 @@ test: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) -n 2 --dist loadfile --no-loadscope-reorder -m "not soak"
 
 contract: $(VENV)/installed
-	$(BIN)/pytest tests/contract -m "not soak"
+	$(BIN)/pytest tests/contract -n 2 --dist worksteal -m "not soak"
 
 hard: $(VENV)/installed
-	$(BIN)/pytest $(HARD) -m "not soak"
+	$(BIN)/pytest $(HARD) -n 2 --dist loadfile --no-loadscope-reorder -m "not soak"
 
 soak: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) -n 2 --dist worksteal -m soak
