@@ -92,7 +92,8 @@ def export_bare(
     Arguments and errors are those of `export_fmu`.
     """
     table, about, sources = _component(model)
-    bare = Content(table=table, about=about, sources=sources, members={})
+    members = {EMBEDDED_MODEL: _embedded(model)}  # of which measured torques find the start
+    bare = Content(table=table, about=about, sources=sources, members=members)
     return write_fmu(bare, path, platforms=platforms, fmi=fmi)
 
 

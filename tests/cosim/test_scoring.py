@@ -21,6 +21,7 @@ from cosim.scoring import (
 from cosim.tables.scores import errors
 from cosim.tables.terminal import Drawn
 from fmu_src import export_fmu
+from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.errors import ArtifactError, ConfigError, SimulationError
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
@@ -308,11 +309,13 @@ def test_tables_group_laws_of_equal_inputs_the_fewest_first(
 # --- FMUs -------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def fmu(tmp_path_factory: pytest.TempPathFactory) -> tuple[FrictionModel, Path]:
+@pytest.fixture(scope="module", params=[export_fmu, export_bare])
+def fmu(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[FrictionModel, Path]:
     """A model of which one joint takes its start from the first torques."""
     model = model_of(bristle(), stribeck())
-    return model, export_fmu(model, tmp_path_factory.mktemp("fmu") / "made.fmu")
+    return model, request.param(model, tmp_path_factory.mktemp("fmu") / "made.fmu")
 
 
 def test_an_fmu_with_estimated_start_predicts_what_its_model_does(

@@ -81,12 +81,9 @@ def started(outcome: Outcome, law: str) -> str:
 @pytest.mark.parametrize("joint", range(6), ids=lambda joint: f"J{joint + 1}")
 @pytest.mark.parametrize("measure", MOST)
 def test_the_extended_law_predicts_unseen_motions(
-    scores: Comparison, measure: str, joint: int, request: pytest.FixtureRequest
+    scores: Comparison, measure: str, joint: int
 ) -> None:
     own = measured_start("parfam_hx")
-    if measure == "rmse" and joint in (3, 4):
-        lost = "fits that begin in the steady state lose here: .408 and .557 N.m"
-        request.applymarker(pytest.mark.xfail(reason=lost))
     assert errors(scores, own, measure)[joint] <= MOST[measure][joint]
 
 
