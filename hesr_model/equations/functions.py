@@ -199,6 +199,8 @@ def _cardinal_slope(x: Any) -> Any:
 
 def _share(z: Any, e: Any, euler: Any) -> Any:
     small = np.abs(z) < _SERIES_BELOW
+    if euler is False and not np.any(small):  # as in most rows of most logs
+        return -e / z
     series = 1.0 - z / 2.0 * (1.0 - z / 3.0 * (1.0 - z / 4.0 * (1.0 - z / 5.0)))
     return np.where(euler, 1.0, np.where(small, series, -e / np.where(small, 1.0, z)))
 
