@@ -40,6 +40,16 @@ _GLUE = (
     "variable.h",
 )
 
+_GLUE_3 = (
+    "fmi3.c",
+    "fmi3.h",
+    "fmi3_absent.c",
+    "fmi3_continuous.c",
+    "fmi3_instance.h",
+    "fmi3_step.c",
+    "fmi3_variables.c",
+)
+
 _ALL_C = """\
 /* The whole FMU as one translation unit: compile this file and no other. */
 #ifdef __clang__
@@ -231,7 +241,7 @@ def _built(source: Path, identifier: str, target: Target, own: Binary | None) ->
 
 
 def _sources(own: Mapping[str, str], fmi: Version) -> dict[str, str]:
-    glue = (*_GLUE, "fmi3.h", "fmi3.c") if fmi == 3 else _GLUE
+    glue = (*_GLUE, *_GLUE_3) if fmi == 3 else _GLUE
     files = {name: own_source(name) for name in glue} | dict(own)
     parts = [name for name in files if name.endswith(".c")]
     files["all.c"] = (

@@ -23,6 +23,9 @@ typedef struct {
     double own[OWN > 0 ? OWN : 1]; /* zero at the start; the glue only copies it */
     double slope[VARIABLES];       /* of inputs over the next step [unit/s], kept by the glue */
     double time;                   /* [s], kept by the glue */
+    double may_end_early;          /* whether a step may end at an event, kept by the glue */
+    double done;                   /* of the last step [s] */
+    double event;                  /* whether there was one at its end */
 } Component;
 
 /* One sentence for the user: why a function refused, or what happened. */
@@ -48,7 +51,9 @@ static bool component_output(Component *component, void *workspace, Message *why
 
 /* Move the states by `step` > 0 [s] with the inputs held, and compute as component_output does for
  * the end of the step. With INNER_STEPS the inputs are those of the step's beginning, from which
- * they follow their slopes. The glue advances the time afterwards. */
+ * they follow their slopes; such a component says whether there was an event at the end of the
+ * step, and where it may, ends the step at the first one and says how much is done. The glue
+ * advances the time afterwards. */
 static bool component_step(Component *component, void *workspace, double step, Message *why);
 
 /* Compute the variables that are marked as on demand. */

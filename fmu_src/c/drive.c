@@ -13,6 +13,8 @@
  * with the states x of the law relaxed over the step at that speed (implicit Euler). Of several
  * roots the one is taken that is reached first from dq in the direction in which R falls.
  *
+ * A motor that starts, stops or turns back in an inner step makes an event at its end.
+ *
  * The generated equations.h defines the functions of the laws and where the variables of a joint
  * stand.
  */
@@ -168,6 +170,8 @@ static bool component_output(Component *component, void *workspace, Message *why
 
 static bool component_step(Component *component, void *workspace, double step, Message *why) {
     const double parts = fmax(1.0, ceil(step / component->v[SUBSTEP] * (1.0 - ROUNDING)));
+    double n = 0.0;
+    bool event = false;
     Motion motion[JOINTS];
     (void)workspace;
     if (!(parts <= MOST_PARTS)) {
@@ -180,13 +184,21 @@ static bool component_step(Component *component, void *workspace, double step, M
     }
     for (int i = 0; i < JOINTS; i++) {
         motion[i] = motion_of(component, i);
-        for (double n = 1.0; n <= parts; n++) {
+    }
+    do {
+        event = false;
+        n++;
+        for (int i = 0; i < JOINTS; i++) {
             const Step part = step_of(component, i, step / parts, step * (n / parts));
+            const double before = sgn(motion[i].dq);
             if (!advance(&part, i, &motion[i], why)) {
                 return false;
             }
+            event |= sgn(motion[i].dq) != before;
         }
-    }
+    } while (n < parts && !(event && component->may_end_early != 0.0));
+    component->event = event;
+    component->done = n < parts ? step * (n / parts) : step;
     clear_links(component);
     for (int i = 0; i < JOINTS; i++) {
         put(component, i, &motion[i]);

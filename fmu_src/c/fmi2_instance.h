@@ -67,6 +67,7 @@ typedef struct {
     int mode;
     int sloped; /* whether any slope has been set */
     int stale;  /* whether the outputs are older than what they depend on */
+    int paused; /* whether a co-simulation of FMI 3.0 is at an event */
 } Memory;
 
 typedef struct {

@@ -62,8 +62,9 @@ static bool is_possible(const Memory *memory, Message *why) {
     const bool typed =
         memory->type == fmi2CoSimulation || (memory->type == fmi2ModelExchange && MODEL_EXCHANGE);
     if (!typed || !is_mode(memory->mode, memory->type) || memory->refusals < 0 ||
-        memory->refusals > MOST_REFUSALS + 1 || (memory->sloped | memory->stale) >> 1 != 0 ||
-        isnan(memory->stop) || !isfinite(memory->refused) || !isfinite(memory->component.time)) {
+        memory->refusals > MOST_REFUSALS + 1 ||
+        (memory->sloped | memory->stale | memory->paused) >> 1 != 0 || isnan(memory->stop) ||
+        !isfinite(memory->refused) || !isfinite(memory->component.time)) {
         snprintf(why->text, sizeof why->text, "no instance can be in it");
         return false;
     }

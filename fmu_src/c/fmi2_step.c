@@ -23,7 +23,7 @@ static bool follow(Memory *memory, void *workspace, double step, Message *why) {
     component_event(&memory->component, 0.0, NULL);
     bool moved = component_step(&memory->component, workspace, step, why);
     if (moved) {
-        follow_slopes(memory, &before, step);
+        follow_slopes(memory, &before, memory->component.done);
         component_event(&memory->component, 0.0, NULL);
         moved = component_output(&memory->component, workspace, why);
     }
@@ -35,7 +35,14 @@ static bool follow(Memory *memory, void *workspace, double step, Message *why) {
     return true;
 }
 
+/* Unless the component says otherwise, a step is made as a whole and nothing happens in it. */
+static void begin_step(Memory *memory, double step) {
+    memory->component.done = step;
+    memory->component.event = 0.0;
+}
+
 static bool move(Memory *memory, void *workspace, double step, Message *why) {
+    begin_step(memory, step);
     if (memory->sloped) {
         return follow(memory, workspace, step, why);
     }
@@ -87,6 +94,7 @@ FMI2_STATUS(fmi2DoStep)
     }
     if (is_rounding(step)) {
         memory->refusals = 0;
+        begin_step(memory, step);
         memory->component.time = time + step;
         forget_slopes(memory);
         return fmi2OK;
@@ -97,7 +105,7 @@ FMI2_STATUS(fmi2DoStep)
         return refuse_step(instance, step, &why);
     }
     memory->refusals = 0;
-    memory->component.time = time + step;
+    memory->component.time = time + memory->component.done;
     memory->stale = false;
     if (!all_finite(memory, &why)) {
         complain(instance, "%s", why.text);

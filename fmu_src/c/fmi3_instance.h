@@ -1,0 +1,59 @@
+/* An instance of FMI 3.0: one of FMI 2.0, and what its host calls differently. */
+#ifndef FMI3_INSTANCE_H
+#define FMI3_INSTANCE_H
+
+#include "fmi2_instance.h"
+#include "fmi3.h"
+
+typedef struct {
+    fmi2Component inner;
+    fmi3InstanceEnvironment environment;
+    fmi3LogMessageCallback log;
+    bool events; /* whether the host of a co-simulation asked for event mode */
+    bool early;  /* and whether steps may end early */
+} Outer;
+
+#define INNER(c) ((c) ? ((Outer *)(c))->inner : NULL)
+#define STATUS(call) ((fmi3Status)(call))
+
+static Memory *memory_of(fmi3Instance c) {
+    return &((Instance *)((Outer *)c)->inner)->memory;
+}
+
+/* The functions of FMI 2.0 that have other names in FMI 3.0, then the beginning of all others.
+ */
+static const char *const renamed[][2] = {
+    {"fmi2SetReal", "fmi3SetFloat64"},
+    {"fmi2GetReal", "fmi3GetFloat64"},
+    {"fmi2SetInteger", "fmi3SetInt32"},
+    {"fmi2GetInteger", "fmi3GetInt32"},
+    {"fmi2SetupExperiment", "fmi3EnterInitializationMode"},
+    {"fmi2NewDiscreteStates", "fmi3UpdateDiscreteStates"},
+    {"fmi2GetDerivatives", "fmi3GetContinuousStateDerivatives"},
+    {"fmi2GetFMUstate", "fmi3GetFMUState"},
+    {"fmi2SetFMUstate", "fmi3SetFMUState"},
+    {"fmi2FreeFMUstate", "fmi3FreeFMUState"},
+    {"fmi2SerializedFMUstateSize", "fmi3SerializedFMUStateSize"},
+    {"fmi2SerializeFMUstate", "fmi3SerializeFMUState"},
+    {"fmi2DeSerializeFMUstate", "fmi3DeserializeFMUState"},
+    {"fmi2", "fmi3"},
+};
+
+/* Pass a message of the inner instance on; it may begin with the name of a function. */
+static void pass_on(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status,
+                    fmi2String category, fmi2String message, ...) {
+    const Outer *outer = environment;
+    char text[sizeof(Message) + 512];
+    (void)name;
+    for (size_t i = 0; i < sizeof renamed / sizeof renamed[0]; i++) {
+        const size_t length = strlen(renamed[i][0]);
+        if (strncmp(message, renamed[i][0], length) == 0) {
+            snprintf(text, sizeof text, "%s%s", renamed[i][1], message + length);
+            message = text;
+            break;
+        }
+    }
+    outer->log(outer->environment, (fmi3Status)status, category, message);
+}
+
+#endif
