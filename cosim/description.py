@@ -6,6 +6,7 @@ from tempfile import TemporaryDirectory
 
 from fmpy.model_description import ModelDescription, read_model_description
 
+from cosim.scalars import Declared, with_scalars
 from fmu_src.archive import MOST_TEXT, Archive
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.support.text import plain, quoted
@@ -15,7 +16,7 @@ _IDENTIFIER = re.compile(r"[A-Za-z_][0-9A-Za-z_]*")
 
 
 def model_description(fmu: Path) -> ModelDescription:
-    """Read what an FMU says of itself.
+    """Read what an FMU says of itself, of FMI 3.0 with its arrays as scalars.
 
     Raises
     ------
@@ -24,13 +25,17 @@ def model_description(fmu: Path) -> ModelDescription:
     """
     try:
         with Archive(fmu) as archive:
-            return description_in(archive)
+            return description_in(archive)[0]
     except ArtifactError as error:
         raise SimulationError(f"{error}") from error
 
 
-def description_in(archive: Archive) -> ModelDescription:
+def description_in(archive: Archive) -> tuple[ModelDescription, list[Declared]]:
     """Read what the FMU in an archive says of itself.
+
+    Returns
+    -------
+    Its description and, of FMI 3.0, its variables; see `cosim.scalars`.
 
     Raises
     ------
@@ -53,4 +58,4 @@ def description_in(archive: Archive) -> ModelDescription:
                 f"{fmu}: its modelIdentifier is {quoted(str(kind.modelIdentifier))}; needed is an "
                 "identifier of C."
             )
-    return about
+    return with_scalars(about) if about.fmiVersion.startswith("3.") else (about, [])

@@ -25,7 +25,8 @@ from typing import Any
 import numpy as np
 
 from cosim.batch import Batch
-from cosim.instance import Binary, CallError, Instance, LoadError
+from cosim.instance import Binary, CallError, LoadError
+from cosim.instance3 import instance_of
 
 MOST_MEMORY = 4 << 30
 MOST_IN_A_FILE = 1 << 30
@@ -135,8 +136,8 @@ class _Host:
             answer["failed"] = str(error)[:LONGEST_MESSAGE]
         return answer | {"messages": self._said()}
 
-    def _load(self, binary: dict[str, str]) -> None:
-        self._instance = Instance(Binary(**binary), self._tell)
+    def _load(self, binary: dict[str, Any]) -> None:
+        self._instance = instance_of(Binary(**binary), self._tell)
 
     def _call(self, function: str, *arguments: float) -> None:
         self._instance.call(function, *arguments)

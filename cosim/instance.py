@@ -22,17 +22,32 @@ from fmpy.fmi2 import (
 )
 
 from cosim.batch import WARNING, Array, Batch
+from cosim.scalars import Declared
 
 PLATFORM: str = fmpy.platform
 """This platform, as FMI 2.0 names it."""
 
-BINARIES = f"binaries/{PLATFORM}/"
-"""Folder of the binaries for this platform, in an FMU."""
+BINARIES = {2: f"binaries/{PLATFORM}/", 3: f"binaries/{fmpy.platform_tuple}/"}
+"""Folder of the binaries for this platform, in an FMU of a version of FMI."""
 
 SUFFIX: str = fmpy.sharedLibraryExtension
 """Of a binary's name."""
 
 _TYPES = {"Boolean": fmi2Boolean, "Integer": fmi2Integer, "String": fmi2String}
+
+
+_RENAMED = {
+    "fmi2SetReal": "fmi3SetFloat64",
+    "fmi2GetReal": "fmi3GetFloat64",
+    "fmi2SetInteger": "fmi3SetInt32",
+}
+
+
+def renamed(function: str, fmi: int) -> str:
+    """Return what a function of FMI 2.0 is called in a version of FMI."""
+    if fmi == 2:
+        return function
+    return _RENAMED.get(function, function.replace("fmi2", "fmi3"))
 
 
 class LoadError(Exception):
@@ -68,12 +83,16 @@ class Binary:
     folder : of the unpacked FMU.
     guid, identifier : from its description.
     name : of the instance.
+    fmi : version.
+    variables : of FMI 3.0; see `cosim.scalars`.
     """
 
     folder: str
     guid: str
     identifier: str
     name: str
+    fmi: int = 2
+    variables: Sequence[Declared] = ()
 
     to_json = asdict
 
@@ -105,23 +124,29 @@ class Instance:
         try:
             # FMPy changes the working directory and, if loading fails, does not change it back.
             with chdir(binary.folder):
-                self._slave = FMU2Slave(
-                    guid=binary.guid,
-                    modelIdentifier=binary.identifier,
-                    unzipDirectory=binary.folder,
-                    instanceName=binary.name,
-                )
+                self._make(binary)
         except Exception as error:  # FMPy raises bare exceptions
             raise LoadError(str(error)) from error
+        try:
+            self._begin(binary)
+        except Exception as error:  # FMPy raises bare exceptions
+            self._slave.freeLibrary()
+            raise failure(CallError(str(error))) from error
+
+    def _make(self, binary: Binary) -> None:
+        self._slave: Any = FMU2Slave(
+            guid=binary.guid,
+            modelIdentifier=binary.identifier,
+            unzipDirectory=binary.folder,
+            instanceName=binary.name,
+        )
+
+    def _begin(self, _binary: Binary) -> None:
         callbacks = fmi2CallbackFunctions()
         callbacks.logger = fmi2CallbackLoggerTYPE(self._log)
         callbacks.allocateMemory = defaultCallbacks.allocateMemory
         callbacks.freeMemory = defaultCallbacks.freeMemory
-        try:
-            self._slave.instantiate(callbacks=callbacks)
-        except Exception as error:  # FMPy raises bare exceptions
-            self._slave.freeLibrary()
-            raise failure(CallError(str(error))) from error
+        self._slave.instantiate(callbacks=callbacks)
         # Past FMPy's layer as in `Batch`.
         self._do_step = self._slave.dll["fmi2DoStep"]
         self._instance = c_void_p(self._slave.component)
@@ -188,10 +213,16 @@ class Instance:
             if stepping:
                 # A slave that refuses to end has to be freed all the same.
                 with suppress(FMICallException):
-                    self._slave.fmi2Terminate(self._slave.component)
-            self._slave.fmi2FreeInstance(self._slave.component)
+                    self._end()
+            self._free()
         finally:
             self._slave.freeLibrary()
+
+    def _end(self) -> None:
+        self._slave.fmi2Terminate(self._slave.component)
+
+    def _free(self) -> None:
+        self._slave.fmi2FreeInstance(self._slave.component)
 
     def kill(self) -> None:
         """Do the same where nobody wants to wait."""

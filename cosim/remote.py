@@ -23,7 +23,7 @@ import numpy as np
 
 from cosim.batch import Array
 from cosim.host import LONGEST_TEXT, PLACE, WORDS, Exchange, unpacked_answer
-from cosim.instance import Binary, CallError, DiedError, LoadError
+from cosim.instance import Binary, CallError, DiedError, LoadError, renamed
 from hesr_model.support.process import FailedError, Started, how_it_ended
 from hesr_model.support.text import plain
 
@@ -77,6 +77,7 @@ class Remote:
         seconds: float,
     ) -> None:
         self._tell, self._failure, self._seconds = tell, failure, seconds
+        self._fmi = binary.fmi
         self._numbers: dict[tuple[int, ...], int] = {}
         self._sizes: list[int] = []
         self._written: list[tuple[int, bytes]] = []
@@ -215,7 +216,7 @@ class Remote:
         try:
             status, place, rest = unpacked_answer(data)
             if status:
-                name, found = names[place], []
+                name, found = renamed(names[place], self._fmi), []
             else:
                 name, found = "", read[: max(place, len(needed))]
             for number in found:
@@ -292,7 +293,7 @@ class Remote:
     def _died(self, functions: Sequence[str], how: str) -> Exception:
         self.kill()
         place = min(self._reached, len(functions) - 1)
-        return self._failure(DiedError(f"{functions[place]} {how}"))
+        return self._failure(DiedError(f"{renamed(functions[place], self._fmi)} {how}"))
 
 
 def _waiting(connection: Connection) -> Callable[..., object]:

@@ -11,6 +11,8 @@ from fmpy.model_description import ModelDescription
 from cosim.batch import WARNING, Array, Buffer
 from cosim.description import description_in
 from cosim.instance import BINARIES, SUFFIX, Binary, DiedError, Instance, LoadError
+from cosim.instance3 import instance_of
+from cosim.scalars import Declared
 from cosim.variables import Variables
 from fmu_src import exported
 from fmu_src.archive import Archive
@@ -32,7 +34,7 @@ class Component:
 
     Parameters
     ----------
-    fmu : the FMU, FMI 2.0 for co-simulation.
+    fmu : the FMU, FMI 2.0 or 3.0 for co-simulation; the variables of 3.0 are named as those of 2.0.
     name : name of the instance; the file's stem where not given.
     seconds : longest call of a foreign FMU [s].
 
@@ -40,6 +42,7 @@ class Component:
     ----------
     description : the FMU's own, once it is loaded.
     variables : look-up in it.
+    declared : of FMI 3.0, its variables as they are declared; see `cosim.scalars`.
     time : that the FMU has reached, or at which the call began that failed [s].
     messages : what the FMU has told its host.
     used : whether an initialisation has begun, so that a reset is needed before another one.
@@ -60,6 +63,7 @@ class Component:
 
     description: ModelDescription
     variables: Variables
+    declared: list[Declared]
 
     def __init__(self, fmu: Path, *, name: str | None = None, seconds: float = SECONDS) -> None:
         self.fmu = fmu
@@ -98,24 +102,29 @@ class Component:
     def _unpack(self, folder: Path) -> bool:
         """Unpack what is needed here; return whether the FMU is known as one of ours."""
         with Archive(self.fmu) as archive:
-            self.description = description_in(archive)
-            archive.unpack(folder, lambda name: name.startswith((BINARIES, "resources/")))
+            self.description, self.declared = description_in(archive)
+            own = (*BINARIES.values(), "resources/")
+            archive.unpack(folder, lambda name: name.startswith(own))
             return exported.is_known(archive.digest())
 
     def _loaded(self, folder: Path, *, known: bool) -> "Instance | Remote":
         about = self.description
-        if about.fmiVersion != "2.0" or about.coSimulation is None:
-            raise SimulationError(f"{self.fmu}: not an FMU of FMI 2.0 for co-simulation.")
+        fmi = {"2.0": 2, "3.0": 3}.get(about.fmiVersion)
+        if fmi is None or about.coSimulation is None:
+            raise SimulationError(f"{self.fmu}: not an FMU of FMI 2.0 or 3.0 for co-simulation.")
         identifier = about.coSimulation.modelIdentifier
-        library = f"{BINARIES}{identifier}{SUFFIX}"
+        library = f"{BINARIES[fmi]}{identifier}{SUFFIX}"
         if not (folder / library).is_file():
             raise SimulationError(
                 f"{self.fmu}: has no binary for this platform; needed is {library}."
             )
-        binary = Binary(folder=str(folder), guid=about.guid, identifier=identifier, name=self.name)
+        binary = Binary(
+            folder=str(folder), guid=about.guid, identifier=identifier, name=self.name, fmi=fmi,
+            variables=self.declared,
+        )  # fmt: skip
         try:
             if known:
-                return Instance(binary, self._log, self._failure)
+                return instance_of(binary, self._log, self._failure)
             from cosim.remote import Remote  # slow to import
 
             own = folder / "process"  # no folder of an FMU's archive, of which two are unpacked

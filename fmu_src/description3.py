@@ -81,7 +81,7 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
         ET.SubElement(root, "ModelExchange", common, needsCompletedIntegratorStep="true")
     ET.SubElement(
         root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true",
-        hasEventMode="true",
+        hasEventMode="true", mightReturnEarlyFromDoStep=str(table.inner_steps).lower(),
     )  # fmt: skip
     definitions = ET.SubElement(root, "UnitDefinitions")
     for name in dict.fromkeys(v.unit for v in table.variables if v.unit):

@@ -15,6 +15,7 @@ from fmu_src.description import Description, to_xml
 from fmu_src.description3 import Arrays, build_description, to_xml3
 from fmu_src.interface import Interface, to_c
 from fmu_src.recorded import Stimuli, result_files
+from fmu_src.terminals import ICON, TERMINALS, Terminal, to_terminals
 from fmu_src.toolchain import Target, build, targets
 from hesr_model.errors import ExportError
 from hesr_model.support.cache import kept
@@ -102,6 +103,7 @@ class Content:
     members : other members of the archive by name: documentation, resources.
     libraries : for each platform the library that the component needs, if it needs one.
     stimuli : for which it carries its own answers; none where its members hold results already.
+    terminals : in FMI 3.0, what is connected as one.
     """
 
     table: Interface
@@ -110,6 +112,7 @@ class Content:
     members: Mapping[str, bytes]
     libraries: Mapping[str, Binary] = field(default_factory=dict)
     stimuli: Stimuli | None = None
+    terminals: Sequence[Terminal] = ()
 
 
 def own_source(name: str) -> str:
@@ -158,6 +161,10 @@ def write_fmu(
     members |= {f"sources/{name}": text.encode() for name, text in sorted(sources.items())}
     if fmi == 3:
         members["sources/buildDescription.xml"] = build_description(about)
+        if picture := members.pop("model.png", None):
+            members[ICON] = picture
+        if text := to_terminals(table, content.terminals, icon=picture is not None):
+            members[TERMINALS] = text
     with TemporaryDirectory(prefix="hesr-") as home:
         for name, text in sources.items():
             Path(home, name).write_text(text, encoding="utf-8")

@@ -34,6 +34,9 @@ class Alone:
     inputs : (steps + 1,) of each input.
     outputs : signals that are compared.
     start : values of parameters, by the name of the variable.
+    fmi : version.
+    arrays : of FMI 3.0, names of the elements that are one array, by its name; where one element
+        has a start value, all have.
     """
 
     name: str
@@ -43,6 +46,8 @@ class Alone:
     inputs: Mapping[str, Array]
     outputs: Sequence[str]
     start: Mapping[str, float] = field(default_factory=dict)
+    fmi: int = 2
+    arrays: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     tolerance = ALONE
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.interop.case import Alone, Array
+from cosim.scalars import arrays_of
 from cosim.slave import Component
 from cosim.system import Value
 
@@ -31,12 +32,18 @@ def driven(
     Raises
     ------
     SimulationError
-        If it is no FMU of FMI 2.0 for co-simulation with a binary for this machine, or the start
-        values do not fit it.
+        If it is no FMU of FMI 2.0 or 3.0 for co-simulation with a binary for this machine, or the
+        start values do not fit it.
     """
     with Component(fmu) as component:
         about, variables = component.description, component.variables
         given = variables.expanded(start or {})
+    fmi = int(about.fmiVersion[0])
+    arrays = arrays_of(about, component.declared)
+    for elements in arrays.values():
+        if any(name in given for name in elements):
+            whole: dict[str, float | str] = {n: float(variables[n].start or 0) for n in elements}
+            given = whole | given
     experiment = about.defaultExperiment
     step = float(experiment.stepSize) if experiment and experiment.stepSize else _STEP
     steps = round(_SECONDS / step)
@@ -57,4 +64,6 @@ def driven(
         inputs=inputs,
         outputs=[v.name for v in reals if v.causality == "output"],
         start={key: float(value) for key, value in given.items()},
+        fmi=fmi,
+        arrays=arrays,
     )

@@ -4,7 +4,7 @@ import csv
 import json
 import shutil
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
@@ -142,6 +142,7 @@ def given_alone(case: Alone) -> dict[str, Any]:
         "inputs": {name: values.tolist() for name, values in case.inputs.items()},
         "outputs": list(case.outputs),
         "start": dict(case.start),
+        "arrays": {name: list(elements) for name, elements in case.arrays.items()},
     }
 
 
@@ -155,10 +156,26 @@ def given_together(case: Together) -> dict[str, Any]:
     }
 
 
+def require_fmi_2(case: Alone) -> None:
+    """Skip an FMU of FMI 3.0."""
+    if case.fmi != 2:
+        raise SkippedError("it is run with FMI 2.0 only")
+
+
 def arguments(case: Alone) -> list[str]:
     """Return stop time, step and start values as the hosts in other languages take them."""
-    start = [f"{name}={_literal(value)}" for name, value in case.start.items()]
+    columns = _columns(case, case.start)
+    start = [
+        f"{name}={' '.join(_literal(case.start[element]) for element in elements)}"
+        for name, elements in columns.items()
+    ]
     return [repr(case.stop), repr(case.step), *start]
+
+
+def _columns(case: Alone, names: Iterable[str]) -> dict[str, Sequence[str]]:
+    """Return the variables of a file's columns, the elements of an array in one, by their names."""
+    owner = {element: name for name, elements in case.arrays.items() for element in elements}
+    return {owner.get(name, name): case.arrays.get(owner.get(name, ""), (name,)) for name in names}
 
 
 def _literal(value: float) -> str:
@@ -167,16 +184,22 @@ def _literal(value: float) -> str:
 
 
 def write_inputs(case: Alone, path: Path, delimiter: str = ",") -> None:
-    """Write the inputs as a table, all digits kept."""
+    """Write the inputs as a table, all digits kept; spaces stand between elements of an array."""
+    columns = _columns(case, case.inputs)
+    values = [np.column_stack([case.inputs[name] for name in names]) for names in columns.values()]
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, delimiter=delimiter)
-        table.writerow(["time", *case.inputs])
-        for row in np.column_stack([case.times, *case.inputs.values()]).tolist():
-            table.writerow(map(repr, row))
+        table.writerow(["time", *columns])
+        for k, time in enumerate(case.times.tolist()):
+            table.writerow([repr(time), *(" ".join(map(repr, v[k].tolist())) for v in values)])
 
 
-def read_signals(path: Path, delimiter: str = ",") -> dict[str, Array]:
+def read_signals(
+    path: Path, delimiter: str = ",", arrays: Mapping[str, Sequence[str]] | None = None
+) -> dict[str, Array]:
     """Read a table of times [s] and signals, (N,) each in their units.
+
+    Elements of an array in one column are told apart by spaces.
 
     Raises
     ------
@@ -185,7 +208,9 @@ def read_signals(path: Path, delimiter: str = ",") -> dict[str, Array]:
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            names, *rows = csv.reader(file, delimiter=delimiter)
+            header, *lines = csv.reader(file, delimiter=delimiter)
+        names = [element for name in header for element in (arrays or {}).get(name, (name,))]
+        rows = [[text for cell in line for text in cell.split()] for line in lines]
         columns = np.array(rows, dtype=float).reshape(-1, len(names)).T
     except (OSError, ValueError) as error:
         raise FailedError(f"it left no result that can be read ({error})") from error

@@ -117,7 +117,7 @@ def description_of(fmu: Path, where: str) -> Any:
     Raises
     ------
     ConfigError
-        If it is missing, or none of FMI 2.0 for co-simulation.
+        If it is missing, or none of FMI 2.0 for co-simulation, of which systems are packaged.
     SimulationError
         If it cannot be read.
     """

@@ -46,6 +46,13 @@ PLATFORMS: Mapping[str, Platform] = {
     "x86_64-darwin": Platform(**_MACH_O, machines=("X86_64",)),
 }
 
+PLATFORMS_3: Mapping[str, Platform] = {
+    "x86-linux": Platform(**_ELF, machines=("I386",)),
+    "x86-windows": Platform(**_PE, machines=("I386",)),
+    **{name: platform for name, platform in PLATFORMS.items() if "-" in name},
+}
+"""Of FMI 3.0."""
+
 _FOLDER = "binaries/"
 _PYTHON = re.compile("_?Py[A-Z_][A-Za-z_]+")
 
@@ -53,7 +60,7 @@ _PYTHON = re.compile("_?Py[A-Z_][A-Za-z_]+")
 def problems(about: Description, contents: Contents, folder: Path) -> Iterator[str]:
     """Yield what is wrong with the binaries; `folder` is for temporary files."""
     for platform, names in _by_platform(contents).items():
-        expected = PLATFORMS.get(platform)
+        expected = _platforms(about).get(platform)
         # Folders in it may hold static libraries, for which there need be no shared one.
         if expected is None or not any("/" not in name for name in names):
             continue
@@ -62,7 +69,7 @@ def problems(about: Description, contents: Contents, folder: Path) -> Iterator[s
             name = f"{_FOLDER}{platform}/{identifier}{expected.suffix}"
             if name in contents.files:
                 file = contents.files[name]
-                for text in _of_library(file, kinds, expected, names, folder):
+                for text in _of_library(file, about, kinds, expected, names, folder):
                     yield f"{plain(name)}: {text}"
             elif name not in contents.names:
                 what = " and ".join(kind.element for kind in kinds)
@@ -72,12 +79,16 @@ def problems(about: Description, contents: Contents, folder: Path) -> Iterator[s
                 )
 
 
-def skipped(contents: Contents) -> list[str]:
+def _platforms(about: Description) -> Mapping[str, Platform]:
+    return PLATFORMS if about.fmi == 2 else PLATFORMS_3
+
+
+def skipped(about: Description, contents: Contents) -> list[str]:
     """Return the folders whose binaries are not looked at, and why."""
     return [
         f"binaries/{plain(platform)}: not looked at, since no platform of this name is known."
         for platform in _by_platform(contents)
-        if platform not in PLATFORMS
+        if platform not in _platforms(about)
     ]
 
 
@@ -93,7 +104,12 @@ def _by_platform(contents: Contents) -> dict[str, set[str]]:
 
 
 def _of_library(
-    file: Path, kinds: list[Kind], expected: Platform, beside: set[str], folder: Path
+    file: Path,
+    about: Description,
+    kinds: list[Kind],
+    expected: Platform,
+    beside: set[str],
+    folder: Path,
 ) -> Iterator[str]:
     try:
         found = work("binary", file, folder, SECONDS)
@@ -108,22 +124,30 @@ def _of_library(
         needed = " or ".join(expected.machines)
         yield f"it is {is_a}; needed in this folder is {expected.format} for {needed}."
         return
-    texts = [text for part in right for text in _of_part(part, kinds, expected, beside)]
+    texts = [text for part in right for text in _of_part(part, about, kinds, expected, beside)]
     yield from dict.fromkeys(texts)
 
 
 def _of_part(
-    part: Mapping[str, Any], kinds: list[Kind], expected: Platform, beside: set[str]
+    part: Mapping[str, Any],
+    about: Description,
+    kinds: list[Kind],
+    expected: Platform,
+    beside: set[str],
 ) -> Iterator[str]:
     if not part["shared"]:
         yield "it is a program or object file; needed is a shared library."
     exports = set(part["exports"])
-    for kind in kinds:
-        yield from _missing(kind, exports)
+    if about.fmi == 2:
+        for kind in kinds:
+            yield from _missing(kind, exports)
+    elif missing := [name for name in functions.REQUIRED_3 if name not in exports]:
+        yield f"it does not export {listed(missing)}; FMI 3.0 demands all of its functions."
     # Other versions of FMI have other names, so that one library can serve several of them.
-    strange = sorted(n for n in exports if n.startswith("fmi2") and n not in functions.KNOWN)
+    own = f"fmi{about.fmi}"
+    strange = sorted(n for n in exports if n.startswith(own) and n not in functions.KNOWN)
     if strange:
-        yield f"it exports {listed(strange)}, which FMI 2.0 does not have."
+        yield f"it exports {listed(strange)}, which FMI {about.fmi}.0 does not have."
     yield from _needs(part, expected, beside)
 
 

@@ -1,4 +1,4 @@
-"""modelDescription.xml of FMI 2.0 as plain data, read without trusting that it is valid.
+"""modelDescription.xml as plain data, read without trusting that it is valid.
 
 A number that is none is None here: the schema has reported it.
 """
@@ -6,12 +6,15 @@ A number that is none is None here: the schema has reported it.
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from lxml import etree
 
 KINDS = {"ModelExchange": "model exchange", "CoSimulation": "co-simulation"}
+
+STRUCTURE = ("Outputs", "Derivatives", "InitialUnknowns")
+"""Lists of ModelStructure."""
 
 _INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
 _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?INF|NaN")
@@ -21,6 +24,8 @@ DEFAULT_INITIAL = {
     ("parameter", "tunable"): "exact",
     ("calculatedParameter", "fixed"): "calculated",
     ("calculatedParameter", "tunable"): "calculated",
+    ("structuralParameter", "fixed"): "exact",
+    ("structuralParameter", "tunable"): "exact",
     ("output", "constant"): "exact",
     ("output", "discrete"): "calculated",
     ("output", "continuous"): "calculated",
@@ -64,8 +69,9 @@ class Kind:
         return self.attributes.get("modelIdentifier", "")
 
     def can(self, capability: str) -> bool:
-        """Whether a capability flag is set."""
-        return flag(self.attributes.get(capability))
+        """Whether a capability flag is set; FMI 3.0 spells State with a capital."""
+        other = capability.replace("FMUstate", "FMUState")
+        return flag(self.attributes.get(capability, self.attributes.get(other)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +91,11 @@ class SimpleType:
 
 @dataclass(frozen=True, kw_only=True)
 class Variable:
-    """A ScalarVariable; `own` are the attributes of its Real, Integer, ... element."""
+    """A variable; `own` are the attributes of its Real, Integer, ... element.
+
+    Of FMI 3.0, `size` is how many elements it has, None where that is not known, and `others` are
+    the names of its aliases.
+    """
 
     index: int
     name: str
@@ -96,6 +106,8 @@ class Variable:
     kind: str
     own: Mapping[str, str]
     type: SimpleType | None
+    size: int | None = 1
+    others: tuple[str, ...] = ()
 
     @property
     def initial(self) -> str | None:
@@ -119,8 +131,13 @@ class Unknown:
 
 @dataclass(frozen=True, kw_only=True)
 class Description:
-    """All that the rules look at."""
+    """All that the rules look at.
 
+    Of FMI 3.0, `structure` has the names of FMI 2.0; `lists` has those of the file.
+    """
+
+    fmi: int = 2
+    lists: Mapping[str, str] = field(default_factory=lambda: {name: name for name in STRUCTURE})
     attributes: Mapping[str, str]
     kinds: tuple[Kind, ...]
     units: tuple[tuple[str, tuple[str, ...]], ...]
@@ -140,14 +157,20 @@ class Description:
         """Names of the display units of each unit."""
         return {name: frozenset(displays) for name, displays in self.units}
 
+    def shown(self, index: int) -> str:
+        """Return how the file names a variable that does not exist."""
+        return f"variable number {index}" if index > 0 else f"value reference {-1 - index}"
+
+    @property
+    def continuous(self) -> tuple[str, ...]:
+        """The types of which continuous variables are."""
+        return ("Real",) if self.fmi == 2 else ("Float32", "Float64")
+
     def variable(self, index: int | None) -> Variable | None:
         """Return the variable of an index that counts from 1, None where there is none."""
         if index is None or not 0 < index <= len(self.variables):
             return None
         return self.variables[index - 1]
-
-
-STRUCTURE = ("Outputs", "Derivatives", "InitialUnknowns")
 
 
 def read_description(root: etree._Element) -> Description:
@@ -156,15 +179,15 @@ def read_description(root: etree._Element) -> Description:
     by_name = {t.name: t for t in types}
     experiment = root.find("DefaultExperiment")
     return Description(
-        attributes=_attributes(root),
+        attributes=attributes(root),
         kinds=tuple(_kind(e) for name in KINDS for e in root.findall(name)),
         units=tuple(
-            (_name(u), tuple(map(_name, u.findall("DisplayUnit"))))
+            (name_of(u), tuple(map(name_of, u.findall("DisplayUnit"))))
             for u in root.findall("UnitDefinitions/Unit")
         ),
         types=types,
-        categories=tuple(map(_name, root.findall("LogCategories/Category"))),
-        experiment={} if experiment is None else _attributes(experiment),
+        categories=tuple(map(name_of, root.findall("LogCategories/Category"))),
+        experiment={} if experiment is None else attributes(experiment),
         variables=tuple(
             _variable(i, e, by_name)
             for i, e in enumerate(root.findall("ModelVariables/ScalarVariable"), start=1)
@@ -176,11 +199,13 @@ def read_description(root: etree._Element) -> Description:
     )
 
 
-def _attributes(element: etree._Element) -> dict[str, str]:
+def attributes(element: etree._Element) -> dict[str, str]:
+    """Return the attributes of an element."""
     return {str(name): str(value) for name, value in element.attrib.items()}
 
 
-def _name(element: etree._Element) -> str:
+def name_of(element: etree._Element) -> str:
+    """Return its name, empty where it has none."""
     return str(element.get("name", ""))
 
 
@@ -194,8 +219,8 @@ _BASE_TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")
 def _kind(element: etree._Element) -> Kind:
     return Kind(
         element=str(element.tag),
-        attributes=_attributes(element),
-        sources=tuple(map(_name, element.findall("SourceFiles/File"))),
+        attributes=attributes(element),
+        sources=tuple(map(name_of, element.findall("SourceFiles/File"))),
     )
 
 
@@ -203,26 +228,26 @@ def _type(element: etree._Element) -> SimpleType:
     own = _first(element, _BASE_TYPES)
     items = [] if own is None else own.findall("Item")
     return SimpleType(
-        name=_name(element),
+        name=name_of(element),
         kind="" if own is None else str(own.tag),
-        attributes={} if own is None else _attributes(own),
-        items=tuple((_name(item), integer(item.get("value"))) for item in items),
+        attributes={} if own is None else attributes(own),
+        items=tuple((name_of(item), integer(item.get("value"))) for item in items),
     )
 
 
 def _variable(index: int, element: etree._Element, types: Mapping[str, SimpleType]) -> Variable:
     own = _first(element, _BASE_TYPES)
-    attributes = {} if own is None else _attributes(own)
+    given = {} if own is None else attributes(own)
     return Variable(
         index=index,
-        name=_name(element),
+        name=name_of(element),
         reference=integer(element.get("valueReference")),
         causality=element.get("causality", "local"),
         variability=element.get("variability", "continuous"),
         declared_initial=element.get("initial"),
         kind="" if own is None else str(own.tag),
-        own=attributes,
-        type=types.get(attributes.get("declaredType", "")),
+        own=given,
+        type=types.get(given.get("declaredType", "")),
     )
 
 

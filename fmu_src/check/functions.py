@@ -1,4 +1,4 @@
-"""The functions of FMI 2.0 and which capability promises which of them."""
+"""The functions of FMI 2.0 and 3.0, and which capability promises which of those of 2.0."""
 
 _COMMON = """
 GetTypesPlatform GetVersion SetDebugLogging Instantiate FreeInstance SetupExperiment
@@ -20,17 +20,40 @@ GetStatus GetRealStatus GetIntegerStatus GetBooleanStatus GetStringStatus
 """
 
 
-def _functions(text: str) -> tuple[str, ...]:
-    return tuple(f"fmi2{name}" for name in text.split())
+_TYPES_3 = """
+Float32 Float64 Int8 UInt8 Int16 UInt16 Int32 UInt32 Int64 UInt64 Boolean String Binary Clock
+"""
+
+_ALL_3 = """
+GetVersion SetDebugLogging InstantiateModelExchange InstantiateCoSimulation
+InstantiateScheduledExecution FreeInstance EnterInitializationMode ExitInitializationMode
+EnterEventMode Terminate Reset GetNumberOfVariableDependencies GetVariableDependencies
+GetFMUState SetFMUState FreeFMUState SerializedFMUStateSize SerializeFMUState DeserializeFMUState
+GetDirectionalDerivative GetAdjointDerivative EnterConfigurationMode ExitConfigurationMode
+GetIntervalDecimal GetIntervalFraction GetShiftDecimal GetShiftFraction SetIntervalDecimal
+SetIntervalFraction SetShiftDecimal SetShiftFraction EvaluateDiscreteStates UpdateDiscreteStates
+EnterContinuousTimeMode CompletedIntegratorStep SetTime SetContinuousStates
+GetContinuousStateDerivatives GetEventIndicators GetContinuousStates
+GetNominalsOfContinuousStates GetNumberOfEventIndicators GetNumberOfContinuousStates
+EnterStepMode GetOutputDerivatives DoStep ActivateModelPartition
+"""
+
+
+def _functions(text: str, version: int = 2) -> tuple[str, ...]:
+    return tuple(f"fmi{version}{name}" for name in text.split())
 
 
 REQUIRED = {
     "ModelExchange": _functions(_COMMON + _EXCHANGE),
     "CoSimulation": _functions(_COMMON + _SIMULATION),
 }
+REQUIRED_3 = (
+    *_functions(_ALL_3, 3),
+    *(f"fmi3{verb}{name}" for name in _TYPES_3.split() for verb in ("Get", "Set")),
+)
 """The standard demands all of them, whether the FMU supports what they do or not."""
 
-KNOWN = frozenset(_functions(_COMMON + _EXCHANGE + _SIMULATION))
+KNOWN = frozenset((*_functions(_COMMON + _EXCHANGE + _SIMULATION), *REQUIRED_3))
 
 PROMISED = {
     "canGetAndSetFMUstate": _functions("GetFMUstate SetFMUstate FreeFMUstate"),

@@ -1,4 +1,4 @@
-"""Rules of FMI 2.0 on everything in modelDescription.xml but variables and their structure."""
+"""Rules on everything in modelDescription.xml but variables and their structure."""
 
 import re
 from collections import Counter
@@ -16,6 +16,7 @@ def kinds(about: Description) -> Iterator[str]:
     """Check that it is for model exchange or co-simulation, so that other tools can run it."""
     if not about.kinds:
         yield f"neither of the elements {' and '.join(KINDS)} is there."
+    state = "FMUstate" if about.fmi == 2 else "FMUState"
     for kind in about.kinds:
         if not _C_NAME.fullmatch(kind.identifier):
             yield (
@@ -29,16 +30,19 @@ def kinds(about: Description) -> Iterator[str]:
             )
         if kind.can("canSerializeFMUstate") and not kind.can("canGetAndSetFMUstate"):
             yield (
-                f"{kind.element} has canSerializeFMUstate='true', which demands "
-                "canGetAndSetFMUstate='true' too."
+                f"{kind.element} has canSerialize{state}='true', which demands "
+                f"canGetAndSet{state}='true' too."
             )
 
 
 def identity(about: Description) -> Iterator[str]:
     """Check that it has a GUID, and a date of the one form that FMI has."""
-    if not about.attributes.get("guid", "").strip():
-        yield "the attribute guid has no value, so that binaries cannot be told to belong to it."
-    date = about.attributes.get("generationDateAndTime")
+    token = "guid" if about.fmi == 2 else "instantiationToken"
+    if not about.attributes.get(token, "").strip():
+        yield (
+            f"the attribute {token} has no value, so that binaries cannot be told to belong to it."
+        )
+    date = about.attributes.get("generationDateAndTime") if about.fmi == 2 else None
     if date is not None and not _is_date(date):
         yield (
             f"generationDateAndTime is {quoted(date)}; needed is a date of the form "

@@ -95,13 +95,13 @@ def _not_utf8(data: bytes) -> int | None:
     return data.index(b"\0") if b"\0" in data else None
 
 
-def schema_problems(file: Path, folder: Path) -> list[str]:
-    """Return where a model description that can be read departs from the schema of its FMI.
+def schema_problems(name: str, file: Path, folder: Path) -> list[str]:
+    """Return where XML of FMI that can be read departs from the schema of its version.
 
     The time that it takes grows with the square of the number of errors, hence the limit.
     """
     try:
         found = work("schema", file, folder, SECONDS)
     except FailedError as error:
-        return [f"modelDescription.xml: it cannot be compared with the schema: {error}."]
-    return [f"modelDescription.xml, line {line}: {plain(text, 400)}" for line, text in found]
+        return [f"{name}: it cannot be compared with the schema: {error}."]
+    return [f"{name}, line {line}: {plain(text, 400)}" for line, text in found]

@@ -1,10 +1,10 @@
 """All checks of one FMU, in the order in which one allows the next.
 
-Nothing of the file is trusted. The rules are those of FMI 2.0; of other versions the archive, the
+Nothing of the file is trusted. The rules are those of FMI 2.0 and 3.0; of FMI 1.0 the archive, the
 XML and its schema are checked, and FMPy's validation is run.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,14 +24,17 @@ from fmu_src.check import (
     variables,
 )
 from fmu_src.check.archive import Contents
-from fmu_src.check.description import read_description
+from fmu_src.check.description import Description, read_description
+from fmu_src.check.description3 import read_description3
 from fmu_src.check.report import Problem, Report, problems_of
 from hesr_model.errors import ConfigError
 from hesr_model.support.text import plain, quoted
 
 _MODEL = "modelDescription.xml"
-_OTHER_XML = ("terminalsAndIcons/terminalsAndIcons.xml", "sources/buildDescription.xml")
-_RULES = (*general.RULES, *variables.RULES, *structure.RULES)
+_BUILD = "sources/buildDescription.xml"
+_OTHER_XML = ("terminalsAndIcons/terminalsAndIcons.xml", _BUILD)
+Rule = Callable[[Description], Iterator[str]]
+_RULES: tuple[Rule, ...] = (*general.RULES, *variables.RULES, *structure.RULES)
 
 
 def check(path: Path, *, vdmcheck: Path | None = None, hostile: bool = False) -> Report:
@@ -96,12 +99,17 @@ class _Found:
             self.skipped.append(f"All other checks: there is no {_MODEL} to read.")
             return
         known = "3" if version.startswith("3.") else version
-        invalid = self._add("schema", markup.schema_problems(contents.files[_MODEL], self._folder))
+        invalid = self._add(
+            "schema", markup.schema_problems(_MODEL, contents.files[_MODEL], self._folder)
+        )
         if known == "2.0":
-            self._check_2(root, contents)
+            self._check_rules(read_description(root), variables.RULES_2, contents)
+        elif known == "3":
+            about = read_description3(root, _build(contents))
+            self._check_rules(about, variables.RULES_3, contents)
         else:
             self.skipped.append(
-                f"Rules, sources and binaries: looked at in FMI 2.0 only, this is FMI "
+                "Rules, sources and binaries: looked at in FMI 2.0 and 3.0 only, this is FMI "
                 f"{plain(version)}."
             )
         if damaged or broken or invalid:
@@ -123,19 +131,21 @@ class _Found:
         self._add("hostile", texts)
         self.skipped += skipped
 
-    def _check_2(self, root: etree._Element, contents: Contents) -> None:
-        about = read_description(root)
-        self._add("rules", chain.from_iterable(rule(about) for rule in _RULES))
+    def _check_rules(self, about: Description, more: Iterable[Rule], contents: Contents) -> None:
+        self._add("rules", chain.from_iterable(rule(about) for rule in (*_RULES, *more)))
         self._add("sources", sources.problems(about, contents))
         self._add("binaries", binaries.problems(about, contents, self._folder))
-        self.skipped += binaries.skipped(contents)
+        self.skipped += binaries.skipped(about, contents)
 
     def _run_others(self, contents: Contents, version: str) -> None:
         readable = [_MODEL]
         for name in _OTHER_XML:
             if name in contents.files:
                 texts = markup.parse(name, contents.files[name])[1]
-                if not self._add("xml", texts):
+                if self._add("xml", texts):
+                    continue
+                texts = markup.schema_problems(name, contents.files[name], self._folder)
+                if not self._add("schema", texts):
                     readable.append(name)
         copy = self._folder / "copy.fmu"
         external.write_copy(contents, readable, copy)
@@ -148,6 +158,11 @@ class _Found:
         texts, skipped = external.vdmcheck2(copy, self._folder, self._vdmcheck)
         self._add("vdmcheck2", texts)
         self.skipped += skipped
+
+
+def _build(contents: Contents) -> etree._Element | None:
+    """Return the root of the build description, where there is one that can be read."""
+    return markup.parse(_BUILD, contents.files[_BUILD])[0] if _BUILD in contents.files else None
 
 
 def _model(contents: Contents) -> tuple[etree._Element | None, list[str]]:

@@ -11,7 +11,10 @@ from hesr_model.support.text import plain, quoted
 MOST_BYTES = 8 << 20
 """Of one source file; larger ones are tables of data."""
 
-_OFFICIAL = {"fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"}
+_OFFICIAL = {
+    *("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+    *("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+}
 """Every importer that compiles sources supplies these."""
 
 _SYSTEM_NAMES = """

@@ -1,4 +1,4 @@
-"""Rules of FMI 2.0 on ModelStructure, each of whose lists masters take at its word."""
+"""Rules on ModelStructure, each of whose lists masters take at its word."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -27,8 +27,8 @@ def derivatives(about: Description) -> Iterator[str]:
     extra = [v for v in _listed_variables(about, "Derivatives") if "derivative" not in v.own]
     if extra:
         yield (
-            f"ModelStructure/Derivatives lists {listed(v.name for v in extra)}, which the "
-            "attribute 'derivative' does not make derivatives."
+            f"ModelStructure/{about.lists['Derivatives']} lists {listed(v.name for v in extra)}, "
+            "which the attribute 'derivative' does not make derivatives."
         )
 
 
@@ -51,7 +51,7 @@ def initial_unknowns(about: Description) -> Iterator[str]:
     )
     yield from _compared(about, "InitialUnknowns", [needed[i] for i in sorted(needed)], why)
     found = _listed_variables(about, "InitialUnknowns")
-    for before, after in pairwise(found):
+    for before, after in pairwise(found if about.fmi == 2 else ()):
         if after.index < before.index:
             yield (
                 f"ModelStructure/InitialUnknowns lists {quoted(after.name)} after "
@@ -67,10 +67,14 @@ def indices(about: Description) -> Iterator[str]:
             variable = about.variable(index)
             if variable is None:
                 yield (
-                    f"ModelStructure/{name} lists variable number {index}, which does not exist."
+                    f"ModelStructure/{about.lists[name]} lists {about.shown(index)}, which does "
+                    "not exist."
                 )
             elif times > 1:
-                yield f"ModelStructure/{name} lists {quoted(variable.name)} {times} times."
+                yield (
+                    f"ModelStructure/{about.lists[name]} lists {quoted(variable.name)} {times} "
+                    "times."
+                )
 
 
 def dependencies(about: Description) -> Iterator[str]:
@@ -80,15 +84,15 @@ def dependencies(about: Description) -> Iterator[str]:
         silent = [_named(about, u) for u in unknowns if u.dependencies is None]
         if silent:
             yield (
-                f"ModelStructure/{name} gives no dependencies for {listed(silent)}, so that "
-                "importers assume all inputs and see algebraic loops."
+                f"ModelStructure/{about.lists[name]} gives no dependencies for {listed(silent)}, "
+                "so that importers assume all inputs and see algebraic loops."
             )
         for unknown in unknowns:
             yield from _of_unknown(about, name, unknown)
 
 
 def _of_unknown(about: Description, name: str, unknown: Unknown) -> Iterator[str]:
-    who = f"ModelStructure/{name} gives {quoted(_named(about, unknown))}"
+    who = f"ModelStructure/{about.lists[name]} gives {quoted(_named(about, unknown))}"
     known = unknown.dependencies
     if unknown.kinds is not None and known is None:
         yield f"{who} kinds of dependencies without dependencies."
@@ -96,8 +100,8 @@ def _of_unknown(about: Description, name: str, unknown: Unknown) -> Iterator[str
         return
     missing = [i for i in known if about.variable(i) is None]
     if missing:
-        yield f"{who} a dependency on variable number {missing[0]}, which does not exist."
-    elif any(a >= b for a, b in pairwise(known)):
+        yield f"{who} a dependency on {about.shown(missing[0])}, which does not exist."
+    elif about.fmi == 2 and any(a >= b for a, b in pairwise(known)):
         yield f"{who} dependencies that are not in ascending order."
     if unknown.kinds is not None and len(unknown.kinds) != len(known):
         yield f"{who} {len(known)} dependencies and {len(unknown.kinds)} kinds of them."
@@ -109,10 +113,10 @@ def _compared(about: Description, name: str, needed: list[Variable], why: str) -
     lacking = [v.name for v in needed if v.index not in found]
     extra = found - {v.index for v in needed}
     if lacking:
-        yield f"ModelStructure/{name} lacks {listed(lacking)}; it lists {why}."
+        yield f"ModelStructure/{about.lists[name]} lacks {listed(lacking)}; it lists {why}."
     if extra:
         names = [about.variables[i - 1].name for i in sorted(extra)]
-        yield f"ModelStructure/{name} lists {listed(names)}; needed is {why}."
+        yield f"ModelStructure/{about.lists[name]} lists {listed(names)}; needed is {why}."
 
 
 def _listed_variables(about: Description, name: str) -> list[Variable]:
@@ -122,7 +126,7 @@ def _listed_variables(about: Description, name: str) -> list[Variable]:
 
 def _named(about: Description, unknown: Unknown) -> str:
     variable = about.variable(unknown.index)
-    return variable.name if variable else f"number {unknown.index}"
+    return variable.name if variable else about.shown(unknown.index)
 
 
 RULES = (outputs, derivatives, initial_unknowns, indices, dependencies)

@@ -1,4 +1,4 @@
-"""Rules of FMI 2.0 on variables; each yields one sentence for each variable that breaks it."""
+"""Rules on variables; each yields one sentence for each variable that breaks it."""
 
 import re
 from collections import Counter, defaultdict
@@ -17,6 +17,8 @@ _INITIAL: dict[tuple[str, str], set[str]] = {
     ("calculatedParameter", "tunable"): _COMPUTED,
     ("input", "discrete"): set(),
     ("input", "continuous"): set(),
+    ("structuralParameter", "fixed"): _EXACT,
+    ("structuralParameter", "tunable"): _EXACT,
     ("output", "constant"): _EXACT,
     ("output", "discrete"): _ANY,
     ("output", "continuous"): _ANY,
@@ -37,7 +39,8 @@ _NUMBERS = ("Real", "Integer", "Enumeration")
 
 def names(about: Description) -> Iterator[str]:
     """Check that names are unique and, where that is declared, structured."""
-    for name, times in Counter(v.name for v in about.variables).items():
+    every = (name for v in about.variables for name in (v.name, *v.others))
+    for name, times in Counter(every).items():
         if times > 1:
             yield f"the variable {quoted(name)} is declared {times} times; names are unique."
     if about.attributes.get("variableNamingConvention") != "structured":
@@ -65,10 +68,12 @@ def combinations(about: Description) -> Iterator[str]:
                 f"the variable {shown} has initial '{plain(v.declared_initial)}', which does not "
                 f"go with causality '{v.causality}' and variability '{v.variability}'."
             )
-        if v.variability == "continuous" and v.kind not in ("Real", ""):
+        if v.variability == "continuous" and v.kind not in (*about.continuous, ""):
+            have = "(the default), which only Real has"
+            if about.fmi == 3:
+                have = "which only Float32 and Float64 have"
             yield (
-                f"the variable {shown} is of type {v.kind} and has variability 'continuous' (the "
-                "default), which only Real has."
+                f"the variable {shown} is of type {v.kind} and has variability 'continuous' {have}."
             )
     independent = [v.name for v in about.variables if v.causality == "independent"]
     if len(independent) > 1:
@@ -101,19 +106,23 @@ def _demand(v: Variable) -> str | None:
 def ranges(about: Description) -> Iterator[str]:
     """Check that start values lie within min and max or are items, and nominal is positive."""
     for v in about.variables:
-        if v.kind not in _NUMBERS:
+        if v.kind not in (*_NUMBERS, *about.continuous) and "Int" not in v.kind:
             continue
-        low, high, start = (real(v.get(name)) for name in ("min", "max", "start"))
+        low, high = (real(v.get(name)) for name in ("min", "max"))
+        starts = [real(text) for text in (v.get("start") or "").split()]
         shown = quoted(v.name)
         if low is not None and high is not None and low > high:
             yield f"the variable {shown} has min {low:.15g}, which is above its max {high:.15g}."
-        elif start is not None and (
-            (low is not None and start < low) or (high is not None and start > high)
-        ):
+        elif outside := [
+            start
+            for start in starts
+            if start is not None
+            and ((low is not None and start < low) or (high is not None and start > high))
+        ]:
             bounds = [f"{k} {x:.15g}" for k, x in (("min", low), ("max", high)) if x is not None]
             yield (
-                f"the variable {shown} has the start value {start:.15g}, which is outside of its "
-                f"{' and '.join(bounds)}."
+                f"the variable {shown} has the start value {outside[0]:.15g}, which is outside of "
+                f"its {' and '.join(bounds)}."
             )
         nominal = real(v.get("nominal"))
         if nominal is not None and nominal <= 0:
@@ -177,13 +186,19 @@ def derivatives(about: Description) -> Iterator[str]:
         state = about.variable(index)
         if state is None:
             yield (
-                f"the variable {quoted(v.name)} is the derivative of variable number {index}, "
-                "which does not exist."
+                f"the variable {quoted(v.name)} is the derivative of {about.shown(index)}, which "
+                "does not exist."
             )
-        elif state is v or state.kind != "Real" or state.variability != "continuous":
+        elif (
+            state is v
+            or state.kind not in about.continuous
+            or state.variability != "continuous"
+            or state.size != v.size
+        ):
             yield (
                 f"the variable {quoted(v.name)} is the derivative of {quoted(state.name)}, which "
-                "is no other continuous variable of type Real."
+                f"is no other continuous variable of type {' or '.join(about.continuous)}"
+                f"{'' if about.fmi == 2 else ' and of its size'}."
             )
 
 
@@ -209,6 +224,29 @@ def aliases(about: Description) -> Iterator[str]:
             yield f"{who}, but have different units."
 
 
+def references(about: Description) -> Iterator[str]:
+    """Check that each variable of FMI 3.0 has a value reference of its own."""
+    sets: dict[int | None, list[str]] = defaultdict(list)
+    for v in about.variables:
+        sets[v.reference].append(v.name)
+    for reference, names in sets.items():
+        if reference is not None and len(names) > 1:
+            yield (
+                f"the variables {listed(names)} share value reference {reference}; in FMI 3.0 "
+                "aliases are elements of one variable."
+            )
+
+
+def sizes(about: Description) -> Iterator[str]:
+    """Check that an array has one start value, or one for each element."""
+    for v in about.variables:
+        given = len((v.own.get("start") or "").split())
+        if v.size is None:
+            yield f"the variable {quoted(v.name)} has a dimension whose size is not known."
+        elif v.kind not in ("String", "Binary") and given > 1 and given != v.size:
+            yield f"the variable {quoted(v.name)} has {given} start values for {v.size} elements."
+
+
 def _settable(v: Variable) -> bool:
     started = v.variability != "constant" and v.initial in ("exact", "approx")
     return started or v.causality == "input"
@@ -222,5 +260,8 @@ RULES = (
     types,
     units,
     derivatives,
-    aliases,
 )
+"""Of every version."""
+
+RULES_2 = (aliases,)
+RULES_3 = (references, sizes)

@@ -23,7 +23,10 @@ _SCHEMAS = {
     "1.0": "fmi1/fmiModelDescription.xsd",
     "2.0": "fmi2/fmi2ModelDescription.xsd",
     "3": "fmi3/fmi3ModelDescription.xsd",
+    "fmiTerminalsAndIcons": "fmi3/fmi3TerminalsAndIcons.xsd",
+    "fmiBuildDescription": "fmi3/fmi3BuildDescription.xsd",
 }
+"""By version, or by root where all versions have one."""
 
 
 def main(arguments: list[str]) -> None:
@@ -50,7 +53,7 @@ def compare(file: str) -> list[tuple[int, str]]:
 
     root = etree.parse(file, etree.XMLParser(resolve_entities=False, no_network=True)).getroot()
     version = root.get("fmiVersion", "")
-    name = _SCHEMAS["3" if version.startswith("3.") else version]
+    name = _SCHEMAS.get(root.tag) or _SCHEMAS["3" if version.startswith("3.") else version]
     schema = etree.XMLSchema(file=str(Path(fmpy.__file__).parent / "schema" / name))
     schema.validate(root)
     return [(e.line, str(e.message)[:1000]) for e in islice(schema.error_log, MOST_ERRORS)]

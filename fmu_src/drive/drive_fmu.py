@@ -16,10 +16,23 @@ from fmu_src.friction.friction_fmu import date_of
 from fmu_src.friction.validity import require_numbers
 from fmu_src.package import Content, Version, check_request, own_source, write_fmu
 from fmu_src.recorded import ROWS, Stimuli, waves
+from fmu_src.terminals import Terminal
 from hesr_model.artifacts import model_to_json
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.owner import Owner
 from hesr_model.support.progress import Progress, silent
+
+FLANGE = Terminal(
+    name="flange",
+    kind="org.modelica.Modelica.Mechanics.Rotational.Interfaces.Flange_b",
+    description="towards the link: its angle and speed in, the torque on it out",
+    members={
+        "phi": ("q_link", "signal"),
+        "w": ("dq_link", "signal"),
+        "tau": ("tau_link", "outflow"),
+    },
+)
+"""Of each joint, on the joint's side of the gear."""
 
 _UNKNOWN = 10.0  # friction torque [N.m] where it is not known
 
@@ -37,7 +50,7 @@ def export_drive(
     fmi: Version = 2,
     bare: bool = False,
 ) -> Path:
-    """Write a friction model with the motors of its joints as an FMI 2.0 FMU for co-simulation.
+    """Write a friction model with the motors of its joints as an FMU for co-simulation.
 
     The same arguments give the same bytes; dates are those of `friction.export.export_fmu`.
 
@@ -116,6 +129,7 @@ def content(
         sources=sources | {"equations.h": equations_to_c(model, table)},
         members=members,
         stimuli=_stimuli(model, own),
+        terminals=(FLANGE,),
     )
 
 

@@ -152,7 +152,7 @@ def test_an_fmu_that_cannot_be_stepped(friction_fmu, tmp_path, folder):
             if name == "modelDescription.xml":
                 data = re.sub(rb"<CoSimulation.*?</CoSimulation>", b"", data, flags=re.S)
             new.writestr(name, data)
-    said = f"{fmu}: not an FMU of FMI 2.0 for co-simulation."
+    said = f"{fmu}: not an FMU of FMI 2.0 or 3.0 for co-simulation."
     with pytest.raises(SimulationError, match=re.escape(said)), Component(fmu):
         pass
     component = ComponentSpec(name="friction", fmu=fmu)

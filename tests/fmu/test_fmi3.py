@@ -14,16 +14,19 @@ from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 
 from fmu_src.blocks.controller import controller
+from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import trajectory
 from fmu_src.blocks.velocity import velocity
 from fmu_src.drive.drive_fmu import content as drive
-from fmu_src.friction.friction_fmu import content as friction
+from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.package import Content, write_fmu
+from hesr_model.friction.model import FrictionModel
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import models_folder
 
 FMI_SIM = Path(__file__).parents[2] / ".tools/interop/bin/fmi-sim"
 STEP = 0.004
-COMPONENTS: dict[str, Callable[..., Content]] = {
-    "friction": lambda model: friction(model),
+BLOCKS: dict[str, Callable[..., Content]] = {
     "drive": lambda model: drive(model, inertia=(3.0, 3.0, 0.6), stiffness=(1e4, 2e4, 1e4)),
     "controller": lambda _: controller(3),
     "velocity": lambda _: velocity(3),
@@ -31,15 +34,25 @@ COMPONENTS: dict[str, Callable[..., Content]] = {
 }
 
 
-@pytest.fixture(scope="module", params=[*COMPONENTS, "laws"])
+@pytest.fixture(scope="module", params=["Table I", "laws", "registry", *BLOCKS, "body"])
 def pair(request, table1, make_model, make_law, tmp_path_factory) -> tuple[Path, Path]:
-    """The FMU of a component in FMI 2.0 and in 3.0."""
+    """The FMU of a component in FMI 2.0 and in 3.0; one friction has every law of the registry."""
     folder = tmp_path_factory.mktemp("fmi3")
+    files = {version: folder / f"F{version}.fmu" for version in (2, 3)}
+    laws: FrictionModel | None = {"Table I": table1}.get(request.param)
     if request.param == "laws":  # with jumps, without parameters of its own, with several states
-        own = friction(make_model(*map(make_law, ("viscous", "gaussians", "elements"))))
+        laws = make_model(*map(make_law, ("viscous", "gaussians", "elements")))
+    if request.param == "registry":
+        models = request.getfixturevalue("registry_models")
+        laws = make_model(*(model.laws[0] for model in models.values()))
+    if laws:
+        return tuple(export_bare(laws, file, fmi=version) for version, file in files.items())
+    if request.param == "body":
+        robot = RobotModel(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
+        own = inverse_dynamics(robot, robot.nominal_parameters)
     else:
-        own = COMPONENTS[request.param](table1)
-    return tuple(write_fmu(own, folder / f"F{v}.fmu", fmi=v) for v in (2, 3))
+        own = BLOCKS[request.param](table1)
+    return tuple(write_fmu(own, file, fmi=version) for version, file in files.items())
 
 
 class Old:
@@ -66,7 +79,10 @@ class Old:
 class New:
     """An FMU of FMI 3.0 by names."""
 
-    def __init__(self, fmu: Path, folder: Path, kind: type = FMU3Slave) -> None:
+    def __init__(
+        self, fmu: Path, folder: Path, kind: type = FMU3Slave, *, events: bool = False,
+        early: bool = False,
+    ) -> None:  # fmt: skip
         about = read_model_description(str(fmu))
         self.variables = {v.name: v for v in about.modelVariables}
         interface = about.coSimulation if kind is FMU3Slave else about.modelExchange
@@ -75,7 +91,8 @@ class New:
             guid=about.guid, unzipDirectory=extract(str(fmu), str(folder)), instanceName="three",
             modelIdentifier=interface.modelIdentifier,
         )  # fmt: skip
-        self.fmu.instantiate(loggingOn=False)
+        more = {"eventModeUsed": events, "earlyReturnAllowed": early} if kind is FMU3Slave else {}
+        self.fmu.instantiate(logMessage=lambda *said: self.said.append(said[3].decode()), **more)
         self.fmu.enterInitializationMode(startTime=0.0)
 
     def size(self, name: str) -> int:
@@ -161,7 +178,7 @@ def test_a_state_comes_back_from_its_bytes(pair, tmp_path) -> None:
 
 @pytest.fixture(scope="module")
 def friction3(table1, tmp_path_factory) -> Path:
-    return write_fmu(friction(table1), tmp_path_factory.mktemp("friction") / "F3.fmu", fmi=3)
+    return export_bare(table1, tmp_path_factory.mktemp("friction") / "F3.fmu", fmi=3)
 
 
 def test_arrays_of_the_description(friction3) -> None:
@@ -229,7 +246,7 @@ def test_what_does_not_fit_is_refused(friction3, tmp_path) -> None:
 @pytest.mark.skipif(not FMI_SIM.exists(), reason="fmi-sim is not there: run `make interop` first")
 def test_fmi_sim_runs_one_joint_in_silence(make_model, make_law, tmp_path) -> None:
     """It knows no arrays of several elements as outputs, so it gets one joint."""
-    fmu = write_fmu(friction(make_model(make_law("viscous"))), tmp_path / "F.fmu", fmi=3)
+    fmu = export_bare(make_model(make_law("viscous")), tmp_path / "F.fmu", fmi=3)
     answer = subprocess.run(
         [FMI_SIM, "--model", fmu, "-o", "out.csv", "-q", "co-simulation", "--output-interval",
          "0.005", "-f", "0.1"],
@@ -249,3 +266,80 @@ def test_c_compiles_with_other_compilers(friction3, tmp_path) -> None:
     command = [gcc, *flags, "sources/all.c", "-o", "x.so", "-lm"]
     answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stderr
+
+
+# --- events of a drive ------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def drive3(make_model, make_law, tmp_path_factory) -> Path:
+    own = drive(make_model(make_law("viscous"), make_law("viscous")), inertia=(0.5, 0.5))
+    return write_fmu(own, tmp_path_factory.mktemp("drive") / "D3.fmu", fmi=3)
+
+
+def stepper(fmu: Path, folder: Path, *, events: bool, early: bool) -> New:
+    """A drive whose first motor turns at 1 rad/s against a torque that turns it back."""
+    new = New(fmu, folder, events=events, early=early)
+    new.set("dq_start", [1.0, 0.0])
+    new.set("tau_motor", [-20.0, 0.0])
+    new.fmu.exitInitializationMode()
+    if events:
+        assert new.fmu.updateDiscreteStates()[:5] == (False, False, False, False, False)
+        new.fmu.enterStepMode()
+    return new
+
+
+def test_a_step_ends_where_a_motor_turns_back(drive3, tmp_path) -> None:
+    """At the end of the inner step in which it does, if the host lets it; with the same bits."""
+    whole = stepper(drive3, tmp_path / "whole", events=False, early=False)
+    assert whole.fmu.doStep(0.0, 0.1) == (False, False, False, 0.1)
+    new = stepper(drive3, tmp_path / "new", events=True, early=True)
+    event, end, early, reached = new.fmu.doStep(0.0, 0.1)
+    assert (event, end, early) == (True, False, True)
+    assert 0.0 < reached < 0.1
+    assert reached == pytest.approx(round(reached, 3), abs=1e-12)
+    assert new.get("time") == [reached]
+    assert -0.1 < new.get("dq")[0] < 0.0
+    new.fmu.enterEventMode()
+    assert new.fmu.updateDiscreteStates()[:5] == (False, False, False, False, False)
+    new.fmu.enterStepMode()
+    assert new.fmu.doStep(reached, 0.1 - reached)[:3] == (False, False, False)
+    np.testing.assert_allclose(new.get("dq"), whole.get("dq"), rtol=1e-12)
+    np.testing.assert_allclose(new.get("q"), whole.get("q"), rtol=1e-12)
+
+
+def test_an_event_at_the_end_of_a_step_is_told_and_ends_nothing_early(drive3, tmp_path) -> None:
+    new = stepper(drive3, tmp_path / "new", events=True, early=True)
+    reached = new.fmu.doStep(0.0, 0.1)[3]
+    again = stepper(drive3, tmp_path / "again", events=True, early=False)
+    assert again.fmu.doStep(0.0, reached) == (True, False, False, reached)
+    silent = stepper(drive3, tmp_path / "silent", events=False, early=False)
+    assert silent.fmu.doStep(0.0, reached) == (False, False, False, reached)
+
+
+def test_calls_out_of_sequence_around_events_are_refused(drive3, tmp_path) -> None:
+    without = stepper(drive3, tmp_path / "without", events=False, early=False)
+    for call in (without.fmu.enterEventMode, without.fmu.enterStepMode,
+                 without.fmu.updateDiscreteStates):  # fmt: skip
+        with pytest.raises(Exception, match="failed with status 3"):
+            call()
+    new = stepper(drive3, tmp_path / "new", events=True, early=True)
+    new.fmu.enterEventMode()
+    with pytest.raises(Exception, match="failed with status 3"):
+        new.fmu.doStep(0.0, 0.1)
+    assert new.said[-1] == "fmi3DoStep is not allowed in event mode."
+    saved = new.fmu.getFMUState()
+    new.fmu.enterStepMode()
+    new.fmu.setFMUState(saved)  # is in event mode again
+    new.fmu.enterStepMode()
+    assert new.fmu.doStep(0.0, 0.1)[0]
+
+
+def test_messages_name_the_functions_of_fmi_3(drive3, tmp_path) -> None:
+    new = stepper(drive3, tmp_path / "new", events=False, early=False)
+    with pytest.raises(Exception, match="failed with status 2"):
+        new.set("tau_motor", [float("nan"), 0.0])
+    assert new.said[-1] == "fmi3SetFloat64: tau_motor[1] is nan; a finite number is needed."
+    with pytest.raises(Exception, match="failed with status 3"):
+        new.fmu.doStep(0.0, -1.0)
+    assert new.said[-1].startswith("fmi3DoStep: the step is -1 s from time 0 s")

@@ -5,11 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from cosim.interop.case import Alone, Run
-from cosim.interop.engine import Engine, SkippedError, Tools, given_alone, host
+from cosim.interop.engine import Engine, SkippedError, Tools, given_alone, host, require_fmi_2
 from cosim.slave import Component
 
 
 def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
+    require_fmi_2(case)
     python = tools.python("casadi")[0]
     with Component(case.fmu) as component:
         about = component.description

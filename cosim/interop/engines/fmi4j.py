@@ -8,6 +8,7 @@ from cosim.interop.engine import (
     Tools,
     arguments,
     read_signals,
+    require_fmi_2,
     require_success,
     write_inputs,
 )
@@ -18,6 +19,7 @@ def _find(tools: Tools) -> str:
 
 
 def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
+    require_fmi_2(case)
     java, jars = tools.java("fmi4j")
     write_inputs(case, folder / "inputs.tsv", "\t")
     files: tuple[str | Path, ...] = (case.fmu.resolve(), "inputs.tsv", "result.tsv")

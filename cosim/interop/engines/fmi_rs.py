@@ -22,8 +22,8 @@ def _find(tools: Tools) -> str:
 def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
     write_inputs(case, folder / "inputs.csv")
     files = (case.fmu.resolve(), "inputs.csv", "result.csv")
-    require_success((tools.program(_HOST), *files, *arguments(case)), folder)
-    return Run(signals=read_signals(folder / "result.csv"))
+    require_success((tools.program(_HOST), str(case.fmi), *files, *arguments(case)), folder)
+    return Run(signals=read_signals(folder / "result.csv", arrays=case.arrays))
 
 
 FMI_RS = Engine(name="fmi-rs", install="make interop, with cargo", find=_find, alone=_alone)

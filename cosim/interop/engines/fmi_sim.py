@@ -7,6 +7,7 @@ from cosim.interop.case import Alone, Run
 from cosim.interop.engine import (
     SECONDS,
     Engine,
+    SkippedError,
     Tools,
     arguments,
     read_signals,
@@ -26,6 +27,8 @@ def _find(tools: Tools) -> str:
 
 
 def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
+    if any(len(elements) > 1 for elements in case.arrays.values()):
+        raise SkippedError("it takes no arrays of several elements")
     stop, step, *start = arguments(case)
     command: list[str | Path] = [tools.program("fmi-sim"), "--model", case.fmu.resolve()]
     command += ["-o", "result.csv"]
@@ -36,7 +39,7 @@ def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
     for pair in start:
         command += ["--init-values", pair]
     require_success(command, folder)
-    return Run(signals=read_signals(folder / "result.csv"))
+    return Run(signals=read_signals(folder / "result.csv", arrays=case.arrays))
 
 
 FMI_SIM = Engine(

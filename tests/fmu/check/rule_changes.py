@@ -15,7 +15,7 @@ PARAMETER = {"causality": "parameter", "variability": "fixed"}
 
 def sentences(xml: Xml) -> list[str]:
     about = read_description(etree.fromstring(xml.bytes()))
-    rules = (*general.RULES, *variables.RULES, *structure.RULES)
+    rules = (*general.RULES, *variables.RULES, *variables.RULES_2, *structure.RULES)
     return [text for rule in rules for text in rule(about)]
 
 

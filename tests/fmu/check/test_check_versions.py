@@ -1,9 +1,15 @@
-"""FMI 1 and 3: the archive, the schema and FMPy, and a word on what is not looked at."""
+"""FMI 1: the archive, the schema and FMPy, and a word on what is not looked at; FMI 3: rules."""
+
+import re
 
 import pytest
 from fmu_files import MODEL, texts, write
+from lxml import etree
 
-from fmu_src.check import check
+from fmu_src.check import check, general, structure, variables
+from fmu_src.check.description3 import read_description3
+
+NOTHING_RUNS = "there are neither binaries nor a list of source files, so that nothing can run."
 
 FMI_3 = b"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="Line" instantiationToken="{1}">
@@ -13,8 +19,8 @@ FMI_3 = b"""<?xml version="1.0" encoding="UTF-8"?>
     <Float64 name="y" valueReference="1" causality="output" initial="calculated"/>
   </ModelVariables>
   <ModelStructure>
-    <Output valueReference="1"/>
-    <InitialUnknown valueReference="1"/>
+    <Output valueReference="1" dependencies=""/>
+    <InitialUnknown valueReference="1" dependencies=""/>
   </ModelStructure>
 </fmiModelDescription>
 """
@@ -28,13 +34,92 @@ FMI_1 = b"""<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-@pytest.mark.parametrize(("version", "xml"), [("1.0", FMI_1), ("3.0", FMI_3)])
-def test_what_is_looked_at(version, xml, tmp_path):
-    found = check(write(tmp_path / "F.fmu", {MODEL: xml}))
+def test_what_is_looked_at_in_fmi_1(tmp_path):
+    found = check(write(tmp_path / "F.fmu", {MODEL: FMI_1}))
     assert texts(found) == []
     assert found.skipped == (
-        f"Rules, sources and binaries: looked at in FMI 2.0 only, this is FMI {version}.",
-        f"VDMCheck2: it is for FMI 2.0, this is FMI {version}.",
+        "Rules, sources and binaries: looked at in FMI 2.0 and 3.0 only, this is FMI 1.0.",
+        "VDMCheck2: it is for FMI 2.0, this is FMI 1.0.",
+    )
+
+
+def test_what_is_looked_at_in_fmi_3(tmp_path):
+    found = check(write(tmp_path / "F.fmu", {MODEL: FMI_3}))
+    assert texts(found) == [NOTHING_RUNS]
+    assert found.skipped == ("VDMCheck2: it is for FMI 2.0, this is FMI 3.0.",)
+
+
+TWO_INPUTS = """<Float64 name="y" valueReference="1" causality="output" initial="calculated">
+      <Dimension start="2"/><Alias name="z"/></Float64>
+    <Float64 name="u" valueReference="2" causality="input" start="0.5 0.5"><Dimension start="2"/>
+    </Float64>
+    <Int32 name="k" valueReference="3" causality="parameter" variability="fixed" start="1" min="1"
+      max="3"/>
+    <Float64 name="x" valueReference="4" initial="calculated"><Dimension start="2"/></Float64>
+    <Float64 name="rate" valueReference="5" derivative="4"><Dimension start="2"/></Float64>"""
+OUTPUT = '<Output valueReference="1" dependencies=""/>'
+FULL = re.sub(rb'<Float64 name="y".*?/>', TWO_INPUTS.encode(), FMI_3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('start="0.5 0.5"', 'start="0.5"', ""),
+        ('start="0.5 0.5"', 'start="1 2 3"', "variable 'u' has 3 start values for 2 elements"),
+        ('start="0.5 0.5"', "", "variable 'u' has no start value, which its causality 'input'"),
+        ('start="0.5 0.5"', 'start="1 9" max="8"', "'u' has the start value 9, which is outside"),
+        ('start="1" min', 'start="4" min', "'k' has the start value 4, which is outside of its"),
+        ('valueReference="3"', 'valueReference="2"', " share value reference 2; in FMI 3.0"),
+        ('Alias name="z"', 'Alias name="u"', "the variable 'u' is declared 2 times"),
+        ('derivative="4"', 'derivative="1"', ""),
+        ('derivative="4"', 'derivative="3"', "'rate' is the derivative of 'k', which is no other "
+         "continuous variable of type Float32 or Float64 and of its size"),
+        ('derivative="4"', 'derivative="9"', "is the derivative of value reference 9, which does"),
+        (OUTPUT, "", "ModelStructure/Output lacks 'y'; it lists every"),
+        (OUTPUT, OUTPUT.replace('""', '"7"'), "ModelStructure/Output gives 'y' a dependency on "
+         "value reference 7, which does not exist"),
+        ('variability="fixed" start="1"', 'variability="continuous" start="1"',
+         "variability 'continuous' which only Float32 and Float64 have"),
+        ('instantiationToken="{1}"', 'instantiationToken=" "', "the attribute instantiationToken "
+         "has no value"),
+    ],
+)  # fmt: skip
+def test_rules_of_fmi_3(old, new, said):
+    assert old.encode() in FULL
+    about = read_description3(etree.fromstring(FULL.replace(old.encode(), new.encode())), None)
+    rules = (*general.RULES, *variables.RULES, *variables.RULES_3, *structure.RULES)
+    found = [text for rule in rules for text in rule(about)]
+    assert any(said in text for text in found) if said else found == []
+
+
+BUILD = b"""<?xml version="1.0" encoding="UTF-8"?>
+<fmiBuildDescription fmiVersion="3.0">
+  <BuildConfiguration modelIdentifier="Line">
+    <SourceFileSet language="C99">
+      <SourceFile name="all.c"/><SourceFile name="none.c"/>
+    </SourceFileSet>
+  </BuildConfiguration>
+</fmiBuildDescription>
+"""
+
+
+def test_sources_and_binaries_of_fmi_3(tmp_path):
+    members = {
+        MODEL: FMI_3, "sources/buildDescription.xml": BUILD,
+        "sources/all.c": b'#include "fmi3Functions.h"\n#include "mine.h"\n',
+        "binaries/x86_64-linux/Line.so": b"no library", "binaries/linux64/Line.so": b"none either",
+    }  # fmt: skip
+    found = check(write(tmp_path / "F.fmu", members))
+    assert texts(found, "sources") == [
+        "CoSimulation lists the source file 'none.c', which is not in sources/.",
+        "sources/all.c: includes 'mine.h', which is not in the archive.",
+    ]
+    assert texts(found, "binaries") == [
+        "binaries/x86_64-linux/Line.so: it is no readable library; needed in this folder is ELF "
+        "for X86_64."
+    ]
+    assert "binaries/linux64: not looked at, since no platform of this name is known." in (
+        found.skipped
     )
 
 
@@ -45,7 +130,7 @@ def test_the_schema_of_the_version(xml, tmp_path):
 
 
 def test_fmpy_of_fmi_3(tmp_path):
-    xml = FMI_3.replace(b'<InitialUnknown valueReference="1"/>', b"")
+    xml = FMI_3.replace(b'<InitialUnknown valueReference="1" dependencies=""/>', b"")
     (text,) = texts(check(write(tmp_path / "F.fmu", {MODEL: xml})), "fmpy")
     assert text.startswith("ModelStructure/InitialUnknowns does not contain the expected set of")
 
@@ -53,7 +138,7 @@ def test_fmpy_of_fmi_3(tmp_path):
 def test_an_archive_that_leads_out_is_told_of_any_version(tmp_path):
     path = write(tmp_path / "F.fmu", {MODEL: FMI_3, "../x": b"/home/anna/robot"})
     found = check(path)
-    assert [p.check for p in found.problems] == ["archive", "paths"]
+    assert [p.check for p in found.problems] == ["archive", "paths", "sources"]
     assert found.skipped[-1] == (
         "FMPy and VDMCheck2: run once the archive, its XML and the schema are right."
     )
