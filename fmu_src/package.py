@@ -163,8 +163,8 @@ def write_fmu(
         members["sources/buildDescription.xml"] = build_description(about)
         if picture := members.pop("model.png", None):
             members[ICON] = picture
-        if text := to_terminals(table, content.terminals, icon=picture is not None):
-            members[TERMINALS] = text
+        if connected := to_terminals(table, content.terminals, icon=picture is not None):
+            members[TERMINALS] = connected
     with TemporaryDirectory(prefix="hesr-") as home:
         for name, text in sources.items():
             Path(home, name).write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""terminalsAndIcons.xml of FMI 3.0: variables that are connected together, and the FMU's picture."""
+"""terminalsAndIcons.xml of FMI 3.0: variables that are connected together, and a picture."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

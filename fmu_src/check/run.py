@@ -21,6 +21,7 @@ from fmu_src.check import (
     paths,
     sources,
     structure,
+    terminals,
     variables,
 )
 from fmu_src.check.archive import Contents
@@ -32,7 +33,7 @@ from hesr_model.support.text import plain, quoted
 
 _MODEL = "modelDescription.xml"
 _BUILD = "sources/buildDescription.xml"
-_OTHER_XML = ("terminalsAndIcons/terminalsAndIcons.xml", _BUILD)
+_OTHER_XML = (terminals.FILE, _BUILD)
 Rule = Callable[[Description], Iterator[str]]
 _RULES: tuple[Rule, ...] = (*general.RULES, *variables.RULES, *structure.RULES)
 
@@ -99,9 +100,8 @@ class _Found:
             self.skipped.append(f"All other checks: there is no {_MODEL} to read.")
             return
         known = "3" if version.startswith("3.") else version
-        invalid = self._add(
-            "schema", markup.schema_problems(_MODEL, contents.files[_MODEL], self._folder)
-        )
+        texts = markup.schema_problems(_MODEL, contents.files[_MODEL], self._folder)
+        invalid = self._add("schema", texts)
         if known == "2.0":
             self._check_rules(read_description(root), variables.RULES_2, contents)
         elif known == "3":
@@ -133,6 +133,10 @@ class _Found:
 
     def _check_rules(self, about: Description, more: Iterable[Rule], contents: Contents) -> None:
         self._add("rules", chain.from_iterable(rule(about) for rule in (*_RULES, *more)))
+        if terminals.FILE in contents.files:
+            connected, _ = markup.parse(terminals.FILE, contents.files[terminals.FILE])
+            if connected is not None:
+                self._add("terminals", terminals.problems(connected, about, contents))
         self._add("sources", sources.problems(about, contents))
         self._add("binaries", binaries.problems(about, contents, self._folder))
         self.skipped += binaries.skipped(about, contents)

@@ -5,6 +5,7 @@ import subprocess
 from collections.abc import Callable
 from ctypes import c_double, c_uint32
 from pathlib import Path
+from xml.etree import ElementTree as ET
 from zipfile import ZipFile
 
 import numpy as np
@@ -17,9 +18,11 @@ from fmu_src.blocks.controller import controller
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import trajectory
 from fmu_src.blocks.velocity import velocity
+from fmu_src.check import check
 from fmu_src.drive.drive_fmu import content as drive
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.package import Content, write_fmu
+from fmu_src.terminals import to_terminals
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.files import models_folder
@@ -333,6 +336,30 @@ def test_calls_out_of_sequence_around_events_are_refused(drive3, tmp_path) -> No
     new.fmu.setFMUState(saved)  # is in event mode again
     new.fmu.enterStepMode()
     assert new.fmu.doStep(0.0, 0.1)[0]
+
+
+def test_flanges_of_a_drive_and_its_check(drive3) -> None:
+    """Arrays make one terminal of all joints; the schema and the rules find no fault."""
+    with ZipFile(drive3) as archive:
+        root = ET.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
+    [flange] = root.iter("Terminal")
+    members = {e.get("memberName"): e.get("variableName") for e in flange}
+    assert members == {"phi": "q_link", "w": "dq_link", "tau": "tau_link"}
+    found = check(drive3)
+    assert found.problems == ()
+    assert found.skipped == ("VDMCheck2: it is for FMI 2.0, this is FMI 3.0.",)
+
+
+def test_joints_that_turn_and_slide_have_a_flange_each(make_model, make_law) -> None:
+    model = make_model(make_law("viscous"), make_law("viscous"), sliding=(False, True))
+    own = drive(model, inertia=(0.5, 0.5))
+    text = to_terminals(own.table, own.terminals, icon=False)
+    assert text is not None
+    flanges = ET.fromstring(text).iter("Terminal")
+    assert [(e.get("name"), e[0].get("variableName")) for e in flanges] == [
+        ("flange[1]", "q_link[1]"),
+        ("flange[2]", "q_link[2]"),
+    ]
 
 
 def test_messages_name_the_functions_of_fmi_3(drive3, tmp_path) -> None:

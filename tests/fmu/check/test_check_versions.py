@@ -142,3 +142,31 @@ def test_an_archive_that_leads_out_is_told_of_any_version(tmp_path):
     assert found.skipped[-1] == (
         "FMPy and VDMCheck2: run once the archive, its XML and the schema are right."
     )
+
+
+CONNECTED = b"""<?xml version="1.0" encoding="UTF-8"?>
+<fmiTerminalsAndIcons fmiVersion="3.0">
+  <GraphicalRepresentation><Icon x1="0" y1="0" x2="1" y2="1"/></GraphicalRepresentation>
+  <Terminals>
+    <Terminal name="a" matchingRule="plug">
+      <TerminalMemberVariable variableName="y" memberName="m" variableKind="signal"/>
+      <TerminalMemberVariable variableName="none" memberName="m" variableKind="signal"/>
+    </Terminal>
+    <Terminal name="a" matchingRule="plug"/>
+  </Terminals>
+</fmiTerminalsAndIcons>
+"""
+
+
+def test_terminals(tmp_path):
+    file = "terminalsAndIcons/terminalsAndIcons.xml"
+    found = check(write(tmp_path / "F.fmu", {MODEL: FMI_3, file: CONNECTED}))
+    assert texts(found, "terminals") == [
+        "the terminal 'a' is there 2 times.",
+        "the member of the terminal 'a', 'm' is there 2 times.",
+        "the terminal 'a' has the member 'none', which is no variable.",
+        "it has a place for an icon, but there is no terminalsAndIcons/icon.png.",
+    ]
+    wrong = CONNECTED.replace(b' matchingRule="plug"', b"")
+    found = check(write(tmp_path / "G.fmu", {MODEL: FMI_3, file: wrong}))
+    assert texts(found, "schema")[0].startswith(f"{file}, line ")
