@@ -89,12 +89,13 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
         ET.SubElement(unit, "BaseUnit", {b: str(e) for b, e in si_exponents(name).items()})
         if display := DISPLAY.get(name):
             ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(DEGREES))
-    # Units by types, since fmi-sim knows none at a variable.
+    # Units and nominal values by types, since fmi-sim knows none at a variable.
     types = ET.SubElement(root, "TypeDefinitions")
-    for name in dict.fromkeys(v.unit for v in table.variables if v.unit):
-        ET.SubElement(
-            types, "Float64Type", {"name": _type_of(name), "unit": name, **shown_as(name)}
-        )
+    for unit, nominal in dict.fromkeys((v.unit, v.nominal) for v in table.variables if v.unit):
+        element = ET.SubElement(types, "Float64Type", name=_type_of(unit, nominal), unit=unit)
+        element.attrib.update(shown_as(unit))
+        if nominal != 1.0:
+            element.set("nominal", repr(nominal))
     categories = ET.SubElement(root, "LogCategories")
     for name, text in CATEGORIES.items():
         ET.SubElement(categories, "Category", name=name, description=text)
@@ -121,9 +122,10 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
     return written + b"\n"
 
 
-def _type_of(unit: str) -> str:
-    """Return the name of the type of all variables of a unit."""
-    return "number" if unit == "1" else f"number in {unit}"
+def _type_of(unit: str, nominal: float) -> str:
+    """Return the name of the type of all variables of a unit and a usual size."""
+    name = "number" if unit == "1" else f"number in {unit}"
+    return name if nominal == 1.0 else f"{name} of about {nominal:g}"
 
 
 def _variable(array: Array, arrays: Arrays) -> ET.Element:
@@ -148,11 +150,9 @@ def _variable(array: Array, arrays: Arrays) -> ET.Element:
             "start": str(int(first.start)),
         }
         return ET.Element("Int32", attributes)
-    attributes["declaredType"] = _type_of(first.unit or "1")
+    attributes["declaredType"] = _type_of(first.unit or "1", first.nominal)
     if not (first.computed or first.role == "state"):
         attributes["start"] = " ".join(repr(float(v.start)) for v in array.elements)
-    if first.nominal != 1.0:
-        attributes["nominal"] = repr(first.nominal)
     if first.derivative_of:
         attributes["derivative"] = str(arrays.of[first.derivative_of].place)
     element = ET.Element("Float64", attributes)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from fmu_src.description import Description
 from fmu_src.interface import Interface, Variable
-from fmu_src.package import Content, write_fmu
+from fmu_src.package import Content, Version, write_fmu
 
 LAGS = """
 name = "lags"
@@ -30,7 +30,7 @@ step = 0.2
 SOURCE = Path(__file__).with_name("fmu") / "lag.c"
 
 
-def lag(folder: Path) -> Path:
+def lag(folder: Path, fmi: Version = 2) -> Path:
     """Write the FMU of T x' = u - x, y = x; a step past the time `refused` fails."""
     table = Interface(
         variables=(
@@ -53,6 +53,5 @@ def lag(folder: Path) -> Path:
         created="2000-01-01T00:00:00Z", sources=("all.c",),
     )  # fmt: skip
     sources = {"lag.c": SOURCE.read_text(encoding="utf-8")}
-    return write_fmu(
-        Content(table=table, about=about, members={}, sources=sources), folder / "Lag.fmu"
-    )
+    whole = Content(table=table, about=about, members={}, sources=sources)
+    return write_fmu(whole, folder / "Lag.fmu", fmi=fmi)

@@ -2,20 +2,33 @@
 
 from pathlib import Path
 
+from closed_loop import MOTION
 from systems import closed_system, open_system
 
 from cosim.interop.case import Alone, Case, Together
 from cosim.interop.drive import driven
 from cosim.interop.systems import opened_case
 from fmu_src import export_fmu, model_file
+from fmu_src.blocks.controller import controller
+from fmu_src.blocks.inverse_dynamics import inverse_dynamics
+from fmu_src.blocks.trajectory import start_values, trajectory
+from fmu_src.blocks.velocity import velocity
+from fmu_src.drive.drive_fmu import content as drive
+from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.package import Version, write_fmu
 from hesr_model.artifacts import read_model
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import models_folder
 
 NAMES = (
     "friction", "exact", "lugre", "trajectory", "body", "controller", "arm", "open", "closed",
 )  # fmt: skip
+
+OF_FMI_3 = ("friction", "exact", "lugre", "drive", "trajectory", "body", "controller", "velocity")
+"""FMUs that are also run in FMI 3.0."""
 
 # States at their start attributes: CasADi, which evaluates the equations only, begins there.
 EXACT = {"discretisation": "exact", "start_mode": "given"}
@@ -49,6 +62,36 @@ def alone(folder: Path, closed: Together) -> list[Alone]:
         driven(export_fmu(lugre(), folder / "LuGre.fmu"), name="lugre"),
         *(driven(used[name].fmu, name=name, start=used[name].start) for name in names),
     ]
+
+
+def of_both_versions(folder: Path) -> dict[str, tuple[Alone, Alone]]:
+    """Return each FMU in FMI 2.0 and in FMI 3.0, with the same inputs."""
+    table1 = read_model(model_file("uf850-table1"))
+    robot = RobotModel(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
+    joints = len(table1.joints)
+    contents = {
+        "drive": drive(table1, inertia=(3.0, 3.0, 0.6), stiffness=(1e4, 2e4, 1e4)),
+        "trajectory": trajectory(joints),
+        "body": inverse_dynamics(robot, robot.nominal_parameters),
+        "controller": controller(joints),
+        "velocity": velocity(joints),
+    }
+    frictions = {"friction": table1, "exact": table1, "lugre": lugre()}
+    starts = {"exact": EXACT, "trajectory": start_values(MOTION)}
+
+    def written(name: str, version: Version) -> Path:
+        path = folder / f"{name}{version}.fmu"
+        if name in frictions:
+            return export_bare(frictions[name], path, fmi=version)
+        return write_fmu(contents[name], path, fmi=version)
+
+    return {
+        name: (
+            driven(written(name, 2), name=name, start=starts.get(name)),
+            driven(written(name, 3), name=f"{name} 3.0", start=starts.get(name)),
+        )
+        for name in OF_FMI_3
+    }
 
 
 def lugre() -> FrictionModel:

@@ -4,10 +4,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from cases import every_case
+from cases import every_case, of_both_versions
 from rich.console import Console
 
-from cosim.interop.case import Case
+from cosim.interop.case import Alone, Case
 from cosim.interop.engine import Engine, SkippedError, Tools
 from cosim.interop.engines import ENGINES
 from cosim.interop.matrix import EngineMatrix, EngineResult, EngineRow, References, run_cell
@@ -52,6 +52,12 @@ def cases(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Case]:
 
 
 @pytest.fixture(scope="session")
+def versions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Alone, Alone]]:
+    """FMUs in FMI 2.0 and 3.0."""
+    return of_both_versions(tmp_path_factory.mktemp("versions"))
+
+
+@pytest.fixture(scope="session")
 def references() -> References:
     return References()
 
@@ -61,13 +67,16 @@ def cell(
     tools: Tools,
     references: References,
     request: pytest.FixtureRequest,
-) -> Callable[[Engine, str], EngineResult]:
+) -> Callable[[Engine, str | Case], EngineResult]:
     """Run an engine that is there on a case, and keep it for the table."""
 
-    def run(engine: Engine, name: str) -> EngineResult:
-        case = request.getfixturevalue("cases")[name]
+    def run(engine: Engine, case: str | Case) -> EngineResult:
+        if isinstance(case, str):
+            case = request.getfixturevalue("cases")[case]
+        elif case not in _cases:
+            _cases.append(case)
         found = run_cell(engine, case, tools, references)
-        _cells.setdefault(engine.name, {})[name] = found
+        _cells.setdefault(engine.name, {})[case.name] = found
         return found
 
     return run

@@ -1,11 +1,14 @@
 """Every engine gives what our own code gives in its way of coupling."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
-from cases import NAMES
+from cases import NAMES, OF_FMI_3
 
-from cosim.interop.engine import Engine
+from cosim.interop.case import Alone, Case, deviation
+from cosim.interop.engine import Engine, Tools
 from cosim.interop.engines import ENGINES
 from cosim.interop.matrix import EngineResult
 
@@ -16,6 +19,8 @@ REASONS = (
     "it is for model exchange, the FMU is not",
     "it evaluates between events, where the FMU holds its signs",
     "the FMU's co-simulation integrates in a way of its own",
+    "it is run with FMI 2.0 only",
+    "it takes no arrays of several elements",
 )
 
 
@@ -25,7 +30,7 @@ def test_engine(
     engine: Engine,
     case: str,
     need: Callable[[Engine], None],
-    cell: Callable[[Engine, str], EngineResult],
+    cell: Callable[[Engine, str | Case], EngineResult],
 ) -> None:
     need(engine)
     if (engine.together if case in SYSTEMS else engine.alone) is None:
@@ -37,3 +42,42 @@ def test_engine(
     assert not found.failure, found.failure
     assert found.deviation is not None
     assert found.deviation <= found.tolerance
+
+
+SAME = 1e-15
+"""How far an engine's answers for FMI 3.0 may be from its own for FMI 2.0, of the largest value."""
+
+STEP = 2.0**-8
+"""[s]; sums of it do not round, as those of the preferred steps do, in engines in several ways."""
+
+
+@pytest.mark.parametrize("name", OF_FMI_3)
+@pytest.mark.parametrize(
+    "engine", [e for e in ENGINES if e.alone is not None], ids=lambda engine: engine.name
+)
+def test_fmi_3_gives_what_fmi_2_gives(
+    engine: Engine,
+    name: str,
+    versions: dict[str, tuple[Alone, Alone]],
+    tools: Tools,
+    need: Callable[[Engine], None],
+    cell: Callable[[Engine, str | Case], EngineResult],
+    tmp_path: Path,
+) -> None:
+    """In each engine, and against our own code."""
+    need(engine)
+    old, new = versions[name]
+    found = cell(engine, new)
+    if found.skipped:
+        assert found.skipped in REASONS
+        pytest.skip(found.skipped)
+    assert not found.failure, found.failure
+    assert found.deviation is not None
+    assert found.deviation <= found.tolerance
+    assert engine.alone is not None
+    runs = []
+    for case in (old, new):
+        folder = tmp_path / str(case.fmi)
+        folder.mkdir()
+        runs.append(engine.alone(tools, replace(case, step=STEP), folder))
+    assert deviation(runs[1], runs[0].signals) <= SAME
