@@ -91,9 +91,9 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
             ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(DEGREES))
     # Units and nominal values by types, since fmi-sim knows none at a variable.
     types = ET.SubElement(root, "TypeDefinitions")
-    for unit, nominal in dict.fromkeys((v.unit, v.nominal) for v in table.variables if v.unit):
-        element = ET.SubElement(types, "Float64Type", name=_type_of(unit, nominal), unit=unit)
-        element.attrib.update(shown_as(unit))
+    for of, nominal in dict.fromkeys((v.unit, v.nominal) for v in table.variables if v.unit):
+        element = ET.SubElement(types, "Float64Type", name=_type_of(of, nominal), unit=of)
+        element.attrib.update(shown_as(of))
         if nominal != 1.0:
             element.set("nominal", repr(nominal))
     categories = ET.SubElement(root, "LogCategories")
