@@ -22,19 +22,29 @@ def inspect(
         ),
     ] = None,
     page: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="PAGE.html", help="Page to write.")
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="PAGE.html", help="Page to write, or picture (.svg)."
+        ),
     ] = None,
     write: Annotated[
         Path | None,
         typer.Option("--write", metavar="ROBOT.toml", help="Robot file to write as proposed."),
     ] = None,
+    study: Annotated[
+        Path | None,
+        typer.Option(
+            "--study", metavar="STUDY.toml", help="Study of these logs to write, for 'hesr run'."
+        ),
+    ] = None,
     json_file: Json = None,
 ) -> None:
     """Say what is wrong or odd in logs.
 
-    A page shows them; a robot file that reads them is proposed, with a reason for each line.
+    A page shows them; a robot file that reads them is proposed, with a reason for each line, and a
+    study that 'hesr run' runs.
 
-    Example: hesr inspect log.csv --robot my_arm.urdf --write robot.toml -o page.html
+    Example: hesr inspect log.csv --robot my_arm.urdf --write robot.toml --study study.toml
     """
     from hesr_model.errors import ConfigError
     from hesr_model.health.proposal import inspected, robot_file
@@ -43,6 +53,10 @@ def inspect(
 
     if write and not robot:
         raise ConfigError("--write needs --robot: a robot file names the robot's model.")
+    if study and not write:
+        raise ConfigError(
+            "--study needs --write: a study names the robot file that reads its logs."
+        )
     with working("looking at the logs"):
         proposal = inspected(logs, robot)
         if page:
@@ -52,6 +66,11 @@ def inspect(
         if write:
             with written_whole(write) as temporary:
                 temporary.write_text(robot_file(proposal, write), encoding="utf-8")
+            if study:
+                from cosim.proposed_study import study_file
+
+                with written_whole(study) as temporary:
+                    temporary.write_text(study_file(proposal, write, study), encoding="utf-8")
     answer(
         json_file,
         {
@@ -61,14 +80,17 @@ def inspect(
         },
     )
     _print(proposal)
-    for path in filter(None, (page, write)):
+    for path in filter(None, (page, write, study)):
         typer.echo(f"written: {path}")
+    if study:
+        typer.echo(f"Next: hesr run {study}")
 
 
 def _print(proposal: "Proposal") -> None:
     from rich.console import Console
-    from rich.table import Table
 
+    from cosim.tables.table import ResultTable, TableRow
+    from cosim.tables.terminal import Drawn
     from hesr_model.health.proposal import HEAD, summary_rows
 
     console = Console()
@@ -80,14 +102,11 @@ def _print(proposal: "Proposal") -> None:
             f"jitter {100 * log.jitter:.0f} %{gaps}{dropped}",
             highlight=False,
         )
-    by_log: dict[str, list[tuple[str, ...]]] = {}
-    for name, *cells in summary_rows(proposal):
-        by_log.setdefault(name, []).append(tuple(cells))
+    by_log: dict[str, list[TableRow]] = {}
+    for name, joint, *cells in summary_rows(proposal):
+        by_log.setdefault(name, []).append(TableRow(head=joint, cells=cells))
     for name, rows in by_log.items():
-        table = Table(*HEAD[1:], title=name, title_justify="left", box=None, padding=(0, 1))
-        for row in rows:
-            table.add_row(*row)
-        console.print(table)
+        console.print(Drawn(ResultTable(caption=name, head=HEAD[1:], rows=rows)))
     told = {
         "As given": proposal.first,
         "With the proposed robot file": proposal.examination.findings if proposal.reasons else (),

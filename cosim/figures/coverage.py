@@ -13,6 +13,8 @@ from cosim.figures.style import SERIES, style_axis, styled
 Array = NDArray[np.float64]
 
 _ROW, _BINS = 1.55, 40
+_LEAST = 1e-9
+"""Of a range that is more than rounding."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,6 +31,8 @@ class JointView:
         Torque that the model leaves [N.m; N] over velocity; None without a model.
     covered
         (N,) velocities of all logs.
+    loads
+        (N,) gravity torques [N.m; N] of all logs; None without a model.
     """
 
     name: str
@@ -36,31 +40,42 @@ class JointView:
     velocities: tuple[Line, ...]
     friction: Line | None
     covered: Array
+    loads: Array | None
 
 
 def joints(views: Sequence[JointView]) -> Figure:
-    """Draw velocity over time, friction over velocity, and a histogram of each joint."""
+    """Draw velocity over time, friction over it, and histograms of velocity and load by joint."""
     height = _ROW * len(views) + 0.75
     with styled():
         figure = Figure(figsize=(9.0, height))
         # Placed by hand, because finding a place for many axes takes longer than drawing them.
         axes = figure.subplots(
-            len(views), 3, squeeze=False,
+            len(views), 4, squeeze=False,
             gridspec_kw={"left": 0.06, "right": 0.995, "top": 1.0 - 0.5 / height,
-                         "bottom": 0.3 / height, "wspace": 0.16, "hspace": 0.62},
+                         "bottom": 0.3 / height, "wspace": 0.16, "hspace": 0.62,
+                         "width_ratios": [1.0, 1.0, 0.6, 0.6]},
         )  # fmt: skip
         for row, view in zip(axes, views, strict=True):
             for line in view.velocities:
                 plot(row[0], line)
             if view.friction:
                 plot(row[1], view.friction)
-            row[2].hist(view.covered, bins=_BINS, color=SERIES[2])
-            row[2].set_yticks([])
-            titles = (f"{view.name}: {view.unit} over s", "torque less the model’s", "rows")
+            for axis, values in ((row[2], view.covered), (row[3], view.loads)):
+                axis.set_yticks([])
+                if values is None or np.ptp(values) < _LEAST:
+                    axis.set_xticks([])
+                    axis.text(0.5, 0.5, "none", ha="center", fontsize=8, transform=axis.transAxes)
+                else:
+                    axis.hist(values, bins=_BINS, color=SERIES[2])
+            titles = (
+                f"{view.name}: {view.unit} over s", "torque less the model’s", "rows by velocity",
+                "rows by gravity",
+            )  # fmt: skip
             for axis, title in zip(row, titles, strict=True):
                 axis.set_title(title, fontsize=8.5)
                 style_axis(axis)
             row[1].set_xlabel(view.unit, fontsize=8, labelpad=1)
             row[2].set_xlabel(view.unit, fontsize=8, labelpad=1)
+            row[3].set_xlabel("N" if view.unit == "m/s" else "N.m", fontsize=8, labelpad=1)
         legend(figure, [line for view in views for line in view.velocities])
     return figure

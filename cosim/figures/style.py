@@ -143,6 +143,22 @@ def svg(figure: Figure, key: str) -> str:
     )
 
 
+def write_svg(figure: Figure, path: Path) -> None:
+    """Write a figure as SVG that stands alone, the same bytes for the same figure.
+
+    Raises
+    ------
+    ArtifactError
+        If it cannot be written.
+    """
+    settled(figure)
+    text = io.StringIO()
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": path.stem}):
+        figure.savefig(text, format="svg", facecolor="white", metadata={"Date": None})
+    with written_whole(path) as temporary:
+        temporary.write_text(_short(text.getvalue()), encoding="utf-8")
+
+
 def write(figure: Figure, stem: Path) -> None:
     """Write a figure as PDF and PNG, the same bytes for the same figure.
 
@@ -157,6 +173,11 @@ def write(figure: Figure, stem: Path) -> None:
             figure.savefig(temporary, dpi=_DPI, metadata=metadata)
 
 
+def _short(body: str) -> str:
+    """Return an SVG whose paths have short numbers."""
+    return _PATH.sub(lambda m: _LONG.sub(r"\1", m[0]).replace("\n", ""), body)
+
+
 def _inner(drawn: str, key: str) -> str:
     """Return what stands in an SVG, with identifiers that begin by the key and short numbers."""
     body = drawn[drawn.index("<svg") :]
@@ -164,7 +185,7 @@ def _inner(drawn: str, key: str) -> str:
     used = set(re.findall(r"#([\w.-]+)", " ".join(re.findall(r'(?:href="|url\()#[\w.-]+', body))))
     body = re.sub(r' id="([\w.-]+)"', lambda m: f' id="{key}-{m[1]}"' if m[1] in used else "", body)
     body = re.sub(r'(href="|url\()#([\w.-]+)', rf"\1#{key}-\2", body)
-    body = _PATH.sub(lambda m: _LONG.sub(r"\1", m[0]).replace("\n", ""), body)
+    body = _short(body)
     body = re.sub(r"font: ([\d.]+px) '[^\"]*?(?=[;\"])", r"font-size: \1", body)
     body = re.sub(
         r"font: (bold |700 )([\d.]+px) '[^\"]*?(?=[;\"])", r"font-weight: 600; font-size: \2", body

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from cosim.figures.chart import Line
 from cosim.figures.coverage import JointView, joints
-from cosim.figures.style import MEASURED, SERIES, Stroke, svg
+from cosim.figures.style import MEASURED, SERIES, Stroke, svg, write_svg
 from cosim.report.markup import Pictures, Section, joined, paragraph, table, write_sections
 from cosim.tables.table import ResultTable, TableRow
 from hesr_model.health.evidence import Motionwise
@@ -16,18 +17,23 @@ from hesr_model.health.examine import Examination
 from hesr_model.health.findings import Finding
 from hesr_model.health.proposal import HEAD, Proposal, robot_file, summary_rows
 
-_POINTS = 1500
+Array = NDArray[np.float64]
+
+_POINTS = 700
 """Of a line; more are not seen."""
 
 
 def write_inspection(path: Path, proposal: Proposal) -> None:
-    """Write the page.
+    """Write the page, or its picture alone where the path ends in ``.svg``.
 
     Raises
     ------
     ArtifactError
         If it cannot be written.
     """
+    if path.suffix.lower() == ".svg":
+        write_svg(joints(_views(proposal)), path)
+        return
     pictures = Pictures(folder=path.parent)  # its figures stand in the page only
     sections = [
         Section(key="joints", title="Joints", html=_joints(proposal)),
@@ -48,7 +54,7 @@ def _summary(proposal: Proposal) -> Markup:
     after = proposal.examination.findings
     refused = sum(f.severity == "refusal" for f in first)
     said = (
-        f"{refused} things cannot be right and {len(first) - refused} are odd."
+        f"Cannot be right: {refused}. Odd: {len(first) - refused}."
         if first
         else "Nothing wrong or odd was found."
     )
@@ -100,43 +106,67 @@ def _joints(proposal: Proposal) -> Markup:
 
 def _drawn(proposal: Proposal, pictures: Pictures) -> Markup:
     """Draw the longest part of the logs, and what all of them cover."""
-    examination = proposal.examination
-    if not examination.parts:
+    if not proposal.examination.parts:
         return paragraph("The stamps do not allow a picture.")
-    k = max(range(len(examination.parts)), key=lambda k: np.ptp(examination.parts[k].t))
-    part = examination.parts[k]
-    views = [
-        JointView(
-            name=proposal.robot.joints[j],
-            unit="rad/s; m/s",
-            velocities=_velocities(part, int(j)),
-            friction=_friction(examination, k, int(j)),
-            covered=np.concatenate([each.v[:, j] for each in examination.parts]),
-        )
-        for j in np.flatnonzero(part.moves)
-    ]
-    if not views:
+    if not (views := _views(proposal)):
         return paragraph("No joint moves.")
     return pictures.drawing(
         "joints", Markup(svg(joints(views), "joints")),
-        f"Log {part.log.name}, joint by joint: velocity as logged and as it follows from the "
-        "smoothed position; torque that the model does not explain over velocity, which is "
-        "friction "
-        "and rises from left to right; and how many rows of all logs there are at each velocity, "
-        "since friction is learned only where there are rows.",
-        alt="For each joint velocity over time, friction over velocity, and a histogram.",
+        f"Log {_longest(proposal)[1].log.name}, joint by joint: velocity as logged and as it "
+        "follows from the smoothed position; torque that the model does not explain over velocity, "
+        "which is friction and rises from left to right; and how many rows of all logs there are "
+        "at each velocity and at each gravity torque of the model, since friction is learned only "
+        "where there are rows.",
+        alt="For each joint velocity over time, friction over velocity, and two histograms.",
     )  # fmt: skip
+
+
+def _longest(proposal: Proposal) -> tuple[int, Motionwise]:
+    """Return the place and the longest of the parts of logs."""
+    return max(enumerate(proposal.examination.parts), key=lambda part: np.ptp(part[1].t))
+
+
+def _views(proposal: Proposal) -> list[JointView]:
+    examination = proposal.examination
+    if not examination.parts:
+        return []
+    k, part = _longest(proposal)
+    return [
+        JointView(
+            name=proposal.robot.joints[j],
+            unit=_unit(proposal, int(j)),
+            velocities=_velocities(part, int(j)),
+            friction=_friction(examination, k, int(j)),
+            covered=np.concatenate([each.v[:, j] for each in examination.parts]),
+            loads=_loads(examination, int(j)),
+        )
+        for j in np.flatnonzero(part.moves)
+    ]
+
+
+def _unit(proposal: Proposal, j: int) -> str:
+    """Return the unit of a joint's velocity; without a model it is not known whether it slides."""
+    return "m/s" if j in proposal.sliding else "rad/s"
+
+
+def _loads(examination: Examination, j: int) -> Array | None:
+    """Torque (N,) of the model's gravity at all rows, beside its mean; None without a model."""
+    if not examination.torques:
+        return None
+    return np.concatenate([torques.gravity[:, j] for torques in examination.torques])
 
 
 def _velocities(part: Motionwise, j: int) -> tuple[Line, ...]:
     raw = part.log
+    step, of_raw = -(-len(part.t) // _POINTS), -(-len(raw.t) // _POINTS)
     own = Line(
-        name="from the position", x=part.t, y=part.v[:, j],
+        name="from the position", x=part.t[::step], y=part.v[::step, j],
         stroke=Stroke(colour=SERIES[1], width=0.9),
     )  # fmt: skip
     if raw.dq is None:
         return (own,)
-    return (Line(name="logged", x=raw.t, y=raw.dq[:, j], stroke=MEASURED), own)
+    logged = Line(name="logged", x=raw.t[::of_raw], y=raw.dq[::of_raw, j], stroke=MEASURED)
+    return (logged, own)
 
 
 def _friction(examination: Examination, k: int, j: int) -> Line | None:

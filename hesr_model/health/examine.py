@@ -4,21 +4,30 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from hesr_model.health.causes import check_causes
+from hesr_model.health.clocks import check_clocks
 from hesr_model.health.evidence import Motionwise, Torques, as_logged, motionwise
 from hesr_model.health.findings import Finding, merged, require_known, require_sound
+from hesr_model.health.held import check_held, check_speed
 from hesr_model.health.loss import check_loss
-from hesr_model.health.positions import check_columns, check_jumps, check_limits, check_time
-from hesr_model.health.torque import Explained, check_torque, explained
+from hesr_model.health.positions import (
+    check_columns,
+    check_jumps,
+    check_limits,
+    check_steps,
+    check_time,
+)
+from hesr_model.health.torque import NO_SIGNAL, Explained, check_torque, explained
 from hesr_model.health.velocity import check_velocity
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.robots.robot import RobotDescription, RobotModel
 
 CHECKS = (
-    *("time-unit", "gaps", "missing-rows", "dropped-rows", "wrap", "spikes", "limits"),
+    *("time-unit", "gaps", "missing-rows", "dropped-rows", "wrap", "spikes", "coarse", "limits"),
+    *("stuck", "held-samples", "torque-spikes", "speed-limit", "time-scale", "no-friction"),
     *("same-column", "velocity-constant", "velocity-columns", "velocity-match", "velocity-sign"),
     *("velocity-scale", "velocity-lag", "torque-constant", "saturation", "torque-sign"),
     *("torque-scale", "torque-signal", "torque-lag", "torque-limit", "torque-small"),
-    *("torque-columns", "position-sign", "joint-order", "zero", "gravity"),
+    *("torque-columns", "position-sign", "joint-order", "zero", "gravity", "gravity-sign"),
 )
 """Names of all checks of logs."""
 
@@ -66,7 +75,8 @@ def examine(
         findings += timed
         if any(f.severity == "refusal" for f in timed):
             continue
-        findings += check_jumps(log, robot)
+        findings += [*check_jumps(log, robot), *check_steps(log, robot)]
+        findings += check_held(log, robot)
         parts += motionwise(log, robot.log.filter_cutoff)
     torques = [Torques.of(model, part.q, part.v, part.a) for part in parts] if model else []
     logged = [as_logged(*both, robot.logged) for both in zip(parts, torques, strict=False)]
@@ -74,15 +84,17 @@ def examine(
     broken = {name for f in findings if f.check in ("wrap", "spikes") for name in f.joints}
     for part in parts:
         findings += check_velocity(part, robot, broken)
-        findings += check_limits(part, model) if model else []
+        findings += [*check_limits(part, model), *check_speed(part, model)] if model else []
         findings += check_columns(part, robot)
     if model and not _hopeless(findings):
-        for (part, torque), fit in zip(logged, fits, strict=True):
-            findings += check_torque(part, torque, fit, model)
-            findings += check_loss(part, torque, model)
+        for part, (own, torque), fit in zip(parts, logged, fits, strict=True):
+            clocks = list(check_clocks(part, own, [j for j in fit if fit[j].r2 > NO_SIGNAL], model))
+            late = {j for j in fit for f in clocks if robot.joints[j] in f.joints}
+            findings += [*clocks, *check_torque(own, fit, model, late)]
+            findings += check_loss(own, torque, model)
         findings = _caused(findings, check_causes(parts, model))
     return Examination(
-        findings=tuple(merged(findings)),
+        findings=tuple(merged(_without_followers(findings))),
         parts=tuple(parts),
         torques=tuple(torques),
         explained=tuple(fits),
@@ -101,7 +113,10 @@ def _hopeless(findings: Sequence[Finding]) -> bool:
     )
 
 
-_SYMPTOMS = ("torque-sign", "torque-scale", "torque-signal", "torque-lag", "torque-small")
+_SYMPTOMS = (
+    *("torque-sign", "torque-scale", "torque-signal", "torque-lag", "torque-small", "time-scale"),
+    "gravity-sign",
+)
 """What a deeper cause explains."""
 
 
@@ -112,7 +127,7 @@ def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Find
     gravity what is odd anywhere.
     """
     local = {name for cause in causes if cause.check == "torque-sign" for name in cause.joints}
-    everywhere = any(cause.check != "torque-sign" for cause in causes)
+    everywhere = any(cause.check != "torque-sign" or not cause.joints for cause in causes)
     kept = [
         f for f in findings
         if f.check not in _SYMPTOMS or not (everywhere or local & set(f.joints))
@@ -124,13 +139,19 @@ def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Find
         else c
         for c in causes
     ]
-    return [*_without_followers(kept), *told]
+    return [*kept, *told]
 
 
 def _without_followers(findings: Sequence[Finding]) -> list[Finding]:
     """Leave out what a clearer finding of the same joint says already."""
     clear = {f.joints for f in findings if f.check in ("velocity-columns", "same-column")}
-    return [f for f in findings if f.check != "velocity-match" or f.joints not in clear]
+    coarse = any(f.check == "coarse" for f in findings)
+    mended = any(key.startswith("log.units") for f in findings for key in f.changes)
+    return [
+        f for f in findings
+        if (f.check != "velocity-match" or f.joints not in clear)
+        and not (f.check in ("time-scale", "speed-limit") and (mended or coarse))
+    ]  # fmt: skip
 
 
 def checked(

@@ -23,6 +23,8 @@ _LEAST_SPIKE = 0.02
 """[rad or m]"""
 _BEYOND = 0.05
 """[rad or m] By which positions may pass a limit of the model."""
+_COARSE, _FEW = 8e-4, 20
+"""[rad or m] Steps of a position that are told, and how many there must be."""
 _SATURATED = 0.01
 """Share of the rows at the largest torque from which on it is a limit of the drive."""
 _LEVELS = 200
@@ -96,6 +98,24 @@ def check_jumps(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
                 check="spikes", severity="refusal", joints=(joint,), logs=(log.name,),
                 found=f"its position is {float(bends.max()):.3g} off at t = {log.t[k]:.4g} s",
                 cause="a row is wrong, or rows were lost; leave it out",
+            )  # fmt: skip
+
+
+def check_steps(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
+    """Check that positions do not come in steps that blur velocities."""
+    for j, joint in enumerate(robot.joints):
+        values = np.unique(log.q[:, j])
+        if len(values) < _FEW or np.ptp(values) < _FEW * _COARSE:
+            continue
+        step = float(np.median(np.diff(values)))
+        # Values of a fine encoder are as close as chance has it: steps are all alike.
+        alike = np.mean(np.abs(np.diff(values) / step - 1.0) < 0.01)
+        if step > _COARSE and alike > 0.5:
+            yield Finding(
+                check="coarse", severity="warning", joints=(joint,), logs=(log.name,),
+                found=f"its position comes in steps of {step:.2g}",
+                cause="it was rounded, or the encoder is coarse, and velocities are blurred; log "
+                "more digits",
             )  # fmt: skip
 
 

@@ -42,6 +42,8 @@ class Proposal:
         The logs read with it, and what the checks say then.
     first
         What the checks said of the description as it was given or guessed.
+    sliding
+        Places of the joints that slide; none without a model.
     """
 
     robot: RobotDescription
@@ -49,6 +51,7 @@ class Proposal:
     logs: Sequence[RobotLog]
     examination: Examination
     first: Sequence[Finding]
+    sliding: frozenset[int] = frozenset()
 
 
 def inspected(paths: Sequence[Path], robot: RobotLike | None = None) -> Proposal:
@@ -81,7 +84,8 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
     robot = _with_columns(paths[0], robot, reasons)
     robot, logs = _read(paths, robot, reasons)
     robot = _with_cutoff(robot, logs, reasons)
-    examination = examine(logs, robot, RobotModel(robot) if known else None)
+    model = RobotModel(robot) if known else None
+    examination = examine(logs, robot, model)
     first = examination.findings
     for _ in range(_ROUNDS):
         changes = _changes(robot, examination.findings, reasons)
@@ -93,7 +97,11 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
         robot, logs = _read(paths, robot, reasons)
         robot = _with_cutoff(robot, logs, reasons)
         examination = examine(logs, robot, RobotModel(robot) if known else None)
-    return Proposal(robot=robot, reasons=reasons, logs=logs, examination=examination, first=first)
+    slides = enumerate(joint.prismatic for joint in model.tree) if model else ()
+    return Proposal(
+        robot=robot, reasons=reasons, logs=logs, examination=examination, first=first,
+        sliding=frozenset(j for j, slid in slides if slid),
+    )  # fmt: skip
 
 
 def open_table(path: Path, time: str) -> Table | None:

@@ -4,12 +4,12 @@ All tests are of one joint in one log, by least squares on the model file's grav
 torque and on friction's shape; standard errors take into account that neighbouring rows are alike.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hesr_model.health.evidence import JointTorque, Motionwise, Torques, explain, rubbing
+from hesr_model.health.evidence import JointTorque, Motionwise, Torques, explain
 from hesr_model.health.findings import Finding
 from hesr_model.robots.robot import RobotDescription, RobotModel
 
@@ -21,14 +21,14 @@ _SCALE = 3.0
 """Gravity of real arms is .6 to 1.5 times that of their model files where it is well seen."""
 _EXPLAINED = 0.8
 """R^2 from which on a scale is one."""
-_NO_SIGNAL = 0.35
+NO_SIGNAL = 0.35
 """R^2 below which model and friction together explain next to nothing."""
-_LATEST, _LATE = 0.2, 0.06
-"""[s] Delays of the torque that are tried, and told; friction's own memory looks like 30 to
-50 ms.
-"""
-_SHARPER = 0.75
-"""By which what is unexplained must fall when the torque is moved."""
+_EXACT = 0.1
+"""Share of a torque, of all joints, that measured ones leave unexplained where nothing rubs."""
+_SEEN = 0.5
+"""Of the residual: a gravity torque above which its sign is told."""
+_WEIGHTLESS = 0.1
+"""Share of the model's gravity below which a torque holds none."""
 _ABOVE_LIMIT, _BELOW_OTHERS = 10.0, 30.0
 """Times a model's torque limit, and times less of it than the other joints use."""
 
@@ -47,17 +47,24 @@ def explained(motion: Motionwise, torques: Torques) -> Explained:
 
 
 def check_torque(
-    motion: Motionwise, torques: Torques, found: Explained, model: RobotModel
+    motion: Motionwise, found: Explained, model: RobotModel, late: Collection[int] = ()
 ) -> Iterator[Finding]:
-    """Check the torques of one part of a log."""
+    """Check the torques of one part of a log; those that are late say nothing of their scale."""
     logs = (motion.log.name,)
-    late = list(_late(motion, torques, found, logs))
-    yield from late
     for j, fit in found.items():
         yield from _sign(fit, j, model, logs)
-        if not late:
+        if j not in late:
             yield from _scale(fit, j, found, model, logs)
-        if fit.r2 < _NO_SIGNAL:
+        if fit.gravity.t < -_SURE and fit.gravity_size > _SEEN * fit.residual:
+            yield Finding(
+                check="gravity-sign", severity="refusal", logs=logs,
+                joints=(model.description.joints[j],),
+                found=f"its gravity is the model's turned around ({fit.gravity.value:.2g} times, "
+                f"{abs(fit.gravity.t):.0f} standard errors)",
+                cause="the robot is mounted otherwise than 'gravity' says, its zero is half a turn "
+                "off, or its torque or its position counts backwards",
+            )  # fmt: skip
+        if fit.r2 < NO_SIGNAL:
             levels = len(np.unique(motion.tau[:, j]))
             yield Finding(
                 check="torque-signal", severity="warning", joints=(model.description.joints[j],),
@@ -69,6 +76,7 @@ def check_torque(
                 "means "
                 "nothing",
             )  # fmt: skip
+    yield from _no_friction(found, model, logs)
     yield from _against_limits(motion, found, model, logs)
 
 
@@ -93,26 +101,40 @@ def _sign(fit: JointTorque, j: int, model: RobotModel, logs: tuple[str, ...]) ->
 
 
 def sign_change(
-    robot: RobotDescription, j: int, *, position: bool
+    robot: RobotDescription, j: int | None, *, position: bool
 ) -> tuple[str, dict[str, object]]:
-    """Return how a joint's torque, or its position, is turned around: in words, and by key."""
+    """Return how torque, or position, is turned around: in words, and by key.
+
+    Parameters
+    ----------
+    j
+        Of which joint; None for all.
+    """
     n = len(robot.joints)
 
     def turned(key: str) -> tuple[str | float, ...]:
-        units = list(robot.log.units.each(key, n))
-        unit = units[j]
-        minus = unit[1:] if isinstance(unit, str) and unit.startswith("-") else f"-{unit}"
-        units[j] = minus if isinstance(unit, str) else -unit
-        return tuple(units)
+        units = robot.log.units.each(key, n)
+        return tuple(_minus(unit) if j in (k, None) else unit for k, unit in enumerate(units))
 
+    first = j or 0
+    whose = "" if j is None else " of it"
     if position:
         changes: dict[str, object] = {f"log.units.{k}": turned(k) for k in ("q", "dq")}
-        return f"[log.units] q and dq of it with a '-', as '{turned('q')[j]}'", changes
+        return f"[log.units] q and dq{whose} with a '-', as '{turned('q')[first]}'", changes
     gains = robot.log.torque_per_ampere
     if gains is None:
-        return f"[log.units] tau of it to '{turned('tau')[j]}'", {"log.units.tau": turned("tau")}
-    mended = tuple(-gain if k == j else gain for k, gain in enumerate(gains))
-    return f"its torque_per_ampere to {mended[j]:g}", {"log.torque_per_ampere": mended}
+        units = turned("tau")
+        return f"[log.units] tau{whose} to '{units[first]}'", {"log.units.tau": units}
+    mended = tuple(-gain if j in (k, None) else gain for k, gain in enumerate(gains))
+    told = f"{mended[j]:g}" if j is not None else f"[{', '.join(f'{gain:g}' for gain in mended)}]"
+    owner = "its " if j is not None else ""
+    return f"{owner}torque_per_ampere to {told}", {"log.torque_per_ampere": mended}
+
+
+def _minus(unit: str | float) -> str | float:
+    if isinstance(unit, str):
+        return unit[1:] if unit.startswith("-") else f"-{unit}"
+    return -unit
 
 
 def _scale(
@@ -121,7 +143,8 @@ def _scale(
     """Check the size of the torque against the model's gravity, or inertia on a joint without."""
     if fit.r2 < _EXPLAINED:
         return
-    if abs(fit.gravity.t) > _SURE and (fit.bears_gravity or _far_too_large(fit)):
+    weightless = fit.bears_gravity and fit.gravity.value + _SURE * fit.gravity.error < 1.0 / _SCALE
+    if weightless or (abs(fit.gravity.t) > _SURE and (fit.bears_gravity or _far_too_large(fit))):
         scale, margin, of = abs(fit.gravity.value), _SURE * fit.gravity.error, "gravity"
     else:
         scale, margin, of = fit.inertia.value, _SURE * fit.inertia.error, "inertia"
@@ -138,7 +161,10 @@ def _scale(
     yield Finding(
         check="torque-scale", severity="refusal", joints=(robot.joints[j],), logs=logs,
         found=f"its torque is {max(scale, 0.0):.2g} times what the model's {of} takes",
-        cause=_why_scaled(robot, scale, everywhere=everywhere),
+        cause=_why_scaled(robot, scale, everywhere=everywhere)
+        if scale > _WEIGHTLESS or not weightless or abs(fit.inertia.value) < 1.0 / _SCALE
+        else "gravity was taken out of it, or a spring or weight carries the arm, or the file "
+        "declares another gravity",
     )  # fmt: skip
 
 
@@ -169,50 +195,21 @@ def _why_scaled(robot: RobotDescription, scale: float, *, everywhere: bool) -> s
     return "the unit of the torque is wrong, or the column holds a current; see [log.units] tau"
 
 
-def _late(
-    motion: Motionwise, torques: Torques, found: Explained, logs: tuple[str, ...]
-) -> Iterator[Finding]:
-    """Check that all torques together are not sharper explained some time earlier or later."""
-    period = float(np.median(np.diff(motion.t)))
-    most = int(_LATEST / period)
-    step = max(1, int(0.02 / period))
-    good = [j for j, fit in found.items() if fit.r2 > _NO_SIGNAL]
-    if most < step or not good or len(motion.t) < 8 * most:
+def _no_friction(found: Explained, model: RobotModel, logs: tuple[str, ...]) -> Iterator[Finding]:
+    """Check that torques that the model explains to the last are not the model's own."""
+    clear = {j: fit for j, fit in found.items() if fit.r2 > _EXPLAINED}
+    if not clear or any(
+        abs(fit.friction.t) > _SURE or fit.residual > _EXACT * fit.deviation
+        for fit in clear.values()
+    ):
         return
-    inner = slice(most, -most)
-    shifts = list(range(-(most // step) * step, most + 1, step))
-    residuals = np.array(
-        [
-            [
-                explain_quickly(
-                    motion.tau[most + k : len(motion.t) - most + k, j],
-                    torques.gravity[inner, j],
-                    torques.inertial[inner, j],
-                    motion.v[inner, j],
-                )
-                for k in shifts
-            ]
-            for j in good
-        ]
-    )
-    sharpest = np.array(shifts)[np.argmin(residuals, axis=1)] * period
-    gain = residuals.min(axis=1) / residuals[:, shifts.index(0)]
-    if abs(np.median(sharpest)) < _LATE or np.median(gain) > _SHARPER:
-        return
-    lag = float(np.median(sharpest))
+    names = tuple(model.description.joints[j] for j in clear)
     yield Finding(
-        check="torque-lag", severity="warning", logs=logs,
-        found=f"torques are about {abs(lag) * 1e3:.0f} ms {'late' if lag > 0 else 'early'} against "
-        "the motion",
-        cause="they were filtered or come from another clock; move their columns in time",
+        check="no-friction", severity="warning", joints=names, logs=logs,
+        found="the model's rigid body explains their torques, and nothing of these goes with the "
+        "velocity",
+        cause="it was computed or commanded instead of measured, or friction was taken out of it",
     )  # fmt: skip
-
-
-def explain_quickly(tau: Array, gravity: Array, inertial: Array, v: Array) -> float:
-    """Return what `explain` leaves of `tau`: of `gravity`, `inertial`, `v`, (N,) [N.m, rad/s]."""
-    columns = np.column_stack([gravity, inertial, rubbing(v), np.ones_like(v)])
-    x = np.linalg.lstsq(columns, tau, rcond=None)[0]
-    return float(np.std(tau - columns @ x))
 
 
 def _against_limits(

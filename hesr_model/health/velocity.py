@@ -162,8 +162,9 @@ def _scale(
 ) -> Iterator[Finding]:  # fmt: skip
     found, name = matches[j], robot.joints[j]
     if found.slope < 0:
-        units = list(robot.log.units.each("dq", len(robot.joints)))
-        units[j] = _turned(units[j])
+        declared = enumerate(robot.log.units.each("dq", len(robot.joints)))
+        against = {k for k, other in matches.items() if other.correlation < -_ALIKE}
+        units = [_turned(unit) if k in against else unit for k, unit in declared]
         yield Finding(
             check="velocity-sign", severity="refusal", joints=(name,), logs=logs,
             found=f"its position falls where its velocity is positive (slope {found.slope:.2f})",

@@ -75,6 +75,50 @@ def test_a_messy_log_gets_a_robot_file_that_reads_it(
     assert "http://" not in html.replace("http://www.w3.org", "")
 
 
+def test_the_proposed_study_reads_what_was_inspected(
+    messy: Path, arm: RobotDescription, hesr: Hesr
+) -> None:
+    folder = messy.parent / "cell 7"
+    folder.mkdir()
+    written, study = folder / "robot.toml", folder / "study.toml"
+    looked_at = ("inspect", messy, "--robot", arm.model, "--write", written)
+    said = hesr(*looked_at, "--study", study)
+    assert said.code == 0
+    assert said.out.endswith(f"Next: hesr run {study}\n")
+    read = Study.read(study)
+    assert read.name == "cell_7"
+    job = Job(study=read, path=study, progress=silent)
+    first, rest = (job.read(name, messy) for name in ("first", "rest"))
+    whole = RobotLog.read(messy, RobotDescription.read(written))
+    assert len(first.t) + len(rest.t) == len(whole.t)
+    assert first.t[-1] < rest.t[0]
+    assert np.ptp(first.t) == pytest.approx(0.6 * np.ptp(whole.t), rel=0.01)
+    second = messy.with_name("second.csv")
+    second.write_bytes(messy.read_bytes())
+    hesr(*looked_at[:2], second, *looked_at[2:], "--study", folder / "run 1.toml")
+    several = Study.read(folder / "run 1.toml")
+    assert several.name == "run_1"
+    assert several.logs.identification == ("../messy.csv",)
+    assert several.logs.test == {"test": ("../second.csv",)}
+    refused = hesr("inspect", messy, "--study", study)
+    assert refused.code == 2
+    assert refused.err.startswith("hesr: --study needs --write: a study names the robot file")
+
+
+@pytest.mark.soak
+def test_a_messy_log_runs_without_a_hand_laid_on_it(
+    messy: Path, arm: RobotDescription, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(messy.parent)
+    asked = ("inspect", "messy.csv", "--robot", arm.model, "--write", "robot.toml")
+    assert hesr(*asked, "--study", "cell.toml").code == 0
+    said = hesr("run", "cell.toml", "--quick")
+    assert said.code == 0, said.err
+    assert "Take fmus/" in said.out.replace("\n", " ")
+    report = Path("results/cell/report.html").read_text("utf-8")
+    assert "rows lack a number" in report
+
+
 def test_a_clean_log_is_called_clean(
     tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription, hesr: Hesr
 ) -> None:

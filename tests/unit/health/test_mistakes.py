@@ -60,6 +60,17 @@ def rate(log: RobotLog, factor: float) -> Array:
     return log.dq * factor
 
 
+def stuck(values: Array | None, joint: int) -> Array:
+    assert values is not None
+    changed = values.copy()
+    changed[600:900, joint] = changed[600, joint]
+    return changed
+
+
+def held(log: RobotLog, rows: int) -> RobotLog:
+    return replace(log, tau=np.repeat(log.tau[::rows], rows, axis=0)[: len(log.t)])
+
+
 MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     "q in degrees": (
         lambda log: replace(log, q=log.q / DEGREE), "velocity-scale", ("j1", "j2", "j3"),
@@ -156,10 +167,94 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
         "saturation", ("j2",),
         "what is cut off is not learned",
     ),
+    "torque of one joint late": (
+        lambda log: replace(log, tau=np.column_stack([
+            log.tau[:, 0], late(log.tau, 30)[:, 1], log.tau[:, 2]
+        ])), "torque-lag", ("j2",), r"its torque is about 1\d0 ms late",
+    ),
+    "a stuck encoder": (
+        lambda log: replace(log, q=stuck(log.q, 1)), "stuck", ("j2",),
+        r"its position stands still from t = 3 s on, while its velocity says that it moves",
+    ),
+    "a stuck torque sensor": (
+        lambda log: replace(log, tau=stuck(log.tau, 2)), "stuck", ("j3",),
+        r"its torque stands still from t = 3 s on, while it moves",
+    ),
+    "torques at another rate": (
+        lambda log: held(log, 5), "held-samples", (), r"80 % of the rows in motion repeat",
+    ),
+    "a row of torque far off": (
+        lambda log: replace(log, tau=log.tau + 500.0 * (np.arange(len(log.t)) == 700)[:, None]),
+        "torque-spikes", ("j1", "j2", "j3"), r"off for a row, at t = 3\.5 s",
+    ),
+    "rounded positions": (
+        lambda log: replace(log, q=np.round(log.q, 2)), "coarse", ("j1", "j2", "j3"),
+        r"comes in steps of 0\.01: it was rounded",
+    ),
+    "all torques backwards": (
+        lambda log: replace(log, tau=-log.tau), "torque-sign", (),
+        r"all torques count backwards; set \[log\.units\] tau to '-N\.m'",
+    ),
+    "all of j2 backwards": (
+        lambda log: replace(
+            log, q=column(log.q, 1, -1.0), dq=column(log.dq, 1, -1.0), tau=column(log.tau, 1, -1.0)
+        ),
+        "position-sign", ("j2",), r"its position, velocity and torque count backwards",
+    ),
+    "joints shifted by one": (
+        lambda log: replace(
+            log, **{name: swapped(getattr(log, name), 2, 0, 1) for name in ("q", "dq", "tau")}
+        ),
+        "joint-order", (), r"in another order than the joints; set \[log\.columns\] q = "
+        r"\[.q2., .q3., .q1.\]",
+    ),
     "torques late": (
         lambda log: replace(log, tau=late(log.tau, 30)), "torque-lag", (), r"about 1\d0 ms late",
     ),
 }  # fmt: skip
+
+
+def test_speeds_beyond_the_models_are_told(log: RobotLog, arm_model: RobotModel) -> None:
+    lower, upper, _ = arm_model.limits
+    limited = RobotModel(arm_model.description)
+    limited.__dict__["limits"] = (lower, upper, np.array([0.5, 5.0, 0.0]))
+    (finding,) = examine([log], limited.description, limited).findings
+    assert (finding.check, finding.joints) == ("speed-limit", ("j1",))
+    assert "times the model's limit: the stamps were made from a wrong" in finding.sentence
+
+
+def test_inertia_beside_gravity_tells_the_rate_of_the_stamps(
+    make_motion: Callable[..., Motion], arm_model: RobotModel
+) -> None:
+    motion = make_motion(name="run", seconds=30.0, friction=0.8)
+    noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
+    tau = motion.tau + noise
+    log = RobotLog(name="run", t=motion.t, q=motion.q, dq=None, tau=tau)
+    assert examine([log], arm_model.description, arm_model).findings == ()
+    fast = examine([replace(log, t=0.5 * log.t)], arm_model.description, arm_model).findings
+    (told,) = (finding for finding in fast if finding.check == "time-scale")
+    assert re.search(r"a motion that is 2(\.\d)? times slower: .* sample rate", told.sentence)
+
+
+def test_torques_that_were_computed_are_told(
+    make_motion: Callable[..., Motion], arm_model: RobotModel
+) -> None:
+    m = make_motion()
+    (finding,) = examine(
+        [RobotLog(name="run", t=m.t, q=m.q, dq=m.dq, tau=m.tau)], arm_model.description, arm_model
+    ).findings
+    assert (finding.check, finding.joints) == ("no-friction", ("j1", "j2", "j3"))
+    assert "it was computed or commanded instead of measured" in finding.cause
+
+
+def test_torques_without_their_gravity_are_refused(log: RobotLog, arm_model: RobotModel) -> None:
+    nothing = np.zeros_like(log.q)
+    gravity = arm_model.torque(arm_model.nominal_parameters, log.q, nothing, nothing)
+    found = examine(
+        [replace(log, tau=log.tau - gravity)], arm_model.description, arm_model
+    ).findings
+    assert [(f.check, f.joints) for f in found] == [("torque-scale", ("j2",))]
+    assert "gravity was taken out of it" in found[0].cause
 
 
 def test_a_clean_log_has_no_finding(log: RobotLog, arm_model: RobotModel) -> None:

@@ -1,0 +1,126 @@
+"""Signals that stand still while they should move, leap for a row, or are too fast to be right."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.health.evidence import Motionwise
+from hesr_model.health.findings import Finding
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.robots.robot import RobotDescription, RobotModel
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_WINDOW = 0.1
+"""[s] Over which the speed of a raw position is taken."""
+_MOVES = 0.05
+"""[rad/s; m/s]"""
+_LEVELS = 200
+"""Values of a signal that is not so coarse that neighbours are often equal."""
+_HELD = 0.3
+"""Share of rows that repeat the row before, from which on samples are held."""
+_STUCK, _STUCK_ROWS = 0.3, 15
+"""[s] and rows for which a signal stands still while its joint moves."""
+_RARE, _MOVING = 5.0, 0.25
+"""Times longer than most other runs of equal values; share of such a run that is in motion."""
+_SPIKE = 3.0
+"""Times the range of the other rows, of a single row of torque."""
+_TOO_FAST = 1.3
+"""Times the model's limit of speed; drives pass it by a little."""
+
+
+def check_held(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
+    """Check raw signals of a log for values that are repeated, stuck, or of a single row."""
+    if len(log.t) < 2 * _STUCK_ROWS:
+        return
+    speed = _speeds(log)
+    moves = np.abs(speed) > _MOVES
+    fine = np.array([len(np.unique(column)) > _LEVELS for column in log.tau.T])
+    yield from _repeated(log, moves, fine)
+    for j, joint in enumerate(robot.joints):
+        if log.dq is not None:
+            row = _stands_still(log, log.q[:, j], np.abs(log.dq[:, j]) > _MOVES)
+            if row is not None:
+                yield _stuck(log, joint, "position", row, "its velocity says that it moves")
+        # A torque that never changes, or stands at its largest, is told by these names.
+        tau = log.tau[:, j]
+        row = _stands_still(log, tau, moves[:, j]) if fine[j] else None
+        if row is not None and abs(tau[row]) < np.max(np.abs(tau)):
+            yield _stuck(log, joint, "torque", row, "it moves")
+        low, high = np.quantile(log.tau[:, j], [0.01, 0.99])
+        beside = 0.5 * (log.tau[:-2, j] + log.tau[2:, j])
+        off = np.abs(log.tau[1:-1, j] - beside)
+        alone = np.abs(log.tau[2:, j] - log.tau[:-2, j]) < 0.2 * off
+        k = int(np.argmax(np.where(alone, off, 0.0)))
+        if alone[k] and off[k] > _SPIKE * (high - low) > 0.0:
+            yield Finding(
+                check="torque-spikes", severity="refusal", joints=(joint,), logs=(log.name,),
+                found=f"its torque is {off[k]:.3g} off for a row, at t = {log.t[k + 1]:.4g} s",
+                cause="that row is wrong; leave it out",
+            )  # fmt: skip
+
+
+def _speeds(log: RobotLog) -> Array:
+    """Speeds (N, n) [rad/s; m/s] over a window of raw positions."""
+    around = max(1, round(0.5 * _WINDOW / log.period))
+    rows = np.arange(len(log.t))
+    before, after = np.maximum(rows - around, 0), np.minimum(rows + around, len(rows) - 1)
+    return np.asarray((log.q[after] - log.q[before]) / (log.t[after] - log.t[before])[:, None])
+
+
+def _repeated(log: RobotLog, moves: Mask, fine: Mask) -> Iterator[Finding]:
+    if not np.any(fine):
+        return
+    rows = np.any(moves[1:], axis=1)
+    if rows.sum() < _STUCK_ROWS:
+        return
+    same = np.all(np.diff(log.tau[:, fine], axis=0) == 0.0, axis=1)
+    share = float(np.mean(same[rows]))
+    if share > _HELD:
+        yield Finding(
+            check="held-samples", severity="warning", logs=(log.name,),
+            found=f"{100 * share:.0f} % of the rows in motion repeat the torques of the row before",
+            cause="rows are written more often than the robot answers; log at its own rate",
+        )  # fmt: skip
+
+
+def _stands_still(log: RobotLog, values: Array, moves: Mask) -> int | None:
+    """Return the first row of the longest run of equal values (N,), if it is long and in motion."""
+    edges = np.flatnonzero(np.diff(np.r_[False, np.diff(values) == 0.0, False].astype(int)))
+    starts, lengths = edges[::2], edges[1::2] - edges[::2]
+    if not len(starts):
+        return None
+    k = int(np.argmax(lengths))
+    first, last = int(starts[k]), int(starts[k] + lengths[k])
+    usual = float(np.quantile(np.delete(lengths, k), 0.95)) if len(lengths) > 1 else 1.0
+    long = last - first >= max(_STUCK_ROWS, _RARE * usual)
+    lasts = log.t[last] - log.t[first] > _STUCK
+    return first if long and lasts and np.mean(moves[first:last]) > _MOVING else None
+
+
+def _stuck(log: RobotLog, joint: str, what: str, row: int, while_: str) -> Finding:
+    return Finding(
+        check="stuck", severity="refusal", joints=(joint,), logs=(log.name,),
+        found=f"its {what} stands still from t = {log.t[row]:.4g} s on, while {while_}",
+        cause="the sensor or its connection failed there; cut these rows out",
+    )  # fmt: skip
+
+
+def check_speed(motion: Motionwise, model: RobotModel) -> Iterator[Finding]:
+    """Check speeds against the limits of the model file, which drives hardly pass."""
+    limits = np.where(np.isfinite(model.limits[2]), model.limits[2], 0.0)
+    peaks = np.quantile(np.abs(motion.v), 0.998, axis=0)
+    for j in np.flatnonzero(motion.moves & (limits > 0.0)):
+        if peaks[j] <= _TOO_FAST * limits[j]:
+            continue
+        unit = "m/s" if model.tree[j].prismatic else "rad/s"
+        yield Finding(
+            check="speed-limit", severity="warning", logs=(motion.log.name,),
+            joints=(model.description.joints[j],),
+            found=f"it reaches {peaks[j]:.3g} {unit}, {peaks[j] / limits[j]:.2g} times the model's "
+            "limit",
+            cause="the stamps were made from a wrong sample rate, a unit is wrong, or the model's "
+            "limits are",
+        )  # fmt: skip

@@ -1,0 +1,227 @@
+"""Mistakes that strangers make in robot files, each with the logs as they would be without it."""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.health.evidence import Torques, rubbing
+from hesr_model.health.torque import sign_change
+from hesr_model.logs.log_format import column_names
+from hesr_model.robots.robot import RobotModel
+
+Array = NDArray[np.float64]
+
+_SIGNAL = 0.8
+"""Share of a torque left unexplained from which on it says nothing of gravity."""
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_EARTH = 9.81
+"""[m/s2]"""
+_SNAP = np.radians(12.0)
+_TILTED = np.radians(20.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rows:
+    """Rows of several logs: q, v, a, tau, (N, n) each [rad, rad/s, rad/s2, N.m], and the gravity.
+
+    Torques are those that were logged, of motors where logs are of these, divided by the gears.
+
+    Attributes
+    ----------
+    gravity
+        (3,) [m/s2].
+    """
+
+    q: Array
+    v: Array
+    a: Array
+    tau: Array
+    gravity: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mistake:
+    """A hypothesis: what would be wrong, at which joint, and the rows `mended`."""
+
+    check: str
+    joint: int
+    cause: str
+    changes: dict[str, object]
+    mended: Rows
+
+
+def torques_of(rows: Rows, model: RobotModel) -> Torques:
+    """Evaluate the model under the gravity of the rows."""
+    torques = Torques.of(model, rows.q, rows.v, rows.a)
+    declared = np.array(model.description.gravity)
+    if np.array_equal(declared, rows.gravity):
+        return torques
+    gravity = np.einsum("kij,k->ij", _by_axis(rows.q, model), rows.gravity)
+    return replace(torques, gravity=gravity - gravity.mean(axis=0))
+
+
+def _by_axis(q: Array, model: RobotModel) -> Array:
+    """Gravity torque (3, N, n) per unit of gravity [N.m / (m/s2)] along each axis of the base."""
+    nothing = np.zeros_like(q)
+    with model.under_gravity() as set_gravity:
+        parts = []
+        for axis in _AXES.values():
+            set_gravity(axis)
+            parts.append(model.torque(model.nominal_parameters, q, nothing, nothing))
+    return np.array(parts)
+
+
+def mistakes(rows: Rows, model: RobotModel, moves: NDArray[np.bool_]) -> Iterator[Mistake]:
+    """Yield what may be wrong, the simplest first."""
+    robot, joints = model.description, [int(j) for j in np.flatnonzero(moves)]
+    if len(joints) > 1:
+        key, changes = sign_change(robot, None, position=False)
+        yield Mistake(
+            check="torque-sign", joint=-1, cause=f"all torques count backwards; set {key}",
+            changes=changes, mended=replace(rows, tau=-rows.tau),
+        )  # fmt: skip
+    for j in joints:
+        key, changes = sign_change(robot, j, position=False)
+        tau = rows.tau.copy()
+        tau[:, j] *= -1.0
+        yield Mistake(
+            check="torque-sign", joint=j, cause=f"its torque counts backwards; set {key}",
+            changes=changes, mended=replace(rows, tau=tau),
+        )  # fmt: skip
+        key, changes = sign_change(robot, j, position=True)
+        q, v, a = rows.q.copy(), rows.v.copy(), rows.a.copy()
+        for part in (q, v, a):
+            part[:, j] *= -1.0
+        yield Mistake(
+            check="position-sign", joint=j,
+            cause=f"its position and velocity count backwards; set {key}",
+            changes=changes, mended=replace(rows, q=q, v=v, a=a),
+        )  # fmt: skip
+        both, other = sign_change(robot, j, position=False)
+        yield Mistake(
+            check="position-sign", joint=j,
+            cause=f"its position, velocity and torque count backwards; set {key}, and {both}",
+            changes=changes | other, mended=replace(rows, q=q, v=v, a=a, tau=tau),
+        )  # fmt: skip
+    for mend in (_swapped_torques, _swapped_joints, _gravity, _moved_zeros):
+        yield from mend(rows, model, joints)
+
+
+def _swapped_torques(rows: Rows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
+    robot = model.description
+    which = "tau" if robot.log.torque_per_ampere is None else "current"
+    columns = column_names(getattr(robot.log.columns, which), robot.joints)
+    gains = np.array(robot.log.torque_per_ampere or np.ones(model.n))
+    for a, b in combinations(joints, 2):
+        order = _exchanged(model.n, a, b)
+        named = tuple(columns[k] for k in order)
+        yield Mistake(
+            check="torque-columns", joint=a,
+            cause=f"its torque stands in the column of joint '{robot.joints[b]}', and that one's "
+            "in "
+            f"its; set [log.columns] {which} = {_quoted(named)}",
+            changes={f"log.columns.{which}": named},
+            mended=replace(rows, tau=rows.tau[:, order] / gains[order] * gains),
+        )  # fmt: skip
+
+
+def _swapped_joints(rows: Rows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
+    robot = model.description
+    orders = {(a, b): _exchanged(model.n, a, b) for a, b in combinations(joints, 2)}
+    if len(joints) == model.n > 2:
+        n = model.n
+        orders[-1, -1] = list(reversed(range(n)))
+        orders[-1, 1], orders[-1, 2] = [*range(1, n), 0], [n - 1, *range(n - 1)]
+    for (a, b), order in orders.items():
+        changes = {
+            f"log.columns.{key}": tuple(column_names(columns, robot.joints)[k] for k in order)
+            for key, columns in robot.log.columns
+            if key != "t" and columns
+        }
+        what = (
+            "all columns stand in another order than the joints"
+            if a < 0
+            else f"its columns are those of joint '{robot.joints[b]}', and the other way"
+        )
+        yield Mistake(
+            check="joint-order", joint=a,
+            cause=f"{what}; set [log.columns] q = {_quoted(changes['log.columns.q'])}, and the "
+            "others alike",
+            changes=dict(changes),
+            mended=replace(rows, **{k: getattr(rows, k)[:, order] for k in ("q", "v", "a", "tau")}),
+        )  # fmt: skip
+
+
+def _moved_zeros(rows: Rows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
+    robot = model.description
+    for j in joints:
+        if model.tree[j].prismatic:
+            continue
+        for quarter in (1, -1, 2):
+            zero = list(robot.log.zero or (0.0,) * model.n)
+            zero[j] += quarter * np.pi / 2.0
+            q = rows.q.copy()
+            q[:, j] += quarter * np.pi / 2.0
+            yield Mistake(
+                check="zero", joint=j,
+                cause=f"its zero is {90 * quarter} degrees from the model's; set [log] zero = "
+                f"[{', '.join(f'{z:.6g}' for z in zero)}]",
+                changes={"log.zero": tuple(zero)}, mended=replace(rows, q=q),
+            )  # fmt: skip
+
+
+def _gravity(rows: Rows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
+    """Yield the gravity that the torques show, where it points elsewhere than the robot file's."""
+    by_axis, inertial, v = _by_axis(rows.q, model), torques_of(rows, model).inertial, rows.v
+    if (logged := model.description.logged) is not None:
+        by_axis = np.array([logged.torque(one) for one in by_axis])
+        inertial, v = logged.torque(inertial), logged.motion(v)
+    rows_of, targets = [], []
+    for place, j in enumerate(joints):
+        rubs = [inertial[:, j], rubbing(v[:, j]), np.ones(len(v))]
+        columns, tau = np.column_stack([*by_axis[:, :, j], *rubs]), rows.tau[:, j]
+        left = float(np.std(tau - columns @ np.linalg.lstsq(columns, tau, rcond=None)[0]))
+        if left > _SIGNAL * np.std(tau):
+            continue
+        own = np.zeros((len(tau), 3 + 3 * len(joints)))
+        own[:, :3], own[:, 3 + 3 * place : 6 + 3 * place] = columns[:, :3], columns[:, 3:]
+        rows_of.append(own / max(left, 1e-9))
+        targets.append(tau / max(left, 1e-9))
+    if not rows_of:
+        return
+    found = np.linalg.lstsq(np.concatenate(rows_of), np.concatenate(targets), rcond=None)[0][:3]
+    declared = np.array(model.description.gravity)
+    size = float(np.linalg.norm(declared)) or _EARTH
+    if not np.linalg.norm(found) > 0.2 * size:
+        return
+    way = found / np.linalg.norm(found)
+    for axis in _AXES.values():
+        for sign in (1.0, -1.0):
+            if way @ np.array(axis) * sign > np.cos(_SNAP):
+                way = sign * np.array(axis)
+    if way @ declared / size > np.cos(_TILTED):
+        return
+    gravity = tuple(round(float(g), 3) + 0.0 for g in size * way)
+    upside = "upside down" if way @ declared / size < -np.cos(_TILTED) else "from another side"
+    if not np.any(declared):
+        upside = "as none"
+    yield Mistake(
+        check="gravity", joint=-1,
+        cause=f"gravity is declared {upside}; set gravity = "
+        f"[{', '.join(f'{g:g}' for g in gravity)}]",
+        changes={"gravity": gravity}, mended=replace(rows, gravity=np.array(gravity)),
+    )  # fmt: skip
+
+
+def _exchanged(n: int, a: int, b: int) -> list[int]:
+    order = list(range(n))
+    order[a], order[b] = b, a
+    return order
+
+
+def _quoted(names: Sequence[str]) -> str:
+    return json.dumps(list(names))
