@@ -95,7 +95,8 @@ def _print(proposal: "Proposal") -> None:
 
     console = Console()
     for log in proposal.logs:
-        gaps = f", {len(log.gaps)} gaps" if len(log.gaps) else ""
+        count = len(log.gaps)
+        gaps = f", {count} gap{'s' * (count > 1)}" if count else ""
         dropped = f", {log.dropped} rows left out" if log.dropped else ""
         console.print(
             f"{log.name}: {len(log.t)} rows, {log.t[-1] - log.t[0]:.1f} s, {log.rate:.4g} Hz, "

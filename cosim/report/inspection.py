@@ -16,6 +16,7 @@ from hesr_model.health.evidence import Motionwise
 from hesr_model.health.examine import Examination
 from hesr_model.health.findings import Finding
 from hesr_model.health.proposal import HEAD, Proposal, robot_file, summary_rows
+from hesr_model.health.unseen import unseen
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,7 @@ def write_inspection(path: Path, proposal: Proposal) -> None:
     sections = [
         Section(key="joints", title="Joints", html=_joints(proposal)),
         Section(key="pictures", title="Motion and torque", html=_drawn(proposal, pictures)),
+        Section(key="unseen", title="What the motion does not tell", html=_unseen(proposal)),
         Section(key="robot", title="Proposed robot file", html=_file(proposal, path)),
     ]
     write_sections(
@@ -184,7 +186,21 @@ def _friction(examination: Examination, k: int, j: int) -> Line | None:
     )  # fmt: skip
 
 
+def _unseen(proposal: Proposal) -> Markup:
+    """List what no fit can learn from these logs, for want of motion."""
+    by_word: dict[str, list[str]] = {}
+    for joint, what in unseen(proposal.examination, proposal.robot.joints):
+        by_word.setdefault(what, []).append(joint)
+    if not by_word:
+        return paragraph("The logs hold rests, reversals, slow motion and loads of every joint.")
+    items = (
+        Markup("<li><strong>{}:</strong> {}.</li>").format(", ".join(names), what)
+        for what, names in by_word.items()
+    )
+    return Markup("<ul>{}</ul>").format(Markup("").join(items))
+
+
 def _file(proposal: Proposal, path: Path) -> Markup:
     if not proposal.robot.model.is_file():
         return paragraph("Without the robot's model (--robot) there is no robot file to propose.")
-    return Markup("<pre>{}</pre>").format(robot_file(proposal, path))
+    return Markup('<pre style="white-space: pre-wrap">{}</pre>').format(robot_file(proposal, path))

@@ -23,7 +23,7 @@ _HELD = 0.3
 """Share of rows that repeat the row before, from which on samples are held."""
 _STUCK, _STUCK_ROWS = 0.3, 15
 """[s] and rows for which a signal stands still while its joint moves."""
-_RARE, _MOVING = 5.0, 0.25
+_RARE, _MOVING = 10.0, 0.25
 """Times longer than most other runs of equal values; share of such a run that is in motion."""
 _SPIKE = 3.0
 """Times the range of the other rows, of a single row of torque."""

@@ -56,7 +56,7 @@ def check_time(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
         longest = float(np.max(steps))
         yield Finding(
             check="gaps", severity="warning", logs=(log.name,),
-            found=f"{len(log.gaps)} gaps, the longest of {longest:.3g} s",
+            found=f"{len(log.gaps)} gap{'s' * (len(log.gaps) > 1)}, the longest of {longest:.3g} s",
             cause=f"rows are missing; its {len(log.parts())} parts are filtered and fitted one "
             "by one",
         )  # fmt: skip

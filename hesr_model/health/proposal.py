@@ -81,6 +81,7 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
         If a log cannot be read even so.
     """
     reasons: dict[str, str] = {}
+    stated = robot.log.torque_per_ampere is not None
     robot = _with_columns(paths[0], robot, reasons)
     robot, logs = _read(paths, robot, reasons)
     robot = _with_cutoff(robot, logs, reasons)
@@ -89,7 +90,7 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
     first = examination.findings
     for _ in range(_ROUNDS):
         changes = _changes(robot, examination.findings, reasons)
-        if not changes and "log.torque_per_ampere" in reasons and known:
+        if not (changes or stated) and "log.torque_per_ampere" in reasons and known:
             changes = _constants(robot, examination, reasons)
         if not changes:
             break

@@ -158,6 +158,24 @@ def test_mistakes_are_mended_in_the_proposal(
     assert {f.check for f in proposal.first} == {"velocity-columns", "torque-sign"}
 
 
+def test_torque_constants_that_are_stated_stay(
+    tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription
+) -> None:
+    """A sign is mended; the model's masses, which are rougher, do not replace the maker's word."""
+    motion = make_motion(name="wrong", friction=0.8)
+    noise = np.random.default_rng(1).normal(0.0, 0.05, motion.tau.shape)
+    current = (motion.tau + noise) / GAINS * [1.0, 1.0, -1.0]
+    columns = {"q": motion.q, "dq": motion.dq, "i": current}
+    names = ["t", *(f"{name}{k}" for name in columns for k in (1, 2, 3))]
+    path = tmp_path / "wrong.csv"
+    table = np.column_stack([motion.t, *columns.values()])
+    np.savetxt(path, table, delimiter=",", header=",".join(names), comments="")
+    stated = tuple(1.2 * GAINS)
+    log = arm.log.model_copy(update={"torque_per_ampere": stated})
+    robot = propose([path], arm.model_copy(update={"log": log}), known=True).robot
+    assert robot.log.torque_per_ampere == (*stated[:2], -stated[2])
+
+
 def test_a_table_without_time_is_refused(tmp_path: Path, hesr: Hesr) -> None:
     path = tmp_path / "odd.csv"
     path.write_text("q1,q2\n" + "1,2\n" * 9, encoding="utf-8")

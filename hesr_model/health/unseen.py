@@ -1,0 +1,38 @@
+"""What the motion of logs does not show, and so no fit can tell."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from hesr_model.health.examine import Examination
+from hesr_model.logs.phases import moving, reversals
+
+_RESTS = 0.02
+"""Share of rows at rest below which stiction is hardly seen."""
+_REVERSALS = 4
+_SLOW, _SLOWLY = 0.1, 0.05
+"""Share of the peak speed that is slow, and of the rows that must be."""
+_LOAD = 0.5
+"""Of friction's size: where gravity varies by less, its effect on friction is not seen."""
+
+
+def unseen(examination: Examination, joints: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield joints and what the logs do not show of them, a few words each."""
+    for j, joint in enumerate(joints):
+        parts = [k for k, part in enumerate(examination.parts) if part.moves[j]]
+        if not parts:
+            yield joint, "it stands still in all logs"
+            continue
+        own = [examination.parts[k].v[:, j] for k in parts]
+        v = np.concatenate(own)
+        if sum(len(reversals(one)) for one in own) < _REVERSALS:
+            yield joint, f"fewer than {_REVERSALS} reversals: neither hysteresis nor an offset"
+        if np.mean(~moving(v)) < _RESTS:
+            yield joint, "hardly any rest: no stiction"
+        if np.mean(np.abs(v) < _SLOW * np.max(np.abs(v))) < _SLOWLY:
+            yield joint, "hardly any slow motion: no Stribeck effect"
+        fits = [fits[j] for k, fits in enumerate(examination.explained) if k in parts and j in fits]
+        if fits and not any(fit.bears_gravity for fit in fits):
+            yield joint, "no gravity beside friction: its torque constant cannot be checked"
+        elif fits and all(fit.gravity_size < _LOAD * fit.friction_size for fit in fits):
+            yield joint, "a load that hardly varies: not how friction rises with it"

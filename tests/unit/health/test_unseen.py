@@ -1,0 +1,41 @@
+"""What the motion of logs does not show is listed joint by joint."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from hesr_model.health.examine import examine
+from hesr_model.health.unseen import unseen
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import Motion
+from hesr_model.robots.robot import RobotModel
+
+
+def words(log: RobotLog, model: RobotModel) -> dict[str, set[str]]:
+    found: dict[str, set[str]] = {}
+    for joint, what in unseen(examine([log], model.description, model), log.joints):
+        found.setdefault(joint, set()).add(what.split(":")[0])
+    return found
+
+
+def test_what_a_motion_lacks_is_told(
+    make_motion: Callable[..., Motion], arm_model: RobotModel
+) -> None:
+    motion = make_motion(name="run", friction=0.8)
+    noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
+    tau = motion.tau + noise
+    log = RobotLog(
+        name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=tau, robot=arm_model.description
+    )
+    whole = words(log, arm_model)
+    # The first joint stands upright.
+    assert "no gravity beside friction" in whole["j1"]
+    assert "no gravity beside friction" not in whole.get("j2", set())
+    assert all("fewer than 4 reversals" not in said for said in whole.values())
+    q = log.q.copy()
+    q[:, 1] = 0.3
+    still = replace(log, q=q, dq=None)
+    assert words(still, arm_model)["j2"] == {"it stands still in all logs"}
+    brief = words(log.rows(slice(0, 250)), arm_model)
+    assert "fewer than 4 reversals" in brief["j1"]
