@@ -332,9 +332,17 @@ def _require_steady_time(log: RobotLog, samples: Samples, robot: RobotDescriptio
     steps = np.diff(log.t)
     if np.any(steps <= 0):
         k = int(np.argmax(steps <= 0)) + 1
+        back = log.t[k - 1] - log.t[k]
+        why = (
+            "; [log] missing = 'drop' leaves out rows that repeat a stamp"
+            if back == 0.0
+            else "; two logs in one file must be cut apart"
+            if back > 0.5 * (log.t[k - 1] - log.t[0])
+            else ""
+        )
         raise LogError(
             f"{log.where}: {samples.time}, {samples.place(k)}: time must increase, but "
-            f"{log.t[k]:.10g} s follows {log.t[k - 1]:.10g} s."
+            f"{log.t[k]:.10g} s follows {log.t[k - 1]:.10g} s{why}."
         )
     nominal = robot.log.sample_rate
     # The mean counts where steps jitter, the median where rows are missing.

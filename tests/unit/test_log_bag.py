@@ -235,7 +235,8 @@ PROBLEMS = [
     ),
     (
         replaced(4, stamp=START + 3 * STEP),
-        r"topic '/joint_states', message 5: time must increase, but 0\.03 s follows 0\.03 s\.$",
+        r"topic '/joint_states', message 5: time must increase, but 0\.03 s follows 0\.03 s; "
+        r"\[log\] missing = 'drop'",
     ),
     (messages()[:1], r"run: has 1 rows of data; at least 2 are needed\.$"),
 ]

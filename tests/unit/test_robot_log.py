@@ -174,7 +174,8 @@ MESSAGES = [
     ),
     (
         lambda t: [*t[:4], row(2), *t[5:]],
-        r"column 't', row 5: time must increase, but 0\.02 s follows 0\.02 s\.$",
+        r"column 't', row 5: time must increase, but 0\.02 s follows 0\.02 s; \[log\] missing = "
+        r"'drop' leaves out rows that repeat a stamp\.$",
     ),
 ]
 
@@ -185,6 +186,12 @@ def test_an_error_names_the_file_the_column_and_the_row(
 ) -> None:
     with pytest.raises(LogError, match=r"run\.csv: " + message):
         read(spoil(lines()))
+
+
+def test_two_logs_in_one_file_are_told(read: Callable[..., RobotLog]) -> None:
+    text = [HEADER, *(row(k) for k in [*range(50), *range(50)])]
+    with pytest.raises(LogError, match=r"0 s follows 0\.49 s; two logs in one file must be cut"):
+        read(text)
 
 
 def test_a_log_is_cut_where_rows_are_missing(read: Callable[..., RobotLog]) -> None:
