@@ -8,7 +8,6 @@ from copy import copy
 from typing import Any
 
 import numpy as np
-from fmpy.model_description import ModelDescription
 
 Declared = tuple[int, str, str, list[Any]]
 """Value reference, name, type in FMI 3.0 and start values of a variable."""
@@ -29,8 +28,8 @@ def element_of(reference: int) -> tuple[int, int]:
     return reference & (1 << _PLACE) - 1, reference >> _PLACE
 
 
-def with_scalars(about: ModelDescription) -> tuple[ModelDescription, list[Declared]]:
-    """Return a description of FMI 3.0 with a variable for each element, and its variables' starts.
+def with_scalars(about: Any) -> tuple[Any, list[Declared]]:
+    """Return FMPy's description of FMI 3.0 with a variable for each element, and its variables.
 
     What depends on an array depends on each element; names are as FMI 2.0 structures them, `dq[1]`.
     """
@@ -56,7 +55,7 @@ def with_scalars(about: ModelDescription) -> tuple[ModelDescription, list[Declar
     return found, declared
 
 
-def arrays_of(about: ModelDescription, declared: Sequence[Declared]) -> dict[str, tuple[str, ...]]:
+def arrays_of(about: Any, declared: Sequence[Declared]) -> dict[str, tuple[str, ...]]:
     """Return the names of the elements of each array, by its own name."""
     found: dict[int, list[str]] = {}
     for variable in about.modelVariables:

@@ -37,7 +37,7 @@ ONLY_IN = {
         "fmu_src/package*.py",
         "*/check*.py",
         "cosim/slave.py",
-        "cosim/instance.py",
+        "cosim/instance*.py",
         "cosim/description.py",
         "cosim/package/*",
     ),
