@@ -159,7 +159,7 @@ class Description:
 
     def shown(self, index: int) -> str:
         """Return how the file names a variable that does not exist."""
-        return f"variable number {index}" if index > 0 else f"value reference {-1 - index}"
+        return f"variable number {index}" if self.fmi == 2 else f"value reference {-1 - index}"
 
     @property
     def continuous(self) -> tuple[str, ...]:
