@@ -18,7 +18,7 @@ C_FILES := $(wildcard fmu_src/c/*.c fmu_src/c/*.h tests/fmu/*.c tests/fmu/*.h te
 test contract hard soak: export OMP_NUM_THREADS = 1
 
 HARD := tests/fuzz tests/unit/test_cache.py tests/fmu/test_state.py tests/fmu/test_blocks.py \
-  $(patsubst %,tests/cosim/test_%.py,hard_to_break hostile_archives foreign_fmus workers replay)
+  $(patsubst %,tests/cosim/test_%.py,hard_to_break full_disks hostile_archives foreign_fmus workers replay)
 
 .PHONY: run test contract hard soak mutate lint format interop benchmark clean
 

@@ -12,7 +12,7 @@ from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.support.text import plain, quoted
 
 DESCRIPTION = "modelDescription.xml"
-_IDENTIFIER = re.compile(r"[A-Za-z_][0-9A-Za-z_]*")
+_IDENTIFIER = re.compile(r"[A-Za-z_][0-9A-Za-z_]{0,199}")
 
 
 def model_description(fmu: Path) -> ModelDescription:
@@ -56,6 +56,6 @@ def description_in(archive: Archive) -> tuple[ModelDescription, list[Declared]]:
         if kind is not None and not _IDENTIFIER.fullmatch(kind.modelIdentifier or ""):
             raise SimulationError(
                 f"{fmu}: its modelIdentifier is {quoted(str(kind.modelIdentifier))}; needed is an "
-                "identifier of C."
+                "identifier of C with at most 200 characters."
             )
     return with_scalars(about) if about.fmiVersion.startswith("3.") else (about, [])

@@ -17,8 +17,14 @@ int mkfifo(const char *path, unsigned mode);
 int setsid(void);
 unsigned sleep(unsigned seconds);
 long write(int file, const void *bytes, size_t size);
+int pthread_create(unsigned long *thread, const void *how, void *(*run)(void *), void *with);
 
-enum { FILES = 256, PIECE = 1 << 26 };
+enum { FILES = 256, PIECE = 1 << 26, SIGNALS = 64, MANY = 30 };
+
+static void *crash(void *with) {
+    *(volatile int *)8 = 1;
+    return with;
+}
 
 static void flee(void) {
     /* A grandchild that has left the session, and whose parent is no more. */
@@ -50,7 +56,34 @@ static void misbehave(const char *call) {
         for (volatile unsigned i = 0;; i++) {
         }
     } else if (strcmp(deed, "segfault") == 0) {
-        *(volatile int *)8 = 1;
+        crash(NULL);
+    } else if (strcmp(deed, "abort") == 0) {
+        abort();
+    } else if (strcmp(deed, "crash beside") == 0) {
+        unsigned long thread;
+        pthread_create(&thread, NULL, crash, NULL);
+        sleep(1000);
+    } else if (strcmp(deed, "sleep") == 0) {
+        sleep(1000);
+    } else if (strcmp(deed, "deafen") == 0) {
+        for (int file = 0; file < 3; file++) {
+            close(file);
+        }
+        for (int number = 1; number <= SIGNALS; number++) {
+            signal(number, SIG_IGN);
+        }
+    } else if (strcmp(deed, "multiply") == 0) {
+        for (int i = 0; i < MANY; i++) {
+            if (fork() == 0) {
+                setsid();
+                signal(SIGTERM, SIG_IGN);
+                sleep(1000);
+            }
+        }
+    } else if (strcmp(deed, "litter") == 0) {
+        FILE *file = fopen("litter", "w");
+        fputs("mine", file);
+        fclose(file);
     } else if (strcmp(deed, "chdir") == 0) {
         if (chdir("/") != 0) {
             abort();

@@ -13,6 +13,7 @@ CALLS = {
     "fmi2GetReal": "fmi2_variables.c",
     "fmi2SetReal": "fmi2_variables.c",
     "fmi2Instantiate": "fmi2.c",
+    "fmi2Terminate": "fmi2.c",
     "fmi2FreeInstance": "fmi2.c",
     "fmi2ExitInitializationMode": "fmi2.c",
 }

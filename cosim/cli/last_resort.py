@@ -11,10 +11,13 @@ from typing import NoReturn
 import typer
 
 from hesr_model.errors import HesrError
+from hesr_model.support.text import plain
 
 _REFUSED = 2
 _UNREAD = 1
 """Exit code where whoever reads the output has gone, as of Click."""
+
+_LONGEST = 4000  # characters of a sentence: names of files may be of anything and of any length
 
 _PLAIN = str.maketrans("✓✗–—‘’“”→·×µμ", "+x--''\"\">.xuu")
 """What stands for marks where an output has only some of all characters; each is as wide."""
@@ -38,7 +41,7 @@ def errors_said() -> Iterator[None]:
         _give_up_output()
         sys.exit(_UNREAD)
     except OSError as error:
-        where = f"{error.filename}: " if isinstance(error.filename, str) else ""
+        where = f"{plain(error.filename)}: " if isinstance(error.filename, str) else ""
         reason = " ".join((error.strerror or str(error)).split()).rstrip(".")
         _give_up_output()
         _refuse(f"{where}the system reports an error ({reason}).")
@@ -49,7 +52,7 @@ def errors_said() -> Iterator[None]:
 
 
 def _refuse(sentence: str) -> NoReturn:
-    typer.echo(f"hesr: {sentence}", err=True)
+    typer.echo(f"hesr: {plain(sentence, _LONGEST)}", err=True)
     sys.exit(_REFUSED)
 
 

@@ -50,11 +50,12 @@ def sensitivities(
         if not np.isfinite(values).all() or np.ptp(values) == 0.0:
             continue
         blocks = values.reshape(inputs + 2, runs)
+        # The output stands there twice, since scipy fails on one output of one input.
         result = sobol_indices(
             func={
-                "f_A": blocks[0][None, :],
-                "f_B": blocks[1][None, :],
-                "f_AB": blocks[2:, None, :],
+                "f_A": blocks[:1].repeat(2, axis=0),
+                "f_B": blocks[1:2].repeat(2, axis=0),
+                "f_AB": blocks[2:, None].repeat(2, axis=1),
             },
             n=runs,
             rng=np.random.default_rng(seed),
@@ -67,10 +68,10 @@ def sensitivities(
         found.append(
             Sensitivity(
                 output=name,
-                first=np.ravel(result.first_order),
-                total=np.ravel(result.total_order),
-                first_interval=np.column_stack([np.ravel(first.low), np.ravel(first.high)]),
-                total_interval=np.column_stack([np.ravel(total.low), np.ravel(total.high)]),
+                first=np.ravel(result.first_order[0]),
+                total=np.ravel(result.total_order[0]),
+                first_interval=np.column_stack([np.ravel(first.low[0]), np.ravel(first.high[0])]),
+                total_interval=np.column_stack([np.ravel(total.low[0]), np.ravel(total.high[0])]),
             )
         )
     return found

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from cosim.batch import Array
 from cosim.sweep.work import Rows
 from hesr_model.artifacts import read_json, write_json
 from hesr_model.errors import ArtifactError, ConfigError
-from hesr_model.support.files import written_whole
+from hesr_model.support.files import folder_made, written_whole
 
 ABOUT = "sweep.json"
 RUNS = "runs"
@@ -117,18 +117,20 @@ def opened(
     ArtifactError
         If another sweep is writing there, or it cannot be written.
     """
-    try:
-        (folder / RUNS).mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / _LOCK, timeout=0)
-        lock.acquire()
-    except Timeout as error:
-        raise ArtifactError(
-            f"{folder}: another sweep is writing into this folder; wait until it has ended, or "
-            "give another folder."
-        ) from error
-    except OSError as error:
-        raise ArtifactError(f"{folder}: cannot be written there ({error.strerror}).") from error
-    try:
+    with ExitStack() as cleanup:
+        try:
+            cleanup.enter_context(folder_made(folder / RUNS))
+            lock = FileLock(folder / _LOCK, timeout=0)
+            lock.acquire()
+        except Timeout as error:
+            raise ArtifactError(
+                f"{folder}: another sweep is writing into this folder; wait until it has ended, or "
+                "give another folder."
+            ) from error
+        except OSError as error:
+            raise ArtifactError(f"{folder}: cannot be written there ({error.strerror}).") from error
+        cleanup.callback((folder / _LOCK).unlink, missing_ok=True)
+        cleanup.callback(lock.release)
         file = folder / ABOUT
         if not file.is_file():
             write_json(file, json.loads(json.dumps(about)))
@@ -140,6 +142,3 @@ def opened(
         for left in (folder / RUNS).glob(".part-*"):  # of a sweep that was killed
             left.unlink(missing_ok=True)
         yield Store(folder, inputs, outputs)
-    finally:
-        lock.release()
-        (folder / _LOCK).unlink(missing_ok=True)

@@ -1,6 +1,7 @@
 """A video of the scene, drawn without a screen."""
 
 import ctypes.util
+import errno
 import os
 import subprocess
 import sys
@@ -179,6 +180,9 @@ def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image]
         if process.returncode:
             said.seek(0)
             lines = said.read().decode(errors="replace").strip().splitlines()
+            full = os.strerror(errno.ENOSPC)
+            if any(full in line for line in lines):  # of the last lines it is only one
+                raise OSError(errno.ENOSPC, full, str(path))
             reason = lines[-1].rstrip(".") if lines else f"exit code {process.returncode}"
             raise ArtifactError(f"{path}: the video cannot be encoded ({reason}).")
 

@@ -28,12 +28,14 @@ def read_text(path: Path) -> str:
     OSError
         If it cannot be read.
     ValueError
-        If it is not UTF-8, or longer than any file of ours.
+        If it is not UTF-8, longer than any file of ours, or a pipe or a device.
     """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise ValueError("it is a pipe or a device")  # opening it may wait, and it may not end
     with path.open("rb") as file:
         too_long = os.fstat(file.fileno()).st_size > MOST_BYTES
         content = b"" if too_long else file.read(MOST_BYTES + 1)
-    if too_long or len(content) > MOST_BYTES:  # a device does not say how much it gives
+    if too_long or len(content) > MOST_BYTES:  # files of the system do not say how long they are
         raise ValueError(f"it is longer than {MOST_BYTES // 2**20} MB")
     return content.decode("utf-8")
 

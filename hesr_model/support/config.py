@@ -1,5 +1,6 @@
 """Configuration from TOML, validated, with unknown keys refused."""
 
+import os
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 
@@ -30,7 +31,8 @@ class Config(BaseModel):
 
 def _beside_the_toml(path: Path, info: ValidationInfo) -> Path:
     folder: Path = (info.context or {}).get("folder", Path())
-    return (folder / path).resolve()
+    # Not `Path.resolve`, which fails on links that go round before Python 3.13.
+    return Path(os.path.realpath(folder / path))
 
 
 RelativePath = Annotated[Path, AfterValidator(_beside_the_toml)]

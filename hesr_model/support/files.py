@@ -67,20 +67,29 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
         If the folder cannot be created or written, or another run is writing into it, both found
         out before the block runs; if the disk is full.
     """
+    with _room_for(path), ExitStack() as cleanup:
+        try:
+            cleanup.enter_context(folder_made(path))
+        except OSError as error:
+            raise _unwritable(path, error) from error
+        _take(path, cleanup)
+        with interrupts.deferred():  # or there may be a folder of which nobody knows
+            temporary = Path(tempfile.mkdtemp(dir=path, prefix=_TEMPORARY))
+            cleanup.callback(_remove, temporary)
+        yield temporary
+        with interrupts.deferred():  # half of the files would fit nothing
+            _move(temporary, path)
+
+
+@contextmanager
+def _room_for(path: Path) -> Iterator[None]:
+    """Say of a path that there is no room for it, whichever temporary file of it found that out."""
     try:
-        with ExitStack() as cleanup:
-            _make(path, cleanup)
-            _take(path, cleanup)
-            with interrupts.deferred():  # or there may be a folder of which nobody knows
-                temporary = Path(tempfile.mkdtemp(dir=path, prefix=_TEMPORARY))
-                cleanup.callback(_remove, temporary)
-            yield temporary
-            with interrupts.deferred():  # half of the files would fit nothing
-                _move(temporary, path)
+        yield
     except (OSError, ArtifactError) as error:
         reason = error if isinstance(error, OSError) else error.__cause__
         if isinstance(reason, OSError) and reason.errno in _NO_ROOM:
-            raise _unwritable(path, reason) from error
+            raise _unwritable(path, reason) from reason
         raise
 
 
@@ -89,17 +98,23 @@ def is_empty(folder: Path) -> bool:
     return all(entry.name.startswith(_TEMPORARY) for entry in folder.iterdir())
 
 
-def _make(path: Path, cleanup: ExitStack) -> None:
-    """Make a folder and those above it; the new ones go again if nothing comes into them."""
+@contextmanager
+def folder_made(path: Path) -> Iterator[None]:
+    """Make a folder and those above it; the new ones are removed if nothing has come into them.
+
+    Raises
+    ------
+    OSError
+        If it cannot be made.
+    """
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
-    try:
+    with ExitStack() as cleanup:
         for folder in reversed(missing):
             cleanup.callback(_remove_empty, folder)
             folder.mkdir(exist_ok=True)
         if not path.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-    except OSError as error:
-        raise _unwritable(path, error) from error
+        yield
 
 
 def _take(path: Path, cleanup: ExitStack) -> None:
@@ -181,30 +196,25 @@ def written_whole(path: Path) -> Iterator[Path]:
     ArtifactError
         If the folder cannot be created or written, or the disk is full.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_dir():
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-        handle, name = tempfile.mkstemp(
-            dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix
-        )
-        os.close(handle)
-    except OSError as error:
-        raise _unwritable(path, error) from error
-    temporary = Path(name)
-    try:
+    with _room_for(path), ExitStack() as cleanup:
+        try:
+            cleanup.enter_context(folder_made(path.parent))
+            if path.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            handle, name = tempfile.mkstemp(
+                dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix
+            )
+            os.close(handle)
+        except OSError as error:
+            raise _unwritable(path, error) from error
+        temporary = Path(name)
+        cleanup.callback(temporary.unlink, missing_ok=True)
         yield temporary
         # mkstemp makes files private; a result has the mode that any new file would have.
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
         temporary.replace(path)
-    except OSError as error:
-        if error.errno in _NO_ROOM:
-            raise _unwritable(path, error) from error
-        raise
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _unwritable(path: Path, error: OSError) -> ArtifactError:

@@ -145,6 +145,8 @@ EXIT = r"ended its process with exit code 0\."
         ("fmi2DoStep exit", f"fmi2DoStep {EXIT}"),
         ("fmi2DoStep segfault", f"fmi2DoStep {CRASH}"),
         ("fmi2GetReal exit", f"fmi2GetReal {EXIT}"),
+        ("fmi2DoStep abort", r"fmi2DoStep crashed with signal 6 \(SIGABRT\)\."),
+        ("fmi2DoStep crash beside", f"fmi2DoStep {CRASH}"),
         ("fmi2DoStep memory", r"fmi2DoStep crashed with signal 6 \(SIGABRT\)\."),
         ("fmi2DoStep file", r"fmi2DoStep ended its process with exit code 9\."),
         # Into every file, also the one from which is known which call it is.
@@ -180,7 +182,9 @@ def test_what_never_comes_back_is_ended(
     "deed",
     [
         *("fmi2DoStep chdir", "fmi2DoStep flood", "fmi2DoStep dig", "fmi2DoStep fork"),
-        *("fmi2FreeInstance segfault", "fmi2FreeInstance exit"),
+        *("fmi2DoStep deafen", "fmi2DoStep multiply", "fmi2DoStep litter"),
+        *("fmi2FreeInstance segfault", "fmi2FreeInstance exit", "fmi2FreeInstance sleep"),
+        *("fmi2Terminate abort", "fmi2Terminate sleep"),
     ],
 )
 def test_what_harms_nobody_else_passes(
@@ -193,6 +197,7 @@ def test_what_harms_nobody_else_passes(
     here, before = Path.cwd(), children()
     monkeypatch.setenv("DEED", deed)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr("cosim.remote._FAREWELL", 1.0)
     go(hostile_lag)
     assert Path.cwd() == here
     assert children() == before

@@ -1,4 +1,4 @@
-"""Full disks, killed runs, two at once, plain outputs and hostile files, as they really are."""
+"""Killed runs, two at once, plain outputs and hostile files, as they really are."""
 
 import json
 import os
@@ -6,8 +6,7 @@ import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,6 @@ from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.motions.trajectories import Sine
 from hesr_model.support.files import folder_written_whole
 
-FULL = "cannot be written there (No space left on device).\n"
 SECONDS = 0.01
 
 
@@ -47,84 +45,6 @@ def refused(hesr: Hesr) -> Refused:
         return answer.err.removeprefix("hesr: ")
 
     return call
-
-
-# --- full disks -------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def full(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 1 MB with 40 kB left."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=1m", "hesr-test", str(folder)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if mounted.returncode:
-        pytest.skip(f"no file system can be mounted here: {mounted.stderr.strip()}")
-    try:
-        (folder / "filled").write_bytes(bytes(1024 * 984))
-        yield folder
-    finally:
-        subprocess.run(["umount", str(folder)], check=True)
-
-
-@pytest.mark.parametrize("command", ["export", "laws", "new", "run"])
-def test_a_full_disk_is_one_sentence(
-    command: str, full: Path, tmp_path: Path, refused: Refused
-) -> None:
-    before = contents(full)
-    output = full / "out"
-    if command == "run":
-        arguments: tuple[object, ...] = ("run", write_study(tmp_path), "-o", output)
-    elif command == "new":
-        arguments = ("new", output, "--robot", uf850("uf850.xml"))
-    elif command == "export":
-        output = full / "Friction.fmu"
-        arguments = ("export", "uf850-table1", "-o", output)
-    else:
-        output = full / "laws.json"
-        with suppress(OSError), (full / "filled").open("ab") as file:
-            file.write(bytes(2**20))
-        before = contents(full)
-        arguments = ("laws", "--quiet", "--json", output)
-    assert refused(*arguments) == f"{output}: {FULL}"
-    assert contents(full) == before
-    assert not output.exists()
-
-
-def test_a_full_disk_for_temporary_files_is_one_sentence(full: Path, tmp_path: Path) -> None:
-    output = tmp_path / "Friction.fmu"
-    result = subprocess.run(
-        [sys.executable, *COMMAND, "export", "uf850-table1", "-o", str(output)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | {"TMPDIR": str(full), "XDG_CACHE_HOME": str(tmp_path / "cache")},
-    )
-    assert result.returncode == 2, result
-    assert "Traceback" not in result.stderr
-    assert result.stderr.startswith("hesr: ")
-    assert not output.exists()
-    assert {path.name for path in full.iterdir()} == {"filled"}
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
-@pytest.mark.parametrize("arguments", [("laws",), ("laws", "--json", "-"), ("--help",)])
-def test_an_output_that_is_full_is_one_sentence(arguments: tuple[str, ...]) -> None:
-    with Path("/dev/full").open("w") as output:
-        result = subprocess.run(
-            [sys.executable, *COMMAND, *arguments],
-            stdout=output,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
-    assert result.returncode == 2
-    assert result.stderr == ("hesr: the system reports an error (No space left on device).\n")
 
 
 # --- killed runs, and two at once -------------------------------------------------------------
@@ -203,6 +123,54 @@ def test_marks_are_plain_where_the_output_is(encoding: str) -> None:
 
 
 # --- hostile files ----------------------------------------------------------------------------
+
+
+@pytest.fixture(params=["pipe", "endless", "round"])
+def odd(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[str], Path]:
+    """What opening waits for, what has no end, and a link to itself, under a name."""
+
+    def make(name: str) -> Path:
+        path = tmp_path / name
+        if request.param == "pipe":
+            os.mkfifo(path)
+        else:
+            path.symlink_to("/dev/zero" if request.param == "endless" else path)
+        return path
+
+    return make
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes and devices in folders are those of POSIX")
+def test_what_is_no_file(odd: Callable[[str], Path], refused: Refused, tmp_path: Path) -> None:
+    robot, output = robot_file(tmp_path), tmp_path / "out.csv"
+    for name in ("log.csv", "log.parquet", "log.mat", "log.bag", "log.mcap"):
+        log = odd(name)
+        assert refused("identify", log, "--robot", robot, "-o", output).startswith(f"{log}: ")
+    for name, command, to in (
+        ("law.json", "export", "out.fmu"),
+        ("model.xml", "export", "out.fmu"),
+        ("system.toml", "simulate", "out.csv"),
+        ("loop.ssp", "simulate", "out.csv"),
+        ("study.toml", "run", "out.csv"),
+        ("sweep.toml", "sweep", "out.csv"),
+    ):
+        file = odd(name)
+        sentence = refused(command, file, "-o", tmp_path / to)
+        assert sentence.startswith(f"{file}: "), command
+    system = tmp_path / "lags.toml"
+    text = 'name = "s"\nstep = 0.1\nstop = 1.0\nobserve = ["a.y"]\n[[components]]\nname = "a"\n'
+    system.write_text(f'{text}fmu = "{odd("Lag.fmu").name}"\n', encoding="utf-8")
+    refused("simulate", system, "-o", output)
+    assert not list(tmp_path.glob("out.*"))
+
+
+def test_names_of_files_stay_on_one_line(refused: Refused, tmp_path: Path) -> None:
+    path = tmp_path / "a\n\x1b[2Jb.toml"
+    sentence = refused("simulate", path, "-o", tmp_path / "out.csv")
+    assert sentence == f"{tmp_path}/a\\n\\x1b[2Jb.toml: no such file.\n"
+    sentence = refused("simulate", tmp_path / ("n" * 5000), "-o", tmp_path / "out.csv")
+    assert len(sentence) < 5000
+
 
 DEEP = 100_000
 

@@ -107,7 +107,9 @@ def test_a_link(members: dict[str, bytes], tmp_path: Path, hesr: Hesr) -> None:
     refuse(fmu, hesr, "'resources/link' is a symbolic link")
 
 
-@pytest.mark.parametrize("identifier", ["../../evil", "/tmp/evil", "a b", "", "1a", "a\u202eb"])
+@pytest.mark.parametrize(
+    "identifier", ["../../evil", "/tmp/evil", "a b", "", "1a", "a\u202eb", "l" * 1000, "lag&#10;"]
+)
 def test_identifiers_that_are_paths(
     members: dict[str, bytes], tmp_path: Path, hesr: Hesr, identifier: str
 ) -> None:

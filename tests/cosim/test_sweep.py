@@ -58,6 +58,16 @@ def study(lag_fmu: Path, tmp_path: Path) -> Path:
     return written(tmp_path, STUDY)
 
 
+def test_the_share_of_the_only_input_is_all(study: Path) -> None:
+    before, after = STUDY.split('[[inputs]]\nvariables = ["a.T"')[0], STUDY[STUDY.index("[[out") :]
+    one = (before + after).replace("monte_carlo", "sobol").replace("runs = 12", "runs = 16")
+    found = run_sweep(written(study.parent, one), study.parent / "out", workers=1)
+    for share in found.sensitivities:
+        assert share.first == pytest.approx([1.0], abs=0.2)
+        assert share.total == pytest.approx([1.0], abs=0.2)
+        assert share.first_interval.shape == share.total_interval.shape == (1, 2)
+
+
 def written(folder: Path, text: str, name: str = "study.toml") -> Path:
     (folder / name).write_text(text, encoding="utf-8")
     return folder / name

@@ -1,6 +1,7 @@
 """Saving and restoring brings back everything, so that a simulation goes on bit for bit."""
 
 import ctypes
+import math
 import random
 import struct
 
@@ -252,6 +253,36 @@ def test_a_state_that_no_instance_can_have_is_refused(binary):
         assert refused(binary, c, forged(data, place, value)), (place, said)
         assert said in binary.messages[-1].text
     assert deserialised(binary, c, forged(data, 8 * velocity, struct.pack("<d", 0.1)))[0] == 0
+
+
+def test_forged_states_that_are_accepted_give_numbers_or_errors(binary):
+    """With the right sum, and anything in the memory: what FMI calls OK is a number."""
+    c, other = binary.ready(), binary.ready(name=b"other")
+    run(binary, c, 0, 20)
+    data, new = serialised(binary, c, saved(binary, c)), saved(binary, other)
+    guid = data.index(b"\0") + 1
+    size = len(data) - (-(-(-(-guid // 4) * 4 + 4) // 8) * 8 + 8)
+    chance = random.Random(19)
+    odd = (0.0, -1.0, 5e-324, 1e-5, 1e15, 2.0**53, 1e100, 1e308, -1e308, float("inf"), float("nan"))
+    accepted = 0
+    for k in range(2000):
+        value = chance.choice(
+            (struct.pack("<d", chance.choice(odd)), chance.randbytes(8),
+             struct.pack("<i", chance.choice((0, 1, 2, 4, 99, -1)))),
+        )  # fmt: skip
+        place = chance.randrange(size // len(value)) * len(value)
+        status, state = deserialised(binary, other, forged(data, place, value))
+        if status != 0:
+            continue
+        accepted += 1
+        assert binary("SetFMUstate", other, state) == 0
+        for i in range(3):
+            if binary.step(other, 0.1 + 0.005 * i, 0.005) == 0:
+                assert all(map(math.isfinite, binary.get(other, "tau[1]", "h[1]"))), (k, place)
+        assert binary("FreeFMUstate", other, ctypes.byref(state)) == 0
+        assert binary("Reset", other) == 0
+        assert binary("SetFMUstate", other, new) == 0
+    assert 200 < accepted < 2000
 
 
 def test_a_state_after_a_failure_can_be_carried_on_and_reset(binary):

@@ -44,7 +44,7 @@ def main() -> None:
     logging.disable()
     warnings.simplefilter("ignore")
     before, longest = memory(), len(original)
-    refused = 0
+    refused, slowest = 0, 0.0
     for seed in range(first, first + count):
         content = damaged(original, np.random.default_rng(seed))
         path.write_bytes(content)
@@ -61,9 +61,10 @@ def main() -> None:
         except BaseException:
             say(seed=seed, wrong=traceback.format_exc())
         faulthandler.cancel_dump_traceback_later()
+        slowest = max(slowest, time.monotonic() - start)
         if time.monotonic() - start > LONGEST:
             say(seed=seed, wrong="took too long")
-    say(refused=refused, memory=memory() - before, longest=longest)
+    say(refused=refused, memory=memory() - before, longest=longest, slowest=slowest)
 
 
 main()

@@ -91,7 +91,7 @@ class _Message:
 
 
 def _messages(path: Path, topic: str) -> Iterator[_Message]:
-    if not path.exists():
+    if not (path.is_file() or path.is_dir()):  # of a pipe or a device there is no end
         raise LogError(f"{path}: no such log file.")
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise LogError(

@@ -1,0 +1,182 @@
+"""Full disks, as they really are: one sentence, and nothing that is half-written."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from processes import COMMAND
+from small_fmus import LAGS
+from small_study import Hesr, Run, contents, hesr_here, uf850, write_study
+
+from hesr_model.errors import ArtifactError
+from hesr_model.support.files import written_whole
+
+FULL = "cannot be written there (No space left on device).\n"
+
+SWEEP = """
+name = "lags"
+system = "lags.toml"
+design = "sobol"
+runs = 4
+seed = 3
+
+[[inputs]]
+variables = ["a.u"]
+low = 1.0
+high = 3.0
+
+[[outputs]]
+name = "end"
+signal = "b.y"
+measure = "final"
+"""
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+@pytest.fixture
+def full(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 1 MB with 40 kB left."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=1m", "hesr-test", str(folder)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if mounted.returncode:
+        pytest.skip(f"no file system can be mounted here: {mounted.stderr.strip()}")
+    try:
+        (folder / "filled").write_bytes(bytes(1024 * 984))
+        yield folder
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+def fill(folder: Path) -> None:
+    """Take the last bytes of a disk."""
+    with suppress(OSError), (folder / "filled").open("ab") as file:
+        file.write(bytes(2**20))
+
+
+def refuse(hesr: Hesr, full: Path, output: Path, *arguments: object) -> None:
+    """Check that a command says that `output` cannot be written, and leaves the disk as it was."""
+    before = contents(full)
+    answer = hesr(*arguments)
+    assert (answer.code, answer.err) == (2, f"hesr: {output}: {FULL}"), (arguments, answer)
+    assert contents(full) == before
+    assert {path.name for path in full.rglob("*")} == {"filled"}
+
+
+@pytest.mark.parametrize("command", ["export", "new", "run"])
+def test_a_disk_that_gets_full_is_one_sentence(
+    command: str, full: Path, tmp_path: Path, hesr: Hesr
+) -> None:
+    output = full / "out"
+    if command == "run":
+        arguments: tuple[object, ...] = ("run", write_study(tmp_path), "-o", output)
+    elif command == "new":
+        arguments = ("new", output, "--robot", uf850("uf850.xml"))
+    else:
+        output = full / "Friction.fmu"
+        arguments = ("export", "uf850-table1", "-o", output)
+    refuse(hesr, full, output, *arguments)
+
+
+def test_a_full_disk_is_one_sentence(full: Path, lag_fmu: Path, tmp_path: Path, hesr: Hesr) -> None:
+    fill(full)
+    system, study = tmp_path / "lags.toml", tmp_path / "study.toml"
+    text = LAGS.replace("step = 0.2\n", "").replace("FMU", str(lag_fmu))
+    system.write_text(text, encoding="utf-8")
+    study.write_text(SWEEP, encoding="utf-8")
+    for name, *arguments in (
+        ("laws.json", "laws", "--quiet", "--json"),
+        ("out.csv", "simulate", system, "-o"),
+        ("out.parquet", "simulate", system, "-o"),
+        ("out.ssp", "package", system, "-o"),
+        ("Out.fmu", "package", system, "--container", "-o"),
+        ("run.csv", "sweep", study, "--replay", 1, "-o"),
+        ("check.json", "check", lag_fmu, "--references", "--quiet", "--json"),
+        ("model.h", "export", "uf850-table1", "--format", "c", "-o"),  # and model.csv
+        ("Friction.mo", "export", "uf850-table1", "--format", "modelica", "-o"),
+        ("properties.json", "properties", "uf850-table1", "--quiet", "--json"),
+        ("arm.fmu", "export", uf850("uf850.xml"), "-o"),
+    ):
+        refuse(hesr, full, full / str(name), *arguments, full / str(name))
+    sweep = full / "sweep"
+    refuse(hesr, full, sweep / "sweep.json", "sweep", study, "--workers", 1, "-o", sweep)
+
+
+@pytest.mark.soak
+def test_a_full_disk_for_what_comes_of_logs(
+    full: Path, study_run: Run, tmp_path: Path, hesr: Hesr
+) -> None:
+    fill(full)
+    robot = ("--robot", uf850("robot.toml"))
+    known = (*robot, "--rigid-body", study_run.rigid_body)
+    law, log = study_run.law("parfam_h"), study_run.log("trial")
+    for name, *arguments in (
+        ("body.json", "identify", study_run.log("excitation"), *robot, "-o"),
+        ("law.json", "fit", study_run.log("sweep"), *known, "--law", "stribeck", "-o"),
+        ("scores.json", "evaluate", log, law, *known, "--quiet", "--json"),
+        ("log.html", "inspect", log, *robot, "-o"),
+        ("log.json", "inspect", log, *robot, "--quiet", "--json"),
+        ("robot.toml", "inspect", log, *robot, "--write"),
+        ("results.md", "results", study_run.results, "-o"),
+        ("report.html", "report", study_run.results, "-o"),
+        ("motion.csv", "excite", uf850("robot.toml"), "-o"),
+    ):
+        refuse(hesr, full, full / str(name), *arguments, full / str(name))
+
+
+def test_the_file_that_is_named_is_the_one_that_was_asked_for(full: Path) -> None:
+    """Also where a temporary file of a temporary file does not find room; and no folder stays."""
+    fill(full)
+    output = full / "new" / "folder" / "out.csv"
+    with (
+        pytest.raises(ArtifactError) as caught,
+        written_whole(output) as outer,
+        written_whole(outer) as inner,
+    ):
+        inner.write_bytes(b"more than there is")
+    assert str(caught.value) == f"{output}: {FULL.strip()}"
+    assert {path.name for path in full.iterdir()} == {"filled"}
+
+
+def test_a_full_disk_for_temporary_files_is_one_sentence(full: Path, tmp_path: Path) -> None:
+    output = tmp_path / "Friction.fmu"
+    result = subprocess.run(
+        [sys.executable, *COMMAND, "export", "uf850-table1", "-o", str(output)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"TMPDIR": str(full), "XDG_CACHE_HOME": str(tmp_path / "cache")},
+    )
+    assert result.returncode == 2, result
+    assert "Traceback" not in result.stderr
+    assert result.stderr.startswith("hesr: ")
+    assert not output.exists()
+    assert {path.name for path in full.iterdir()} == {"filled"}
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+@pytest.mark.parametrize("arguments", [("laws",), ("laws", "--json", "-"), ("--help",)])
+def test_an_output_that_is_full_is_one_sentence(arguments: tuple[str, ...]) -> None:
+    with Path("/dev/full").open("w") as output:
+        result = subprocess.run(
+            [sys.executable, *COMMAND, *arguments],
+            stdout=output,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert result.returncode == 2
+    assert result.stderr == ("hesr: the system reports an error (No space left on device).\n")
