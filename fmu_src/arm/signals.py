@@ -1,9 +1,11 @@
 """The signals of an MJCF: those that a table names, or every control and every sensor."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import mujoco
 
@@ -12,6 +14,8 @@ from fmu_src.arm.parts import Input, Output, Signals, Start
 from fmu_src.arm.table import OutputTable, SignalTable, StartTable
 from hesr_model.errors import ConfigError
 from hesr_model.support.config import read_toml
+
+_MOST_PARTS = 15_000  # of an MJCF: the time that MuJoCo takes grows with their square, here to 7 s
 
 
 def compiled(path: Path) -> Any:
@@ -24,11 +28,39 @@ def compiled(path: Path) -> Any:
     """
     if not path.is_file():
         raise ConfigError(f"{path}: no such model file.")
+    _require_an_end(path)
     try:
         return mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
+    except (ValueError, RuntimeError) as error:  # the latter where memory does not suffice
         reason = " ".join(str(error).split()).rstrip(".")
         raise ConfigError(f"{path}: cannot be compiled as an MJCF ({reason}).") from error
+
+
+def _require_an_end(path: Path) -> None:
+    """Refuse what MuJoCo, which no signal interrupts, would copy or wait for without end."""
+    try:
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError:  # which MuJoCo says in its own words
+        return
+    if (parts := _parts(root)) > _MOST_PARTS:
+        raise ConfigError(f"{path}: has {parts} elements; at most {_MOST_PARTS} can be compiled.")
+    folders = {
+        element.get(kind, "")
+        for element in root.iter("compiler")
+        for kind in ("assetdir", "meshdir", "texturedir")
+    }
+    for name in filter(None, (element.get("file") for element in root.iter())):
+        for folder in {"", *folders}:
+            file = path.parent / folder / name
+            if file.exists() and not file.is_file():
+                raise ConfigError(f"{path}: names the file '{name}', which is no file.")
+
+
+def _parts(element: ElementTree.Element) -> int:
+    """Return how many elements one becomes, copies of it included."""
+    count = element.get("count", "") if element.tag == "replicate" else ""
+    copies = int(count) if re.fullmatch(r"\d{1,18}", count) else 1
+    return 1 + copies * sum(map(_parts, element))
 
 
 def signals_of(path: Path, table: Path | None = None) -> Signals:

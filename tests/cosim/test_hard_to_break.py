@@ -164,6 +164,30 @@ def test_what_is_no_file(odd: Callable[[str], Path], refused: Refused, tmp_path:
     assert not list(tmp_path.glob("out.*"))
 
 
+@pytest.mark.parametrize(
+    ("more", "reason"),
+    [
+        ('<replicate count="100000000"><geom size="1"/></replicate>', "has 100000"),
+        (
+            '<body><geom type="mesh" mesh="odd"/></body>',
+            "names the file 'odd.stl', which is no file",
+        ),
+        ('<geom type="hfield" hfield="huge"/>', "cannot be compiled as an MJCF"),
+    ],
+)
+def test_models_that_nobody_could_wait_for(
+    more: str, reason: str, refused: Refused, tmp_path: Path
+) -> None:
+    os.mkfifo(tmp_path / "odd.stl")
+    path, asset = tmp_path / "model.xml", '<mesh name="odd" file="odd.stl"/>' * ("mesh" in more)
+    if "hfield" in more:  # of which MuJoCo finds out itself that it is wrong
+        asset = '<hfield name="huge" nrow="-1" ncol="100000" size="1 1 1 1"/>'
+    path.write_text(
+        f"<mujoco><asset>{asset}</asset><worldbody>{more}</worldbody></mujoco>", encoding="utf-8"
+    )
+    assert reason in refused("export", path, "-o", tmp_path / "Arm.fmu")
+
+
 def test_names_of_files_stay_on_one_line(refused: Refused, tmp_path: Path) -> None:
     path = tmp_path / "a\n\x1b[2Jb.toml"
     sentence = refused("simulate", path, "-o", tmp_path / "out.csv")
