@@ -210,8 +210,10 @@ class _Master:
         reference = small or [nominal]
         scale = _scale(np.concatenate([one.rows for one in reference]))
         own = np.zeros(len(self._outputs))
-        for own_run in (nominal, *_fresh(runs)):
-            around = _around(own_run, reference, self._step)
+        for own_run in (nominal, *_fresh(runs), *small[:-1]):
+            # Small steps differ by themselves where outputs are faster, as ripple over the angle.
+            others = [one for one in reference if one is not own_run]
+            around = _around(own_run, others or reference, self._step)
             own = np.maximum(own, _excess(own_run, around).max(axis=0))
         # Where those that are discrete jump is a matter of the step.
         free = np.array([np.inf if v.variability == "discrete" else 0.0 for v in self._outputs])

@@ -185,8 +185,7 @@ def _of_joint(
     model: FrictionModel, quantity: Quantity, joint: int, name: str, slides: bool, *, role: str,
     dependencies: tuple[str, ...] = (),
 ) -> Variable:  # fmt: skip
-    # Of outputs alone: what inputs usually are is for the motion to say.
-    seen = model.trained[joint - 1] if model.trained and role == "output" else None
+    seen = model.trained[joint - 1] if model.trained else None
     return Variable(
         name=f"{quantity.name}[{joint}]",
         role="input" if role == "input" else "output",
