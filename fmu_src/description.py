@@ -248,6 +248,8 @@ def _scalar(variable: Variable, reference: int, table: Interface) -> ET.Element:
     real = {"unit": unit} | shown_as(unit)
     if not (variable.computed or variable.role == "state"):
         real["start"] = repr(float(variable.start))
+    limits = {"min": variable.least, "max": variable.greatest}
+    real |= {name: repr(float(limit)) for name, limit in limits.items() if limit is not None}
     if variable.nominal != 1.0:
         real["nominal"] = repr(variable.nominal)
     if variable.derivative_of:

@@ -153,6 +153,8 @@ def _variable(array: Array, arrays: Arrays) -> ET.Element:
     attributes["declaredType"] = _type_of(first.unit or "1", first.nominal)
     if not (first.computed or first.role == "state"):
         attributes["start"] = " ".join(repr(float(v.start)) for v in array.elements)
+    limits = {"min": first.least, "max": first.greatest}
+    attributes |= {name: repr(float(limit)) for name, limit in limits.items() if limit is not None}
     if first.derivative_of:
         attributes["derivative"] = str(arrays.of[first.derivative_of].place)
     element = ET.Element("Float64", attributes)

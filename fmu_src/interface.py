@@ -53,7 +53,8 @@ class Variable:
     unit : SI unit in FMI's spelling; None only for an enumeration.
     enumeration : its choices, if it is one; a Real otherwise.
     start : start value; for a computed variable or a state it is not shown.
-    nominal : usual size of a state, by which solvers scale their tolerances.
+    nominal : usual size; solvers scale their tolerances of a state by it.
+    least, greatest : what a user should not leave; None where nothing says so.
     derivative_of : name of the state whose time derivative this is.
     dependencies : for a computed variable, the names of all variables in its expression.
     initial_dependencies : names of further variables that count until the initialisation ends; of
@@ -67,6 +68,8 @@ class Variable:
     enumeration: Enumeration | None = None
     start: float = 0.0
     nominal: float = 1.0
+    least: float | None = None
+    greatest: float | None = None
     derivative_of: str | None = None
     dependencies: tuple[str, ...] = ()
     initial_dependencies: tuple[str, ...] = ()

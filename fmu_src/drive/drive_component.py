@@ -16,6 +16,7 @@ from fmu_src.friction.friction_component import (
     joints_of,
     law_variables,
     mixed,
+    scales,
     start_mode,
 )
 from fmu_src.interface import Interface, Variable
@@ -157,6 +158,7 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
         scalar("substep", "fixed", "s", "longest inner step", substep),
         choice,
         start_mode(),
+        *scales(model),
         *(v for joint, law in enumerate(model.laws, start=1)
           for v in law_variables(law, joint, laws[joint - 1], _sources(joint, model.coupling))),
     )  # fmt: skip

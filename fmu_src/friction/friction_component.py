@@ -17,6 +17,7 @@ from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import DQ, INPUTS, QUANTITIES, TAU_LOAD
 from hesr_model.friction.law import MOVING, TORQUE, FrictionLaw
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.scales import SCALES, VISCOUS, has_viscous, scaled
 from hesr_model.robots.transmission import Coupling
 from hesr_model.units import unit_of_joint
 
@@ -54,10 +55,6 @@ _CRAWL = 0.1
 _EFFORT = {False: "torque", True: "force"}
 """What a joint that turns, or one that slides, takes to move."""
 
-_SCALE = Quantity(
-    name="scale", unit="1", description="factor on the friction torque of joint {joint}"
-)
-
 POWER = Equation(
     name="power",
     unit="W",
@@ -72,17 +69,14 @@ SLOPE = f"d{TORQUE}_d{DQ.name}"
 
 
 def component(law: FrictionLaw, more: Iterable[Equation] = ()) -> Component:
-    """Return the equations of a joint: those of its law, and further outputs.
-
-    Laws with more coefficients than an FMU shows have one factor on their torque instead.
-    """
-    own = law.form.component
-    equations = (*own.equations, *more)
-    if exposed(law):
-        return replace(own, equations=equations)
-    torque = own.equations[0]
-    scaled = replace(torque, expression=_SCALE.symbol * torque.expression)
-    return replace(own, shared=(_SCALE,), equations=(scaled, *equations[1:]))
+    """Return the equations of a joint: its law, with `SCALES`, and further outputs."""
+    own = scaled(law.form).component
+    return replace(
+        own,
+        parameters=law.form.coefficients,
+        shared=SCALES,
+        equations=(*own.equations, *more),
+    )
 
 
 def interface(model: FrictionModel, more: tuple[Equation, ...] = ()) -> Interface:
@@ -142,7 +136,7 @@ def interface(model: FrictionModel, more: tuple[Equation, ...] = ()) -> Interfac
         for v in law_variables(law, joint, joints[joint - 1], _mixed_inputs(model.coupling, joint))
     ]
     return Interface(
-        variables=(*inputs, *outputs, *slopes, choice, start_mode(), *own),
+        variables=(*inputs, *outputs, *slopes, choice, start_mode(), *scales(model), *own),
         indicators=indicators(joints),
         own=own_size(joints),
     )
@@ -229,6 +223,22 @@ def start_mode() -> Variable:
         enumeration=START,
         start=STEADY,
     )
+
+
+def scales(model: FrictionModel) -> Iterator[Variable]:
+    """Yield the factors on Coulomb and on viscous friction, one of each for every joint."""
+    for scale in SCALES:
+        for i, (joint, law) in enumerate(zip(model.joints, model.laws, strict=True), start=1):
+            idle = scale == VISCOUS and not has_viscous(law.form)
+            yield Variable(
+                name=f"{scale.name}[{i}]",
+                role="tunable",
+                description=scale.description.format(joint=joint)
+                + ("; its law has no such term" if idle else ""),
+                unit=scale.unit,
+                start=1.0,
+                least=0.0,
+            )
 
 
 def joints_of(
@@ -332,8 +342,6 @@ def law_variables(
             start=start,
         )
     if not exposed(law):
-        yield Variable(name=own.names[_SCALE.name], role="tunable", unit=_SCALE.unit, start=1.0,
-                       description=_SCALE.description.format(joint=joint))  # fmt: skip
         return
     for name, coefficient in zip(own.parameters, law.form.coefficients, strict=True):
         yield Variable(

@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.scales import SCALES
 
 MAX_PARAMETERS = 64
-"""Laws with more coefficients than this show one scale factor instead of all of them."""
+"""Laws with more coefficients than this show their factors alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,5 +32,5 @@ def place(law: FrictionLaw, joint: int) -> Place:
         starts=tuple(f"{r.name}_start[{joint}]" for r in law.form.memory),
         parameters=tuple(f"joint[{joint}].{name}" for name in law.values)
         if exposed(law)
-        else (f"scale[{joint}]",),
+        else tuple(f"{scale.name}[{joint}]" for scale in SCALES),
     )

@@ -14,13 +14,13 @@ from fmu_src.friction.friction_component import nominal
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.validity import require_numbers, require_uncoupled
 from fmu_src.modelica.annotations import TEMPLATES, joint_html, law_title, package_html
-from fmu_src.modelica.printer import FUNCTIONS, Equations, equations
+from fmu_src.modelica.printer import FUNCTIONS, Equations, equations, start_of
 from hesr_model.equations.functions import sgn
 from hesr_model.equations.memory import DT
 from hesr_model.errors import ExportError, HesrError
 from hesr_model.friction.audit.audit import Audit
 from hesr_model.friction.inputs import INPUTS, TAU_LOAD
-from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.friction.law import MOVING, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import written_whole
 
@@ -41,11 +41,16 @@ _FREQUENCY = 0.25
 """Of the motions in the examples [Hz], as of the reference motion."""
 
 
+_STEADY = "steadyStart"
+"""Name of the parameter that says where states begin."""
+
+
 def export_modelica(model: FrictionModel, path: Path) -> Path:
     """Write a friction model as a Modelica package, in one file.
 
     The package has the equations of each distinct form, a block of each joint's law, the same
     between rotational flanges, and examples. It uses the Modelica Standard Library 4.0.
+    States begin where those of FMUs do.
 
     Parameters
     ----------
@@ -144,20 +149,22 @@ def _form(name: str, law: FrictionLaw) -> dict[str, Any]:
     found = equations(form)
     _check_names(law, found)
     coefficients = [(c.name, c.unit, c.description) for c in form.coefficients]
-    starts = [(f"{m.name}_start", m.unit, f"Start value of {m.name}") for m in form.memory]
+    starts = [(start_of(m.name), m.unit, f"Start value of {m.name}") for m in form.memory]
     return {
         "name": name,
         "title": f"Equations of {law_title(law) or law.name}",
         "parameters": [*coefficients, *starts],
         "states": [(m.name, m.unit) for m in form.memory],
         "equations": found,
+        "steady": _STEADY if found.beginning else "",
+        "moving": f"{MOVING:g}",
     }
 
 
 def _check_names(law: FrictionLaw, found: Equations) -> None:
-    seen = {*(u.name for u in INPUTS), "tau"}
+    seen = {*(u.name for u in INPUTS), "tau", _STEADY}
     names = [*law.values, *found.signs]
-    names += [n for m in law.form.memory for n in (m.name, f"{m.name}_start")]
+    names += [n for m in law.form.memory for n in (m.name, start_of(m.name))]
     for name in names:
         odd = (
             "used twice" if name in seen
@@ -220,7 +227,7 @@ def _modifications(law: FrictionLaw) -> list[str]:
     """Return what makes a form the law of a joint: its numbers."""
     values = [f"{name}={value!r}" for name, value in law.values.items()]
     for element, start in zip(law.form.memory, law.start, strict=True):
-        values.append(f"{element.name}_start={start!r}")
+        values.append(f"{start_of(element.name)}={start!r}")
         values.append(f"{element.name}(nominal={nominal(law, element):g})")
     return values
 

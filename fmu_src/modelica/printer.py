@@ -15,9 +15,9 @@ from sympy.printing.precedence import PRECEDENCE
 from fmu_src.equations.printer import LanguagePrinter
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import DT, Relaxation
-from hesr_model.equations.program import Jumps
+from hesr_model.equations.program import Jumps, beginning, begun
 from hesr_model.errors import ExportError
-from hesr_model.friction.law import LawForm
+from hesr_model.friction.law import SETTLING, LawForm
 
 FUNCTIONS = (
     "abs", "acos", "asin", "atan", "atan2", "cos", "cosh", "der", "exp", "log", "sign", "sin",
@@ -50,15 +50,23 @@ class _Printer(LanguagePrinter):
     # By magnitudes, which every tool has without an event.
     def _print_positive(self, expr: sympy.Expr) -> str:
         x = expr.args[0]
-        return f"({self._print(x + absolute(x))})/2"
+        return self._half(x + absolute(x))
 
     def _print_larger(self, expr: sympy.Expr) -> str:
         a, b = expr.args
-        return f"({self._print(a + b + absolute(a - b))})/2"
+        return self._half(a + b + absolute(a - b))
 
     def _print_clip(self, expr: sympy.Expr) -> str:
         x, b = expr.args
-        return f"({self._print(absolute(x + b) - absolute(x - b))})/2"
+        return self._half(absolute(x + b) - absolute(x - b))
+
+    def _half(self, expr: sympy.Expr) -> str:
+        return f"(({self._print(expr)})/2)"  # an atom, whatever stands around it
+
+    def _print_over(self, expr: sympy.Expr) -> str:
+        above, below, otherwise = expr.args
+        first, second = self._print(above / below), self._print(otherwise)
+        return f"(if {self._print(below)} > 0 then {first} else {second})"
 
     def _print_sgn(self, expr: sympy.Expr) -> str:
         return f"sign({self._print(expr.args[0])})"
@@ -75,10 +83,13 @@ class Equations:
     ----------
     signs : of inputs, held between events: the name of each and its declaration's right side.
     lines : the equations, without semicolons.
+    beginning : for each state where it begins in the steady state of the first inputs; none where
+        the rate of one sees its state, so that this is not to be written down.
     """
 
     signs: Mapping[str, str]
     lines: tuple[str, ...]
+    beginning: tuple[tuple[str, str], ...]
 
 
 def equations(form: LawForm) -> Equations:
@@ -98,9 +109,11 @@ def equations(form: LawForm) -> Equations:
     held |= {absolute(e): s * e for e, s in zip(bends, signs, strict=True)}
     printer = _Printer({m.derivative: f"der({m.name})" for m in form.memory})
 
-    def text(expression: sympy.Expr, level: int = 0) -> str:
+    def text(expression: sympy.Expr, level: int = 0, *, begins: bool = False) -> str:
+        # No sign is held before there is an event.
+        own = expression if begins else expression.xreplace(held)
         try:
-            return str(printer.parenthesize(expression.xreplace(held), level))
+            return str(printer.parenthesize(own, level))
         except NotImplementedError as error:
             raise ExportError(
                 f"friction law: '{expression}' has no counterpart in Modelica."
@@ -115,7 +128,25 @@ def equations(form: LawForm) -> Equations:
     return Equations(
         signs={s.name: _sign(text(e)) for e, s in zip(bends, signs, strict=True)},
         lines=tuple(_wrapped(line) for line in (*lines, f"tau = {text(form.output.subs(DT, 0))}")),
+        beginning=tuple(
+            (name, _wrapped(text(e, begins=True))) for name, e in _beginning(form).items()
+        ),
     )
+
+
+def _beginning(form: LawForm) -> dict[str, sympy.Expr]:
+    """Return where each state begins, of inputs, start values and the states before it."""
+    if any(m.seeks for m in form.memory):
+        return {}
+    found = beginning(form.memory, SETTLING)
+    names = {m.state: sympy.Symbol(start_of(m.name), real=True) for m in form.memory}
+    names |= {begun(m): m.state for m in form.memory}
+    return {m.name: found[begun(m)].xreplace(names) for m in form.memory}
+
+
+def start_of(state: str) -> str:
+    """Return the name of a state's start value."""
+    return f"{state}_start"
 
 
 def _sign(argument: str) -> str:

@@ -148,14 +148,30 @@ def test_the_sign_of_the_torque_is_said(table1_fmu):
     assert tau.description.endswith(": what the drive must deliver, a plant subtracts it")
 
 
-def test_the_torque_has_its_size_in_the_training(make_law, make_model, tmp_path):
+def test_signals_have_their_size_in_the_training(make_law, make_model, tmp_path):
     seen = TrainedRange(
         dq=(-0.5, 1.234), q=(-1.0, 1.0), tau_load=(-40.4, 3.0), tau=(-12.34, 3.0), sample_time=0.005
     )
     model = make_model(make_law("viscous"), trained=(seen,))
     about = described(export_bare(model, tmp_path / "F.fmu"))
     nominals = {v.name: v.nominal for v in about.modelVariables}
-    assert [nominals[n] for n in ("dq[1]", "tau_load[1]", "tau[1]")] == [None, None, "12.0"]
+    assert [nominals[n] for n in ("dq[1]", "tau_load[1]", "tau[1]")] == ["1.2", "40.0", "12.0"]
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_every_law_has_its_factors(fmi, make_law, make_model, tmp_path):
+    laws = [make_law(name) for name in ("lugre", "viscous", "gaussians")]
+    fmu = export_bare(make_model(*laws), tmp_path / "F.fmu", fmi=fmi)
+    found = {v.name: v for v in described(fmu).modelVariables}
+    for name in ("coulomb_scale", "viscous_scale"):
+        for variable in [found[name]] if fmi == 3 else [found[f"{name}[{i}]"] for i in (1, 2, 3)]:
+            assert (variable.causality, variable.variability) == ("parameter", "tunable")
+            assert (variable.min, variable.max) == ("0.0", None)
+            assert variable.start.split() in (["1.0"], ["1.0"] * 3)
+            assert variable.description.startswith("factor on the ")
+    if fmi == 2:
+        idle = found["viscous_scale[1]"].description
+        assert idle == "factor on the viscous friction of axis_1; its law has no such term"
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

@@ -10,6 +10,7 @@ from cosim.replay import replay
 from cosim.slave import Component
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.friction.evaluate import Stepper, predict
+from hesr_model.friction.scales import scaled
 
 EXACT_ENOUGH = 1e-12
 
@@ -155,18 +156,51 @@ def test_coefficients_are_tunable_while_it_runs(table1, binary):
     assert binary.get(tuned, "tau[1]")[0] == pytest.approx(binary.get(other, "tau[1]")[0] + 1.5)
 
 
-def test_large_laws_have_a_scale_instead_of_coefficients(
-    make_law, make_model, make_motion, tmp_path
-):
+def test_large_laws_have_their_factors_alone(make_law, make_model, make_motion, tmp_path):
     fmu = export_bare(make_model(make_law("gaussians")), tmp_path / "F.fmu")
     t, dq, *_ = make_motion(1)
     with Component(fmu) as component:
         names = {v.name for v in component.description.modelVariables}
-    assert "scale[1]" in names
+    assert {"coulomb_scale[1]", "viscous_scale[1]"} <= names
     assert not any(name.startswith("joint[") for name in names)
     np.testing.assert_allclose(
-        replay(fmu, t, dq, start={"scale[1]": 2.5}), 2.5 * replay(fmu, t, dq), rtol=1e-14
+        replay(fmu, t, dq, start={"coulomb_scale[1]": 2.5}), 2.5 * replay(fmu, t, dq), rtol=1e-14
     )
+
+
+def test_factors_are_those_of_the_law(make_law, make_model, make_motion, tmp_path):
+    """The binary agrees with Python; a law that cannot be told apart has both all the same."""
+    chosen = {"coulomb_scale": 1.7, "viscous_scale": 0.4}
+    t, dq, q, load = (np.squeeze(x) for x in make_motion(1))
+    for name in ("lugre", "viscous", "parfam_tanh"):
+        law = make_law(name)
+        whole = replace(law, form=scaled(law.form), values={**law.values, **chosen})
+        fmu = export_bare(make_model(law), tmp_path / f"{name}.fmu")
+        found = replay(
+            fmu, t, dq[:, None], q[:, None], load[:, None],
+            start={f"{n}[1]": x for n, x in chosen.items()},
+        )[:, 0]  # fmt: skip
+        wanted = predict(whole, t=t, dq=dq, q=q, tau_load=load)
+        np.testing.assert_allclose(found, wanted, atol=1e-12 * np.abs(wanted).max())
+
+
+def test_a_factor_that_falls_takes_energy_and_one_that_rises_gives_none(
+    make_law, make_model, load, tmp_path
+):
+    """At rest a bristle under load keeps its torque: no factor multiplies what memory holds."""
+    binary = load(export_bare(make_model(make_law("lugre")), tmp_path / "F.fmu"))
+    c = binary.ready()
+    binary.set_all(c, {"dq[1]": 0.3})
+    for k in range(20):
+        assert binary.step(c, 0.01 * k, 0.01) == 0
+    binary.set_all(c, {"dq[1]": 0.0, "coulomb_scale[1]": 3.0})
+    assert binary.step(c, 0.2, 0.01) == 0
+    (held,) = binary.get(c, "tau[1]")
+    assert held == pytest.approx(9.0, rel=1e-3)  # its level before
+    binary.set_all(c, {"dq[1]": 0.3})
+    for k in range(21, 81):
+        assert binary.step(c, 0.01 * k, 0.01) == 0
+    assert binary.get(c, "tau[1]")[0] == pytest.approx(27.0, rel=1e-3)
 
 
 def test_inputs_with_derivatives_are_followed(table1, binary):

@@ -98,12 +98,13 @@ def test_ends_of_a_slider(value: float, factor: bool, wanted: tuple[float, float
     assert ends(value, factor=factor) == wanted
 
 
-def test_a_law_of_many_coefficients_has_its_scale(
+def test_a_law_of_many_coefficients_has_its_factors(
     make_law: Callable[[str], FrictionLaw], make_model: Callable[..., FrictionModel]
 ) -> None:
     (joint,) = live_of(make_model(make_law("gaussians")))["joints"]
-    (knob,) = joint["coefficients"]
-    assert (knob["name"], knob["low"], knob["value"], knob["high"]) == ("scale[1]", 0.0, 1.0, 2.0)
+    assert [
+        (knob["name"], knob["low"], knob["value"], knob["high"]) for knob in joint["coefficients"]
+    ] == [(f"{part}_scale[1]", 0.0, 1.0, 2.0) for part in ("coulomb", "viscous")]
 
 
 def test_the_motion_is_one_that_was_trained(

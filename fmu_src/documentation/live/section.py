@@ -129,7 +129,7 @@ def _motion(law: FrictionLaw, seen: TrainedRange | None, step: float) -> Iterato
 def _coefficients(law: FrictionLaw, joint: int, table: Interface) -> Iterator[Knob]:
     for name, coefficient in zip(
         place(law, joint).parameters,
-        law.form.coefficients if exposed(law) else (None,),
+        law.form.coefficients if exposed(law) else (None, None),
         strict=True,
     ):
         reference = table.places[name]

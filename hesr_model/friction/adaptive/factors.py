@@ -10,16 +10,17 @@ only, since the state is projected on a set that holds 0. What a torque does alo
 F_i xi_i: xi_i = dx_i/dl is +-s_i where the stop is clipped, and where it is not what it was before.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import sympy
 
 from hesr_model.equations.component import Equation, previous
 from hesr_model.equations.functions import absolute, exceeds, positive, sgn
-from hesr_model.equations.memory import Element, Relaxation, Stop
+from hesr_model.equations.memory import Element, Stop
 from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.scales import scaled_bound
 
 _CLIPPED = 1.0 - 1e-9
 """Share of its bound at which a stop counts as clipped: rounding."""
@@ -61,7 +62,7 @@ def parts(law: FrictionLaw, level: sympy.Expr) -> Parts:
         If the law has no bound that a level could scale, or its torque is not linear in its states.
     """
     form = law.form
-    scaled = tuple(_scaled(m, level) for m in form.memory)
+    scaled = tuple(scaled_bound(m, level) for m in form.memory)
     carrying = [m for m, own in zip(form.memory, scaled, strict=True) if m != own]
     if not carrying:
         raise ExportError(
@@ -90,18 +91,6 @@ def parts(law: FrictionLaw, level: sympy.Expr) -> Parts:
         along=along,
         sensitivities=tuple(_sensitivity(m, name, level) for m, name in bound.items()),
     )
-
-
-def _scaled(element: Element, level: sympy.Expr) -> Element:
-    if isinstance(element, Stop):
-        return replace(element, bound=element.bound * level)
-    return replace(element, rate=element.rate / level) if _bristle(element) else element
-
-
-def _bristle(element: Relaxation) -> bool:
-    """Whether the velocity drives it: what it holds has a level."""
-    drive = element.drive
-    return bool(DQ in drive.free_symbols and DQ not in (drive / DQ).free_symbols)
 
 
 def _sensitivity(stop: Stop, name: str, level: sympy.Expr) -> Equation:

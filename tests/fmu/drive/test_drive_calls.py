@@ -127,7 +127,9 @@ def test_a_scale_multiplies_friction(fmu: Path) -> None:
     speeds = []
     for scale in (0.0, 1.0, 2.0):
         with Component(fmu) as component:
-            component.initialise(start={"scale[3]": scale, "dq_start[3]": 0.5, "substep": 1.0})
+            component.initialise(
+                start={"coulomb_scale[3]": scale, "dq_start[3]": 0.5, "substep": 1.0}
+            )
             component.step(0.0, 1e-4)
             dq, tau_f, ddq = component.get(["dq[3]", "tau_f[3]", "ddq[3]"])
             assert ddq == pytest.approx(-tau_f, rel=1e-9)

@@ -61,7 +61,7 @@ def test_laws_of_every_kind_are_valid(make_law, tmp_path: Path) -> None:
     assert check(path).problems == ()
     about = {v.name: v for v in read_model_description(str(path)).modelVariables}
     assert (about["stiffness[2]"].start, about["ratio[5]"].start) == ("10.0", "50.0")
-    assert {"joint[2].sigma_0", "scale[4]", "z[2]", "der(z[2])"} <= set(about)
+    assert {"joint[2].sigma_0", "coulomb_scale[4]", "z[2]", "der(z[2])"} <= set(about)
 
 
 def bristle_with_load() -> FrictionLaw:

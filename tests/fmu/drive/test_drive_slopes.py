@@ -25,7 +25,7 @@ def binary(make_law, load: Callable[[Path], Binary], tmp_path: Path) -> Binary:
 def ready(binary: Binary, **start: float) -> ctypes.c_void_p:
     c = binary.instantiate()
     assert binary("EnterInitializationMode", c) == OK
-    values = {"scale[1]": 0.0, "damping[1]": 0.0}
+    values = {"coulomb_scale[1]": 0.0, "damping[1]": 0.0}
     values |= {"substep" if name == "substep" else f"{name}[1]": v for name, v in start.items()}
     assert binary.set_all(c, values) == OK
     assert binary("ExitInitializationMode", c) == OK

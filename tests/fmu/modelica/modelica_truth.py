@@ -9,6 +9,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from hesr_model.equations.functions import lowered
+from hesr_model.friction.evaluate import first_states
 from hesr_model.friction.inputs import INPUTS
 
 SPEED, OMEGA, PHASE = 0.5, 2.0 * np.pi, 0.35
@@ -77,7 +78,7 @@ def pieces():
 def python_torque(law):
     """Torque at TIMES from the SymPy expressions."""
     slope, torque = equations(law)
-    x, found = np.array(law.start), []
+    x, found = np.array(first_states(law, *motion(0.0))), []
     for begin, end, times in pieces():
         rows = integrated(lambda t, x: slope(motion(t), x), x, begin, end, times)
         found += [torque(motion(t), row) for t, row in zip(times, rows, strict=False)]
@@ -110,7 +111,7 @@ def fmu_torque(fmu, joint, law):
         go_to(t, x)
         return np.array(fmu.numbers("GetDerivatives", c, len(every)))[own]
 
-    x, found = np.array(law.start), []
+    x, found = np.array(first_states(law, *motion(0.0))), []
     for begin, end, times in pieces():
         fmu.event(c, at(begin + 1e-6))
         rows = integrated(slope, x, begin, end, times)

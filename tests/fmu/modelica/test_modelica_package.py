@@ -33,16 +33,22 @@ def test_a_law_becomes_a_block(make_model):
     bristle = Relaxation(name="z", unit="rad", drive=DQ, rate=absolute(DQ) / k)
     stiff = law(k * z + sympy.Symbol("dz", real=True) + sgn(z), bristle, k=0.1)
     text = package(make_model(replace(stiff, start=(-1e-5,))), "Bench")
-    assert part(text, "block", "Odd") == (
+    before, after = part(text, "block", "Odd").split("    initial equation\n")
+    beginning, lines = after.split("    equation\n")
+    assert re.sub(r"\s+", " ", beginning).startswith(" z = if steadyStart then z_start + (")
+    assert beginning.endswith("        else z_start;\n")
+    assert before + lines == (
         '    block Odd "Equations of odd"\n'
         "      extends Interfaces.Law;\n"
         '      parameter Real k(unit="N.m") "the k";\n'
         '      parameter Real z_start(unit="rad") "Start value of z";\n'
-        '      Real z(unit="rad", start=z_start, fixed=true) "Friction state";\n'
+        "      parameter Boolean steadyStart = true\n"
+        '        "= true, if states begin steady where dq is 0.02 rad/s or more" annotation '
+        "(choices(checkBox=true));\n"
+        '      Real z(unit="rad", start=z_start) "Friction state";\n'
         "    protected\n"
         "      Real sign_dq = if dq > 0 then 1 elseif dq < 0 then -1 else 0\n"
         '        "Held between events";\n'
-        "    equation\n"
         "      der(z) = dq - (sign_dq*dq/k)*z;\n"
         "      tau = der(z) + k*z + sign(z);\n"
         "    end Odd;"
