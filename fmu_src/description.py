@@ -45,6 +45,9 @@ QUANTITIES: Mapping[str, str] = {
 DISPLAY: Mapping[str, str] = {"rad": "deg", "rad/s": "deg/s", "rad/s2": "deg/s2"}
 """Units in which tools show others."""
 
+RELEASED = "2026-11-22T00:00:00Z"
+"""Date of this version, and of FMUs that hold nothing that was made later; as in CITATION.cff."""
+
 DEGREES = 180.0 / math.pi
 _EXPERIMENT = 1000
 

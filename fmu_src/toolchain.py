@@ -54,6 +54,7 @@ class Target:
 _ELF = (
     "-fPIC",
     "-Wl,--build-id=none",
+    "-Wl,--hash-style=gnu",  # which every loader of these systems reads; the old table is 1 %
     "-lm",
     "-fno-unwind-tables",
     "-fno-asynchronous-unwind-tables",

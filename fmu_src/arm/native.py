@@ -15,14 +15,13 @@ from fmu_src.arm.parts import Signals
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.signals_h import to_h
 from fmu_src.arm.variables import variables
-from fmu_src.description import Description
+from fmu_src.description import RELEASED, Description
 from fmu_src.interface import Interface
 from fmu_src.package import Content, check_request, own_source, write_fmu
 from fmu_src.recorded import Stimuli, waves
 from hesr_model.errors import ExportError
 from hesr_model.support.progress import Progress, silent
 
-CREATED = "1980-01-01T00:00:00Z"
 _SMALL = 0.1  # controls of the reference results
 _OWN = 4  # numbers that mjcf.c remembers besides MuJoCo's state
 _SOURCES = (
@@ -145,7 +144,7 @@ def description(signals: Signals, name: str) -> Description:
         identifier=identifier_of(name),
         text=f"{name}, simulated by MuJoCo {mujoco.__version__}.",
         version=importlib.metadata.version("hesr"),
-        created=CREATED,
+        created=RELEASED,
         step=signals.step,
         sources=(),
     )

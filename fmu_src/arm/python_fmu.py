@@ -11,10 +11,10 @@ from tempfile import TemporaryDirectory
 from xml.etree import ElementTree as ET
 
 from fmu_src import exported
-from fmu_src.arm.native import CREATED, description, licences, model_name
+from fmu_src.arm.native import description, licences, model_name
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.variables import variables
-from fmu_src.description import to_xml
+from fmu_src.description import RELEASED, to_xml
 from fmu_src.interface import Interface
 from fmu_src.package import check_request, write_archive
 from hesr_model.errors import ConfigError
@@ -63,7 +63,7 @@ def export_python_arm(path_of_mjcf: Path, table: Path | None, output: Path) -> P
         with zipfile.ZipFile(built) as archive:
             members = {name: archive.read(name) for name in sorted(archive.namelist())}
     members["modelDescription.xml"] = about["xml"].encode()  # PythonFMU's has its lines apart
-    write_archive(members | licences("pythonfmu"), output, CREATED)
+    write_archive(members | licences("pythonfmu"), output, RELEASED)
     exported.remember(output)
     return output
 

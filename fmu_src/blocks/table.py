@@ -3,13 +3,11 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 
-from fmu_src.description import Description
+from fmu_src.description import RELEASED, Description
 from fmu_src.interface import Interface, Role, Variable
 from fmu_src.package import Content, own_source
 from fmu_src.recorded import Stimuli, waves
 from hesr_model.robots.owner import OURS, Owner
-
-_CREATED = "1980-01-01T00:00:00Z"  # blocks have no date of their own
 
 
 def vector(
@@ -93,7 +91,7 @@ def block_description(*, name: str, text: str, step: float, owner: Owner = OURS)
         identifier=name.lower(),
         text=text,
         version=version("hesr"),
-        created=_CREATED,
+        created=RELEASED,
         step=step,
         sources=("all.c",),
         owner=owner,

@@ -92,28 +92,6 @@ static void start(Component *component, int i) {
     put_outputs(component->v, i, y);
 }
 
-static bool component_initialise(Component *component, void *workspace, Message *why) {
-    (void)workspace;
-    for (int i = 0; i < JOINTS; i++) {
-        const Place at = place_of(component, i);
-        const char *needed;
-        const int bad = at.joint->refused ? at.joint->refused(at.u, &needed) : -1;
-        if (bad >= 0) {
-            const int place = at.joint->input[bad];
-            snprintf(why->text, sizeof why->text, "%s is %g%s", variables[place].name,
-                     component->v[place], needed);
-            return false;
-        }
-    }
-    clear_torques(component->v);
-    for (int i = 0; i < JOINTS; i++) {
-        start(component, i);
-    }
-    component->own[STARTED] = 1.0;
-    component->own[BEGIN] = component->time;
-    return true;
-}
-
 static bool component_output(Component *component, void *workspace, Message *why) {
     (void)workspace, (void)why; /* the glue itself looks for infinite outputs */
     const bool started = component->own[STARTED] > 0.0;
@@ -132,6 +110,24 @@ static bool component_output(Component *component, void *workspace, Message *why
                        x + at.joint->states, y, r);
         put_outputs(component->v, i, y);
     }
+    return true;
+}
+
+static bool component_initialise(Component *component, void *workspace, Message *why) {
+    for (int i = 0; i < JOINTS; i++) {
+        const Place at = place_of(component, i);
+        const char *needed;
+        const int bad = at.joint->refused ? at.joint->refused(at.u, &needed) : -1;
+        if (bad >= 0) {
+            const int place = at.joint->input[bad];
+            snprintf(why->text, sizeof why->text, "%s is %g%s", variables[place].name,
+                     component->v[place], needed);
+            return false;
+        }
+    }
+    component_output(component, workspace, why); /* of what has not started yet */
+    component->own[STARTED] = 1.0;
+    component->own[BEGIN] = component->time;
     return true;
 }
 

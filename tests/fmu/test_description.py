@@ -2,6 +2,7 @@
 
 import math
 import zipfile
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -194,6 +195,11 @@ def test_fmus_of_nothing_but_our_code_are_ours():
         "author": "The HESR authors", "license": "MIT",
         "copyright": "Copyright (c) 2026 The HESR authors",
     }  # fmt: skip
+
+
+def test_fmus_of_nothing_but_our_code_have_the_date_of_the_version():
+    citation = Path(__file__).parents[2].joinpath("CITATION.cff").read_text(encoding="utf-8")
+    assert f'date-released: "{velocity(1).about.created.removesuffix("T00:00:00Z")}"' in citation
 
 
 def test_unknown_units_are_refused():

@@ -115,7 +115,7 @@ def test_only_the_functions_of_fmi_are_exported(folder, table1, tmp_path):
 
 def test_sizes(table1_fmu):
     with zipfile.ZipFile(table1_fmu) as archive:
-        # 40 KiB and what finds where states begin: start modes and steady states.
+        # 40 KiB, what finds where states begin, and the factors of every law with their slopes.
         assert archive.getinfo("binaries/linux64/friction_parfam_h.so").file_size <= 42 * 1024
     assert table1_fmu.stat().st_size <= 120 * 1024
 
