@@ -11,6 +11,10 @@ from pythonfmu.builder import FmuBuilder
 from fmu_src import export_fmu, package
 from fmu_src.check import check, hostile
 from fmu_src.drive.drive_fmu import export_drive
+from fmu_src.friction.friction_fmu import export_bare
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws.stops.form import Structure
+from hesr_model.friction.trained import TrainedRange
 
 SLAVE = """
 import os
@@ -60,6 +64,21 @@ def test_friction_laws_bear_everything(law, make_law, make_model, tmp_path):
     report = check(export_fmu(model, tmp_path / "F.fmu"), hostile=True)
     assert report.problems == ()
     assert not any("ostile" in reason for reason in report.skipped)
+
+
+def test_stops_and_ripple_bear_signals_of_their_size(make_model, tmp_path):
+    """Ripple is faster than the steps, and bounds of the load jump with inputs that are held."""
+    form = Structure.of(
+        {"stops": [["1", 0], ["p", 0], ["load", 0]], "viscous": ["1"], "ripple": [1009, 505],
+         "window": 0.015}
+    ).form()  # fmt: skip
+    values = {c.name: 1.0 for c in form.coefficients} | {"v_s": 0.1, "T": 0.05, "load_scale": 40.0}
+    law = FrictionLaw(name="by_hand", form=form, values=values)
+    seen = TrainedRange(
+        dq=(-1.2, 1.2), q=(-2.6, 2.6), tau_load=(-70.0, 70.0), tau=(-5.0, 5.0), sample_time=0.01
+    )
+    model = make_model(law, law, trained=(seen, seen), sample_time=0.01)
+    assert found(export_bare(model, tmp_path / "F.fmu")) == []
 
 
 def test_the_papers_law_and_its_drive_bear_everything(table1, table1_fmu, tmp_path):
