@@ -320,7 +320,7 @@ def test_curves_and_borders_stand_out(open_page: OpenPage, unzipped: Path, schem
 
 def test_knobs_have_names_for_all_who_cannot_see_them(page: "Page") -> None:
     knobs = page.locator(".live-knobs input")
-    assert knobs.count() == 2 * (3 + 10)
+    assert knobs.count() == 2 * (3 + 10 + 2)
     names = knobs.evaluate_all("all => all.map(e => e.getAttribute('aria-label'))")
     assert len(set(names)) == len(names)
     texts = page.get_by_role("slider").evaluate_all("all => all.map(e => e.ariaValueText)")

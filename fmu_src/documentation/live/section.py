@@ -4,6 +4,7 @@ import base64
 import zlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
+from itertools import zip_longest
 from math import floor, log10
 from typing import Any
 
@@ -16,6 +17,7 @@ from fmu_src.interface import Interface
 from hesr_model.friction.inputs import INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.scales import SCALES
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.units import unit_of_joint
 
@@ -127,11 +129,9 @@ def _motion(law: FrictionLaw, seen: TrainedRange | None, step: float) -> Iterato
 
 
 def _coefficients(law: FrictionLaw, joint: int, table: Interface) -> Iterator[Knob]:
-    for name, coefficient in zip(
-        place(law, joint).parameters,
-        law.form.coefficients if exposed(law) else (None, None),
-        strict=True,
-    ):
+    own = place(law, joint).parameters if exposed(law) else ()
+    scales = tuple(f"{scale.name}[{joint}]" for scale in SCALES)
+    for name, coefficient in zip_longest((*own, *scales), law.form.coefficients if own else ()):
         reference = table.places[name]
         variable = table.variables[reference]
         factor = coefficient is None or _is_factor(law.form, coefficient.symbol)
