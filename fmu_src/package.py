@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Literal
 
 from fmu_src import exported
@@ -19,7 +18,7 @@ from fmu_src.terminals import ICON, TERMINALS, Terminal, to_terminals
 from fmu_src.toolchain import Target, build, targets
 from hesr_model.errors import ExportError
 from hesr_model.support.cache import kept
-from hesr_model.support.files import written_whole
+from hesr_model.support.files import scratch_folder, written_whole
 from hesr_model.support.progress import Progress, counted, silent
 
 Version = Literal[2, 3]
@@ -165,12 +164,12 @@ def write_fmu(
             members[ICON] = picture
         if connected := to_terminals(table, content.terminals, icon=picture is not None):
             members[TERMINALS] = connected
-    with TemporaryDirectory(prefix="hesr-") as home:
+    with scratch_folder() as home:
         for name, text in sources.items():
-            Path(home, name).write_text(text, encoding="utf-8")
+            (home / name).write_text(text, encoding="utf-8")
         for target in counted(wanted, progress):
             own = content.libraries.get(target.folder)
-            library = _built(Path(home, "all.c"), about.identifier, target, own)
+            library = _built(home / "all.c", about.identifier, target, own)
             for folder in (
                 _FOLDERS.get(target.folder, (target.folder,)) if fmi == 3 else (target.folder,)
             ):

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import chdir
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu_src.layered import Experiment, manifest_files
+from hesr_model.support.files import scratch_folder
 
 Array = NDArray[np.float64]
 
@@ -108,14 +108,14 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
         for v in root.iter("ScalarVariable")
         if v.get("causality") == "output" and v.get("variability") != "discrete"
     ]
-    with TemporaryDirectory(prefix="hesr-") as home:
+    with scratch_folder() as home:
         for member, content in members.items():
             if member.startswith((own, "resources/")):
-                file = Path(home, member)
+                file = home / member
                 file.parent.mkdir(parents=True, exist_ok=True)
                 file.write_bytes(content)
         try:
-            rows = {way: _run(Path(home), root, name, stimuli, outputs, way) for way in WAYS}
+            rows = {way: _run(home, root, name, stimuli, outputs, way) for way in WAYS}
         except FMICallException:
             return {}
     if not all(np.all(np.isfinite(found)) for found in rows.values()):

@@ -6,7 +6,6 @@ import re
 import struct
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -15,6 +14,7 @@ from pathlib import Path
 from hesr_model.errors import ExportError
 from hesr_model.support.cache import folder as cache_folder
 from hesr_model.support.cache import kept
+from hesr_model.support.files import scratch_folder
 
 CFLAGS = (
     "-std=c99",
@@ -107,11 +107,11 @@ def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = 
         If the compiler fails, with the first line of what it says.
     """
     library = identifier + target.suffix
-    with tempfile.TemporaryDirectory(prefix="hesr-") as folder:
+    with scratch_folder() as folder:
         parts = []
         for triple in target.triples:
             # A folder for each part: the linker writes import libraries and the like beside it.
-            output = Path(folder, triple, library)
+            output = folder / triple / library
             output.parent.mkdir()
             last = [*(flag.format(library=library) for flag in target.flags), *flags]
             compile_c(source, ("-target", triple, *CFLAGS, *_LINK), output, last)
@@ -132,8 +132,8 @@ def build_wasm(source: Path) -> bytes:
     ExportError
         If the compiler fails, with the first line of what it says.
     """
-    with tempfile.TemporaryDirectory(prefix="hesr-") as folder:
-        output = Path(folder, f"{source.stem}.wasm")
+    with scratch_folder() as folder:
+        output = folder / f"{source.stem}.wasm"
         compile_c(source, _WASM, output)
         return output.read_bytes()
 
@@ -186,16 +186,16 @@ def _contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
 def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[str]) -> bytes:
     # A linker takes a percent sign in the name of its output for a place to fill in, and folders of
     # a machine may have one. So it writes into a folder beside the source, named from there.
-    with (
-        tempfile.TemporaryDirectory(prefix="hesr-cache-") as cache,
-        tempfile.TemporaryDirectory(prefix="hesr-", dir=source.parent) as folder,
-    ):
-        written = Path(folder, output.name)
+    with scratch_folder() as cache, scratch_folder(source.parent) as folder:
+        written = folder / output.name
         relative = f"{written.parent.name}/{output.name}"
         command = [sys.executable, "-m", "ziglang", "cc", *flags, "-o", relative, source.name]
         # The compiler's cache of objects gives stale ones when compilations run side by side, so
         # each has its own; that of the C library, which takes long to build, stays shared.
-        caches = {"ZIG_LOCAL_CACHE_DIR": cache, "ZIG_GLOBAL_CACHE_DIR": str(cache_folder() / "zig")}
+        caches = {
+            "ZIG_LOCAL_CACHE_DIR": str(cache),
+            "ZIG_GLOBAL_CACHE_DIR": str(cache_folder() / "zig"),
+        }
         try:
             # In the sources' own folder, so that no path of this machine gets into the binary.
             result = subprocess.run(

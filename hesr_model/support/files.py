@@ -157,14 +157,21 @@ def _move(temporary: Path, path: Path) -> None:
 
 
 @contextmanager
-def scratch_folder() -> Iterator[Path]:
-    """Yield a temporary folder in which a program of anybody may write whatever it likes."""
-    folder = Path(tempfile.mkdtemp(prefix="hesr-"))
-    try:
+def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
+    """Yield a temporary folder in which a program of anybody may write whatever it likes.
+
+    It is in the folder `parent`, or where such folders are. An interrupt leaves none behind.
+    """
+    with ExitStack() as cleanup:
+        with interrupts.deferred():  # or there may be a folder of which nobody knows
+            folder = Path(tempfile.mkdtemp(prefix="hesr-", dir=parent))
+            cleanup.callback(_removed, folder)
         yield folder
-    finally:
-        with interrupts.deferred(), suppress(OSError):
-            _remove_whatever(folder)
+
+
+def _removed(folder: Path) -> None:
+    with interrupts.deferred(), suppress(OSError):
+        _remove_whatever(folder)
 
 
 def _remove_whatever(folder: Path) -> None:

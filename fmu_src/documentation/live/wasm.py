@@ -1,11 +1,10 @@
 """An FMU as a module of WebAssembly."""
 
 from collections.abc import Mapping
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from fmu_src.package import own_source
 from fmu_src.toolchain import build_wasm
+from hesr_model.support.files import scratch_folder
 
 
 def wasm(sources: Mapping[str, str]) -> bytes:
@@ -24,7 +23,7 @@ def wasm(sources: Mapping[str, str]) -> bytes:
     ExportError
         If the compiler fails.
     """
-    with TemporaryDirectory(prefix="hesr-") as folder:
+    with scratch_folder() as folder:
         for name, text in (*sources.items(), ("live.c", own_source("live.c"))):
-            Path(folder, name).write_text(text, encoding="utf-8")
-        return build_wasm(Path(folder, "live.c"))
+            (folder / name).write_text(text, encoding="utf-8")
+        return build_wasm(folder / "live.c")
