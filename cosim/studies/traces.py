@@ -79,8 +79,10 @@ def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
         )
     try:
         table = pyarrow.parquet.read_table(path)
-        schemes = map(Scheme.of_name, table["scheme"].to_pylist())
-        runs = list(zip(schemes, table["law"].to_pylist(), strict=True))
+        names = table["scheme"].to_pylist()
+        schemes = {name: Scheme.of_name(name) for name in dict.fromkeys(names)}
+        laws = table["law"].to_pylist()
+        runs = [(schemes[name], law) for name, law in zip(names, laws, strict=True)]
         columns = [table[name].to_numpy() for name in ("t", *_of(table, "q_d"), *_of(table, "q"))]
     except (pyarrow.ArrowInvalid, OSError, KeyError, ValueError) as error:
         raise ArtifactError(f"{path}: is not what a closed loop has written.") from error
