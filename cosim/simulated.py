@@ -1,7 +1,7 @@
 """How well laws simulate: measured torque in, position out, over windows of logs."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -66,14 +66,23 @@ def simulate_tests(
     body: RigidBody,
 ) -> dict[str, Simulated]:
     """Score laws as simulators on test sets, by name; those that cannot be simulated are absent."""
+    cut: dict[str, tuple[list[Windows], list[Windows]]] = {}
+    for test, records in tests.items():
+        logs = by_joint(records)
+        try:
+            windows = [windows_of(logs, length) for length in LENGTHS]
+        except SimulationError as error:
+            _unscored(error)
+            continue
+        cut[test] = windows, list(map(whole, logs)) if _weightless(logs, robot, body) else []
     jobs = [
-        partial(_simulated, model, records, robot, body)
-        for records in tests.values()
+        partial(_simulated, model, *of_test, robot, body)
+        for of_test in cut.values()
         for model in models.values()
     ]
     found: dict[str, Simulated] = {}
     with parallel.results_of(jobs) as results:
-        for test in tests:
+        for test in cut:
             of_laws, reason = {}, None
             for law in models:
                 part = next(results)
@@ -82,7 +91,7 @@ def simulate_tests(
                 else:
                     of_laws[law] = part
             if reason:
-                _log.warning("warning: laws are not scored as simulators: %s", reason)
+                _unscored(reason)
                 continue
             found[test] = Simulated(
                 joints=tuple(robot.description.joints),
@@ -93,16 +102,22 @@ def simulate_tests(
     return found
 
 
+def _unscored(reason: SimulationError) -> None:
+    _log.warning("warning: laws are not scored as simulators: %s", reason)
+
+
 def _simulated(
-    model: FrictionModel, records: Records, robot: RobotModel, body: RigidBody
+    model: FrictionModel,
+    cut: Sequence[Windows],
+    free: Sequence[Windows],
+    robot: RobotModel,
+    body: RigidBody,
 ) -> tuple[tuple[_Errors, ...], _Errors] | SimulationError:
     """Return the errors over windows of each length and in open loop, or why there are none."""
-    logs = by_joint(records)
     try:
         one = Simulator(robot=robot, parameters=body.parameters, friction=model)
-        cut = [windows_of(logs, length) for length in LENGTHS]
         windows = tuple(position_errors(one.run(w), w) for w in cut)
-        return windows, _open_loop(one, logs) if _weightless(logs, robot, body) else ()
+        return windows, _open_loop(one, free) if free else ()
     except SimulationError as error:
         return error
 
@@ -115,9 +130,8 @@ def _weightless(logs: Logs, robot: RobotModel, body: RigidBody) -> bool:
     return bool(np.abs(weight).max() <= _WEIGHTLESS * largest)
 
 
-def _open_loop(one: Simulator, logs: Logs) -> tuple[float | None, ...]:
-    """Return the RMS over all rows of all logs, each simulated from its beginning."""
-    cut: list[Windows] = [whole(log) for log in logs]
+def _open_loop(one: Simulator, cut: Sequence[Windows]) -> _Errors:
+    """Return the RMS over all rows of whole logs, each simulated from its beginning."""
     errors = [position_errors(one.run(w), w) for w in cut]
     rows = np.array([w.t.shape[1] for w in cut])
     return tuple(

@@ -32,5 +32,10 @@ def place(law: FrictionLaw, joint: int) -> Place:
         starts=tuple(f"{r.name}_start[{joint}]" for r in law.form.memory),
         parameters=tuple(f"joint[{joint}].{name}" for name in law.values)
         if exposed(law)
-        else tuple(f"{scale.name}[{joint}]" for scale in SCALES),
+        else scales_of(joint),
     )
+
+
+def scales_of(joint: int) -> tuple[str, ...]:
+    """Return the names of a joint's factors on Coulomb and on viscous friction."""
+    return tuple(f"{scale.name}[{joint}]" for scale in SCALES)

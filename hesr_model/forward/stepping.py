@@ -29,7 +29,7 @@ def _lowered(form: LawForm) -> Any:
 
 
 class LawSteps:
-    """LawSteps a law, W motions at once.
+    """Steps a law, W motions at once.
 
     Parameters
     ----------

@@ -12,12 +12,11 @@ import sympy
 
 from fmu_src.documentation.mathml import symbol
 from fmu_src.friction.reference import trained_speed
-from fmu_src.friction.variable_names import exposed, place
+from fmu_src.friction.variable_names import exposed, place, scales_of
 from fmu_src.interface import Interface
 from hesr_model.friction.inputs import INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.scales import SCALES
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.units import unit_of_joint
 
@@ -130,8 +129,8 @@ def _motion(law: FrictionLaw, seen: TrainedRange | None, step: float) -> Iterato
 
 def _coefficients(law: FrictionLaw, joint: int, table: Interface) -> Iterator[Knob]:
     own = place(law, joint).parameters if exposed(law) else ()
-    scales = tuple(f"{scale.name}[{joint}]" for scale in SCALES)
-    for name, coefficient in zip_longest((*own, *scales), law.form.coefficients if own else ()):
+    names = (*own, *scales_of(joint))
+    for name, coefficient in zip_longest(names, law.form.coefficients if own else ()):
         reference = table.places[name]
         variable = table.variables[reference]
         factor = coefficient is None or _is_factor(law.form, coefficient.symbol)
