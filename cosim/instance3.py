@@ -77,6 +77,7 @@ class Instance3(Instance):
                 (fmi3.fmi3ValueReference * 1)(array), 1, (make * len(held))(*shown), len(held),
             )  # fmt: skip
 
+    # Unused are the arguments of an `Instance`, whose method this is.
     def slope(self, references: Sequence[int], slopes: Sequence[float]) -> None:  # noqa: ARG002
         """Refuse slopes of inputs, which FMI 3.0 has not."""
         raise self._failure(CallError("inputs have no derivatives in FMI 3.0"))
