@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from importlib.resources import files
 from pathlib import Path
 
 from hesr_model.errors import ExportError
@@ -39,7 +40,8 @@ class Target:
     folder : folder under binaries/ in the FMU.
     suffix : suffix of the shared library.
     triples : the compiler's names of the target; several make one universal file.
-    flags : flags for this target alone; `{library}` is the name of the library.
+    flags : flags for this target alone; `{library}` is the name of the library, `{compiler}` the
+        folder of the compiler.
     """
 
     folder: str
@@ -59,12 +61,27 @@ _ELF = (
     "-fno-unwind-tables",
     "-fno-asynchronous-unwind-tables",
 )
+# The compiler's own C library of Windows takes a hundred seconds to build, for a start-up that plain
+# C does not need. Without it there are its headers and the system's libraries by their own names.
+_PRINTF = ("snprintf", "vsnprintf", "__local_stdio_printf_options")
+_PE = (
+    "-nostdlib",
+    "-Wl,--no-entry",
+    "-D_UCRT=",
+    "-isystem",
+    "{compiler}/lib/libc/include/any-windows-any",
+    *(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in ("math", "heap", "stdio", "string", "private")),
+    "-lkernel32",
+    "-lcompiler_rt",
+    *(f"{{compiler}}/lib/libc/mingw/stdio/ucrt_{name}.c" for name in _PRINTF),
+    str(files("fmu_src") / "c" / "windows.c"),
+)
 _MACH_O = ("-fPIC", "-Wl,-install_name,@rpath/{library}")
 TARGETS: Mapping[str, Target] = {
     target.folder: target
     for target in (
         Target(folder="linux64", suffix=".so", triples=("x86_64-linux-gnu.2.17",), flags=_ELF),
-        Target(folder="win64", suffix=".dll", triples=("x86_64-windows-gnu",)),
+        Target(folder="win64", suffix=".dll", triples=("x86_64-windows-gnu",), flags=_PE),
         Target(
             folder="darwin64",
             suffix=".dylib",
@@ -113,7 +130,7 @@ def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = 
             # A folder for each part: the linker writes import libraries and the like beside it.
             output = folder / triple / library
             output.parent.mkdir()
-            last = [*(flag.format(library=library) for flag in target.flags), *flags]
+            last = [*(flag.replace("{library}", library) for flag in target.flags), *flags]
             compile_c(source, ("-target", triple, *CFLAGS, *_LINK), output, last)
             parts.append(output.read_bytes())
     return parts[0] if len(parts) == 1 else universal(parts)
@@ -189,6 +206,7 @@ def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[s
     with scratch_folder() as cache, scratch_folder(source.parent) as folder:
         written = folder / output.name
         relative = f"{written.parent.name}/{output.name}"
+        compiler = str(files("ziglang"))
         command = [sys.executable, "-m", "ziglang", "cc", *flags, "-o", relative, source.name]
         # The compiler's cache of objects gives stale ones when compilations run side by side, so
         # each has its own; that of the C library, which takes long to build, stays shared.
@@ -199,7 +217,7 @@ def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[s
         try:
             # In the sources' own folder, so that no path of this machine gets into the binary.
             result = subprocess.run(
-                [*command, *last],
+                [*command, *(flag.replace("{compiler}", compiler) for flag in last)],
                 cwd=source.parent,
                 env=os.environ | caches,
                 capture_output=True,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fmu_src.package import own_source
-from fmu_src.toolchain import compile_c
+from fmu_src.toolchain import TARGETS, compile_c
 
 HOSTS = Path(__file__).with_name("fmu")
 
@@ -23,8 +23,18 @@ def build_host(name: str, folder: Path, target: str = "x86_64-linux-gnu.2.17") -
     # Contracted multiply-adds would make another motion of the same formula.
     contract = "-ffp-contract=off"
     flags = ("-target", target, "-std=gnu99", "-O2", contract, "-Wall", "-Wextra", "-Werror")
-    compile_c(folder / name, flags, program, ("-ldl",) if "linux" in target else ())
+    compile_c(folder / name, flags, program, _WINDOWS if "windows" in target else ("-ldl",))
     return program
+
+
+_LIBC = "{compiler}/lib/libc/mingw/stdio/ucrt_"
+_WINDOWS = (
+    *(flag for flag in TARGETS["win64"].flags if flag != "-Wl,--no-entry"),
+    "-Wl,-e,start",
+    str(HOSTS / "windows_start.c"),
+    *(f"{_LIBC}{name}.c" for name in ("printf", "fprintf")),
+    *(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in ("convert", "runtime", "time")),
+)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+import lief
 import numpy as np
 import pytest
 
@@ -111,6 +112,18 @@ def test_only_the_functions_of_fmi_are_exported(folder, table1, tmp_path):
     assert all(n.startswith("fmi2") for n in names)
     assert str(Path.home()).encode() not in data
     assert tempfile.gettempdir().encode() not in data
+
+
+def test_windows_needs_its_own_libraries_only_and_no_start_up(table1, tmp_path):
+    """Those of every Windows since 10; nothing runs when the library is loaded."""
+    fmu = export_fmu(table1, tmp_path / "F.fmu", platforms=["win64"])
+    with zipfile.ZipFile(fmu) as archive:
+        data = archive.read("binaries/win64/friction_parfam_h.dll")
+    found = lief.PE.parse(list(data))
+    assert found.optional_header.addressof_entrypoint == 0
+    libraries = {imported.name: [e.name for e in imported.entries] for imported in found.imports}
+    assert all(name.startswith("api-ms-win-crt-") for name in libraries)
+    assert "tanh" in libraries["api-ms-win-crt-math-l1-1-0.dll"]
 
 
 def test_sizes(table1_fmu):

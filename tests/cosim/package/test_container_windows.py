@@ -16,7 +16,7 @@ from cosim.closed_loop import Scheme
 from cosim.package.container import write_container
 from cosim.package.contents import read_contents
 from fmu_src import model_file
-from fmu_src.toolchain import compile_c
+from fmu_src.toolchain import TARGETS, compile_c
 from hesr_model.artifacts import read_model
 from hesr_model.errors import ExportError
 
@@ -55,9 +55,9 @@ def test_the_closed_loop_is_that_of_linux(wine: Wine, tmp_path: Path) -> None:
     expected = rows(folder, f"linux64/{name}.so", build_host("container_host.c", tmp_path))
     host = build_host("container_host.c", tmp_path, "x86_64-windows-gnu").rename(tmp_path / "h.exe")
     missing = shutil.copy(Path(__file__).with_name("bcryptprimitives.c"), tmp_path)
-    flags = ("-target", "x86_64-windows-gnu", "-shared")
+    flags = ("-target", "x86_64-windows-gnu", "-O2", "-shared")
     dll = folder / "binaries/win64/bcryptprimitives.dll"
-    compile_c(Path(missing), flags, dll, ("-ladvapi32",))
+    compile_c(Path(missing), flags, dll, (*TARGETS["win64"].flags, "-ladvapi32"))
     found = rows(
         folder, f"win64/{name}.dll", host, wine.program, **wine.environment,
     )  # fmt: skip

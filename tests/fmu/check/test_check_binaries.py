@@ -85,8 +85,9 @@ def test_the_name(table1_fmu, tmp_path):
 def test_the_machine(target, folder, text, library, of):
     suffix = binaries.PLATFORMS[folder].suffix
     name = f"binaries/{folder}/friction_parfam_h{suffix}"
-    flags = ("-target", target, "-shared", "-DEXPORT=__declspec(dllexport)") if (
-        "windows" in target) else ("-target", target, "-shared", "-fPIC")  # fmt: skip
+    export = ("-DEXPORT=__declspec(dllexport)", "-Wl,--no-entry")
+    more = export if "windows" in target else ("-fPIC",)
+    flags = ("-target", target, "-shared", "-nostdlib", *more)
     assert of(library(flags=flags), name) == ([f"{name}: {text}"] if text else [])
 
 

@@ -1,0 +1,16 @@
+/* What the loader of Windows must know of thread-local variables, of which the start-up of a C
+ * library would tell it. Compiled with binaries that have none. */
+#include <windows.h>
+
+ULONG _tls_index;
+__attribute__((section(".tls"))) char *_tls_start;
+__attribute__((section(".tls$ZZZ"))) char *_tls_end;
+__attribute__((section(".CRT$XLA"))) PIMAGE_TLS_CALLBACK first;
+__attribute__((section(".CRT$XLZ"))) PIMAGE_TLS_CALLBACK last;
+
+const IMAGE_TLS_DIRECTORY _tls_used = {
+    .StartAddressOfRawData = (ULONG_PTR)&_tls_start,
+    .EndAddressOfRawData = (ULONG_PTR)&_tls_end,
+    .AddressOfIndex = (ULONG_PTR)&_tls_index,
+    .AddressOfCallBacks = (ULONG_PTR)(&first + 1),
+};
