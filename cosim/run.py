@@ -5,11 +5,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from cosim.describe import save_run
+from cosim.describe import Predictions, save_run
 from cosim.health import told, write_findings
-from cosim.pipeline import Job, records_of
+from cosim.pipeline import Job, LogRecords, records_of
 from cosim.scoring import Comparison
 from cosim.simulated import SIMULATION, simulate_tests
 from cosim.study import Study
@@ -20,6 +20,7 @@ from hesr_model.artifacts import newest, provenance, write_json, write_model, wr
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health.examine import checked
 from hesr_model.health.fitted import check_body, check_laws
+from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import RobotModel
@@ -34,6 +35,38 @@ if TYPE_CHECKING:
 
 QUICK_LAWS = ("stribeck", "lugre", "parfam_h")
 """Laws of a quick run: the paper's law and its classic baselines."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scored:
+    """What a run makes until its laws are scored on the test logs.
+
+    Attributes
+    ----------
+    job : the steps of the study.
+    robot : its model.
+    rigid_body : the identified rigid body.
+    files, logs, records : of every log, by name; records by part of the log and joint.
+    models : fitted model of each law.
+    left_out : why a law of the study was not fitted, by law.
+    source : provenance of the laws.
+    fmus : path of each law's FMU.
+    comparisons : scores of the FMUs on each test set.
+    predictions : their torques there.
+    """
+
+    job: Job
+    robot: RobotModel
+    rigid_body: RigidBody
+    files: Mapping[str, Path]
+    logs: Mapping[str, RobotLog]
+    records: LogRecords
+    models: Mapping[str, FrictionModel]
+    left_out: Mapping[str, str]
+    source: Mapping[str, Any]
+    fmus: Mapping[str, Path]
+    comparisons: Mapping[str, Comparison]
+    predictions: Predictions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,47 +135,27 @@ def run_study(
     targets(platforms)
     kept = unfinished(output)
     job = Job(study=study, path=path, progress=progress, kept=kept)
-    model = RobotModel(job.robot)
     with parallel.one_pool(), folder_written_whole(output) as folder:
-        files = job.log_files(folder)
-        logs = {name: job.read(name, file) for name, file in files.items()}
-        findings = told(checked(list(logs.values()), model, accepted))
-        rigid_body, refined = job.rigid_body(logs, model)
-        findings += told(check_body(rigid_body, model))
-        about = [study.robot, job.robot.model, *(files[name] for name in job.trained_on)]
-        owner = study.owner.known or job.robot.owner.known
-        source = provenance(files=about, seed=study.seed) | ({"owner": owner} if owner else {})
-        if study.twin is None:  # whose logs are new each time
-            source |= {"created": newest([files[name] for name in job.trained_on])}
-        write_rigid_body(folder / "rigid_body.json", rigid_body, source)
-        records = {
-            name: [friction_records(part, model, rigid_body) for part in log.parts()]
-            for name, log in logs.items()
-        }
-        models, left_out = job.fit_all(records, source)
-        models |= {
-            law: replace(m, provenance=source) for law, m in refined.items() if law in models
-        }
-        findings += told(check_laws(models, records_of(study.logs.training, records)))
-        write_findings(folder, findings)
-        for law, fitted in models.items():
-            write_model(folder / "laws" / f"{law}.json", fitted)
         # The battery tells what stands in the documentation, and comes last.
         first = export_fmu if quick else export_bare
-        export = partial(_export, folder=folder / "fmus", platforms=platforms)
-        export(models, first, progress=partial(job.progress, "building FMUs"))
-        comparisons, predictions = job.compare(models, records, files, folder / "fmus")
+        run = score_study(job, folder, first, platforms=platforms, accepted=accepted)
+        models, records = run.models, run.records
         tested = {test: records_of(names, records) for test, names in study.logs.test.items()}
-        simulated = simulate_tests(models, tested, model, rigid_body)
+        simulated = simulate_tests(models, tested, run.robot, run.rigid_body)
         write_json(folder / SIMULATION, {test: to_json(s) for test, s in simulated.items()})
-        loop = job.closed_loop(model, rigid_body, folder, models)
-        found = {} if quick else job.properties(model, rigid_body, models, folder)
-        documented = {law: models[law] for law in found}
-        telling = partial(job.progress, "documenting FMUs")
-        export(documented, export_fmu, progress=telling, properties=found)
+        loop = job.closed_loop(run.robot, run.rigid_body, folder, models)
+        found = {} if quick else job.properties(run.robot, run.rigid_body, models, folder)
+        _export(
+            {law: models[law] for law in found},
+            export_fmu,
+            folder=folder / "fmus",
+            platforms=platforms,
+            progress=partial(job.progress, "documenting FMUs"),
+            properties=found,
+        )
         first_test = next(iter(study.logs.test.values()))
         words = verdict(
-            comparisons,
+            run.comparisons,
             models,
             records_of(study.logs.training, records),
             records_of(first_test, records),
@@ -150,36 +163,98 @@ def run_study(
             gear_ratio=job.robot.gear_ratio is not None,
         )
         write_verdict(folder, words)
-        write_json(
-            folder / "evaluation.json", {name: to_json(c) for name, c in comparisons.items()}
-        )
         save_run(
             folder,
             study=study,
             command=_command(path, platforms, quick=quick),
             quick=quick,
             robot=job.robot,
-            files=files,
-            logs=logs,
+            files=run.files,
+            logs=run.logs,
             records=records,
-            predictions=predictions,
+            predictions=run.predictions,
             models=models,
-            left_out=left_out,
-            source=source,
+            left_out=run.left_out,
+            source=run.source,
         )
     shutil.rmtree(kept, ignore_errors=True)
     from cosim.report import write_report  # draws, which takes long to load
 
     write_report(output, progress=job.progress)
     return Outcome(
-        rigid_body=rigid_body,
-        comparisons=comparisons,
+        rigid_body=run.rigid_body,
+        comparisons=run.comparisons,
         models=models,
-        fmus={law: output / "fmus" / f"{law}.fmu" for law in models},
-        left_out=left_out,
+        fmus={law: output / "fmus" / fmu.name for law, fmu in run.fmus.items()},
+        left_out=run.left_out,
         properties=found,
         verdict=words,
         loop=loop,
+    )
+
+
+def score_study(
+    job: Job,
+    folder: Path,
+    write: Callable[..., Path] = export_bare,
+    *,
+    platforms: Sequence[str] = ("linux64",),
+    accepted: Sequence[str] = (),
+) -> Scored:
+    """Identify, fit, write the FMUs and score them on the test logs: the tables of a run.
+
+    Parameters
+    ----------
+    job : the steps of the study.
+    folder : there already; body, laws, FMUs, findings and scores are written into it.
+    write : writes an FMU, as `export_bare` or `export_fmu`.
+    platforms, accepted : as of `run_study`.
+
+    Raises
+    ------
+    HesrError
+        If the study, a log or the data in it do not allow the run.
+    """
+    study, model = job.study, RobotModel(job.robot)
+    files = job.log_files(folder)
+    logs = {name: job.read(name, file) for name, file in files.items()}
+    findings = told(checked(list(logs.values()), model, accepted))
+    rigid_body, refined = job.rigid_body(logs, model)
+    findings += told(check_body(rigid_body, model))
+    about = [study.robot, job.robot.model, *(files[name] for name in job.trained_on)]
+    owner = study.owner.known or job.robot.owner.known
+    source = provenance(files=about, seed=study.seed) | ({"owner": owner} if owner else {})
+    if study.twin is None:  # whose logs are new each time
+        source |= {"created": newest([files[name] for name in job.trained_on])}
+    write_rigid_body(folder / "rigid_body.json", rigid_body, source)
+    records = {
+        name: [friction_records(part, model, rigid_body) for part in log.parts()]
+        for name, log in logs.items()
+    }
+    models, left_out = job.fit_all(records, source)
+    models |= {law: replace(m, provenance=source) for law, m in refined.items() if law in models}
+    findings += told(check_laws(models, records_of(study.logs.training, records)))
+    write_findings(folder, findings)
+    for law, fitted in models.items():
+        write_model(folder / "laws" / f"{law}.json", fitted)
+    fmus = folder / "fmus"
+    telling = partial(job.progress, "building FMUs")
+    _export(models, write, folder=fmus, platforms=platforms, progress=telling)
+    comparisons, predictions = job.compare(models, records, files, fmus)
+    write_json(folder / "evaluation.json", {name: to_json(c) for name, c in comparisons.items()})
+    return Scored(
+        job=job,
+        robot=model,
+        rigid_body=rigid_body,
+        files=files,
+        logs=logs,
+        records=records,
+        models=models,
+        left_out=left_out,
+        source=source,
+        fmus={law: fmus / f"{law}.fmu" for law in models},
+        comparisons=comparisons,
+        predictions=predictions,
     )
 
 

@@ -61,8 +61,8 @@ _ELF = (
     "-fno-unwind-tables",
     "-fno-asynchronous-unwind-tables",
 )
-# The compiler's own C library of Windows takes a hundred seconds to build, for a start-up that plain
-# C does not need. Without it there are its headers and the system's libraries by their own names.
+# The compiler's own C library of Windows takes a hundred seconds to build, for a start-up that no
+# plain C needs. Without it there are its headers and the system's libraries by their own names.
 _PRINTF = ("snprintf", "vsnprintf", "__local_stdio_printf_options")
 _PE = (
     "-nostdlib",

@@ -11,14 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.pipeline import Job
 from cosim.replay import replay
-from cosim.run import Outcome, run_study
+from cosim.run import Scored, run_study, score_study
 from cosim.scoring import Comparison, inputs_of, measured_start, takes_start
+from cosim.study import Study
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.registry import registry
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support import parallel
+from hesr_model.support.progress import silent
 
 MOST = {
     "rmse": [2.54, 2.70, 1.57, 0.407, 0.515, 0.584],
@@ -47,19 +51,29 @@ STUDY = Path(__file__).with_name("ur10e_study.toml")
 
 
 @pytest.fixture(scope="session")
-def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Outcome:
-    """The whole study; skipped where the logs are not there."""
-    return run_study(STUDY, tmp_path_factory.mktemp("study") / "ur10e")
+def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Scored:
+    """The study as far as its scores; skipped where the logs are not there."""
+    job = Job(study=Study.read(STUDY), path=STUDY, progress=silent)
+    with parallel.one_pool():
+        return score_study(job, tmp_path_factory.mktemp("ur10e"))
+
+
+@pytest.mark.soak
+def test_the_whole_study_runs_and_names_a_law(ur10e_data: Path, tmp_path: Path) -> None:
+    whole = run_study(STUDY, tmp_path / "ur10e")
+    assert whole.verdict.law in whole.fmus
+    assert set(whole.properties) == set(whole.models)
+    assert all(fmu.is_file() for fmu in whole.fmus.values())
 
 
 @pytest.fixture(scope="session")
-def scores(outcome: Outcome) -> Comparison:
+def scores(outcome: Scored) -> Comparison:
     return outcome.comparisons["test"]
 
 
 @pytest.fixture(scope="session")
 def records(
-    outcome: Outcome, unseen_logs: list[RobotLog], ur10e_model: RobotModel
+    outcome: Scored, unseen_logs: list[RobotLog], ur10e_model: RobotModel
 ) -> list[list[FrictionRecord]]:
     """Friction of every joint in every test log."""
     return [friction_records(log, ur10e_model, outcome.rigid_body) for log in unseen_logs]
@@ -73,7 +87,7 @@ def mean_ratio(scores: Comparison, law: str, other: str) -> float:
     return float(np.exp(np.mean(np.log(errors(scores, law) / errors(scores, other)))))
 
 
-def started(outcome: Outcome, law: str) -> str:
+def started(outcome: Scored, law: str) -> str:
     """The row of a law with the start that measured torques give, where it can take one."""
     return measured_start(law) if takes_start(outcome.models[law]) else law
 
@@ -94,13 +108,13 @@ def test_without_ripple_and_start_it_still_does(scores: Comparison, joint: int) 
 
 @pytest.mark.parametrize("other", MOST_OF_OTHERS)
 def test_the_extended_law_is_ahead_of_others(
-    outcome: Outcome, scores: Comparison, other: str
+    outcome: Scored, scores: Comparison, other: str
 ) -> None:
     own = measured_start("parfam_hx")
     assert mean_ratio(scores, own, started(outcome, other)) <= MOST_OF_OTHERS[other]
 
 
-def test_no_other_law_of_the_same_inputs_is_better(outcome: Outcome, scores: Comparison) -> None:
+def test_no_other_law_of_the_same_inputs_is_better(outcome: Scored, scores: Comparison) -> None:
     """Both with the start that measured torques give, and both without."""
     own = inputs_of(outcome.models["parfam_hx"])
     rivals = [
@@ -128,7 +142,7 @@ def test_stops_with_symbolic_bounds_are_ahead_in_every_class(
     assert errors(scores, row("parfam_s"))[4] <= 0.40
 
 
-def test_every_law_of_the_registry_and_every_extension_is_a_row(outcome: Outcome) -> None:
+def test_every_law_of_the_registry_and_every_extension_is_a_row(outcome: Scored) -> None:
     rows = {*registry(), *ABLATION}
     assert set(outcome.models) == rows
     with_start = {measured_start(law) for law in rows if takes_start(outcome.models[law])}
@@ -141,7 +155,7 @@ def test_every_law_of_the_registry_and_every_extension_is_a_row(outcome: Outcome
 
 @pytest.mark.parametrize("law", list(registry()))
 def test_the_fmu_is_the_law_over_every_test_log(
-    outcome: Outcome, records: list[list[FrictionRecord]], law: str
+    outcome: Scored, records: list[list[FrictionRecord]], law: str
 ) -> None:
     for log in records:
         columns = {
