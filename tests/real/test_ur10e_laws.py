@@ -1,15 +1,16 @@
 """The main job on measured logs: what the FMUs predict on motions that they have never seen."""
 
-import json
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cosim.run import Outcome, run_study
+from cosim.pipeline import Job
+from cosim.run import Scored, score_study
 from cosim.study import Study
 from hesr_model.artifacts import read_model
+from hesr_model.support import parallel
+from hesr_model.support.progress import silent
 
 MOST = {
     "parfam_h": [2.73, 4.08, 1.99, 0.449, 0.826, 0.908],
@@ -24,54 +25,43 @@ STUDIED = ("stribeck", "lugre", "parfam_h")
 
 
 @pytest.fixture(scope="module")
-def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Scored:
     """The study beside this file, with the laws whose figures are known."""
-    study = Study.read(STUDY)
-
-    def files(logs: Iterable[str]) -> str:
-        return json.dumps([str((STUDY.parent / log).resolve()) for log in logs])
-
-    folder = tmp_path_factory.mktemp("ur10e")
-    path = folder / "study.toml"
-    path.write_text(
-        f"name = 'ur10e'\nrobot = '{study.robot}'\nseed = {study.seed}\n"
-        f"laws = {json.dumps(STUDIED)}\n"
-        f"[logs]\nidentification = {files(study.logs.identification)}\n"
-        f"friction = {files(study.logs.training)}\n"
-        f"[logs.test]\ntest = {files(study.logs.test['test'])}\n",
-        encoding="utf-8",
-    )
-    return run_study(path, folder / "results")
+    whole = Study.read(STUDY)
+    study = whole.model_copy(update={"laws": STUDIED, "variants": {}, "refinement": None})
+    with parallel.one_pool():
+        job = Job(study=study, path=STUDY, progress=silent)
+        return score_study(job, tmp_path_factory.mktemp("ur10e"))
 
 
-def scores(outcome: Outcome, law: str, measure: str) -> list[float]:
+def scores(outcome: Scored, law: str, measure: str) -> list[float]:
     return list(getattr(outcome.comparisons["test"].laws[law], measure))
 
 
-def test_the_test_logs_are_those_that_are_known(outcome: Outcome) -> None:
+def test_the_test_logs_are_those_that_are_known(outcome: Scored) -> None:
     spread = outcome.comparisons["test"].tau_std
     np.testing.assert_allclose(spread, [27.6, 23.9, 11.7, 4.33, 4.25, 3.73], rtol=0.005)
 
 
 @pytest.mark.parametrize("law", MOST)
-def test_torque_is_predicted_on_unseen_motions(outcome: Outcome, law: str) -> None:
+def test_torque_is_predicted_on_unseen_motions(outcome: Scored, law: str) -> None:
     np.testing.assert_array_less(scores(outcome, law, "rmse"), np.nextafter(MOST[law], np.inf))
 
 
 @pytest.mark.parametrize("law", MOST_AT_REVERSALS)
-def test_torque_is_predicted_around_reversals(outcome: Outcome, law: str) -> None:
+def test_torque_is_predicted_around_reversals(outcome: Scored, law: str) -> None:
     most = np.nextafter(MOST_AT_REVERSALS[law], np.inf)
     np.testing.assert_array_less(scores(outcome, law, "rmse_reversal"), most)
 
 
-def test_a_state_pays_at_reversals(outcome: Outcome) -> None:
+def test_a_state_pays_at_reversals(outcome: Scored) -> None:
     """What the hysteresis state is for: J1 to J6 at least a tenth better than without."""
     with_state = np.array(scores(outcome, "parfam_h", "rmse_reversal"))
     without = np.array(scores(outcome, "stribeck", "rmse_reversal"))
     assert np.all(with_state < 0.9 * without)
 
 
-def test_everything_is_written(outcome: Outcome) -> None:
+def test_everything_is_written(outcome: Scored) -> None:
     assert set(outcome.fmus) == set(STUDIED)
     for law, fmu in outcome.fmus.items():
         assert fmu.is_file()
