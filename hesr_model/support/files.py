@@ -201,13 +201,16 @@ def written_whole(path: Path) -> Iterator[Path]:
     Raises
     ------
     ArtifactError
-        If the folder cannot be created or written, or the disk is full.
+        If the folder cannot be created or written, if there is a pipe or a device, or if the disk
+        is full.
     """
     with _room_for(path), ExitStack() as cleanup:
         try:
             cleanup.enter_context(folder_made(path.parent))
             if path.is_dir():
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            if path.exists() and not path.is_file():  # which a file would take the place of
+                raise ArtifactError(f"{path}: is a pipe or a device; give the name of a file.")
             handle, name = tempfile.mkstemp(
                 dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix
             )

@@ -107,6 +107,15 @@ def test_a_folder_in_the_place_of_the_file_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="this system has no /proc")
+def test_a_pipe_in_the_place_of_the_file_stays_one(tmp_path: Path) -> None:
+    pipe = tmp_path / "p.json"
+    os.mkfifo(pipe)
+    said = rf"^{pipe}: is a pipe or a device; give the name of a file\.$"
+    with pytest.raises(ArtifactError, match=said), written_whole(pipe):
+        pytest.fail("nothing is made that has no place")
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+
+
 def test_a_file_system_that_takes_no_files_is_refused() -> None:
     assert refused(Path("/proc/law.json")).startswith("/proc/law.json: cannot be written there (")
 
