@@ -11,9 +11,11 @@ from pathlib import Path
 
 import mujoco
 import pytest
+from adaptive_models import lugre, model, stops
 from closed_loop import build
 
 from fmu_src.drive.drive_fmu import export_drive
+from fmu_src.friction.friction_fmu import export_fmu
 
 HERE = Path(__file__).parent
 FEW, ALL = 300, 10_000
@@ -23,7 +25,7 @@ WRAPPED = ("-DWRAPPED", "-Wl,--wrap=malloc,--wrap=calloc")
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 
-KINDS = ("arm", "trajectory", "body", "friction", "controller", "velocity", "drive")
+KINDS = ("arm", "trajectory", "body", "friction", "controller", "velocity", "drive", "adaptive")
 
 
 GIVEN = {
@@ -38,8 +40,11 @@ def kinds(table1, tmp_path_factory):
     """All FMUs by kind."""
     folder = tmp_path_factory.mktemp("kinds")
     fmus = build(folder, table1).fmus
-    drive = export_drive(table1, folder / "Drive.fmu", inertia=(1.0,) * len(table1.joints))
-    return {kind: drive if kind == "drive" else getattr(fmus, kind) for kind in KINDS}
+    more = {
+        "drive": export_drive(table1, folder / "Drive.fmu", inertia=(1.0,) * len(table1.joints)),
+        "adaptive": export_fmu(model(lugre(), stops()), folder / "Adaptive.fmu", adaptive=True),
+    }
+    return {kind: more.get(kind) or getattr(fmus, kind) for kind in KINDS}
 
 
 @pytest.fixture(scope="session", params=KINDS)
