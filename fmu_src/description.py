@@ -17,6 +17,8 @@ _BASE: Mapping[str, Mapping[str, int]] = {
     "m": {"m": 1},
     "s": {"s": 1},
     "A": {"A": 1},
+    "K": {"K": 1},
+    "degC": {"K": 1},
     "rad": {"rad": 1},
     "N": {"kg": 1, "m": 1, "s": -2},
     "J": {"kg": 1, "m": 2, "s": -2},
@@ -34,6 +36,7 @@ QUANTITIES: Mapping[str, str] = {
     "W": "Power",
     "s": "Time",
     "kg": "Mass",
+    "degC": "ThermodynamicTemperature",
     "kg.m2": "MomentOfInertia",
     "N.m/rad": "RotationalSpringConstant",
     "N.m.s/rad": "RotationalDampingConstant",
@@ -47,6 +50,9 @@ DISPLAY: Mapping[str, str] = {"rad": "deg", "rad/s": "deg/s", "rad/s2": "deg/s2"
 
 RELEASED = "2026-11-22T00:00:00Z"
 """Date of this version, and of FMUs that hold nothing that was made later; as in CITATION.cff."""
+
+OFFSETS: Mapping[str, float] = {"degC": 273.15}
+"""What a unit says in SI where it says 0, if that is not 0."""
 
 DEGREES = 180.0 / math.pi
 _EXPERIMENT = 1000
@@ -100,8 +106,14 @@ def shown_as(unit: str) -> dict[str, str]:
     return {name: text for name, text in found.items() if text}
 
 
+def base_unit(unit: str) -> dict[str, str]:
+    """Return the attributes of FMI's BaseUnit; see `si_exponents`."""
+    found = {base: str(exponent) for base, exponent in si_exponents(unit).items()}
+    return found | ({"offset": repr(OFFSETS[unit])} if unit in OFFSETS else {})
+
+
 def si_exponents(unit: str) -> dict[str, int]:
-    """Return the exponents of kg, m, s, A and rad of a unit such as "N.m.s/rad".
+    """Return the exponents of kg, m, s, A, K and rad of a unit such as "N.m.s/rad".
 
     Dots multiply; all that follows the slash divides, in parentheses if it has several factors.
 
@@ -200,7 +212,7 @@ def _units(root: ET.Element, table: Interface) -> None:
     definitions = ET.SubElement(root, "UnitDefinitions")
     for name in names:
         unit = ET.SubElement(definitions, "Unit", name=name)
-        ET.SubElement(unit, "BaseUnit", {b: str(e) for b, e in si_exponents(name).items()})
+        ET.SubElement(unit, "BaseUnit", base_unit(name))
         if display := DISPLAY.get(name):
             ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(DEGREES))
 

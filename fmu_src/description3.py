@@ -11,7 +11,7 @@ from fmu_src.description import (
     DISPLAY,
     Description,
     shown_as,
-    si_exponents,
+    base_unit,
 )
 from fmu_src.interface import ATTRIBUTES, Array, Interface, Role
 
@@ -86,7 +86,7 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
     definitions = ET.SubElement(root, "UnitDefinitions")
     for name in dict.fromkeys(v.unit for v in table.variables if v.unit):
         unit = ET.SubElement(definitions, "Unit", name=name)
-        ET.SubElement(unit, "BaseUnit", {b: str(e) for b, e in si_exponents(name).items()})
+        ET.SubElement(unit, "BaseUnit", base_unit(name))
         if display := DISPLAY.get(name):
             ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(DEGREES))
     # Units and nominal values by types, since fmi-sim knows none at a variable.

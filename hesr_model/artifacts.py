@@ -20,6 +20,7 @@ from hesr_model.errors import ArtifactError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator
+from hesr_model.friction.thermal import Thermal
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.inference.covariance import Covariance
 from hesr_model.rigid_body.identification import RigidBody
@@ -134,6 +135,7 @@ class _JointEntry:
     covariance: Covariance | None = None
     trained: TrainedRange | None = None
     training_rmse: float | None = None
+    thermal: Thermal | None = None
 
     def friction_law(self) -> FrictionLaw:
         form = estimator(self.law).form(self.structure)
@@ -197,10 +199,12 @@ def model_to_json(model: FrictionModel) -> dict[str, Any]:
                 covariance=law.covariance,
                 trained=trained,
                 training_rmse=error,
+                thermal=thermal,
             )
-            for joint, slides, law, unit, trained, error in zip(
+            for joint, slides, law, unit, trained, error, thermal in zip(
                 model.joints, model.slides, model.laws, units,
-                model.trained or nothing, model.training_rmse or nothing, strict=True,
+                model.trained or nothing, model.training_rmse or nothing,
+                model.thermal or nothing, strict=True,
             )
         ),
         coupling=model.coupling,
@@ -230,6 +234,7 @@ def model_from_json(path: Path, data: Mapping[str, Any]) -> FrictionModel:
             sample_time=file.sample_time,
             trained=tuple(j.trained for j in joints if j.trained),
             training_rmse=tuple(j.training_rmse for j in joints if j.training_rmse is not None),
+            thermal=tuple(j.thermal for j in joints if j.thermal),
             provenance=file.provenance,
         )
     except (TypeError, ValueError, AttributeError, KeyError) as error:

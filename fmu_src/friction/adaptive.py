@@ -16,8 +16,10 @@ from fmu_src.friction.variable_names import place
 from fmu_src.interface import Interface, Variable
 from hesr_model.equations.component import Component, Parameter
 from hesr_model.friction.adaptive.component import ADAPT
+from hesr_model.equations.memory import Slow
 from hesr_model.friction.adaptive.follow import adaptive_components
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.thermal import TEMPERATURE
 from hesr_model.units import unit_of_joint
 
 
@@ -46,6 +48,7 @@ def adaptive_equations(model: FrictionModel) -> tuple[Interface, str]:
 
 def _joint(model: FrictionModel, i: int, own: Component) -> Joint:
     at = place(model.laws[i - 1], i)
+    slow = tuple(m.name for m in own.memory if isinstance(m, Slow))
     names = {q.name: f"{q.name}[{i}]" for q in (*own.inputs, *own.outputs)}
     return Joint(
         # Starts are no part of the equations: joints that differ in them alone share their C.
@@ -54,9 +57,9 @@ def _joint(model: FrictionModel, i: int, own: Component) -> Joint:
             else replace(p, description="", unit="1") for p in own.parameters
         )),
         names=names | {ADAPT.name: ADAPT.name},
-        states=at.states,
-        derivatives=at.derivatives,
-        starts=at.starts,
+        states=(*(f"{n}[{i}]" for n in slow), *at.states),
+        derivatives=(*(f"der({n}[{i}])" for n in slow), *at.derivatives),
+        starts=(*(f"{n}_start[{i}]" for n in slow), *at.starts),
         parameters=tuple(f"joint[{i}].{p.name}" for p in own.parameters),
     )  # fmt: skip
 
@@ -79,8 +82,14 @@ def _signals(model: FrictionModel, joints: list[Joint]) -> Iterator[Variable]:
                     joint=name, effort="force" if slides else "torque", number=i
                 ),
                 unit=unit_of_joint(quantity.unit, slides=slides),
+                start=_reference(model, i) if quantity == TEMPERATURE else 0.0,
                 initial_dependencies=_initial(joint, quantity.symbol) if output else (),
             )
+
+
+def _reference(model: FrictionModel, i: int) -> float:
+    """Return the temperature at which a law is as it was fitted [degC]."""
+    return model.thermal[i - 1].reference
 
 
 def _initial(joint: Joint, symbol: sympy.Symbol) -> tuple[str, ...]:

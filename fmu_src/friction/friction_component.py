@@ -314,14 +314,16 @@ def law_variables(
     own : the joint's equations and names.
     inputs : as for `dependencies`.
     """
-    elements = list(zip(law.form.memory, own.states, own.derivatives, strict=True))
+    known = {m.name: m for m in law.form.memory}
+    memory = [known.get(m.name, m) for m in own.component.memory]
+    elements = list(zip(memory, own.states, own.derivatives, strict=True))
     for element, state, _ in elements:
         yield Variable(
             name=state,
             role="state",
             description=f"friction state {element.name} of joint {joint}",
             unit=element.unit,
-            nominal=nominal(law, element),
+            nominal=nominal(law, element) if element.name in known else 1.0,
             initial_dependencies=(START_MODE, *dependencies(own, begun(element), inputs)),
         )
     for element, state, derivative in elements:
@@ -333,7 +335,8 @@ def law_variables(
             derivative_of=state,
             dependencies=dependencies(own, element.derivative, inputs),
         )
-    for (element, state, _), name, start in zip(elements, own.starts, law.start, strict=True):
+    first = {**dict.fromkeys(own.starts, 0.0), **dict(zip(own.starts[-len(law.start) :], law.start))}
+    for (element, state, _), (name, start) in zip(elements, first.items(), strict=True):
         yield Variable(
             name=name,
             role="fixed",

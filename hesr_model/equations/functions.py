@@ -254,6 +254,7 @@ SCALAR: Mapping[str, Callable[..., float]] = {
     "larger": lambda a, b: a if a > b or a != a else b,
     "clip": lambda x, b: -b if x < -b else b if x > b else x,
     "exceeds": lambda a, b: 1.0 if a > b else 0.0,
+    "over": lambda a, b, otherwise: a / b if b > 0.0 else otherwise,
     "decay": lambda z, euler: -z if euler else math.expm1(-z),
     "share": _share_of_one,
     "cardinal_sine": _sine_of_one,

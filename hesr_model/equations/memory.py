@@ -111,6 +111,19 @@ class Relaxation(_Element):
         return (self.state + over(first, second, self.state + FIRST_STEP * first)) / 2
 
 
+class Slow(Relaxation):
+    """A relaxation over minutes or hours: it begins at its start, not where it settles."""
+
+    @property
+    def seeks(self) -> bool:
+        """Whether `settled` is one step of an iteration: never."""
+        return False
+
+    def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
+        """Return x itself."""
+        return self.state
+
+
 @dataclass(frozen=True, kw_only=True)
 class Stop(_Element):
     """One state x+ = clip(x + v dt / w, -s, s), the stop operator of Prandtl and Ishlinskii.

@@ -12,7 +12,15 @@ import sympy
 from hesr_model.equations.component import Component, previous
 from hesr_model.equations.functions import SCALAR
 from hesr_model.equations.memory import DT, EULER
-from hesr_model.equations.program import Assignments, moved, readings, sampled, straight_line
+from hesr_model.equations.program import (
+    Assignments,
+    beginning,
+    begun,
+    moved,
+    readings,
+    sampled,
+    straight_line,
+)
 
 
 class Steps:
@@ -34,6 +42,12 @@ class Steps:
         remembered = [e.symbol for e in component.remembered]
         before = [previous(e.name) for e in component.remembered]
         starts = component.starts
+        begins = beginning(component.memory, component.settling)
+        self._settle = _function(
+            (given, states),
+            {symbol: e.xreplace(starts) for symbol, e in begins.items()},
+            ([begun(m) for m in component.memory],),
+        )
         self._start = _function(
             (given, states),
             readings(component, starting=True)
@@ -57,18 +71,18 @@ class Steps:
         start : of each state.
         inputs : names of those that are handed over with each step, in this order.
         """
-        return Run(self._start, self._step, self.component, values, start, inputs)
+        return Run(self._settle, self._start, self._step, self.component, values, start, inputs)
 
 
 class Run:
     """A component on its way; all that it remembers stands in `states` and `remembered`."""
 
     def __init__(
-        self, start: Any, step: Any, component: Component, values: Mapping[str, float],
+        self, settle: Any, start: Any, step: Any, component: Component, values: Mapping[str, float],
         states: Sequence[float], inputs: Sequence[str],
     ) -> None:  # fmt: skip
         names = [q.name for q in component.given]
-        self._start, self._step = start, step
+        self._settle, self._start, self._step = settle, start, step
         self._given = [float(values.get(name, 0.0)) for name in names]
         self._places = [names.index(name) for name in inputs]
         self.states: Sequence[float] = list(states)
@@ -77,6 +91,11 @@ class Run:
     def _set(self, inputs: Sequence[float]) -> None:
         for place, value in zip(self._places, inputs, strict=True):
             self._given[place] = float(value)  # NumPy's numbers are slow, and no plain ones
+
+    def settle(self, *inputs: float) -> None:
+        """Put the states, which are at their start, where the first inputs let them begin."""
+        self._set(inputs)
+        [self.states] = self._settle(self._given, self.states)
 
     def begin(self, *inputs: float) -> Sequence[float]:
         """Return what is observed before the first step."""

@@ -13,6 +13,7 @@ from hesr_model.friction.equation import equations
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
+from hesr_model.friction.thermal import Thermal
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.robots.transmission import Coupling
@@ -41,6 +42,7 @@ class FrictionModel:
     sample_time : sample period at which the laws were made [s].
     trained : ranges of the records that each law was fitted to; empty where they are not known.
     training_rmse : error of each law on those records [N.m]; empty where it is not known.
+    thermal : how the friction of each joint follows temperature; empty where that is not known.
     provenance : JSON data on where the model comes from (files with hashes, seed, versions).
 
     Raises
@@ -58,6 +60,7 @@ class FrictionModel:
     sample_time: float
     trained: tuple[TrainedRange, ...] = ()
     training_rmse: tuple[float, ...] = ()
+    thermal: tuple[Thermal, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -83,6 +86,11 @@ class FrictionModel:
         if self.training_rmse and len(self.training_rmse) != len(self.joints):
             raise ArtifactError(
                 f"friction model '{self.law}': {len(self.training_rmse)} training errors for "
+                f"{len(self.joints)} joints."
+            )
+        if self.thermal and len(self.thermal) != len(self.joints):
+            raise ArtifactError(
+                f"friction model '{self.law}': {len(self.thermal)} thermal models for "
                 f"{len(self.joints)} joints."
             )
         if self.coupling and len(self.coupling.matrix) != len(self.joints):

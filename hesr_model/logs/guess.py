@@ -14,6 +14,7 @@ from hesr_model.units import OTHERS
 Array = NDArray[np.float64]
 
 _WORDS: Mapping[str, frozenset[str]] = {
+    "temperature": frozenset(["temperature", "temperatures", "temp", "temps"]),
     "dq": frozenset(
         [
             "dq",
@@ -66,8 +67,6 @@ _OTHERS = frozenset(
         "command",
         "setpoint",
         "goal",
-        "temp",
-        "temperature",
         "acc",
         "acceleration",
         "ddq",
@@ -108,6 +107,7 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
     "dq": {"deg": "deg/s", "degs": "deg/s", "dps": "deg/s", "rpm": "rpm", "degrees": "deg/s"},
     "tau": {"mnm": "mN.m"},
     "current": {"ma": "mA"},
+    "temperature": {"kelvin": "K"},
     "t": {"ms": "ms", "msec": "ms", "us": "us", "usec": "us", "ns": "ns", "nsec": "ns",
           "nanoseconds": "ns", "milliseconds": "ms"},
 }  # fmt: skip
@@ -125,7 +125,7 @@ class Guess:
     Attributes
     ----------
     columns
-        By quantity (t, q, dq, tau, current): a name for t, one name per joint for the others.
+        By quantity (t, q, dq, tau, current, temperature): a name for t, one name per joint for the others.
     units
         By quantity, where a name or the values say one.
     reasons

@@ -67,10 +67,15 @@ def _filled(pattern: str, index: int, name: str) -> str:
     return pattern
 
 
+TEMPERATURES = "temperature{}"
+"""Columns of temperatures, where a log has any."""
+
+
 class LogColumns(Config):
     """Names of a log's columns.
 
-    `dq = ""` says that the log holds no velocity: it is derived from the position.
+    `dq = ""` says that the log holds no velocity: it is derived from the position. Temperatures are
+    those of the joints; a log need not hold them where their columns have no name of their own.
     """
 
     t: str = "t"
@@ -78,6 +83,7 @@ class LogColumns(Config):
     dq: Annotated[str | tuple[str, ...], AfterValidator(_or_empty)] = "dq{}"
     tau: Columns = "tau{}"
     current: Columns = "i{}"
+    temperature: Columns = TEMPERATURES
 
 
 class LogUnits(Config):
@@ -93,6 +99,7 @@ class LogUnits(Config):
     dq: Units = "rad/s"
     tau: Units = "N.m"
     current: Units = "A"
+    temperature: Literal["degC", "K"] = "degC"
 
     def factors(self, quantity: str, joints: int) -> NDArray[np.float64]:
         """Return what one logged unit of a quantity is in SI, an array of shape (joints,)."""
@@ -103,6 +110,11 @@ class LogUnits(Config):
         units = getattr(self, quantity)
         return units if isinstance(units, tuple) else (units,) * joints
 
+    @property
+    def zero_of_temperature(self) -> float:
+        """What the log says at 0 degC."""
+        return 273.15 if self.temperature == "K" else 0.0
+
     def require_fitting(self, joints: Sequence[str], slides: Sequence[bool]) -> None:
         """Check that no joint that slides is in units of one that turns, and the other way.
 
@@ -111,7 +123,7 @@ class LogUnits(Config):
         RobotError
             Naming the key, the unit and the joint.
         """
-        for quantity in type(self).model_fields:
+        for quantity in KNOWN:
             each = self.each(quantity, len(joints))
             for joint, unit, sliding in zip(joints, each, slides, strict=True):
                 if not fits(quantity, unit, slides=sliding):

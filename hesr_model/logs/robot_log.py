@@ -55,6 +55,8 @@ class RobotLog:
         (N, n) [rad/s; m/s], or None where the robot does not log its velocity.
     tau
         (N, n) [N.m; N], currents already converted.
+    temperature
+        (N, n) of the joints [degC], or None where the robot does not log them.
     path, sha256
         Where the log was read from, and the hash of that file.
     dropped
@@ -68,6 +70,7 @@ class RobotLog:
     q: Array
     dq: Array | None
     tau: Array
+    temperature: Array | None = None
     path: Path | None = None
     sha256: str = ""
     dropped: int = 0
@@ -139,7 +142,10 @@ class RobotLog:
     def rows(self, rows: slice | NDArray[np.intp]) -> "RobotLog":
         """Return the log of some of its rows, a slice or (K,) places without unit."""
         dq = None if self.dq is None else self.dq[rows]
-        return replace(self, t=self.t[rows], q=self.q[rows], dq=dq, tau=self.tau[rows])
+        warm = None if self.temperature is None else self.temperature[rows]
+        return replace(
+            self, t=self.t[rows], q=self.q[rows], dq=dq, tau=self.tau[rows], temperature=warm
+        )
 
     def parts(self) -> "tuple[RobotLog, ...]":
         """Return what lies between the gaps, without what is shorter than 1 s.
@@ -199,6 +205,9 @@ class RobotLog:
             q=_of_joints(samples.q * units.factors("q", n), robot) + (robot.log.zero or 0.0),
             dq=None if dq is None else _of_joints(dq, robot),
             tau=_torque(path, samples, robot),
+            temperature=None
+            if samples.temperature is None
+            else samples.temperature - units.zero_of_temperature,
             path=path,
             sha256=sha256(path),
             dropped=len(logged.t) - len(samples.t),
@@ -210,7 +219,7 @@ class RobotLog:
     @property
     def _signals(self) -> dict[str, Array]:
         """Signals (N, n) that were logged, by name."""
-        found = {"q": self.q, "dq": self.dq, "tau": self.tau}
+        found = {"q": self.q, "dq": self.dq, "tau": self.tau, "temperature": self.temperature}
         return {name: values for name, values in found.items() if values is not None}
 
     @property
@@ -233,21 +242,22 @@ class RobotLog:
         return frames.pandas_frame(self._columns, index="t")
 
     def to_xarray(self) -> Any:
-        """Return an `xarray.Dataset` of q, dq and tau over time [s] and joint, with their units.
+        """Return an `xarray.Dataset` of what was logged over time [s] and joint, with units.
 
         Raises
         ------
         ConfigError
             If xarray is not installed.
         """
-        units = {"q": "rad", "dq": "rad/s", "tau": "N.m"}
+        units = {"q": "rad", "dq": "rad/s", "tau": "N.m", "temperature": "degC"}
         signals = {name: (values, units[name]) for name, values in self._signals.items()}
         return frames.xarray_dataset(self.t, signals, self.joints, name=self.name)
 
     def write(self, path: str | PathLike[str]) -> None:
         """Write as CSV or, by the suffix ``.parquet``, as Parquet; numbers survive unchanged.
 
-        The columns are ``t, q1.., dq1.., tau1..``, the defaults of a robot file.
+        The columns are ``t, q1.., dq1.., tau1..``, the defaults of a robot file, and
+        ``temperature1..`` where temperatures are known.
 
         Raises
         ------
@@ -310,7 +320,7 @@ def _effort(path: Path, samples: Samples, robot: RobotDescription) -> Array:
 
 def _require_reasonable(path: Path, samples: Samples, joints: Sequence[str]) -> None:
     """Check that numbers, in any unit, can be multiplied with each other a few times."""
-    for what in ("q", "dq", "effort"):
+    for what in ("q", "dq", "effort", "temperature"):
         values = getattr(samples, what)
         if values is not None and np.any(np.abs(values) > _LARGEST):
             k, joint = np.argwhere(np.abs(values) > _LARGEST)[0]

@@ -30,6 +30,8 @@ class Motion:
         (N, n) [N.m], raw: evaluation is against what was measured.
     q_raw
         (N, n) [rad], as logged; ripple of the gear must not be smoothed away.
+    temperature
+        (N, n) [degC], as logged; None where it was not.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Motion:
     ddq: Array
     tau: Array
     q_raw: Array
+    temperature: Array | None = None
 
 
 def smooth(log: RobotLog, cutoff: float = 15.0) -> Motion:
@@ -98,6 +101,7 @@ def smooth(log: RobotLog, cutoff: float = 15.0) -> Motion:
         ddq=velocity.derivative()(log.t),
         tau=log.tau,
         q_raw=log.q,
+        temperature=log.temperature,
     )
 
 

@@ -43,6 +43,8 @@ class FrictionRecord:
         Turns of the motor per turn of the joint, where the robot file gives it.
     sliding
         Whether the joint slides, so that positions are in m and torques are forces in N.
+    temperature
+        (N,) of the joint [degC], where it was measured.
     coupling
         Of all joints of the robot, where friction does not sit on the joints themselves; None where
         it does, and in records that `at_friction` has brought there.
@@ -58,6 +60,7 @@ class FrictionRecord:
     tau_load_spread: Array | None = None
     gear_ratio: float | None = None
     sliding: bool = False
+    temperature: Array | None = None
     coupling: Coupling | None = None
 
 
@@ -140,6 +143,7 @@ def motion_records(
             tau_load_spread=None if spread is None else spread[:, k],
             gear_ratio=ratios[k],
             sliding=model.tree[k].prismatic,
+            temperature=None if motion.temperature is None else motion.temperature[:, k],
             coupling=coupling,
         )
         for k, joint in enumerate(model.description.joints)

@@ -36,6 +36,7 @@ from hesr_model.friction.adaptive.factors import parts
 from hesr_model.friction.adaptive.tuning import Tuning
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import TORQUE, FrictionLaw
+from hesr_model.friction.thermal import TEMPERATURE, Thermal, thermal_parameters, warmth
 
 MEASURED = Quantity(name="tau_meas", unit="N.m", description="measured {effort} of {joint}")
 RIGID = Quantity(
@@ -93,8 +94,9 @@ def own_parameters(tuning: Tuning, noise: float, speed: float) -> tuple[Paramete
 
 
 def adaptive_component(
-    law: FrictionLaw, tuning: Tuning, *, noise: float, speed: float, viscosity_least: float = 0.0
-) -> Component:
+    law: FrictionLaw, tuning: Tuning, *, noise: float, speed: float, viscosity_least: float = 0.0,
+    thermal: Thermal | None = None,
+) -> Component:  # fmt: skip
     """Return the equations of a joint whose law follows its friction.
 
     Parameters
@@ -104,6 +106,7 @@ def adaptive_component(
     noise : standard deviation of what the law does not explain [N.m], positive.
     speed : largest one of the joint [rad/s].
     viscosity_least : below which the law's ripple would not be certified.
+    thermal : how the law follows temperature, if it does.
 
     Raises
     ------
@@ -113,7 +116,15 @@ def adaptive_component(
     own = own_parameters(tuning, noise, speed)
     sigma = larger(own[0].symbol, _LEAST_NOISE)
     slowest, limit = own[1].symbol, own[2].symbol
-    law_parts = parts(law, previous("level"))
+    warm = warmth(previous(TORQUE)) if thermal else None
+    law_parts = parts(law, previous("level"), warm.coulomb if warm else sympy.S.One)
+    viscous = law_parts.viscous * (warm.viscous if warm else sympy.S.One)
+    # What temperature leaves of the factor is still what ripple needs.
+    thickness = (
+        larger(previous("viscosity") * warm.viscous, viscosity_least)
+        if warm
+        else previous("viscosity")
+    )
     low, high = tuning.level
     thin, thick = max(tuning.viscosity[0], viscosity_least), tuning.viscosity[1]
     deviations = (tuning.level_sd, tuning.viscosity_sd, tuning.offset_sd * sigma)
@@ -214,14 +225,15 @@ def adaptive_component(
     base = law.form.component
     return replace(
         base,
-        inputs=(*base.inputs, *INPUTS),
-        parameters=(*base.parameters, *own),
-        memory=law_parts.memory,
+        inputs=(*base.inputs, *INPUTS, *((TEMPERATURE,) if warm else ())),
+        parameters=(*base.parameters, *own, *(thermal_parameters(thermal) if thermal else ())),
+        memory=(*((warm.memory,) if warm else ()), *law_parts.memory),
         equations=(
             Equation(
                 name=TORQUE, unit="N.m", description="friction {effort} of {joint}", output=True,
-                expression=law_parts.hysteresis + previous("viscosity") * law_parts.viscous
+                expression=law_parts.hysteresis + thickness * law_parts.viscous
                 + law_parts.rest + previous("offset"),
+                start=sympy.S.Zero if warm else None,
             ),
             *factors,
             *(
@@ -242,7 +254,7 @@ def adaptive_component(
                                                         tuning.clipped * expected)),
             *(
                 Equation(name=f"phi_{name}", expression=moving * clip(_number(e), _HUGE * sigma))
-                for name, e in (("level", law_parts.along), ("viscosity", law_parts.viscous))
+                for name, e in (("level", law_parts.along), ("viscosity", viscous))
             ),
             *(
                 Equation(name=f"g_{i}", expression=sum(p[min(i, j), max(i, j)] * phi[j]

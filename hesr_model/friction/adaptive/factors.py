@@ -3,6 +3,7 @@
     stop       x+ = clip(x + v dt / w, -l s, l s)     the level l scales the bound, never the torque
     bristle    x' = drive - rate / l x                F_c and F_s times l
     viscous    n v f(v)
+    warmth     c(T) on l and n(T) on n, where the law follows temperature
     torque     tau = hysteresis(x) + n v f(v) + ripple + tau_0 + o
 
 A factor on a torque that is held while it changes gives energy; a bound that moves takes energy
@@ -37,7 +38,7 @@ class Parts:
     viscous : at factor 1 [N.m].
     rest : ripple and the law's own offset, which have no factor [N.m].
     along : derivative of the hysteresis by the level [N.m], of states and `sensitivities`.
-    sensitivities : equations of the stops' derivatives by the level.
+    sensitivities : equations of the stops' derivatives by the level, warmth included.
     """
 
     memory: tuple[Element, ...]
@@ -48,13 +49,14 @@ class Parts:
     sensitivities: tuple[Equation, ...]
 
 
-def parts(law: FrictionLaw, level: sympy.Expr) -> Parts:
+def parts(law: FrictionLaw, level: sympy.Expr, warm: sympy.Expr = sympy.S.One) -> Parts:
     """Return a law with a level in its memory.
 
     Parameters
     ----------
     law : of one joint.
     level : the factor, positive; as it is before a step.
+    warm : what temperature makes of the bounds, positive.
 
     Raises
     ------
@@ -62,7 +64,7 @@ def parts(law: FrictionLaw, level: sympy.Expr) -> Parts:
         If the law has no bound that a level could scale, or its torque is not linear in its states.
     """
     form = law.form
-    scaled = tuple(scaled_bound(m, level) for m in form.memory)
+    scaled = tuple(scaled_bound(m, level * warm) for m in form.memory)
     carrying = [m for m, own in zip(form.memory, scaled, strict=True) if m != own]
     if not carrying:
         raise ExportError(
@@ -89,12 +91,12 @@ def parts(law: FrictionLaw, level: sympy.Expr) -> Parts:
         viscous=sympy.Add(*viscous),
         rest=sympy.Add(*(t for t in terms if t not in viscous)),
         along=along,
-        sensitivities=tuple(_sensitivity(m, name, level) for m, name in bound.items()),
+        sensitivities=tuple(_sensitivity(m, name, level, warm) for m, name in bound.items()),
     )
 
 
-def _sensitivity(stop: Stop, name: str, level: sympy.Expr) -> Equation:
-    bound = positive(stop.bound)
+def _sensitivity(stop: Stop, name: str, level: sympy.Expr, warm: sympy.Expr) -> Equation:
+    bound = warm * positive(stop.bound)
     clipped = exceeds(absolute(stop.state), _CLIPPED * level * bound)
     return Equation(
         name=name,

@@ -9,17 +9,13 @@ from hesr_model.equations.component import Component, Parameter
 from hesr_model.equations.over_log import Array
 from hesr_model.equations.stepping import Steps
 from hesr_model.errors import SimulationError
-from hesr_model.friction.adaptive.component import INPUTS, adaptive_component
+from hesr_model.friction.adaptive.component import adaptive_component
 from hesr_model.friction.adaptive.tuning import TUNING, Tuning
 from hesr_model.friction.audit.certificate import least_viscosity
-from hesr_model.friction.evaluate import first_states
-from hesr_model.friction.inputs import QUANTITIES
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record
+from hesr_model.friction.thermal import TEMPERATURE
 from hesr_model.rigid_body.residual import FrictionRecord
-
-_HANDED = tuple(q.name for q in (*QUANTITIES, *INPUTS))
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Followed:
@@ -58,12 +54,14 @@ def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[
             f"friction model '{model.law}' does not say what it was fitted to and how well; "
             "following friction needs both."
         )
-    rows = zip(model.laws, model.training_rmse, model.trained, strict=True)
+    thermal = model.thermal or (None,) * len(model.laws)
+    rows = zip(model.laws, model.training_rmse, model.trained, thermal, strict=True)
     return tuple(
         adaptive_component(
-            law, tuning, noise=noise, speed=trained.speed, viscosity_least=least_viscosity(law)
+            law, tuning, noise=noise, speed=trained.speed, viscosity_least=least_viscosity(law),
+            thermal=thermal,
         )
-        for law, noise, trained in rows
+        for law, noise, trained, thermal in rows
     )
 
 
@@ -111,17 +109,23 @@ class Follower:
 
     def _of_joint(self, j: int, record: FrictionRecord, adapt: bool) -> Followed:
         law, steps = self._model.laws[j], self._steps[j]
-        run = steps.run(
-            self._values[j],
-            first_states(law, *(float(u[0]) for u in (record.dq, record.q, record.tau_load))),
-            _HANDED,
-        )
-        columns = (
-            record.dq, record.q, record.tau_load, record.tau + record.tau_load, record.tau_load,
-            np.full_like(record.t, float(adapt)),
-        )  # fmt: skip
-        rows = zip(np.diff(record.t).tolist(), *(c[1:].tolist() for c in columns), strict=True)
-        values = [run.begin(*(float(c[0]) for c in columns))]
+        columns = {
+            "dq": record.dq, "q": record.q, "tau_load": record.tau_load, "tau_rigid": record.tau_load,
+            "tau_meas": record.tau + record.tau_load, "adapt": np.full_like(record.t, float(adapt)),
+        }  # fmt: skip
+        own = self._values[j]
+        if record.temperature is not None:
+            columns[TEMPERATURE.name] = record.temperature
+        elif "thermometer" in own:
+            own = own | {"thermometer": 0.0}
+        handed = [q.name for q in steps.component.inputs if q.name in columns]
+        used = [columns[name] for name in handed]
+        slow = len(steps.component.memory) - len(law.start)
+        run = steps.run(own, (*(0.0,) * slow, *law.start), handed)
+        first = [float(c[0]) for c in used]
+        run.settle(*first)
+        rows = zip(np.diff(record.t).tolist(), *(c[1:].tolist() for c in used), strict=True)
+        values = [run.begin(*first)]
         values += [run.step(dt, *row) for dt, *row in rows]
         outputs = dict(zip(steps.observed, np.array(values).T, strict=True))
         for name, known in (("level", 1.0), ("viscosity", 1.0), ("offset", 0.0)):

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
-from hesr_model.logs.log_format import Columns, column_names
+from hesr_model.logs.log_format import TEMPERATURES, Columns, column_names
 from hesr_model.logs.readers.matlab import read_matlab
 from hesr_model.logs.readers.samples import Samples
 from hesr_model.logs.tables import Table, read_table
@@ -39,6 +39,7 @@ def read_columns(path: Path, robot: RobotDescription) -> Samples:
         is_current=is_current,
         time=f"column '{columns.t}'",
         place=lambda k: f"row {table.row(k)}",
+        temperature=_temperature(table, robot),
     )
 
 
@@ -48,6 +49,13 @@ def _joints(table: Table, columns: Columns, robot: RobotDescription) -> Array:
         _require_joint_count(table, columns, len(robot.joints))
     missing = robot.log.missing == "drop"
     return table.numbers(column_names(columns, robot.joints), missing=missing)
+
+
+def _temperature(table: Table, robot: RobotDescription) -> Array | None:
+    """Temperatures (N, n) in the unit of the file; None where it has none and need not have any."""
+    columns = robot.log.columns.temperature
+    there = set(column_names(columns, robot.joints)) & set(table.names)
+    return None if columns == TEMPERATURES and not there else _joints(table, columns, robot)
 
 
 def _require_joint_count(table: Table, pattern: str, n: int) -> None:

@@ -21,6 +21,8 @@ class Samples:
         (N, n); dq is None where the file holds no velocity.
     effort
         (N, n), torque or current.
+    temperature
+        (N, n), None where the file holds none.
     is_current
         Whether the effort is current.
     time
@@ -36,10 +38,12 @@ class Samples:
     is_current: bool
     time: str
     place: Callable[[int], str]
+    temperature: Array | None = None
 
     def complete(self) -> "Samples":
         """Return the samples without those that lack a number or repeat a stamp."""
-        parts = [self.t[:, None], self.q, self.effort, *([] if self.dq is None else [self.dq])]
+        more = [part for part in (self.dq, self.temperature) if part is not None]
+        parts = [self.t[:, None], self.q, self.effort, *more]
         rows = np.flatnonzero(np.all(np.isfinite(np.hstack(parts)), axis=1))
         rows = rows[np.diff(self.t[rows], prepend=-np.inf) != 0.0]
         return replace(
@@ -48,5 +52,6 @@ class Samples:
             q=self.q[rows],
             dq=None if self.dq is None else self.dq[rows],
             effort=self.effort[rows],
+            temperature=None if self.temperature is None else self.temperature[rows],
             place=lambda k: self.place(int(rows[k])),
         )

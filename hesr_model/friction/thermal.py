@@ -1,0 +1,167 @@
+"""Friction and temperature: factors on Coulomb and viscous friction, and where heat comes from.
+
+    Coulomb     c(T) = c_0 (1 - b_c (T - T_0))       viscous    n(T) = n_0 exp(-b_v (T - T_0))
+    heat        x' = (R |tau dq| - x) / T_th         T = T_a + x
+
+The Coulomb factor acts on bounds (`adaptive.factors`), the viscous one on viscous friction; both
+stay within limits whatever a thermometer says. T is what a joint measures. Where nothing is measured
+it is carried as one lumped mass that friction heats and the ambient cools. Source of the exponent:
+Reynolds' law of the viscosity of lubricants; of the lumped mass: A. C. Bittencourt and S.
+Gunnarsson, Static friction in a robot joint - modeling and identification of load and temperature
+effects, J. Dyn. Sys., Meas., Control 134 (2012).
+"""
+
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+import sympy
+
+from hesr_model.equations.component import Parameter, Quantity
+from hesr_model.equations.functions import absolute, clip, larger
+from hesr_model.equations.memory import Slow
+from hesr_model.equations.over_log import Array, recurrence
+from hesr_model.errors import ArtifactError
+from hesr_model.friction.inputs import DQ
+
+TEMPERATURE = Quantity(name="temperature", unit="degC", description="temperature of {joint}")
+
+COULOMB_RANGE = 0.5
+"""By how much temperature lowers or raises the Coulomb factor at most, as a share."""
+
+VISCOUS_RANGE = 1.5
+"""The same of the viscous factor, as a logarithm: between 0.22 and 4.5."""
+
+_LEAST_TIME = 1e-3  # [s]: rates divide by it
+_LEAST_SCALE = 1e-3  # bounds stay positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thermal:
+    """How friction of one joint follows temperature.
+
+    Attributes
+    ----------
+    coulomb, viscous : b_c and b_v [1/K], by which friction falls.
+    coulomb_scale, viscous_scale : c_0 and n_0, factors on the law at the reference.
+    reference : T_0 [degC].
+    resistance, time_constant : R [K/W] (K.s/J) and T_th [s] of the lumped mass; a resistance of 1
+        where no temperature was measured, so that one K is what one W heats.
+    ambient : T_a [degC].
+    measured : whether temperatures were measured.
+
+    Raises
+    ------
+    ArtifactError
+        If a number is not finite, or one that must be positive is not.
+    """
+
+    coulomb: float
+    viscous: float
+    coulomb_scale: float = 1.0
+    viscous_scale: float = 1.0
+    reference: float = 20.0
+    resistance: float = 1.0
+    time_constant: float = 1200.0
+    ambient: float = 20.0
+    measured: bool = True
+
+    def __post_init__(self) -> None:
+        for name in _UNITS:
+            value = getattr(self, name)
+            positive = name in ("coulomb_scale", "viscous_scale", "time_constant")
+            if not isfinite(value) or (positive and value <= 0.0):
+                needed = "a positive number" if positive else "a number"
+                raise ArtifactError(f"thermal model: '{name}' is {value}; needed is {needed}.")
+
+    def factors(self, temperature: Array) -> tuple[Array, Array]:
+        """Return the factors on Coulomb and viscous friction at temperatures (N,) [degC]."""
+        over = temperature - self.reference
+        coulomb = 1.0 - np.clip(self.coulomb * over, -COULOMB_RANGE, COULOMB_RANGE)
+        viscous = np.exp(-np.clip(self.viscous * over, -VISCOUS_RANGE, VISCOUS_RANGE))
+        return self.coulomb_scale * coulomb, self.viscous_scale * viscous
+
+    def rise(self, power: Array, dt: Array, start: float = 0.0) -> Array:
+        """Return by how much a joint is warmer than the ambient, (N,) [K].
+
+        Parameters
+        ----------
+        power : (N,) that friction takes [W], held over each step.
+        dt : (N,) step that ends at each row [s]; that of the first row does not count.
+        start : at the first row [K].
+        """
+        return self.resistance * warmed(power, dt, self.time_constant, start / self.resistance)
+
+
+def warmed(power: Array, dt: Array, time_constant: float, start: float = 0.0) -> Array:
+    """Return power (N,) [W] through a first-order lag, exactly for a power held over each step."""
+    a = np.exp(-dt / time_constant)
+    return recurrence(a, (1.0 - a) * power, start)
+
+
+_UNITS = {
+    "coulomb": ("1/K", "by which Coulomb friction falls with temperature"),
+    "viscous": ("1/K", "exponent by which viscous friction falls with temperature"),
+    "coulomb_scale": ("1", "factor on Coulomb friction at the reference temperature"),
+    "viscous_scale": ("1", "factor on viscous friction at the reference temperature"),
+    "reference": ("degC", "reference temperature"),
+    "resistance": ("K/W", "thermal resistance between joint and ambient"),
+    "time_constant": ("s", "thermal time constant"),
+    "ambient": ("degC", "ambient temperature"),
+}
+
+RISE = "rise"
+"""Name of the state."""
+
+
+def thermal_parameters(thermal: Thermal) -> tuple[Parameter, ...]:
+    """Return the parameters of a joint's thermal model, and whether its thermometer is read."""
+    own = (
+        Parameter(
+            name=f"thermal_{name}", unit=unit, description=text, start=float(getattr(thermal, name))
+        )
+        for name, (unit, text) in _UNITS.items()
+    )
+    read = Parameter(
+        name="thermometer", unit="1", start=float(thermal.measured),
+        description="1 where the input temperature is read, 0 where friction power gives it",
+    )  # fmt: skip
+    return (*own, read)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Warmth:
+    """A thermal model as expressions of `thermal_parameters`, `TEMPERATURE` and the state.
+
+    Attributes
+    ----------
+    memory : the lumped mass.
+    coulomb, viscous : factors.
+    """
+
+    memory: Slow
+    coulomb: sympy.Expr
+    viscous: sympy.Expr
+
+
+def warmth(torque: sympy.Expr) -> Warmth:
+    """Return the expressions of a thermal model.
+
+    Parameters
+    ----------
+    torque : of friction [N.m], which heats.
+    """
+    k = {name: sympy.Symbol(f"thermal_{name}", real=True) for name in _UNITS}
+    read = clip(sympy.Symbol("thermometer", real=True), 1)
+    rate = 1 / larger(k["time_constant"], _LEAST_TIME)
+    heat = Slow(
+        name=RISE, unit="K", drive=rate * k["resistance"] * absolute(torque * DQ), rate=rate
+    )
+    over = (
+        read * TEMPERATURE.symbol + (1 - read) * (k["ambient"] + heat.state) - k["reference"]
+    )
+    return Warmth(
+        memory=heat,
+        coulomb=larger(k["coulomb_scale"], _LEAST_SCALE) * (1 - clip(k["coulomb"] * over, COULOMB_RANGE)),
+        viscous=larger(k["viscous_scale"], _LEAST_SCALE) * sympy.exp(-clip(k["viscous"] * over, VISCOUS_RANGE)),
+    )
