@@ -11,7 +11,8 @@ Every command of `hesr` is one call, and every object one name::
 
 Objects   Robot, Log, RigidBody, FrictionModel, FrictionRegressor; HesrError, the base of all errors
 Commands  new, inspect, run, report, results, excite, identify, fit, evaluate, audit, properties,
-          arena, laws, export, check, replay, monitor, simulate, package
+          arena, laws, export, check, replay, thermal, monitor, simulate,
+          package
 Files     read_model, write_model, read_rigid_body, write_rigid_body
 
 Paths are text or paths. Logs, bodies, laws and comparisons show themselves as tables in a notebook;
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
         results,
         run,
         simulate,
+        thermal,
     )
     from cosim.regressor import FrictionRegressor
     from hesr_model.artifacts import read_model, read_rigid_body, write_model, write_rigid_body
@@ -83,6 +85,7 @@ if TYPE_CHECKING:
         "results",
         "run",
         "simulate",
+        "thermal",
         "write_model",
         "write_rigid_body",
     ]
@@ -100,7 +103,8 @@ _COMMANDS = (
         "evaluate",
         "audit",
     ),
-    *("properties", "arena", "laws", "export", "check", "replay", "monitor", "simulate"),
+    *("properties", "arena", "laws", "export", "check", "replay", "thermal", "monitor"),
+    "simulate",
     "package",
 )
 _HOMES = dict.fromkeys(_COMMANDS, "cosim.commands") | {

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from cosim.studies.design import Design
     from fmu_src.check.report import Report
     from hesr_model.friction.adaptive.monitor import Watched
+    from hesr_model.friction.adaptive.thermal_fit import ThermalFit
     from hesr_model.friction.audit.audit import Audit
     from hesr_model.friction.audit.properties import Properties
     from hesr_model.friction.fitting.estimator import Estimator
@@ -191,6 +192,27 @@ def replay(
     file = path_of(fmu, "an FMU")
     records = by_joint(records_of(logs, robot, rigid_body, accept)[0])
     return compare(records, {file.stem: predict_fmu(file, records)})
+
+
+def thermal(
+    logs: Log | Sequence[Log],
+    law: Model,
+    rigid_body: Body,
+    robot: RobotLike | None = None,
+    *,
+    accept: Sequence[str] = (),
+) -> "tuple[FrictionModel, tuple[ThermalFit, ...]]":
+    """Find what temperature does to a fitted law's friction; return it with that, and how sure.
+
+    Raises
+    ------
+    HesrError
+        If a log, the robot or the law do not allow it, or temperature tells nothing.
+    """
+    from hesr_model.friction.adaptive.thermal_fit import fit_thermal
+
+    model = model_given(law)
+    return fit_thermal(model, records_of(logs, robot, rigid_body, accept)[0])
 
 
 def monitor(

@@ -10,8 +10,8 @@ from fmu_src.description import (
     DEGREES,
     DISPLAY,
     Description,
-    shown_as,
     base_unit,
+    shown_as,
 )
 from fmu_src.interface import ATTRIBUTES, Array, Interface, Role
 

@@ -242,6 +242,9 @@ def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) 
         guid=guid,
         step=literal(step),
         variables=len(rows),
+        # Up to the last input; C knows no empty arrays.
+        slopes=1
+        + max((i for i, v in enumerate(interface.variables) if v.role == "input"), default=0),
         states=len(states),
         indicators=interface.indicators,
         own=interface.own,
@@ -275,7 +278,7 @@ _INTERFACE = """\
 #define PREFERRED_STEP {step} /* [s] */
 
 enum {{ VARIABLES = {variables}, STATES = {states}, INDICATORS = {indicators} }};
-enum {{ OWN = {own}, WATCHED = {watched} }};
+enum {{ OWN = {own}, WATCHED = {watched}, SLOPES = {slopes} }};
 enum {{ MODEL_EXCHANGE = {model_exchange}, DIRECTIONAL_DERIVATIVES = {derivable} }};
 enum {{ INNER_STEPS = {inner_steps}, REFERENCES = {references} }};
 

@@ -21,6 +21,7 @@ from cosim.cli import (
     simulate,
     steps,
     sweep,
+    thermal,
     view,
 )
 from cosim.cli.app import app
@@ -47,6 +48,7 @@ __all__ = [
     "simulate",
     "steps",
     "sweep",
+    "thermal",
     "view",
 ]
 

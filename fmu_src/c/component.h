@@ -8,8 +8,8 @@
  * Value references are the glue's alone: a table leads from each to its first place.
  *
  * The generated interface.h defines MODEL_GUID, the PREFERRED_STEP, how many VARIABLES, STATES and
- * INDICATORS there are, how many doubles the component remembers besides (OWN), whether it makes
- * INNER_STEPS, and the tables of these.
+ * INDICATORS there are, how many doubles the component remembers besides (OWN), up to which
+ * variable there may be inputs with SLOPES, whether it makes INNER_STEPS, and the tables of these.
  */
 #ifndef COMPONENT_H
 #define COMPONENT_H
@@ -21,7 +21,7 @@
 typedef struct {
     double v[VARIABLES];           /* Integers and enumerations included */
     double own[OWN > 0 ? OWN : 1]; /* zero at the start; the glue only copies it */
-    double slope[VARIABLES];       /* of inputs over the next step [unit/s], kept by the glue */
+    double slope[SLOPES];          /* of inputs over the next step [unit/s], kept by the glue */
     double time;                   /* [s], kept by the glue */
     double may_end_early;          /* whether a step may end at an event, kept by the glue */
     double done;                   /* of the last step [s] */

@@ -37,7 +37,7 @@ static bool is_mode(int mode, int type) {
 /* Whether what a host or a solver has set is what it could have set. */
 static bool in_range(const Component *component, Message *why) {
     for (int i = 0; i < VARIABLES; i++) {
-        const double value = component->v[i], slope = component->slope[i];
+        const double value = component->v[i], slope = i < SLOPES ? component->slope[i] : 0.0;
         const Role role = variables[i].role;
         const bool whole =
             variables[i].type == REAL ||

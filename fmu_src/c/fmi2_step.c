@@ -3,7 +3,7 @@
 
 /* Put the inputs where their slopes have taken them at a time [s] after those of `from`. */
 static void follow_slopes(Memory *memory, const Component *from, double time) {
-    for (int i = 0; i < VARIABLES; i++) {
+    for (int i = 0; i < SLOPES; i++) {
         if (variables[i].role == INPUT) {
             memory->component.v[i] = from->v[i] + from->slope[i] * time;
         }

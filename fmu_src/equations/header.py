@@ -223,13 +223,19 @@ def _sizes(joints: Sequence[Joint]) -> dict[str, int]:
     return {
         "JOINTS": len(joints),
         "OWN_FIXED": 4,
-        "MAX_INPUTS": most(lambda c: len(c.given)),
+        "MAX_INPUTS": max(1, *(_gathered(j) for j in joints)),
         "MAX_STATES": most(lambda c: len(c.memory)),
         "MAX_OUTPUTS": most(lambda c: len(c.outputs)),
         "MAX_REMEMBERED": max(len(j.component.remembered) for j in joints),
         "MAX_SWITCHES": most(lambda c: len(Functions(c, "").jumps.expressions)),
         "MAX_PARAMETERS": most(lambda c: len(c.parameters)),
     }
+
+
+def _gathered(joint: Joint) -> int:
+    """Return how many numbers the equations of a joint read as inputs."""
+    own = joint.component
+    return len(own.inputs) + len(own.shared) + (len(own.parameters) if joint.gathered else 0)
 
 
 def _row(

@@ -15,8 +15,8 @@ from fmu_src.friction.friction_component import START_MODE, law_variables, start
 from fmu_src.friction.variable_names import place
 from fmu_src.interface import Interface, Variable
 from hesr_model.equations.component import Component, Parameter
-from hesr_model.friction.adaptive.component import ADAPT
 from hesr_model.equations.memory import Slow
+from hesr_model.friction.adaptive.component import ADAPT
 from hesr_model.friction.adaptive.follow import adaptive_components
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.thermal import TEMPERATURE

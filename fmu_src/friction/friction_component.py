@@ -335,8 +335,8 @@ def law_variables(
             derivative_of=state,
             dependencies=dependencies(own, element.derivative, inputs),
         )
-    first = {**dict.fromkeys(own.starts, 0.0), **dict(zip(own.starts[-len(law.start) :], law.start))}
-    for (element, state, _), (name, start) in zip(elements, first.items(), strict=True):
+    first = (*(0.0,) * (len(memory) - len(law.start)), *law.start)
+    for (element, state, _), name, start in zip(elements, own.starts, first, strict=True):
         yield Variable(
             name=name,
             role="fixed",

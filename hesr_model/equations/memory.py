@@ -119,7 +119,7 @@ class Slow(Relaxation):
         """Whether `settled` is one step of an iteration: never."""
         return False
 
-    def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
+    def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:  # noqa: ARG002 - as of every element
         """Return x itself."""
         return self.state
 

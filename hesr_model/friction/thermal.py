@@ -4,11 +4,9 @@
     heat        x' = (R |tau dq| - x) / T_th         T = T_a + x
 
 The Coulomb factor acts on bounds (`adaptive.factors`), the viscous one on viscous friction; both
-stay within limits whatever a thermometer says. T is what a joint measures. Where nothing is measured
-it is carried as one lumped mass that friction heats and the ambient cools. Source of the exponent:
-Reynolds' law of the viscosity of lubricants; of the lumped mass: A. C. Bittencourt and S.
-Gunnarsson, Static friction in a robot joint - modeling and identification of load and temperature
-effects, J. Dyn. Sys., Meas., Control 134 (2012).
+stay within limits whatever a thermometer says. T is what a joint measures. Where nothing is
+measured it is that of one lumped mass that friction heats and the ambient cools. The exponent is
+Reynolds' law of the viscosity of lubricants.
 """
 
 from dataclasses import dataclass
@@ -157,11 +155,11 @@ def warmth(torque: sympy.Expr) -> Warmth:
     heat = Slow(
         name=RISE, unit="K", drive=rate * k["resistance"] * absolute(torque * DQ), rate=rate
     )
-    over = (
-        read * TEMPERATURE.symbol + (1 - read) * (k["ambient"] + heat.state) - k["reference"]
-    )
+    over = read * TEMPERATURE.symbol + (1 - read) * (k["ambient"] + heat.state) - k["reference"]
     return Warmth(
         memory=heat,
-        coulomb=larger(k["coulomb_scale"], _LEAST_SCALE) * (1 - clip(k["coulomb"] * over, COULOMB_RANGE)),
-        viscous=larger(k["viscous_scale"], _LEAST_SCALE) * sympy.exp(-clip(k["viscous"] * over, VISCOUS_RANGE)),
+        coulomb=larger(k["coulomb_scale"], _LEAST_SCALE)
+        * (1 - clip(k["coulomb"] * over, COULOMB_RANGE)),
+        viscous=larger(k["viscous_scale"], _LEAST_SCALE)
+        * sympy.exp(-clip(k["viscous"] * over, VISCOUS_RANGE)),
     )

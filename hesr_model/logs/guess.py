@@ -125,7 +125,8 @@ class Guess:
     Attributes
     ----------
     columns
-        By quantity (t, q, dq, tau, current, temperature): a name for t, one name per joint for the others.
+        By quantity (t, q, dq, tau, current, temperature): a name for t, one name per joint for the
+        others.
     units
         By quantity, where a name or the values say one.
     reasons

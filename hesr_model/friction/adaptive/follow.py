@@ -17,6 +17,7 @@ from hesr_model.friction.records import predict_record
 from hesr_model.friction.thermal import TEMPERATURE
 from hesr_model.rigid_body.residual import FrictionRecord
 
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Followed:
     """What was known of one joint's friction in one log, at each row before its torque.
@@ -58,7 +59,11 @@ def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[
     rows = zip(model.laws, model.training_rmse, model.trained, thermal, strict=True)
     return tuple(
         adaptive_component(
-            law, tuning, noise=noise, speed=trained.speed, viscosity_least=least_viscosity(law),
+            law,
+            tuning,
+            noise=noise,
+            speed=trained.speed,
+            viscosity_least=least_viscosity(law),
             thermal=thermal,
         )
         for law, noise, trained, thermal in rows
@@ -110,8 +115,9 @@ class Follower:
     def _of_joint(self, j: int, record: FrictionRecord, adapt: bool) -> Followed:
         law, steps = self._model.laws[j], self._steps[j]
         columns = {
-            "dq": record.dq, "q": record.q, "tau_load": record.tau_load, "tau_rigid": record.tau_load,
-            "tau_meas": record.tau + record.tau_load, "adapt": np.full_like(record.t, float(adapt)),
+            "dq": record.dq, "q": record.q, "tau_load": record.tau_load,
+            "tau_meas": record.tau + record.tau_load, "tau_rigid": record.tau_load,
+            "adapt": np.full_like(record.t, float(adapt)),
         }  # fmt: skip
         own = self._values[j]
         if record.temperature is not None:

@@ -1,0 +1,194 @@
+"""Temperature in friction: how it is found in logs, carried in a model, and followed."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from adaptive_models import NOISE, SPEED, lugre, model, motion, stops, truth
+
+from hesr_model.artifacts import read_model, write_model
+from hesr_model.equations.stepping import Steps
+from hesr_model.errors import ArtifactError, FitError
+from hesr_model.friction.adaptive.component import adaptive_component
+from hesr_model.friction.adaptive.follow import Follower
+from hesr_model.friction.adaptive.thermal_fit import Factored, ThermalFit, fit_thermal
+from hesr_model.friction.adaptive.tuning import TUNING
+from hesr_model.friction.audit.certificate import least_viscosity, storage
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.metrics import rmse
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.records import predict_record
+from hesr_model.friction.thermal import COULOMB_RANGE, VISCOUS_RANGE, Thermal
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.robots.transmission import Coupling
+
+TRUE = Thermal(
+    coulomb=0.004, viscous=0.02, reference=30.0, resistance=0.3, time_constant=400.0, ambient=22.0
+)
+WHITE = 0.5
+"""[N.m] Standard deviation of white noise at 50 Hz."""
+LAWS = [pytest.param(lugre, id="LuGre"), pytest.param(stops, id="ParFam-S")]
+
+
+def log(
+    law: FrictionLaw, seconds: float, seed: int, thermal: Thermal = TRUE, *, start: float = 0.0
+) -> FrictionRecord:
+    """A log whose friction heats the joint, from `start` above the ambient on [K]."""
+    t, dq, q, load = motion(seconds, seed, step=0.02)
+    power = np.abs(18.0 * dq)
+    for _ in range(2):
+        temperature = thermal.ambient + thermal.rise(power, np.diff(t, prepend=t[0]), start)
+        level, viscosity = thermal.factors(temperature)
+        record = truth(
+            law, t, dq, q, load, seed=seed, level=lambda _, own=level: own,
+            viscosity=lambda _, own=viscosity: own, correlation=0.001, noise=WHITE,
+        )  # fmt: skip
+        clean = Factored(law).torque(record, level, viscosity)
+        power = np.abs(clean * dq)
+    return replace(record, log=f"log {seed}", temperature=temperature)
+
+
+@pytest.fixture(scope="module")
+def logs() -> list[list[FrictionRecord]]:
+    return [[log(stops(), 150.0, 1)], [log(stops(), 150.0, 2, start=25.0)]]
+
+
+@pytest.fixture(scope="module")
+def fitted(logs: list[list[FrictionRecord]]) -> tuple[FrictionModel, ThermalFit]:
+    known, [found] = fit_thermal(replace(model(stops()), law="parfam_s"), logs)
+    return known, found
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_held_factors_are_those_of_the_stepped_equations(law) -> None:
+    t, dq, q, load = motion(10.0, 4)
+    level, viscosity = 1.0 + 0.2 * np.sin(t), 1.0 - 0.3 * np.cos(t)
+    record = truth(law(), t, dq, q, load, noise=0.0, level=lambda _: level,
+                   viscosity=lambda _: viscosity)  # fmt: skip
+    torque = Factored(law()).torque(record, level, viscosity)
+    # The first row begins in another steady state.
+    late = t > 1.0
+    np.testing.assert_allclose(torque[late], record.tau[late], atol=1e-9)
+    one = np.ones_like(t)
+    torque = Factored(law()).torque(record, one, one)
+    np.testing.assert_allclose(torque, predict_record(law(), record), rtol=1e-12, atol=1e-12)
+
+
+def test_both_coefficients_are_found_where_temperature_is_measured(fitted) -> None:
+    known, found = fitted
+    [thermal] = known.thermal
+    assert thermal == found.thermal
+    assert thermal.coulomb == pytest.approx(TRUE.coulomb, rel=0.05)
+    assert thermal.viscous == pytest.approx(TRUE.viscous, rel=0.05)
+    assert abs(thermal.coulomb - TRUE.coulomb) < 3.0 * found.coulomb_error
+    assert abs(thermal.viscous - TRUE.viscous) < 3.0 * found.viscous_error
+    assert thermal.resistance == pytest.approx(TRUE.resistance, rel=0.05)
+    assert thermal.time_constant == pytest.approx(TRUE.time_constant, rel=0.05)
+    assert thermal.ambient == pytest.approx(TRUE.ambient, abs=1.0)
+    assert thermal.measured
+    assert found.rmse < 0.7 * found.rmse_fixed
+
+
+def test_heat_alone_is_found_in_long_logs() -> None:
+    long = [[replace(log(lugre(), 900.0, 5), temperature=None)]]
+    known, [found] = fit_thermal(model(lugre()), long)
+    [thermal] = known.thermal
+    assert not thermal.measured
+    assert thermal.time_constant == pytest.approx(TRUE.time_constant, rel=0.2)
+    # Of b and R only the product is known, and c_0 at the ambient takes the rest.
+    assert thermal.resistance * thermal.viscous == pytest.approx(
+        TRUE.resistance * TRUE.viscous, rel=0.15
+    )
+    assert found.rmse < 0.8 * found.rmse_fixed
+
+
+def test_a_law_that_knows_temperature_predicts_a_warm_day(fitted) -> None:
+    """Nothing adapts: what a thermometer says is enough, and without one what friction heats."""
+    known, _ = fitted
+    day = log(stops(), 60.0, 7, start=30.0)
+    errors = {}
+    for name, own, record in (
+        ("fixed", replace(known, thermal=()), day),
+        ("thermometer", known, day),
+        ("cold", replace(known, thermal=()), replace(log(stops(), 60.0, 7), temperature=None)),
+        ("heat", known, replace(log(stops(), 60.0, 7), temperature=None)),
+    ):
+        [one] = Follower(own).follow([record], adapt=False)
+        errors[name] = rmse(one.outputs["tau"] - record.tau)
+    assert errors["thermometer"] < 1.02 * WHITE < 0.5 * errors["fixed"]
+    # The ambient is known from what short logs cool to.
+    assert errors["heat"] < 1.15 * WHITE < 0.7 * errors["cold"]
+
+
+def test_it_is_written_and_read(fitted, tmp_path: Path) -> None:
+    known, _ = fitted
+    path = tmp_path / "law.json"
+    write_model(path, known)
+    assert read_model(path).thermal == known.thermal
+    write_model(path, replace(known, thermal=()))
+    assert read_model(path).thermal == ()
+    assert "thermal" not in path.read_text(encoding="utf-8")
+
+
+def test_factors_stay_within_their_limits() -> None:
+    level, viscosity = TRUE.factors(np.array([-1e6, TRUE.reference, 1e6]))
+    np.testing.assert_allclose(level, [1.0 + COULOMB_RANGE, 1.0, 1.0 - COULOMB_RANGE])
+    np.testing.assert_allclose(viscosity, np.exp([VISCOUS_RANGE, 0.0, -VISCOUS_RANGE]))
+
+
+@pytest.mark.parametrize("ripple", [(), (200,)])
+def test_no_energy_is_given_whatever_a_thermometer_says(ripple: tuple[int, ...]) -> None:
+    law = stops(ripple=ripple)
+    least = least_viscosity(law)
+    own = adaptive_component(
+        law, TUNING, noise=NOISE, speed=SPEED, viscosity_least=least, thermal=TRUE
+    )
+    names = ["tau", "offset", "level", "viscosity"]
+    values = law.values | {p.name: p.start for p in own.parameters if hasattr(p, "start")}
+    steps = Steps(own, names)
+    run = steps.run(values, (0.0, *law.start), [q.name for q in own.inputs])
+    factors = storage(law)
+    k = np.array([factors.get(m.name, 0.0) for m in own.memory])
+    rng = np.random.default_rng(2)
+    run.begin(*(0.0,) * len(own.inputs))
+    offset, stored, given = 0.0, float(k @ np.square(run.states)), 0.0
+    ripples = law.values.get("ripple200_cos", 0.0), law.values.get("ripple200_sin", 0.0)
+    for _ in range(3000):
+        dq, q, load = rng.normal(size=3) * (10.0 ** rng.uniform(-4, 1), 3.0, 30.0)
+        dt, warm = 10.0 ** rng.uniform(-6, 1), rng.normal() * 10.0 ** rng.uniform(0, 5)
+        adapt = float(rng.random() < 0.9)
+        seen = run.step(
+            dt, dq, q, load, 14.0 * np.sign(dq) + rng.normal() + load, load, adapt, warm
+        )
+        after = float(k @ np.square(run.states))
+        torque = seen[0] - offset - law.values["tau_0"]
+        given = torque * dq * dt - (after - stored)
+        # Of ripple no more than its amplitude for one step.
+        most = float(np.hypot(*ripples)) * abs(dq) * dt if ripple else 0.0
+        assert given >= -1e-9 * max(1.0, abs(torque * dq * dt)) - most
+        offset, stored = seen[1], after
+        assert np.all(np.isfinite(seen))
+
+
+def test_what_is_refused(logs) -> None:
+    [first], [second] = logs
+    with pytest.raises(FitError, match="holds no temperatures, but others do"):
+        fit_thermal(model(stops()), [[first], [replace(second, temperature=None)]])
+    even = replace(first, temperature=np.full_like(first.t, 30.0))
+    with pytest.raises(FitError, match="its temperature varies by 0 K over the logs; at least 3 K"):
+        fit_thermal(model(stops()), [[even]])
+    short = replace(first, temperature=None)
+    with pytest.raises(FitError, match="the longest log takes 150 s; without temperatures, logs"):
+        fit_thermal(model(stops()), [[short]])
+    cold = [[replace(log(lugre(), 310.0, 5, replace(TRUE, coulomb=0.0, viscous=0.0)),
+                     temperature=None)]]  # fmt: skip
+    with pytest.raises(FitError, match="its friction does not change with the heat of the logs"):
+        fit_thermal(model(lugre()), cold)
+    coupled = replace(model(stops()), coupling=Coupling(((2.0,),)))
+    with pytest.raises(FitError, match="its motors turn with several joints; temperature is"):
+        fit_thermal(coupled, logs)
+    with pytest.raises(ArtifactError, match=r"thermal model: 'time_constant' is 0\.0; needed is a"):
+        replace(TRUE, time_constant=0.0)
+    with pytest.raises(ArtifactError, match="2 thermal models for 1 joints"):
+        replace(model(stops()), thermal=(TRUE, TRUE))
