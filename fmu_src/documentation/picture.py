@@ -19,6 +19,7 @@ from hesr_model.units import unit_of_joints
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from PIL.Image import Image
 
 Array = NDArray[np.float64]
 Loop = tuple[Array, Array]
@@ -33,7 +34,8 @@ _SHARES = {1 / 3: "#9ecae1", 2 / 3: "#4a98c9", 1.0: "#0b559f"}
 """Amplitudes of the velocity, as shares of the reference motion's, and their colours."""
 _GREY = "#777777"
 _LARGEST = 1e9  # [N.m]; more is as good as not finite, and no axis holds it
-_SHADE = 16  # steps between shades of a colour, of 256
+_MOST_COLOURS = 256  # of a palette
+_SHADE = 32  # steps between shades of a colour, of 256
 
 
 def model_png(model: FrictionModel) -> bytes:
@@ -43,7 +45,6 @@ def model_png(model: FrictionModel) -> bytes:
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-    from matplotlib.image import imsave
 
     loops = _loops(model)
     columns = min(len(loops), _ROW)
@@ -62,15 +63,20 @@ def model_png(model: FrictionModel) -> bytes:
     drawn = canvas.buffer_rgba()  # type: ignore[no-untyped-call] # Matplotlib has not typed it
     pixels = np.asarray(drawn)[:, :, :3] // _SHADE * _SHADE + (_SHADE - 1)
     picture = io.BytesIO()
-    # Without the version of the drawing library the same model gives the same bytes.
-    imsave(
-        picture,
-        pixels,
-        format="png",
-        metadata={"Software": None},  # type: ignore[dict-item] # Matplotlib takes None as well
-        pil_kwargs={"optimize": True},
-    )
+    _indexed(pixels).save(picture, format="PNG", optimize=True)
     return picture.getvalue()
+
+
+def _indexed(pixels: NDArray[np.uint8]) -> "Image":
+    """Return the same picture with its few colours (rows, columns, 3) in a palette, if it can."""
+    from PIL import Image
+
+    colours, places = np.unique(pixels.reshape(-1, 3), axis=0, return_inverse=True)
+    if len(colours) > _MOST_COLOURS:
+        return Image.fromarray(pixels)
+    picture = Image.fromarray(places.reshape(pixels.shape[:2]).astype(np.uint8)).convert("P")
+    picture.putpalette(colours.tobytes())
+    return picture
 
 
 def _loops(model: FrictionModel) -> list[list[Loop]]:

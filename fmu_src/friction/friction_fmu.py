@@ -12,6 +12,7 @@ from typing import Any
 
 from fmu_src.description import Description
 from fmu_src.documentation.friction_page import to_html
+from fmu_src.documentation.live.measured import log_section
 from fmu_src.documentation.live.page import live_assets, live_section
 from fmu_src.documentation.live.section import live_data
 from fmu_src.documentation.live.wasm import wasm
@@ -118,7 +119,8 @@ def content(
         # The compiler is a process of its own; the picture is drawn beside it.
         module = pool.submit(wasm, translation_unit(table, about, sources)[1])
         picture = model_png(model)
-        live = live_section(live_data(model, table, module.result())) + live_assets()
+        live = live_section(live_data(model, table, module.result()))
+        live += log_section(model) + live_assets(log=True)
     page = section(properties, sliding=model.sliding) if properties else ""
     return Content(
         table=table,

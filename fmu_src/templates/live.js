@@ -44,6 +44,23 @@ class Fmu {
     }
     return { torque, refused: status ? this.heard() : "" };
   }
+
+  /* Torques [joint][row] of all joints over a log, as fitted, by the same convention. */
+  replay(joints, t, log) {
+    const { fmu } = this, torque = joints.map(() => new Float64Array(t.length));
+    const put = (k) => joints.some(({ references: { dq, q, tau_load } }, j) =>
+      fmu.live_set(dq, log.dq[j][k]) || fmu.live_set(q, log.q[j][k]) ||
+      fmu.live_set(tau_load, log.tau_load[j][k]));
+    let failed = fmu.live_reset() || put(0) || fmu.live_initialise();
+    for (let k = 0; !failed && k < t.length; k++) {
+      if (k) failed = put(k) || fmu.live_step(t[k - 1] - t[0], t[k] - t[k - 1]);
+      joints.forEach(({ references }, j) => {
+        const tau = torque[j][k] = fmu.live_get(references.tau);
+        failed ||= !Number.isFinite(tau);
+      });
+    }
+    return { torque, refused: failed ? this.heard() || "Its torque is not finite." : "" };
+  }
 }
 
 /* A sinusoidal velocity from rest, row by row. */
@@ -106,7 +123,7 @@ class Section {
   constructor(element, data, fmu) {
     Object.assign(this, { element, data, fmu });
     this.find = (name) => element.querySelector(`.live-${name}`);
-    this.plot = new Plot(this.find("plot"));
+    this.plot = new Plot(this.find("plot"), "live", ["fitted", "early", "now"]);
     this.values = data.joints.map((joint) => this.fitted(joint));
     this.find("app").hidden = false;
     const joint = this.find("joint");
@@ -276,12 +293,16 @@ class Section {
     const rows = motion.t.map((t, k) =>
       [t, motion.dq[k], motion.q[k], motion.tau_load[k], now[k] ?? "", fitted[k] ?? ""].join(","));
     const text = `t,dq,q,tau_load,tau,tau_fitted\n${rows.join("\n")}\n`;
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
-    link.download = `friction_${this.joint.name.replace(/\W+/g, "_")}.csv`;
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href));
+    saveText(text, `friction_${this.joint.name.replace(/\W+/g, "_")}.csv`);
   }
+}
+
+function saveText(text, name) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href));
 }
 
 for (const element of document.querySelectorAll(".live")) {

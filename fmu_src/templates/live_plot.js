@@ -33,11 +33,12 @@ function range(...columns) {
 }
 
 class Plot {
-  constructor(svg) {
-    this.svg = svg;
+  /* Of curves by name, the last one in front; their classes and those of the parts begin alike. */
+  constructor(svg, prefix, names) {
+    Object.assign(this, { svg, prefix });
     this.grid = this.add("g");
     this.curves = Object.fromEntries(
-      ["fitted", "early", "now"].map((name) => [name, this.add("path", { class: `live-${name}` })]),
+      names.map((name) => [name, this.add("path", { class: `${prefix}-${name}` })]),
     );
   }
 
@@ -64,8 +65,9 @@ class Plot {
     const y = (value) => height - MARGIN.bottom - (value - bottom) * up;
     this.svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
     const line = (x1, y1, x2, y2, value) =>
-      this.add("line", { x1, y1, x2, y2, ...(value === 0 && { class: "live-zero" }) }, "", this.grid);
+      this.add("line", { x1, y1, x2, y2, ...(value === 0 && { class: `${this.prefix}-zero` }) }, "", this.grid);
     const label = (at, words) => this.add("text", at, words, this.grid);
+    const axis = { class: `${this.prefix}-axis` };
     for (const { value, text: words } of ticks(left, right, width / 90)) {
       line(x(value), MARGIN.top, x(value), height - MARGIN.bottom, value);
       label({ x: x(value), y: height - MARGIN.bottom + 16, "text-anchor": "middle" }, words);
@@ -75,8 +77,8 @@ class Plot {
       label({ x: MARGIN.left - 7, y: y(value) + 4, "text-anchor": "end" }, words);
     }
     const middle = MARGIN.left + (width - MARGIN.left - MARGIN.right) / 2;
-    label({ x: middle, y: height - 6, "text-anchor": "middle", class: "live-axis" }, textAcross);
-    label({ x: 8, y: 15, class: "live-axis" }, textUp);
+    label({ x: middle, y: height - 6, "text-anchor": "middle", ...axis }, textAcross);
+    label({ x: 8, y: 15, ...axis }, textUp);
     for (const [name, curve] of Object.entries(curves)) {
       this.curves[name].setAttribute("d", this.path(curve, x, y));
     }

@@ -138,6 +138,19 @@ class Guess:
     reasons: Mapping[str, str] = field(default_factory=dict)
 
 
+def vocabulary() -> dict[str, object]:
+    """Return what names and rates are guessed by, as JSON data: pages read logs, too."""
+    return {
+        "quantities": {quantity: sorted(words) for quantity, words in _WORDS.items()},
+        "places": sorted(_PLACES),
+        "others": sorted(_OTHERS),
+        "measured": sorted(_MEASURED),
+        "time": sorted(_TIME),
+        "units": {quantity: dict(units) for quantity, units in _UNITS.items()},
+        "rates": _RATES,
+    }
+
+
 def guess(table: Table, joints: Sequence[str] = ()) -> Guess:
     """Guess the columns of a table.
 

@@ -1,0 +1,57 @@
+"""What a page needs to read a measured log and to say whether friction has drifted."""
+
+from typing import Any
+
+from fmu_src.html import rendered
+from hesr_model.friction.adaptive.tuning import TUNING
+from hesr_model.friction.model import FrictionModel
+from hesr_model.logs.guess import vocabulary
+from hesr_model.logs.log_format import LogFormat
+from hesr_model.units import OTHERS, SLIDING, TURNING
+
+_LOAD = ("load", "rigid", "gravity")
+_FRICTION = ("friction", "fric")
+"""Words of columns that no log of a robot has, but one that was worked on."""
+
+
+def log_section(model: FrictionModel, key: str = "live") -> str:
+    """Return the section of a page that takes a log.
+
+    A live section of the same key, whose module and connectors it uses, must stand before it, and
+    `page.live_assets(log=True)` behind it.
+    """
+    return rendered("log.html.j2", data=_data(model), key=key)
+
+
+def _data(model: FrictionModel) -> dict[str, Any]:
+    # Where motors turn with several joints, ranges and errors are not those of joints.
+    own = model.coupling is None
+    count = len(model.joints)
+    trained = model.trained if own and model.trained else (None,) * count
+    noise = model.training_rmse if own and model.training_rmse else (None,) * count
+    used = {s.name for law in model.laws for s in law.form.inputs}
+    rows = zip(model.joints, model.laws, trained, noise, strict=True)
+    return {
+        "words": {**vocabulary(), "load": _LOAD, "friction": _FRICTION},
+        "units": {"t": OTHERS["t"], **_units(model)},
+        "cutoff": LogFormat().filter_cutoff,
+        "change": TUNING.change,
+        "shift": TUNING.change_of_offset,
+        "joints": [
+            {
+                "name": name,
+                "uses": sorted({s.name for s in law.form.inputs} if own else used),
+                "speeds": seen.dq if seen else None,
+                "noise": error,
+            }
+            for name, law, seen, error in rows
+        ],
+    }
+
+
+def _units(model: FrictionModel) -> dict[str, dict[str, float]]:
+    """Return units by quantity, SI first; where joints of both kinds are, SI alone."""
+    kinds = [SLIDING if slides else TURNING for slides in set(model.slides)]
+    if len(kinds) == 1:
+        return {quantity: dict(units) for quantity, units in kinds[0].items()}
+    return {quantity: {"SI": 1.0} for quantity in TURNING}

@@ -1,0 +1,379 @@
+/* A log that is dropped into the page, replayed through the FMU and compared with it. */
+
+const VIEWS = {
+  velocity: { x: "dq", text: "velocity q̇", y: "tau", title: "Friction torque over velocity" },
+  position: { x: "q", text: "position q", y: "tau", title: "Friction torque over position" },
+  time: { x: "t", text: "time", y: "tau", title: "Friction torque over time" },
+  residual: { x: "t", text: "time", y: "residual", title: "Residual over time" },
+};
+const QUANTITIES = ["q", "dq", "tau_load", "tau"];
+
+/* Torques of all kinds have the units of one. */
+function kindOf(quantity) {
+  return quantity.startsWith("tau") ? "tau" : quantity;
+}
+
+class Log {
+  constructor(element, joints, own, fmu) {
+    Object.assign(this, { element, joints, own, fmu });
+    this.find = (name) => element.querySelector(`.log-${name}`);
+    this.plot = new Plot(this.find("plot"), "log", ["measured", "law"]);
+    const input = this.find("file");
+    input.addEventListener("change", () => input.files.length && this.take(input.files[0]));
+    /* So that a file that has changed can be chosen again. */
+    input.addEventListener("click", () => { input.value = ""; });
+    for (const kind of ["dragover", "dragleave", "drop"]) {
+      element.addEventListener(kind, (event) => {
+        event.preventDefault();
+        element.classList.toggle("log-over", kind === "dragover");
+        if (kind === "drop" && event.dataTransfer.files.length) {
+          this.take(event.dataTransfer.files[0]);
+        }
+      });
+    }
+    this.find("columns").addEventListener("change", (event) => {
+      this.follow(event.target);
+      this.compute();
+    });
+    for (const name of ["joint", "views"]) {
+      this.find(name)?.addEventListener("change", () => this.draw());
+    }
+    this.find("save").addEventListener("click", () => this.save());
+    new ResizeObserver(() => this.result && this.draw()).observe(this.find("plot"));
+    this.find("start").hidden = false;
+  }
+
+  async take(file) {
+    this.find("app").hidden = true;
+    this.result = null;
+    try {
+      if (file.size > LARGEST_FILE) {
+        throw new LogError("It is larger than 256 MB; 'hesr replay' reads logs of any size.");
+      }
+      const bytes = await file.arrayBuffer();
+      let text;
+      try {
+        text = new TextDecoder("utf-8", { fatal: true }).decode(bytes);
+      } catch {
+        throw new LogError("It is no text; needed is a CSV. 'hesr replay' reads other formats.");
+      }
+      this.name = file.name;
+      this.table = tableOf(text);
+      this.offer(new Guess(
+        this.table, this.joints.map((j) => j.name), this.own.words, this.own.units));
+    } catch (error) {
+      this.refuse(error, file.name);
+      return;
+    }
+    this.compute();
+  }
+
+  refuse(error, name = this.name) {
+    if (!(error instanceof LogError)) throw error;
+    this.say("wrong", `${name}: ${error.message}`);
+  }
+
+  say(name, text) {
+    const place = this.find(name);
+    if (place.textContent !== text) place.textContent = text;
+    place.hidden = !text;
+  }
+
+  selects(quantity) {
+    return [...this.element.querySelectorAll(`select[data-column=${quantity}]`)];
+  }
+
+  unit(quantity) {
+    return this.element.querySelector(`select[data-unit=${quantity}]`);
+  }
+
+  /* Fill the fields with a file's columns, as guessed; they are open where something is unsure. */
+  offer(guess) {
+    this.guess = guess;
+    const option = (name, text = name) => new Option(text, name);
+    const put = (select, chosen, none) => {
+      select.replaceChildren(option("", none), ...this.table.names.map((name) => option(name)));
+      select.value = chosen ?? "";
+    };
+    put(this.selects("t")[0], guess.columns.t, "–");
+    if (guess.columns.t) this.unit("t").value = guess.unitOfTime(guess.columns.t);
+    for (const quantity of QUANTITIES) {
+      const group = guess.columns[quantity];
+      this.selects(quantity).forEach((select, k) => put(select, group?.[k], "–"));
+      const unit = this.unit(quantity), said = group && guess.said(kindOf(quantity), group[0]);
+      unit.selectedIndex = 0;
+      if ([...unit.options].some((o) => o.value === said)) unit.value = said;
+    }
+    this.find("kind").value = guess.friction ? "friction" : "total";
+    this.find("cutoff").value = "";
+    const unsure = !guess.columns.t || !(guess.columns.q || guess.columns.dq) ||
+      !guess.columns.tau;
+    this.find("columns").open = unsure;
+    this.reasons = "";
+    if (guess.columns.t && guess.columns.q) this.guessUnits();
+  }
+
+  /* Units that no name says: a position's change must be the velocity. */
+  guessUnits() {
+    const { q, dq } = this.guess.columns, said = (name, group) => this.guess.said(name, group[0]);
+    const units = this.own.units, slides = !("rad" in units.q);
+    let columns;
+    try {
+      columns = this.read();
+    } catch {
+      return; /* told when it is computed */
+    }
+    const travel = columns.q.map(extremes).map(([low, high]) => high - low);
+    const far = !slides && Math.max(...travel) > 4 * Math.PI && !said("q", q);
+    if (!dq) {
+      if (far) this.unit("q").value = "deg";
+      return;
+    }
+    const ratios = [];
+    for (const [first, last] of columns.parts) {
+      if (last - first < 10) continue;
+      const cut = (values) => values.subarray(first, last), t = cut(columns.t);
+      try {
+        const cutoff = cutoffFor(median(differences(t)), this.own.cutoff);
+        const all = [...columns.q.map(cut), ...columns.dq.map(cut)], n = this.joints.length;
+        const speeds = smoothed(t, all, all.map((_, k) => k < n), cutoff);
+        for (let k = 0; k < n; k++) {
+          const [derived, logged] = [deviation(speeds[k]), deviation(speeds[n + k])];
+          if (derived > 1e-3 && logged > 1e-6) ratios.push(derived / logged);
+        }
+      } catch (error) {
+        if (!(error instanceof LogError)) throw error;
+      }
+    }
+    if (!ratios.length) return;
+    const ratio = median(ratios), alike = (found, wanted) => Math.abs(Math.log(found / wanted)) < 0.04;
+    if (alike(ratio, 1)) {
+      if (far) [this.unit("q").value, this.unit("dq").value] = ["deg", "deg/s"];
+      return;
+    }
+    for (const quantity of far ? ["q", "dq"] : ["dq", "q"]) {
+      if (said(quantity, quantity === "q" ? q : dq)) continue;
+      const now = units[quantity][this.unit(quantity).value];
+      const wanted = quantity === "q" ? 1 / ratio : ratio;
+      const unit = Object.keys(units[quantity]).find((u) => alike(units[quantity][u] / now, wanted));
+      if (unit) {
+        this.unit(quantity).value = unit;
+        this.reasons = `${quantity} is in ${unit}, since q would otherwise change ` +
+          `${shown(ratio, 3)} times as fast as dq says.`;
+        return;
+      }
+    }
+    this.find("columns").open = true;
+    this.reasons = `q changes ${shown(ratio, 3)} times as fast as dq says: check the units.`;
+  }
+
+  /* The column of the first joint brings those of the others, where they differ in a number. */
+  follow(select) {
+    const quantity = select.dataset.column, all = quantity ? this.selects(quantity) : [];
+    if (all.length < 2 || select !== all[0]) return;
+    const group = this.guess.groups.find((names) => names[0] === select.value);
+    all.slice(1).forEach((other, k) => {
+      other.value = group ? group[k + 1] : select.value ? other.value : "";
+    });
+  }
+
+  /* Chosen columns in SI, without rows that lack a number or repeat a stamp. */
+  read() {
+    const time = this.selects("t")[0].value;
+    if (!time) throw new LogError("No column looks like time; choose it below.");
+    const t = timesOf(this.table, time, this.own.units.t[this.unit("t").value]);
+    const chosen = Object.fromEntries(QUANTITIES.map((quantity) =>
+      [quantity, this.selects(quantity).map((select) => select.value)]));
+    for (const [quantity, names] of Object.entries(chosen)) {
+      if (names.some(Boolean) && !names.every(Boolean)) {
+        const k = names.findIndex((name) => !name);
+        throw new LogError(`Of '${quantity}', the column of ${this.joints[k].name} is missing; ` +
+          "choose it below, or none at all.");
+      }
+    }
+    const columns = Object.fromEntries(QUANTITIES.map((quantity) => {
+      const factor = this.own.units[kindOf(quantity)][this.unit(quantity).value];
+      return [quantity, chosen[quantity][0]
+        ? chosen[quantity].map((name) => numbersOf(this.table, name).map((x) => x * factor)) : null];
+    }));
+    if (!columns.q && !columns.dq) {
+      throw new LogError("No columns look like position or velocity of " +
+        `${this.joints.length} joints; choose them below.`);
+    }
+    const all = [t, ...QUANTITIES.flatMap((quantity) => columns[quantity] ?? [])];
+    const whole = [...t.keys()].filter((k) => all.every((values) => Number.isFinite(values[k])));
+    const rows = whole.filter((k, i) => !i || t[k] !== t[whole[i - 1]]);
+    if (rows.length < 2) {
+      throw new LogError(`It has ${rows.length} rows with a number in every column that is used; ` +
+        "at least 2 are needed.");
+    }
+    const cut = (values) => Float64Array.from(rows, (k) => values[k]);
+    const found = { t: cut(t), dropped: t.length - rows.length };
+    const back = found.t.findIndex((value, k) => k && value < found.t[k - 1]);
+    if (back > 0) {
+      throw new LogError(`Column '${time}', row ${this.table.rows[rows[back]]}: time must ` +
+        `increase, but ${short(found.t[back], 9)} s follows ${short(found.t[back - 1], 9)} s.`);
+    }
+    for (const quantity of QUANTITIES) found[quantity] = columns[quantity]?.map(cut) ?? null;
+    found.parts = partsOf(found.t);
+    if (!found.parts.length) throw new LogError("Its gaps leave no part of 1 s.");
+    return found;
+  }
+
+  /* Replay what is chosen, and show it. */
+  compute() {
+    this.find("wrong").hidden = true;
+    this.find("app").hidden = true;
+    this.find("mapping").hidden = false;
+    this.result = null;
+    try {
+      this.result = this.replayed(this.read());
+    } catch (error) {
+      this.find("columns").open = true;
+      this.refuse(error);
+      return;
+    }
+    this.find("app").hidden = false;
+    this.tell();
+    this.draw();
+  }
+
+  /* Part by part, as the tool replays a log with gaps: the law starts anew behind each. */
+  replayed(log) {
+    const kept = log.parts.map(([first, last]) => (values) => values.subarray(first, last));
+    const wanted = this.find("cutoff").valueAsNumber || this.own.cutoff;
+    if (!(wanted > 0)) throw new LogError("The low pass needs a positive rate in Hz.");
+    const joined = (columns) => columns[0].map((_, k) => {
+      const whole = new Float64Array(columns.reduce((sum, part) => sum + part[k].length, 0));
+      columns.reduce((at, part) => (whole.set(part[k], at), at + part[k].length), 0);
+      return whole;
+    });
+    const each = kept.map((cut) => {
+      const t = cut(log.t), period = median(differences(t));
+      const cutoff = this.find("cutoff").value ? wanted : cutoffFor(period, wanted);
+      const derive = this.joints.map(() => !log.dq);
+      const dq = smoothed(t, (log.dq ?? log.q).map(cut), derive, cutoff);
+      const nothing = () => this.joints.map(() => new Float64Array(t.length));
+      const q = log.q?.map(cut) ?? nothing(), load = log.tau_load?.map(cut) ?? nothing();
+      const { torque, refused } = this.fmu.replay(this.joints, t, { dq, q, tau_load: load });
+      if (refused) throw new LogError(`The FMU refuses it. ${refused}`);
+      return { t: [t], dq, q, load, law: torque, cutoff };
+    });
+    const of = (name) => joined(each.map((part) => part[name]));
+    const found = { t: of("t")[0], dq: of("dq"), q: of("q"), load: of("load"), law: of("law") };
+    found.cutoff = Math.min(...each.map((part) => part.cutoff));
+    found.dropped = log.dropped;
+    found.ends = each.map((part) => part.t[0].length);
+    const total = this.find("kind").value === "total";
+    if (log.tau && (log.tau_load || !total)) {
+      const tau = joined(kept.map((cut) => log.tau.map(cut)));
+      found.tau = total ? tau.map((v, k) => v.map((x, i) => x - found.load[k][i])) : tau;
+      found.scores = found.tau.map((v, k) => scoreOf(v, found.law[k], found.dq[k]));
+    }
+    return Object.assign(found, { log, total });
+  }
+
+  tell() {
+    const { log, scores, total, cutoff, dropped, ends } = this.result;
+    const notes = [`${this.name}: ${this.result.t.length} rows, ` +
+      `${shown(this.result.t.length * median(differences(this.result.t)), 3)} s.`];
+    notes.push(`Velocity ${log.dq ? "as logged" : "from the position"}, low pass ` +
+      `${shown(cutoff, 3)} Hz.`);
+    if (dropped) notes.push(`${dropped} rows without a number, or with a stamp again, left out.`);
+    if (ends.length > 1) notes.push(`${ends.length} parts between gaps; the law starts anew in each.`);
+    const uses = (name) => this.own.joints.some((joint) => joint.uses.includes(name));
+    if (!log.q && uses("q")) notes.push("The law uses the position, which is taken as 0.");
+    if (!log.tau_load && uses("tau_load")) {
+      notes.push("The law uses the load torque, which is taken as 0.");
+    }
+    this.own.joints.forEach(({ speeds }, k) => {
+      const [low, high] = extremes(this.result.dq[k]);
+      if (speeds && (high > speeds[1] * 1.02 + MOVING || low < speeds[0] * 1.02 - MOVING)) {
+        notes.push(`${this.joints[k].name} is faster than what its law was fitted to.`);
+      }
+    });
+    if (this.reasons) notes.push(this.reasons);
+    this.say("notes", notes.join(" "));
+    const { change, shift } = this.own, unit = (k) => this.joints[k].units.torque;
+    const drifts = (scores ?? []).map((score, k) =>
+      driftOf(score, { noise: this.own.joints[k].noise, unit: unit(k), change, shift }));
+    const named = (kind) => this.joints.filter((_, k) => drifts[k]?.[0] === kind)
+      .map((joint) => joint.name).join(", ");
+    const judged = drifts.some(([kind]) => kind !== "rests");
+    const missing = !log.tau
+      ? "Not answered: no column of a measured torque is chosen."
+      : "Not answered: the torque is the whole one, so a column of the rigid-body torque " +
+        "(tau_load) is needed to take from it, or friction alone.";
+    const answers = [named("drift") ? `Yes, at ${named("drift")}.` : "No."];
+    if (named("shift")) answers.push(`The torque is shifted at ${named("shift")}.`);
+    if (named("worse")) answers.push(`The error has grown at ${named("worse")}.`);
+    this.say("answer", !scores ? missing
+      : judged ? answers.join(" ") : "Not answered: no joint moves.");
+    this.find("kinds").hidden = !log.tau;
+    this.find("table").hidden = !scores;
+    this.find("rows").replaceChildren(...(scores ?? []).map((score, k) => {
+      const { noise } = this.own.joints[k], row = document.createElement("tr");
+      const level = Number.isFinite(score.level)
+        ? `${shown(score.level, 3)} ± ${shown(1.96 * score.levelError, 2)}` : "–";
+      const cells = [this.joints[k].name, `${shown(score.rmse, 3)} ${unit(k)}`,
+        Number.isFinite(score.nrmse) ? `${shown(100 * score.nrmse, 3)} %` : "–",
+        noise ? shown(score.rmse / noise, 3) : "–", level, drifts[k][1]];
+      const labels = [...this.find("table").querySelectorAll("thead th")].map((th) => th.textContent);
+      cells.forEach((text, i) => {
+        const cell = document.createElement(i ? "td" : "th");
+        if (!i) cell.scope = "row";
+        cell.dataset.label = labels[i];
+        cell.textContent = text;
+        if (i && i < 5) cell.className = "number";
+        if (i === 1) cell.dataset.value = score.rmse;
+        row.append(cell);
+      });
+      return row;
+    }));
+    for (const name of ["time", "residual"]) void name;
+    const residual = this.element.querySelector(".log-views [value=residual]");
+    residual.disabled = !scores;
+    if (!scores && residual.checked) this.element.querySelector(".log-views input").checked = true;
+  }
+
+  draw() {
+    const { result } = this, k = Number(this.find("joint")?.value ?? 0);
+    const view = VIEWS[this.element.querySelector(".log-views :checked").value];
+    const joint = this.joints[k], unit = joint.units.torque;
+    const x = view.x === "t" ? result.t : result[view.x][k];
+    const curves = {};
+    if (view.y === "residual") curves.law = { x, y: result.scores[k].residual };
+    else {
+      if (result.tau) curves.measured = { x, y: result.tau[k] };
+      curves.law = { x, y: result.law[k] };
+    }
+    const units = { dq: joint.units.velocity, q: joint.units.position, t: joint.units.time };
+    this.plot.draw(curves, `${view.text} [${units[view.x]}]`,
+      `${view.y === "tau" ? "friction torque τ" : "measured less law"} [${unit}]`);
+    this.plot.svg.firstElementChild.textContent = `${view.title} of ${joint.name}: ` +
+      `${Object.keys(curves).join(" and ")}.`;
+    this.find("key-measured").hidden = !curves.measured;
+    this.find("key-law").textContent = view.y === "residual" ? "measured less law" : "this law";
+  }
+
+  save() {
+    const { result } = this, head = ["t"], columns = [result.t];
+    const add = (name, values) => values?.forEach((column, k) => {
+      head.push(`${name}${k + 1}`);
+      columns.push(column);
+    });
+    add("q", result.q), add("dq", result.dq), add("tau_load", result.load);
+    add("tau_friction", result.tau), add("tau_law", result.law);
+    const rows = Array.from(result.t, (_, k) => columns.map((column) => column[k]).join(","));
+    saveText(`${head.join(",")}\n${rows.join("\n")}\n`,
+      `${this.name.replace(/\.[^.]*$/, "")}_against_law.csv`);
+  }
+}
+
+for (const element of document.querySelectorAll(".log")) {
+  const own = JSON.parse(element.querySelector("script").textContent);
+  const live = document.getElementById(element.dataset.live).querySelector("script");
+  const { module, joints } = JSON.parse(live.textContent);
+  /* Where it cannot run, the section above says so. */
+  Fmu.from(module).then((fmu) => new Log(element, joints, own, fmu)).catch(() => {});
+}

@@ -1,0 +1,168 @@
+/* A log's motion made smooth as the tool does it (hesr_model/logs/signals.py, robot_log.py). */
+
+const LONGEST_GAP = 10; /* usual steps */
+const USUAL = 0.95; /* share of the steps, the shortest, whose mean is the usual one */
+const SHORTEST_PART = 1; /* [s] */
+const PADDING_PERIODS = 3;
+const HIGHEST_SHARE = 0.8; /* of the Nyquist frequency */
+
+function differences(t) {
+  return t.slice(1).map((value, k) => value - t[k]);
+}
+
+/* First and last row, exclusive, of each part of a log between gaps. */
+function partsOf(t) {
+  const steps = differences(t), sorted = Float64Array.from(steps).sort();
+  const kept = sorted.filter((step) => step <= sorted[Math.floor(USUAL * (sorted.length - 1))]);
+  const usual = kept.reduce((sum, step) => sum + step, 0) / kept.length;
+  const longest = LONGEST_GAP * Math.max(median(steps), usual);
+  const ends = [0];
+  steps.forEach((step, k) => step > longest && ends.push(k + 1));
+  ends.push(t.length);
+  const parts = ends.slice(1).map((end, k) => [ends[k], end]);
+  if (parts.length === 1) return parts;
+  return parts.filter(([first, last]) => t[last - 1] - t[first] >= SHORTEST_PART);
+}
+
+/* B-splines of degree k over knots: values of those that are not 0 at x, which lies in the span. */
+function basis(knots, k, span, x, out) {
+  out[0] = 1;
+  for (let d = 1; d <= k; d++) {
+    let saved = 0;
+    for (let r = 0; r < d; r++) {
+      const right = knots[span + r + 1], left = knots[span + 1 - d + r];
+      const part = out[r] / (right - left);
+      out[r] = saved + (right - x) * part;
+      saved = (x - left) * part;
+    }
+    out[d] = saved;
+  }
+}
+
+/* Which B-splines make up the value at each of increasing points, and how. */
+function weightsOf(knots, k, points) {
+  const last = knots.length - k - 2, row = new Float64Array(k + 1);
+  const first = new Int32Array(points.length), weights = new Float64Array(points.length * (k + 1));
+  let span = k;
+  points.forEach((x, i) => {
+    while (span < last && x >= knots[span + 1]) span++;
+    basis(knots, k, span, x, row);
+    first[i] = span - k;
+    weights.set(row, i * (k + 1));
+  });
+  return { k, first, weights };
+}
+
+function valuesAt({ k, first, weights }, coefficients) {
+  return Float64Array.from(first, (at, i) => {
+    let sum = 0;
+    for (let r = 0; r <= k; r++) sum += weights[i * (k + 1) + r] * coefficients[at + r];
+    return sum;
+  });
+}
+
+/* Splines of odd degree through values at x, without a knot next to the ends (de Boor). Their
+ * matrix is totally positive, so that it is solved without pivoting. */
+class Spline {
+  constructor(x, k) {
+    const n = x.length, half = (k + 1) / 2, ends = (value) => new Array(k + 1).fill(value);
+    this.k = k;
+    this.knots = Float64Array.from(
+      [...ends(x[0]), ...x.subarray(half, n - half), ...ends(x[n - 1])]);
+    const { first, weights } = weightsOf(this.knots, k, x), width = 2 * k + 1;
+    const band = new Float64Array(n * width); /* of row i, columns i - k to i + k */
+    for (let i = 0; i < n; i++) {
+      for (let r = 0; r <= k; r++) band[i * width + first[i] + r - i + k] = weights[i * (k + 1) + r];
+    }
+    for (let i = 0; i < n; i++) {
+      for (let j = i + 1; j <= Math.min(i + k, n - 1); j++) {
+        const at = j * width + i - j + k, factor = band[at] / band[i * width + k];
+        band[at] = factor;
+        if (factor) for (let c = 1; c <= k; c++) band[at + c] -= factor * band[i * width + k + c];
+      }
+    }
+    this.band = band;
+  }
+
+  coefficients(values) {
+    const { k, band } = this, width = 2 * k + 1, c = Float64Array.from(values), n = c.length;
+    for (let i = 0; i < n; i++) {
+      for (let j = Math.max(0, i - k); j < i; j++) c[i] -= band[i * width + j - i + k] * c[j];
+    }
+    for (let i = n - 1; i >= 0; i--) {
+      for (let j = i + 1; j <= Math.min(i + k, n - 1); j++) c[i] -= band[i * width + j - i + k] * c[j];
+      c[i] /= band[i * width + k];
+    }
+    return c;
+  }
+
+  at(points) {
+    return weightsOf(this.knots, this.k, points);
+  }
+
+  /* Of the derivative, a spline of one degree less on the inner knots. */
+  slopeAt(points) {
+    return weightsOf(this.knots.subarray(1, this.knots.length - 1), this.k - 1, points);
+  }
+
+  slopeCoefficients(c) {
+    const { k, knots } = this;
+    return c.slice(1).map((value, i) => k * (value - c[i]) / (knots[i + k + 1] - knots[i + 1]));
+  }
+}
+
+/* Butterworth low pass of second order, forwards and backwards, over ends that are mirrored. */
+function lowPassed(values, cutoff, rate, padding) {
+  const w = Math.tan(Math.PI * cutoff / rate), a0 = 1 + Math.SQRT2 * w + w * w;
+  const b = w * w / a0, a1 = 2 * (w * w - 1) / a0, a2 = (1 - Math.SQRT2 * w + w * w) / a0;
+  const n = values.length, x = new Float64Array(n + 2 * padding);
+  x.set(values, padding);
+  for (let k = 1; k <= padding; k++) {
+    x[padding - k] = 2 * values[0] - values[k];
+    x[padding + n - 1 + k] = 2 * values[n - 1] - values[n - 1 - k];
+  }
+  const once = () => {
+    let z0 = (1 - b) * x[0], z1 = (b - a2) * x[0];
+    for (let k = 0; k < x.length; k++) {
+      const y = b * x[k] + z0;
+      z0 = 2 * b * x[k] - a1 * y + z1;
+      z1 = b * x[k] - a2 * y;
+      x[k] = y;
+    }
+    x.reverse();
+  };
+  once();
+  once();
+  return x.slice(padding, padding + n);
+}
+
+/* Low pass of a rate [Hz] that a log can bear: the one wanted, or less where it is slow. */
+function cutoffFor(period, wanted) {
+  const rate = 1 / period;
+  return wanted <= 0.4 * rate || rate < 1 ? wanted : Number((0.3 * rate).toPrecision(2));
+}
+
+/* Velocities, smoothed: of columns as logged, or of positions where `derive` says so. */
+function smoothed(t, columns, derive, cutoff) {
+  const period = median(differences(t)), span = t[t.length - 1] - t[0];
+  if (cutoff > HIGHEST_SHARE * 0.5 / period) {
+    throw new LogError(`Its rows are ${short(period, 3)} s apart, too slow for a low pass of ` +
+      `${short(cutoff)} Hz; ${short(HIGHEST_SHARE * 0.5 / period, 3)} Hz is the most.`);
+  }
+  const steps = Math.max(Math.ceil(span / period), 1);
+  const padding = Math.ceil(PADDING_PERIODS / (cutoff * period));
+  if (steps <= padding || t.length < 6) {
+    throw new LogError(`A low pass of ${short(cutoff)} Hz needs more than ${padding + 1} rows ` +
+      `without a gap; there are ${t.length}.`);
+  }
+  const step = span / steps;
+  const grid = Float64Array.from({ length: steps + 1 }, (_, k) => k * step + t[0]);
+  grid[steps] = t[t.length - 1];
+  const into = new Spline(t, 3), outOf = new Spline(grid, 5), rate = steps / (grid[steps] - grid[0]);
+  const evenly = into.at(grid), back = outOf.at(t), slopes = outOf.slopeAt(t);
+  return columns.map((column, k) => {
+    const even = valuesAt(evenly, into.coefficients(column));
+    const c = outOf.coefficients(lowPassed(even, cutoff, rate, padding));
+    return derive[k] ? valuesAt(slopes, outOf.slopeCoefficients(c)) : valuesAt(back, c);
+  });
+}

@@ -1,0 +1,214 @@
+/* A CSV as the tool reads it, and what its columns seem to be. */
+
+const DELIMITERS = [",", ";", "\t", " "];
+const SEARCHED = 500; /* lines among which the first row of data must be */
+const DATUM = /^([-+]?(\d+[.,]?\d*|[.,]\d+)(e[-+]?\d+)?|\d{4}-\d\d-\d\d[T ][\d:.]+Z?)$/i;
+const COMMA = /^[-+]?\d*,\d+(e[-+]?\d+)?$/i;
+const UNIT_CELL = /^([([].*[)\]]|rad|deg|°|s|ms|us|ns|A|mA|N\.?m|rad\/s|deg\/s|-|)$/;
+const MISSING = /^([-+]?nan|null|#?n\/?a|)$/i;
+const SINCE_1970 = 1e8; /* [s] */
+const LARGEST_FILE = 2 ** 28; /* bytes, of which one string is made */
+
+/* What is wrong with a file, as a sentence for its user. */
+class LogError extends Error {}
+
+function cellsOf(line, delimiter) {
+  if (!line.includes('"')) return line.split(delimiter).map((cell) => cell.trim());
+  const found = [];
+  let cell = "", quoted = false;
+  for (let k = 0; k < line.length; k++) {
+    if (line[k] === '"') {
+      if (quoted && line[k + 1] === '"') cell += line[k++];
+      else quoted = !quoted;
+    } else if (line[k] === delimiter && !quoted) {
+      found.push(cell.trim());
+      cell = "";
+    } else cell += line[k];
+  }
+  return [...found, cell.trim()];
+}
+
+/* Whether a line is a row of numbers, some of which may be missing. */
+function isData(line, delimiter) {
+  if (isComment(line) || !line.includes(delimiter)) return false;
+  const cells = cellsOf(line, delimiter), numbers = cells.filter((c) => DATUM.test(c)).length;
+  return numbers > 0 && 2 * numbers >= cells.length;
+}
+
+function isComment(line) {
+  return line[0] === "#" || line[0] === "%";
+}
+
+/* Header, first row of data and delimiter: data begin at the first line of numbers that is below
+ * a line of as many names. */
+function tableIn(lines) {
+  const named = lines.map(({ number, text }) => ({ number, text: text.replace(/^[#% ]+/, "") }));
+  for (let at = 1; at < Math.min(lines.length, SEARCHED); at++) {
+    const { text } = lines[at], often = (d) => text.split(d).length;
+    for (const delimiter of [...DELIMITERS].sort((a, b) => often(b) - often(a))) {
+      if (!isData(text, delimiter)) continue;
+      const count = cellsOf(text, delimiter).length;
+      const above = named.slice(0, at).reverse().filter((line) =>
+        cellsOf(line.text, delimiter).length === count && !isData(line.text, delimiter));
+      const units = above.length > 1 &&
+        above[0].text.split(delimiter).every((cell) => UNIT_CELL.test(cell.trim()));
+      const header = above[units ? 1 : 0];
+      if (header) return { delimiter, at, names: cellsOf(header.text, delimiter) };
+    }
+  }
+  throw new LogError("It has no table: needed are a line of names and lines of numbers below it.");
+}
+
+/* Names and columns of numbers, NaN where a cell is empty; what is no number is kept in `wrong`. */
+function tableOf(text) {
+  if (text.includes("\0")) throw new LogError("It is no text; needed is a CSV.");
+  const lines = [];
+  text.replace(/^\uFEFF/, "").split(/\r\n|\n|\r/).forEach((line, k) => {
+    if (line.trim()) lines.push({ number: k + 1, text: line.trim() });
+  });
+  if (!lines.length) throw new LogError("It is empty; a log needs a header and rows of data.");
+  const { delimiter, at, names } = tableIn(lines);
+  const twice = names.find((name, k) => names.indexOf(name) < k);
+  if (twice !== undefined) {
+    throw new LogError(`Its column '${twice}' stands twice; names must differ.`);
+  }
+  const rows = lines.slice(at).filter((line) => !isComment(line.text));
+  const comma = delimiter !== "," && rows.some((line) => line.text.includes(",") &&
+    cellsOf(line.text, delimiter).some((cell) => COMMA.test(cell)));
+  const columns = new Map(names.map((name) =>
+    [name, { name, values: new Float64Array(rows.length), wrong: null, whole: null }]));
+  const all = [...columns.values()];
+  rows.forEach((line, k) => {
+    const cells = cellsOf(line.text, delimiter);
+    if (cells.length !== all.length) {
+      throw new LogError(`Row ${line.number} has ${cells.length} cells; the header has ` +
+        `${all.length} columns.`);
+    }
+    cells.forEach((cell, i) => {
+      const column = all[i];
+      const value = Number(comma ? cell.replace(",", ".") : cell);
+      column.values[k] = cell === "" ? NaN : value;
+      if (Number.isNaN(value) && !MISSING.test(cell)) column.wrong ??= { row: line.number, cell };
+      /* Nanoseconds since 1970 have more digits than a number. */
+      if (value > 2 ** 53 && /^\d+$/.test(cell)) {
+        column.whole ??= BigInt(cell);
+        column.values[k] = Number(BigInt(cell) - column.whole);
+      }
+    });
+  });
+  return { names, columns, rows: rows.map((line) => line.number) };
+}
+
+/* Numbers of a column; a sentence names its first cell that is none. */
+function numbersOf(table, name) {
+  const { values, wrong } = table.columns.get(name);
+  if (wrong) {
+    throw new LogError(`Column '${name}', row ${wrong.row}: '${wrong.cell}' where a number is ` +
+      "needed.");
+  }
+  return values;
+}
+
+/* Stamps [s]; those since 1970 are counted from the first one. */
+function timesOf(table, name, unit) {
+  const values = numbersOf(table, name), first = values.find(Number.isFinite) ?? 0;
+  const since = Math.abs(first) * unit > SINCE_1970 ? first : 0;
+  return values.map((value) => (value - since) * unit);
+}
+
+function median(values) {
+  const sorted = Float64Array.from(values).sort(), half = sorted.length >> 1;
+  return sorted.length % 2 ? sorted[half] : 0.5 * (sorted[half - 1] + sorted[half]);
+}
+
+/* Guesses by the tool's own words, which the page carries. */
+class Guess {
+  constructor(table, joints, words, units) {
+    Object.assign(this, { table, joints, words, units });
+    this.groups = [...this.grouped()];
+    this.columns = { t: this.time() };
+    for (const quantity of ["q", "dq", "tau_load", "tau"]) {
+      this.columns[quantity] = this.best(quantity);
+    }
+    const friction = this.best("friction");
+    this.friction = Boolean(friction);
+    if (friction) this.columns.tau = friction;
+  }
+
+  tokens(name) {
+    return (name.match(/[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°/g) ?? []).map((s) => s.toLowerCase());
+  }
+
+  /* Columns that differ in a number or in a joint's name only, in the joints' order. */
+  *grouped() {
+    const numbered = new Map(), named = new Map();
+    const keep = (groups, key, place, name) => {
+      if (!groups.has(key)) groups.set(key, new Map());
+      groups.get(key).set(place, name);
+    };
+    for (const name of this.table.names) {
+      for (const found of name.matchAll(/(?<!\d)\d{1,9}(?!\d)/g)) {
+        const key = `${name.slice(0, found.index)}{}${name.slice(found.index + found[0].length)}`;
+        keep(numbered, key, Number(found[0]), name);
+      }
+      this.joints.forEach((joint, k) => {
+        if (name.includes(joint)) keep(named, name.replace(joint, "{name}"), k, name);
+      });
+    }
+    for (const found of [...named.values(), ...numbered.values()]) {
+      if (found.size < this.joints.length) continue;
+      const places = [...found.keys()].sort((a, b) => a - b);
+      yield places.map((k) => found.get(k)).slice(0, this.joints.length);
+    }
+  }
+
+  quantity(name) {
+    const { words } = this, tokens = this.tokens(name);
+    const has = (list) => tokens.some((token) => list.includes(token));
+    if (has(words.others)) return "";
+    if (has(words.load)) return "tau_load";
+    if (has(words.friction)) return "friction";
+    const found = Object.keys(words.quantities).find((key) => has(words.quantities[key]));
+    return found ?? (has(words.places) ? "q" : "");
+  }
+
+  best(quantity) {
+    const measured = (name) => this.tokens(name).some((t) => this.words.measured.includes(t));
+    const fitting = this.groups.filter((group) => this.quantity(group[0]) === quantity);
+    const order = ([a], [b]) => measured(b) - measured(a) || a.length - b.length;
+    return fitting.sort(order)[0] ?? null;
+  }
+
+  time() {
+    const rises = (name) => {
+      const known = this.table.columns.get(name).values.filter(Number.isFinite);
+      let up = 0;
+      for (let k = 1; k < known.length; k++) up += known[k] > known[k - 1];
+      return known.length > 2 && up > 0.9 * (known.length - 1);
+    };
+    const { names } = this.table, { time } = this.words;
+    const named = names.filter((name) => this.tokens(name).some((t) => time.includes(t)));
+    return named.filter(rises).sort((a, b) => a.length - b.length)[0] ?? null;
+  }
+
+  /* Unit of time that gives a rate of robots: by name, else that nearest to 200 Hz. */
+  unitOfTime(name) {
+    const values = this.table.columns.get(name).values.filter(Number.isFinite);
+    const step = median(values.slice(1).map((value, k) => value - values[k]));
+    const { t: units } = this.units;
+    const [low, high] = this.words.rates;
+    const possible = Object.keys(units).filter((unit) =>
+      step * units[unit] * high >= 1 && step * units[unit] * low <= 1);
+    const said = this.said("t", name);
+    if (possible.includes(said) || !possible.length) return said || "s";
+    const far = (unit) => Math.abs(Math.log(step * units[unit] * 200));
+    return possible.sort((a, b) => far(a) - far(b))[0];
+  }
+
+  /* Unit that a name says, or "". */
+  said(quantity, name) {
+    const known = this.words.units[quantity] ?? {};
+    const words = [...name.toLowerCase().split(/[^a-z°]+/), ...this.tokens(name)];
+    return known[words.find((word) => Object.hasOwn(known, word))] ?? "";
+  }
+}
