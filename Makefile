@@ -5,6 +5,7 @@
 # make soak       run the tests that take too long for every day
 # make lint       formatting, static checks, types
 # make mutate     put small faults into the sources and count those that tests notice
+# make docs       build the documentation as a site in site/, strictly, notebooks executed
 # make interop    install other FMI engines in .tools and compare them with ours
 # make benchmark  speed and memory, recorded, not judged
 
@@ -20,7 +21,7 @@ test contract hard soak: export OMP_NUM_THREADS = 1
 HARD := tests/fuzz tests/unit/test_cache.py tests/fmu/test_state.py tests/fmu/test_blocks.py \
   $(patsubst %,tests/cosim/test_%.py,hard_to_break full_disks hostile_archives foreign_fmus workers replay)
 
-.PHONY: run test contract hard soak mutate lint format interop benchmark clean
+.PHONY: run test contract hard soak mutate lint format docs interop benchmark clean
 
 run: $(VENV)/installed
 	$(BIN)/hesr run
@@ -52,6 +53,9 @@ format: $(VENV)/installed
 	$(BIN)/ruff format .
 	$(BIN)/clang-format -i $(C_FILES)
 
+docs: $(VENV)/installed
+	$(BIN)/sphinx-build -q -W --keep-going -c docs/site . site
+
 interop: $(VENV)/installed
 	.ci/interop .tools/interop
 	$(BIN)/pytest tests/interop
@@ -63,8 +67,8 @@ $(VENV)/installed: pyproject.toml
 	$(PYTHON) -c "import sys; sys.exit('HESR needs Python 3.11 or newer.' if sys.version_info < (3, 11) else 0)"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --editable '.[dev,docs]'
 	touch $@
 
 clean:
-	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
+	rm -rf .venv site .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks

@@ -318,11 +318,9 @@ class Log {
       const cells = [this.joints[k].name, `${shown(score.rmse, 3)} ${unit(k)}`,
         Number.isFinite(score.nrmse) ? `${shown(100 * score.nrmse, 3)} %` : "–",
         noise ? shown(score.rmse / noise, 3) : "–", level, drifts[k][1]];
-      const labels = [...this.find("table").querySelectorAll("thead th")].map((th) => th.textContent);
       cells.forEach((text, i) => {
         const cell = document.createElement(i ? "td" : "th");
         if (!i) cell.scope = "row";
-        cell.dataset.label = labels[i];
         cell.textContent = text;
         if (i && i < 5) cell.className = "number";
         if (i === 1) cell.dataset.value = score.rmse;
@@ -331,6 +329,7 @@ class Log {
       return row;
     }));
     for (const name of ["time", "residual"]) void name;
+    fitTables();
     const residual = this.element.querySelector(".log-views [value=residual]");
     residual.disabled = !scores;
     if (!scores && residual.checked) this.element.querySelector(".log-views input").checked = true;

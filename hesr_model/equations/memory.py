@@ -162,7 +162,7 @@ class Stop(_Element):
         """Return x' of the form without events: passive with the same storage function.
 
         With e = w x, d = max(.01 w s, 1e-3 w), b = max(w s - d, 0) and m = max(w s, d),
-        e' = v - |v|/d (e - clip(e, -b, b)) - (e - clip(e, -m, m))/T: the second term bounds the
+        e' = v - abs(v)/d (e - clip(e, -b, b)) - (e - clip(e, -m, m))/T: the second term bounds the
         way, the last one lets go where a bound shrinks at rest. Everything is divided by w here.
         """
         s = positive(self.bound)

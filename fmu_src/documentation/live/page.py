@@ -30,7 +30,7 @@ def live_assets(*, log: bool = False) -> str:
     """
     scripts = ["live_plot.js", "live.js"]
     if log:
-        scripts += ["log_table.js", "log_motion.js", "log_score.js", "log.js"]
+        scripts += ["fit.js", "log_table.js", "log_motion.js", "log_score.js", "log.js"]
     style = "".join(_text(name) for name in ("live.css", *(["log.css"] if log else [])))
     # Nothing of the script is to be seen by others on the page.
     whole = '(() => {\n"use strict";\n' + "\n".join(map(_text, scripts)) + "})();"

@@ -24,8 +24,8 @@ class Described(Estimator):
     A concrete law gives `core`; ripple in the joint angle and a start that follows from the first
     samples are added here, so every law can have them.
 
-    Class attributes
-    ----------------
+    Attributes
+    ----------
     ripple : whether harmonics of the motor's angle are added, where the gear ratio is known.
     start_samples : torque samples at the beginning of a log that set the start of the state.
     """

@@ -21,8 +21,8 @@ from hesr_model.rigid_body.residual import FrictionRecord
 class Estimator(ABC):
     """Fits one law to the friction records of one joint.
 
-    Class attributes
-    ----------------
+    Attributes
+    ----------
     name : key in the registry and in artifacts.
     title : the name that people use.
     typical : a structure that its equations are shown with where none was found by a fit.

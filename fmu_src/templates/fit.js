@@ -1,0 +1,28 @@
+/* Tables that are wider than their place are set tighter; those that still are, row by row, with the
+ * names of the columns in each cell. */
+function fitTables() {
+  const places = [...document.querySelectorAll(".wide")].filter((place) => place.clientWidth);
+  const wider = (all) => all.filter((place) => place.scrollWidth > place.clientWidth);
+  for (const place of places) place.classList.remove("tight", "cards");
+  const tight = wider(places);
+  for (const place of tight) place.classList.add("tight");
+  for (const place of wider(tight)) {
+    place.classList.add("cards");
+    const heads = [...place.querySelectorAll("thead tr:last-child > *")];
+    for (const row of place.querySelectorAll("tbody tr")) {
+      [...row.cells].forEach((cell, k) => {
+        const name = k && row.cells.length === heads.length ? heads[k].textContent.trim() : "";
+        if (name) cell.dataset.label = `${name}: `;
+      });
+    }
+  }
+}
+{
+  /* Of widths alone: it changes heights itself. */
+  let width;
+  new ResizeObserver(() => {
+    if (width !== document.body.clientWidth) fitTables();
+    width = document.body.clientWidth;
+  }).observe(document.body);
+  document.addEventListener("toggle", (event) => event.target.matches("details") && fitTables(), true);
+}

@@ -1,0 +1,29 @@
+"""What the site's strict build cannot see: names and pages that stand nowhere."""
+
+import re
+
+from documents import ROOT
+
+import hesr
+
+DOCS = ROOT / "docs"
+
+
+def test_every_public_name_has_its_place_in_the_api() -> None:
+    listed = re.findall(r"^\.\. auto\w+:: (\w+)$", (DOCS / "api.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted(name for name in dir(hesr) if not name.startswith("_"))
+
+
+def test_every_page_is_in_the_contents() -> None:
+    listed = set(re.findall(r"^([\w./-]+)$", (DOCS / "index.md").read_text(), re.MULTILINE))
+    pages = [*DOCS.glob("*.md"), *DOCS.glob("*.ipynb"), *DOCS.glob("gallery/*.md")]
+    found = {page.relative_to(DOCS).with_suffix("").as_posix() for page in pages}
+    assert found - {"index"} == {name for name in listed if not name.startswith(("../", "```"))}
+
+
+def test_the_gallery_is_kept_without_outputs_and_with_claims() -> None:
+    for page in DOCS.glob("gallery/*.md"):
+        text = page.read_text(encoding="utf-8")
+        assert text.count("```{code-cell}") > 2
+        assert "\nassert " in text
+        assert "data:image" not in text
