@@ -17,6 +17,7 @@ from pydantic import StrictBool
 
 from hesr_model.equations.over_log import Discretisation
 from hesr_model.errors import ArtifactError
+from hesr_model.friction.band import Band
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator
@@ -133,6 +134,7 @@ class _JointEntry:
     start: tuple[float, ...]
     start_samples: int = 0
     covariance: Covariance | None = None
+    band: Band | None = None
     trained: TrainedRange | None = None
     training_rmse: float | None = None
     thermal: Thermal | None = None
@@ -159,6 +161,7 @@ class _JointEntry:
             start_samples=self.start_samples,
             standard_errors={name: e for name, e in errors.items() if e is not None},
             covariance=self.covariance,
+            band=self.band,
         )
 
 
@@ -197,6 +200,7 @@ def model_to_json(model: FrictionModel) -> dict[str, Any]:
                 start=law.start,
                 start_samples=law.start_samples,
                 covariance=law.covariance,
+                band=law.band,
                 trained=trained,
                 training_rmse=error,
                 thermal=thermal,

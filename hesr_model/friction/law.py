@@ -29,6 +29,7 @@ from hesr_model.equations.functions import absolute, clip
 from hesr_model.equations.memory import Element
 from hesr_model.equations.over_log import Discretisation
 from hesr_model.errors import ArtifactError
+from hesr_model.friction.band import Band
 from hesr_model.friction.inputs import DQ, QUANTITIES
 from hesr_model.inference.covariance import Covariance
 from hesr_model.units import unit_of_joint
@@ -145,6 +146,7 @@ class FrictionLaw:
         place (`records.record_start`); 0 for none.
     standard_errors : of the coefficients, in their units, of those that have an interval.
     covariance : of the coefficients that were fitted; None where it is not known.
+    band : between which torques measured friction lies; None where that is not known.
 
     Raises
     ------
@@ -161,6 +163,7 @@ class FrictionLaw:
     start_samples: int = 0
     standard_errors: Mapping[str, float] = field(default_factory=dict)
     covariance: Covariance | None = None
+    band: Band | None = None
 
     def __post_init__(self) -> None:
         needed = [c.name for c in self.form.coefficients]

@@ -1,0 +1,166 @@
+"""How wide a law's band is: from errors on logs that are left out, and from its covariance.
+
+The estimate without log k is one Gauss-Newton step from that with all of them, so the errors that a
+law would make on a log that it was not fitted to are those of its fit and a little more,
+
+    e_k + J_k (H - H_k)^-1 J_k' e_k,    H = sum over logs H_k = J_k' J_k
+
+where blocks of time stand in for logs if there is only one. Their variance is the sum of that of
+the coefficients, whose share of each shape of `band.shapes` grows beyond the trained speeds and
+loads as it does within, and of noise, which is found by the likelihood of normal errors with no
+share below 0. The whole is then scaled to hold 95 % of these errors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hesr_model.equations.over_log import Array
+from hesr_model.friction.band import LEVEL, Band, shapes
+from hesr_model.friction.law import MOVING, FrictionLaw
+from hesr_model.friction.records import predict_record
+from hesr_model.inference.covariance import blocks_of_time
+from hesr_model.rigid_body.residual import FrictionRecord
+
+SLOW_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.16)
+"""[rad/s] Of which the one counts that explains the errors best."""
+
+RESTS = 10
+"""Rests in the logs from which on they say what a rest holds."""
+_LONG = 0.5
+"""[s] A stay below `MOVING` from which on it is a rest."""
+
+_LEVELS = (0.8, 0.9, 0.98)
+"""Probabilities, beside 95 %, from whose quantiles the tail is found."""
+_TAIL = (0.4, 1.2)
+"""Limits of its exponent."""
+_STEP = 1e-6
+_RANK = 1e-10
+"""Of a scaled covariance: directions of less variance were not free."""
+_ROUNDS = 100
+_NONE = 1e-30
+
+
+def with_band(law: FrictionLaw, records: Sequence[FrictionRecord]) -> FrictionLaw:
+    """Return the law with the band of its torque.
+
+    Parameters
+    ----------
+    law : the law of one joint; without a covariance its coefficients count as certain.
+    records : those that it was fitted to.
+    """
+    errors, certain = _left_out(law, records)
+    dq, load = (np.concatenate([getattr(r, name) for r in records]) for name in ("dq", "tau_load"))
+    seen = sum(_rests(r) for r in records) >= RESTS
+    squares, best = errors**2, (np.inf, SLOW_SPEEDS[0], np.zeros(5))
+    for speed in SLOW_SPEEDS:
+        columns = np.stack(shapes(dq, load, speed), axis=1)
+        if not seen:
+            columns[:, 2] = 0.0
+        known = _shares(columns, certain, np.zeros_like(certain))
+        found = known + _shares(columns, squares, columns @ known)
+        variance = columns @ found + _NONE
+        loss = float(np.mean(np.log(variance) + squares / variance))
+        if loss < best[0]:
+            best = (loss, speed, found)
+    _, speed, found = best
+    variance = np.stack(shapes(dq, load, speed), axis=1) @ found
+    standard = np.abs(errors) / np.sqrt(variance + _NONE)
+    at_level = float(np.quantile(standard, LEVEL))
+    floor, slow, rest, fast, share = map(float, at_level * np.sqrt(found))
+    return replace(
+        law,
+        band=Band(
+            floor=floor,
+            slow=slow,
+            slow_speed=speed,
+            rest=rest,
+            fast=fast,
+            load=share,
+            tail=_tail(standard, at_level),
+            envelope=0.0 if seen else 1.0,
+        ),
+    )
+
+
+def _left_out(law: FrictionLaw, records: Sequence[FrictionRecord]) -> tuple[Array, Array]:
+    """Return the error of each row (N,) by a fit without its log, and its variance by the law's."""
+    errors = np.concatenate([r.tau - predict_record(law, r) for r in records])
+    if law.covariance is None:
+        return errors, np.zeros_like(errors)
+    jacobian = _sensitivities(law, records)
+    logs = list(dict.fromkeys(r.log for r in records))
+    labels = blocks_of_time(
+        np.repeat([logs.index(r.log) for r in records], [len(r.t) for r in records])
+    )
+    hessian, found = jacobian.T @ jacobian, errors.copy()
+    for k in range(int(labels[-1]) + 1):
+        rows = labels == k
+        own = jacobian[rows]
+        rest = np.linalg.pinv(hessian - own.T @ own, hermitian=True, rcond=_RANK)
+        found[rows] += own @ (rest @ (own.T @ errors[rows]))
+    return found, np.sum(jacobian**2, axis=1)
+
+
+def _sensitivities(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array:
+    """Return by how much torques (N, r) [N.m] move with independent errors of the coefficients.
+
+    Each of these is one standard deviation.
+    """
+    covariance = law.covariance
+    if covariance is None:
+        raise TypeError("a law without a covariance has no sensitivities")
+    deviations = np.sqrt(np.maximum(np.diag(covariance.matrix), _NONE))
+    sizes, ways = np.linalg.eigh(covariance.matrix / np.outer(deviations, deviations))
+    free = sizes > _RANK * max(float(sizes[-1]), _NONE)
+    ways = deviations[:, None] * ways[:, free] * np.sqrt(sizes[free])
+    columns = []
+    for name in covariance.names:
+        value = law.values[name]
+        step = min(_STEP * max(abs(value), 1e-3), 0.5 * abs(value)) if value else _STEP * 1e-3
+        sides = [
+            np.concatenate([
+                predict_record(replace(law, values={**law.values, name: value + sign * step}), r)
+                for r in records
+            ])
+            for sign in (1.0, -1.0)
+        ]  # fmt: skip
+        columns.append((sides[0] - sides[1]) / (2.0 * step))
+    return np.asarray(np.stack(columns, axis=1) @ ways)
+
+
+def _shares(columns: Array, squares: Array, known: Array) -> Array:
+    """Return the shares (B,), none below 0, of shapes (N, B) in the variance of normal errors.
+
+    By the multiplicative update that never lowers the likelihood.
+
+    Parameters
+    ----------
+    squares : (N,) squared errors.
+    known : (N,) variance that they have besides.
+    """
+    mean = columns.mean(axis=0)
+    found = np.where(mean > 0.0, squares.mean() / (columns.shape[1] * np.maximum(mean, _NONE)), 0.0)
+    for _ in range(_ROUNDS if squares.any() else 0):
+        variance = columns @ found + known + _NONE
+        gain, cost = columns.T @ (squares / variance**2), columns.T @ (1.0 / variance)
+        found = found * np.sqrt(gain / np.maximum(cost, _NONE))
+    return np.asarray(found)
+
+
+def _rests(record: FrictionRecord) -> int:
+    """Count the stays of a joint below `MOVING` that last long enough to be rests."""
+    slow = np.concatenate([[False], np.abs(record.dq) < MOVING, [False]])
+    begins, ends = np.flatnonzero(slow[1:] & ~slow[:-1]), np.flatnonzero(~slow[1:] & slow[:-1])
+    return int(np.count_nonzero(record.t[ends - 1] - record.t[begins] >= _LONG))
+
+
+def _tail(standard: Array, at_level: float) -> float:
+    """Return the exponent that gives the quantiles of standardised errors from that at 95 %."""
+    sizes = np.quantile(standard, _LEVELS)
+    if not (at_level > 0.0 and sizes[0] > 0.0):
+        return 0.65
+    x = np.log(np.log1p(-np.array(_LEVELS)) / np.log1p(-LEVEL))
+    y = np.log(sizes / at_level)
+    return float(np.clip(x @ y / (x @ x), *_TAIL))
