@@ -5,8 +5,8 @@
     r   = (1 - min((v/v_rest)^2, 1))^2, 1 at rest and 0 in motion
 
 tau - w and tau + w bound it in motion. At rest friction is whatever holds the joint, so there the
-band reaches as far as the torques at which it would break away to either side, those of the law as
-it creeps at `law.MOVING`: unless the logs that it was calibrated on have shown what a rest holds.
+band reaches from one torque at which it would break away to the other, those of the law as it
+creeps at `law.MOVING`: unless the logs that it was calibrated on have shown what a rest holds.
 
 The numbers are half-widths at 95 %, from `fitting.calibration`. Other probabilities follow from a
 Weibull tail of the standardised error, whose exponent is 0.65 for a normal distribution.
@@ -21,7 +21,7 @@ import sympy
 from numpy.typing import ArrayLike
 
 from hesr_model.equations.component import Equation
-from hesr_model.equations.functions import clip, larger, lowered_program, positive
+from hesr_model.equations.functions import clip, larger, lowered_program
 from hesr_model.equations.memory import DT
 from hesr_model.equations.over_log import Array
 from hesr_model.equations.program import beginning, begun
@@ -61,7 +61,7 @@ def band_equations(form: LawForm) -> tuple[Equation, ...]:
             name=name,
             unit="N.m",
             description=f"{text} end of the band of the measured friction {{effort}} of {{joint}}",
-            expression=edge + sign * resting * positive(sign * (furthest - edge)),
+            expression=edge + resting * (furthest - edge),
             output=True,
         )
 
