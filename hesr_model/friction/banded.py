@@ -6,7 +6,8 @@
 
 tau - w and tau + w bound it in motion. At rest friction is whatever holds the joint, so there the
 band reaches from one torque at which it would break away to the other, those of the law as it
-creeps at `law.MOVING`: unless the logs that it was calibrated on have shown what a rest holds.
+creeps at `law.MOVING`, and by the floor beyond, since what is measured has noise there, too: unless
+the logs that it was calibrated on have shown what a rest holds.
 
 The numbers are half-widths at 95 %, from `fitting.calibration`. Other probabilities follow from a
 Weibull tail of the standardised error, whose exponent is 0.65 for a normal distribution.
@@ -49,14 +50,17 @@ def band_equations(form: LawForm) -> tuple[Equation, ...]:
     variance = sympy.Add(*(size**2 * part for size, part in zip(sizes, parts, strict=True)))
     middle, reach = (GREATEST + LEAST) / 2, (GREATEST - LEAST) / 2
     wanted = middle + clip(COVERAGE.symbol - middle, reach)
-    tailed = sympy.exp(tail * sympy.log(sympy.log(1 - wanted) / float(np.log(1 - LEVEL))))
-    half = Equation(name="band", expression=sympy.sqrt(variance + _TINY) * tailed)
+    tailed = Equation(
+        name="band_factor",
+        expression=sympy.exp(tail * sympy.log(sympy.log(1 - wanted) / float(np.log(1 - LEVEL)))),
+    )
+    half = Equation(name="band", expression=sympy.sqrt(variance + _TINY) * tailed.symbol)
     torque, resting = sympy.Symbol(TORQUE, real=True), envelope * parts[2]
     ahead, behind = (sympy.Symbol(name, real=True) for name in ("ahead", "behind"))
 
     def side(name: str, sign: int, text: str) -> Equation:
         edge = torque + sign * half.symbol
-        furthest = sign * larger(sign * ahead, sign * behind)
+        furthest = sign * (larger(sign * ahead, sign * behind) + floor * tailed.symbol)
         return Equation(
             name=name,
             unit="N.m",
@@ -66,6 +70,7 @@ def band_equations(form: LawForm) -> tuple[Equation, ...]:
         )
 
     return (
+        tailed,
         half,
         *_creeping(form, "ahead", MOVING),
         *_creeping(form, "behind", -MOVING),
