@@ -298,7 +298,7 @@ def laws() -> "Mapping[str, type[Estimator]]":
 def export(
     model: Model,
     output: AnyPath,
-    format: Literal["fmu", "drive", "mjcf", "modelica", "c", "torch", "jax"] = "fmu",  # noqa: A002  # as --format
+    format: Literal["fmu", "drive", "mjcf", "modelica", "c", "torch", "jax", "ssv"] = "fmu",  # noqa: A002  # as --format
     **options: Any,
 ) -> Path:
     """Write a friction model for other tools.
@@ -307,7 +307,7 @@ def export(
     ----------
     model, output : the model, and the file or folder to write.
     format : an FMU, a drive, actuators of MuJoCo, a Modelica package, a header in C,
-        or a module of PyTorch or JAX.
+        a module of PyTorch or JAX, or a parameter set of SSP.
     options : of the format's own function, as `platforms` of FMUs or `inertia` of drives.
 
     Raises
@@ -335,6 +335,7 @@ _WRITERS = {
     "c": "fmu_src.one_file.c_header:export_c",
     "torch": "fmu_src.one_file.tensors:export_torch",
     "jax": "fmu_src.one_file.tensors:export_jax",
+    "ssv": "cosim.package.parameter_set:export_ssv",
 }
 
 

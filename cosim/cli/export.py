@@ -30,6 +30,7 @@ class Format(StrEnum):
     C = "c"
     TORCH = "torch"
     JAX = "jax"
+    SSV = "ssv"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +44,7 @@ class _Request:
     project: bool
     properties: bool
     power: bool
+    band: bool
     adaptive: bool
     fmi: "Version"
     progress: Stages
@@ -69,7 +71,8 @@ def export(
             "--format",
             help="Of a friction model: fmu (velocity in, torque out), drive (an FMU with the "
             "rotor: torque in, velocity out), mjcf (actuators for MuJoCo), modelica, c (one header "
-            "without FMI), torch or jax (one batched, differentiable file).",
+            "without FMI), torch or jax (one batched, differentiable file), ssv (coefficients "
+            "and their covariance as a parameter set of SSP).",
         ),
     ] = Format.FMU,
     platform: Platforms = None,
@@ -104,6 +107,14 @@ def export(
     power: Annotated[
         bool,
         typer.Option("--power", help="FMU: the power that the friction takes as an output, too."),
+    ] = False,
+    band: Annotated[
+        bool,
+        typer.Option(
+            "--band",
+            help="FMU: between which torques measured friction lies as outputs, too; "
+            "coefficients and their covariance beside it as NAME.ssv.",
+        ),
     ] = False,
     adaptive: Annotated[
         bool,
@@ -154,6 +165,7 @@ def export(
             project=project,
             properties=properties,
             power=power,
+            band=band,
             adaptive=adaptive,
             fmi=_version(fmi),
             progress=progress,
@@ -178,6 +190,7 @@ def _refuse_others(
         "--project": (request.project, (Format.MJCF,)),
         "--properties": (request.properties, (Format.FMU,)),
         "--power": (request.power, (Format.FMU,)),
+        "--band": (request.band, (Format.FMU,)),
         "--adaptive": (request.adaptive, (Format.FMU,)),
         "--fmi": (request.fmi != 2, (Format.FMU, Format.DRIVE)),
         "--platform": (platform is not None, (Format.FMU, Format.DRIVE)),
@@ -188,8 +201,8 @@ def _refuse_others(
         if present and kind not in formats:
             allowed = " or ".join(f"--format {f}" for f in formats)
             raise ConfigError(f"{option} needs {allowed}, but the format is '{kind}'.")
-    if request.adaptive and (request.power or request.properties):
-        raise ConfigError("--adaptive goes with neither --power nor --properties.")
+    if request.adaptive and (request.power or request.properties or request.band):
+        raise ConfigError("--adaptive goes with none of --power, --band and --properties.")
 
 
 def _version(text: str) -> "Version":
@@ -235,11 +248,17 @@ def _law(model: str, kind: Format, request: _Request) -> None:
             "motor": request.motor,
             "fmi": request.fmi,
             "power": request.power,
+            "band": request.band,
             "adaptive": request.adaptive,
         }
         exported(file, options, request.output, write)
     else:
         write()
+    if request.band:
+        from cosim.package.parameter_set import export_ssv
+        from hesr_model.artifacts import read_model
+
+        export_ssv(read_model(file), request.output.with_suffix(".ssv"))
 
 
 def _fmu(model: "FrictionModel", request: _Request) -> None:
@@ -259,6 +278,7 @@ def _fmu(model: "FrictionModel", request: _Request) -> None:
         platforms=request.platforms,
         properties=found,
         power=request.power,
+        band=request.band,
         adaptive=request.adaptive,
         progress=request.building,
         fmi=request.fmi,
@@ -332,6 +352,12 @@ def _jax(model: "FrictionModel", request: _Request) -> None:
     export_jax(model, request.output)
 
 
+def _ssv(model: "FrictionModel", request: _Request) -> None:
+    from cosim.package.parameter_set import export_ssv
+
+    export_ssv(model, request.output)
+
+
 _WRITERS: Mapping[Format, Callable[["FrictionModel", _Request], None]] = {
     Format.FMU: _fmu,
     Format.DRIVE: _drive,
@@ -340,4 +366,5 @@ _WRITERS: Mapping[Format, Callable[["FrictionModel", _Request], None]] = {
     Format.C: _c,
     Format.TORCH: _torch,
     Format.JAX: _jax,
+    Format.SSV: _ssv,
 }

@@ -14,6 +14,8 @@ from hesr_model.equations.component import Component, Equation, Quantity, Relaxa
 from hesr_model.equations.memory import Element
 from hesr_model.equations.program import beginning, begun, sources
 from hesr_model.errors import ExportError
+from hesr_model.friction.band import COVERAGE, GREATEST, LEAST, NUMBERS, start_values
+from hesr_model.friction.banded import band_equations
 from hesr_model.friction.inputs import DQ, INPUTS, QUANTITIES, TAU_LOAD
 from hesr_model.friction.law import MOVING, TORQUE, FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -68,18 +70,21 @@ SLOPE = f"d{TORQUE}_d{DQ.name}"
 """Name of the slope of the torque over the velocity."""
 
 
-def component(law: FrictionLaw, more: Iterable[Equation] = ()) -> Component:
-    """Return the equations of a joint: its law, with `SCALES`, and further outputs."""
-    own = scaled(law.form).component
+def component(law: FrictionLaw, more: Iterable[Equation] = (), *, band: bool = False) -> Component:
+    """Return the equations of a joint: its law, with `SCALES`, further outputs and the band."""
+    form = scaled(law.form)
+    own = form.component
     return replace(
         own,
         parameters=law.form.coefficients,
-        shared=SCALES,
-        equations=(*own.equations, *more),
+        shared=(*SCALES, *((*NUMBERS, COVERAGE) if band else ())),
+        equations=(*own.equations, *more, *(band_equations(form) if band else ())),
     )
 
 
-def interface(model: FrictionModel, more: tuple[Equation, ...] = ()) -> Interface:
+def interface(
+    model: FrictionModel, more: tuple[Equation, ...] = (), *, band: bool = False
+) -> Interface:
     """Return the variables of a friction FMU.
 
     The connectors `dq[i]`, `q[i]`, `tau_load[i]` -> `tau[i]` are those of every friction FMU.
@@ -88,6 +93,7 @@ def interface(model: FrictionModel, more: tuple[Equation, ...] = ()) -> Interfac
     ----------
     model : one law for each joint.
     more : further outputs, as `POWER`.
+    band : whether the ends of the model's band are outputs, too.
 
     Raises
     ------
@@ -100,7 +106,7 @@ def interface(model: FrictionModel, more: tuple[Equation, ...] = ()) -> Interfac
         for quantity in QUANTITIES
         for joint, (name, slides) in numbered
     ]
-    joints = joints_of(model, more)
+    joints = joints_of(model, more, band=band)
     outputs = [
         _of_joint(
             model,
@@ -136,7 +142,11 @@ def interface(model: FrictionModel, more: tuple[Equation, ...] = ()) -> Interfac
         for v in law_variables(law, joint, joints[joint - 1], _mixed_inputs(model.coupling, joint))
     ]
     return Interface(
-        variables=(*inputs, *outputs, *slopes, choice, start_mode(), *scales(model), *own),
+        variables=(
+            *(*inputs, *outputs, *slopes, choice, start_mode(), *scales(model)),
+            *(band_numbers(model) if band else ()),
+            *own,
+        ),
         indicators=indicators(joints),
         own=own_size(joints),
     )
@@ -241,10 +251,36 @@ def scales(model: FrictionModel) -> Iterator[Variable]:
             )
 
 
+def band_numbers(model: FrictionModel) -> Iterator[Variable]:
+    """Yield what a band is made with: its coverage, and the numbers of every joint."""
+    yield Variable(
+        name=COVERAGE.name,
+        role="tunable",
+        description=COVERAGE.description,
+        unit=COVERAGE.unit,
+        start=COVERAGE.start,
+        least=LEAST,
+        greatest=GREATEST,
+    )
+    rows = list(enumerate(zip(model.joints, model.laws, model.slides, strict=True), start=1))
+    for number in NUMBERS:
+        for i, (joint, law, slides) in rows:
+            yield Variable(
+                name=f"{number.name}[{i}]",
+                role="tunable",
+                description=number.description.format(joint=joint),
+                unit=unit_of_joint(number.unit, slides=slides),
+                start=start_values(law.band)[number.name] if law.band else 0.0,
+                least=0.0,
+            )
+
+
 def joints_of(
     model: FrictionModel,
     more: tuple[Equation, ...] = (),
     names: Mapping[str, str] | None = None,
+    *,
+    band: bool = False,
 ) -> tuple[Joint, ...]:
     """Return each joint of a model with the names of its variables.
 
@@ -253,19 +289,21 @@ def joints_of(
     model : one law for each joint.
     more : further outputs.
     names : for what is not called by its own name, the stem of its variables.
+    band : whether they have the model's band.
     """
     found = []
     # C knows no units, in which the forms of joints that turn and that slide differ alone.
     laws = [replace(law, form=law.form.sliding) for law in model.laws]
     for joint, law in enumerate(laws, start=1):
-        own, at = component(law, more), place(law, joint)
+        own, at = component(law, more, band=band), place(law, joint)
         stems = {q.name: q.name for q in (*own.inputs, *own.shared, *own.outputs)} | dict(
             names or {}
         )
         found.append(
             Joint(
                 component=own,
-                names={name: f"{stem}[{joint}]" for name, stem in stems.items()},
+                names={name: f"{stem}[{joint}]" for name, stem in stems.items()}
+                | ({COVERAGE.name: COVERAGE.name} if band else {}),
                 states=at.states,
                 derivatives=at.derivatives,
                 starts=at.starts,
@@ -381,8 +419,14 @@ def _per_second(unit: str) -> str:
     return f"{above}/({below}.s)" if slash else f"{above}/s"
 
 
-def equations_to_c(model: FrictionModel, table: Interface, more: tuple[Equation, ...] = ()) -> str:
+def equations_to_c(
+    model: FrictionModel,
+    table: Interface,
+    more: tuple[Equation, ...] = (),
+    *,
+    band: bool = False,
+) -> str:
     """Return equations.h of a friction FMU."""
     places = {"DISCRETISATION": "discretisation", "START_MODE": START_MODE}
     needs = Needs(functions=FRICTION, places=places)
-    return equations_header(joints_of(model, more), table, needs, model.coupling)
+    return equations_header(joints_of(model, more, band=band), table, needs, model.coupling)

@@ -44,6 +44,7 @@ def export_fmu(
     platforms: Sequence[str] = ("linux64",),
     properties: Properties | None = None,
     power: bool = False,
+    band: bool = False,
     adaptive: bool = False,
     progress: Progress = silent,
     fmi: Version = 2,
@@ -60,8 +61,10 @@ def export_fmu(
     platforms : names of `toolchain.TARGETS`, or "all".
     properties : what the property battery found on the model, for the documentation.
     power : whether the power that the friction takes is an output, too.
+    band : whether `tau_lower[i]` and `tau_upper[i]`, between which measured friction lies, are
+        outputs, too.
     adaptive : whether the FMU follows friction, from measured torques; for co-simulation only, and
-        without the pages, the battery's table and the power.
+        without the pages, the battery's table, the power and the band.
     progress : told for how many platforms it is built.
     fmi : version of FMI.
 
@@ -75,9 +78,13 @@ def export_fmu(
         If the model cannot be expressed in C or FMI, or a binary cannot be built.
     ArtifactError
         If `path` cannot be written.
+    SimulationError
+        If the model has no band.
     """
     check_request(path, platforms)
-    whole = adaptive_content(model) if adaptive else content(model, properties, power=power)
+    whole = (
+        adaptive_content(model) if adaptive else content(model, properties, power=power, band=band)
+    )
     return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
@@ -111,10 +118,14 @@ def live_of(model: FrictionModel) -> dict[str, Any]:
 
 
 def content(
-    model: FrictionModel, properties: Properties | None = None, *, power: bool = False
+    model: FrictionModel,
+    properties: Properties | None = None,
+    *,
+    power: bool = False,
+    band: bool = False,
 ) -> Content:
     """Return the FMU of a friction model, before it is compiled."""
-    table, about, sources = _component(model, (POWER,) if power else ())
+    table, about, sources = _component(model, (POWER,) if power else (), band=band)
     with ThreadPoolExecutor(max_workers=1) as pool:
         # The compiler is a process of its own; the picture is drawn beside it.
         module = pool.submit(wasm, translation_unit(table, about, sources)[1])
@@ -138,13 +149,15 @@ def content(
 
 
 def _component(
-    model: FrictionModel, more: tuple[Equation, ...] = ()
+    model: FrictionModel, more: tuple[Equation, ...] = (), *, band: bool = False
 ) -> tuple[Interface, Description, dict[str, str]]:
     """Return the variables, the description and the own C files of a model's FMU."""
     require_numbers(model)
-    table = interface(model, more)
+    if band:
+        model.require_band()
+    table = interface(model, more, band=band)
     about = _about(model, "friction", "from their motion")
-    return table, about, _sources(equations_to_c(model, table, more))
+    return table, about, _sources(equations_to_c(model, table, more, band=band))
 
 
 def adaptive_content(model: FrictionModel) -> Content:

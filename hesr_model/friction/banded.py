@@ -28,7 +28,7 @@ from hesr_model.equations.over_log import Array
 from hesr_model.equations.program import beginning, begun
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.band import COVERAGE, GREATEST, LEAST, LEVEL, NUMBERS, shapes
-from hesr_model.friction.evaluate import numbers, predict
+from hesr_model.friction.evaluate import numbers
 from hesr_model.friction.inputs import DQ, INPUTS, TAU_LOAD
 from hesr_model.friction.law import MOVING, TORQUE, FrictionLaw, LawForm
 
@@ -109,7 +109,7 @@ def predict_band(
     q: ArrayLike | None = None,
     tau_load: ArrayLike | None = None,
     coverage: float = LEVEL,
-    torque: Array | None = None,
+    torque: Array,
 ) -> tuple[Array, Array]:
     """Return between which torques the measured friction of a joint lies over a log.
 
@@ -118,7 +118,7 @@ def predict_band(
     law : the law of one joint, with a band.
     t, dq, q, tau_load : (N,) as for `evaluate.predict`.
     coverage : share of the rows that the band is to hold, from 0.5 to 0.999.
-    torque : (N,) of the law [N.m]; predicted where not given.
+    torque : (N,) that the law predicts [N.m].
 
     Returns
     -------
@@ -133,12 +133,11 @@ def predict_band(
         raise ArtifactError(
             f"law '{law.name}' has no band; laws that are fitted with this version have one."
         )
-    found = predict(law, t=t, dq=dq, q=q, tau_load=tau_load) if torque is None else torque
-    zero = np.zeros_like(found)
+    zero = np.zeros_like(torque)
     inputs = [zero if u is None else np.asarray(u, dtype=float) for u in (dq, q, tau_load)]
     time = np.asarray(t, dtype=float)
     steps = np.diff(time, prepend=time[0])
     *_, lower, upper = _function(law.form)(
-        *numbers(law), *law.band.values, coverage, *inputs, steps, found
+        *numbers(law), *law.band.values, coverage, *inputs, steps, torque
     )
     return lower + zero, upper + zero

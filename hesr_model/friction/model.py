@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hesr_model.errors import ArtifactError, SimulationError
+from hesr_model.friction.band import LEVEL
+from hesr_model.friction.banded import predict_band
 from hesr_model.friction.equation import equations
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
@@ -203,6 +205,61 @@ class FrictionModel:
             for k, law in enumerate(self.laws)
         ]
         return self._at_joints(np.column_stack(columns))
+
+    def predict_band(
+        self, records: Sequence[FrictionRecord], *, coverage: float = LEVEL
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return between which torques the measured friction of a log lies.
+
+        Parameters
+        ----------
+        records : of one log, as `residual.friction_records` returns them.
+        coverage : share of the rows that the band is to hold, from 0.5 to 0.999.
+
+        Returns
+        -------
+        Lower and upper end, (N, n) each [N.m].
+
+        Raises
+        ------
+        SimulationError
+            If the records are not those of the model's joints, or the model has no band.
+        """
+        self.require_band()
+        torque = self.predict(records)
+        ends = [
+            predict_band(
+                law, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load, coverage=coverage,
+                torque=torque[:, k],
+            )
+            for k, (law, r) in enumerate(zip(self.laws, records, strict=True))
+        ]  # fmt: skip
+        lower, upper = (np.column_stack(end) for end in zip(*ends, strict=True))
+        return lower, upper
+
+    @property
+    def banded(self) -> bool:
+        """Whether the model has a band."""
+        return self.coupling is None and all(law.band for law in self.laws)
+
+    def require_band(self) -> None:
+        """Check that there is a band.
+
+        Raises
+        ------
+        SimulationError
+            If laws have none, or motors turn with several joints.
+        """
+        if self.coupling is not None:
+            raise SimulationError(
+                f"friction model '{self.law}': its motors turn with several joints, and a band is "
+                "made joint by joint only."
+            )
+        if not self.banded:
+            raise SimulationError(
+                f"friction model '{self.law}' does not say how far measured friction is from it; "
+                "a model that is fitted to logs does ('hesr fit')."
+            )
 
     def _at_joints(self, torque: NDArray[np.float64]) -> NDArray[np.float64]:
         return torque if self.coupling is None else self.coupling.at_joints(torque)

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from hesr_model.artifacts import provenance as source_of
 from hesr_model.errors import FitError
+from hesr_model.friction.fitting.calibration import with_band
 from hesr_model.friction.fitting.declarative import OneForm
 from hesr_model.friction.fitting.kept import keep, key_of, read_kept
 from hesr_model.friction.fitting.per_log import Nuisance, OwnOfLog, own_of_logs, without_own
@@ -202,6 +203,18 @@ def fit_models(
         if left_out is None or len(failed) == len(laws):
             raise reason
         left_out(law, reason)
+    fitted = {
+        law: with_pooled_errors([done[law, joint] for joint in range(len(records))])
+        for law in laws
+        if law not in failed
+    }
+    banded = [
+        partial(with_band, own, r)
+        for of in fitted.values()
+        for own, r in zip(of, records, strict=True)
+    ]
+    with parallel.results_of(banded, workers) as results:
+        fitted = {law: [next(results) for _ in records] for law in fitted}
     joints = tuple(of_joint[0].joint for of_joint in records)
     periods = [float(np.median(np.diff(r.t))) for of_joint in records for r in of_joint]
     return {
@@ -209,7 +222,7 @@ def fit_models(
             law=law,
             robot=robot,
             joints=joints,
-            laws=tuple(with_pooled_errors([done[law, joint] for joint in range(len(records))])),
+            laws=tuple(fitted[law]),
             sliding=tuple(of_joint[0].sliding for of_joint in records),
             coupling=coupling,
             sample_time=round(float(np.median(periods)), 9),
@@ -219,8 +232,7 @@ def fit_models(
             ),
             provenance=dict(provenance or {}),
         )
-        for law in laws
-        if law not in failed
+        for law in fitted
     }
 
 
