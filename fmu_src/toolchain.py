@@ -1,20 +1,13 @@
 """The C compiler: one for all targets, the same bytes on every host."""
 
-import hashlib
-import os
-import re
 import struct
-import subprocess
-import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 
 from hesr_model.errors import ExportError
-from hesr_model.support.cache import folder as cache_folder
-from hesr_model.support.cache import kept
+from hesr_model.support.compiler import compile_c
 from hesr_model.support.files import scratch_folder
 
 CFLAGS = (
@@ -153,83 +146,6 @@ def build_wasm(source: Path) -> bytes:
         output = folder / f"{source.stem}.wasm"
         compile_c(source, _WASM, output)
         return output.read_bytes()
-
-
-def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[str] = ()) -> None:
-    """Compile one source file, or take what was made of the same texts and flags before.
-
-    Raises
-    ------
-    ExportError
-        If the compiler fails, with the first line of what it says.
-    """
-    inputs = (
-        f"ziglang {version('ziglang')}",
-        source.name,
-        output.name,
-        *(f"flag {flag}" for flag in (*flags, "|", *last)),
-        *_contents(source, (*flags, *last)),
-    )
-    output.write_bytes(kept("binaries", inputs, lambda: _compiled(source, flags, output, last)))
-    output.chmod(0o755)
-
-
-_INCLUDE = re.compile(rb"^[ \t]*#[ \t]*include[ \t]*[\"<]([^\">]+)", re.MULTILINE)
-
-
-def _contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
-    """Yield a hash of each file that goes into a compilation, but for those of the compiler.
-
-    These are the source, what the flags name, and what they include, wherever it is found.
-    """
-    home = source.parent
-    folders = [home / found[1] for flag in flags if (found := re.match("-(?:I|isystem)(.+)", flag))]
-    todo = [source, *(home / flag for flag in flags if (home / flag).is_file())]
-    seen = set(todo)
-    while todo:
-        file = todo.pop()
-        data = file.read_bytes()
-        yield hashlib.sha256(data).hexdigest()
-        if file.suffix not in (".c", ".h"):
-            continue
-        for name in _INCLUDE.findall(data):
-            places = (place / name.decode() for place in (file.parent, *folders))
-            found = next((place for place in places if place.is_file()), None)
-            if found and found not in seen:
-                seen.add(found)
-                todo.append(found)
-
-
-def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[str]) -> bytes:
-    # A linker takes a percent sign in the name of its output for a place to fill in, and folders of
-    # a machine may have one. So it writes into a folder beside the source, named from there.
-    with scratch_folder() as cache, scratch_folder(source.parent) as folder:
-        written = folder / output.name
-        relative = f"{written.parent.name}/{output.name}"
-        compiler = str(files("ziglang"))
-        command = [sys.executable, "-m", "ziglang", "cc", *flags, "-o", relative, source.name]
-        # The compiler's cache of objects gives stale ones when compilations run side by side, so
-        # each has its own; that of the C library, which takes long to build, stays shared.
-        caches = {
-            "ZIG_LOCAL_CACHE_DIR": str(cache),
-            "ZIG_GLOBAL_CACHE_DIR": str(cache_folder() / "zig"),
-        }
-        try:
-            # In the sources' own folder, so that no path of this machine gets into the binary.
-            result = subprocess.run(
-                [*command, *(flag.replace("{compiler}", compiler) for flag in last)],
-                cwd=source.parent,
-                env=os.environ | caches,
-                capture_output=True,
-                text=True,
-                check=False,
-            )
-        except OSError as error:
-            raise ExportError(f"the C compiler cannot be run ({error.strerror}).") from error
-        if not result.returncode:
-            return written.read_bytes()
-    lines = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
-    raise ExportError(f"{output.name}: the C compiler failed: {lines[0].strip()}.")
 
 
 _FAT_MAGIC = 0xCAFEBABE

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fmu_src.package import own_source
-from fmu_src.toolchain import TARGETS, compile_c
+from fmu_src.toolchain import TARGETS
+from hesr_model.support.compiler import compile_c
 
 HOSTS = Path(__file__).with_name("fmu")
 

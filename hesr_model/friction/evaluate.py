@@ -15,11 +15,19 @@ import sympy
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 
+from hesr_model.equations.compiled import Kernel, OutsideError, kernel_of
 from hesr_model.equations.functions import lowered
 from hesr_model.equations.memory import DT, Stop
 from hesr_model.equations.over_log import Array, StatesOverLog
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw, LawForm
+
+
+@lru_cache(maxsize=256)
+def _kernel(form: LawForm) -> Kernel | None:
+    """Return the torque in C, where that can be had."""
+    symbols = tuple(c.symbol for c in form.coefficients)
+    return kernel_of(form.memory, symbols, INPUTS, (form.output,), form.component.settling)
 
 
 @lru_cache(maxsize=256)
@@ -86,6 +94,10 @@ def predict(
     SimulationError
         If the discretisation is not stable at the log's steps.
     """
+    if shown is None:
+        in_c = _torque(law, t, (dq, q, tau_load), start)
+        if in_c is not None:
+            return in_c
     output, values, states, dt = _states(law, t, (dq, q, tau_load), start)
     if shown is not None:
         values = (*numbers(law), *shown)
@@ -100,6 +112,35 @@ def states_over(law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Ar
     return np.array(states[::2]).reshape(len(law.form.memory), len(dt))
 
 
+def _arrays(t: ArrayLike, given: tuple[ArrayLike | None, ...]) -> tuple[Array, list[Array]]:
+    """Return steps and inputs."""
+    time = np.asarray(t, dtype=float)
+    zero = np.zeros_like(time)
+    inputs = [zero if u is None else np.asarray(u, dtype=float) for u in given]
+    return np.diff(time, prepend=time[0]), inputs
+
+
+def _torque(
+    law: FrictionLaw,
+    t: ArrayLike,
+    given: tuple[ArrayLike | None, ...],
+    start: tuple[float, ...] | None,
+) -> Array | None:
+    """Return what `predict` does, in C; None where NumPy has to."""
+    kernel = _kernel(law.form)
+    if kernel is None:
+        return None
+    dt, inputs = _arrays(t, given)
+    rows = kernel.over(inputs, dt, np.arange(len(dt)) == 0, euler=law.discretisation == "euler")
+    if rows is None:
+        return None
+    at_rest = np.array(law.start if start is None else start, dtype=float)
+    try:
+        return rows.at(np.array(numbers(law)), at_rest, settled=start is not None)[:, 0]
+    except OutsideError:
+        return None
+
+
 def _states(
     law: FrictionLaw,
     t: ArrayLike,
@@ -107,16 +148,13 @@ def _states(
     start: tuple[float, ...] | None,
 ) -> tuple[Any, tuple[Any, ...], list[Array], Array]:
     """Return the output's function, what it reads besides states, states and derivatives, steps."""
-    time = np.asarray(t, dtype=float)
-    zero = np.zeros_like(time)
-    inputs = [zero if u is None else np.asarray(u, dtype=float) for u in given]
+    dt, inputs = _arrays(t, given)
     memory, output = _functions(law.form)
     values = (*numbers(law), *inputs)
-    dt = np.diff(time, prepend=time[0])
     states = memory(
         values,
         dt,
-        np.arange(len(time)) == 0,
+        np.arange(len(dt)) == 0,
         first_states(law, *(float(u[0]) for u in inputs)) if start is None else start,
         law.discretisation,
     )

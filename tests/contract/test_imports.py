@@ -43,7 +43,7 @@ ONLY_IN = {
     ),
     "lief": ("fmu_src/check/*",),
     "lxml": ("fmu_src/check/*",),
-    "ziglang": ("fmu_src/toolchain.py",),
+    "ziglang": ("hesr_model/support/compiler.py",),
     "pyarrow": ("hesr_model/logs/tables.py", "cosim/studies/traces.py", "cosim/sweep/store.py"),
     "distributed": ("cosim/sweep/cluster.py",),
     # Optional: each reads one kind of log.

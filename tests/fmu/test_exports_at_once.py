@@ -12,8 +12,9 @@ import pytest
 from cosim.cli import main
 from cosim.exported import exported
 from fmu_src import export_fmu
-from fmu_src.toolchain import TARGETS, compile_c
+from fmu_src.toolchain import TARGETS
 from hesr_model.artifacts import read_model, write_model
+from hesr_model.support.compiler import compile_c
 
 [LINUX] = TARGETS["linux64"].triples
 

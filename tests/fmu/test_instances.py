@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.toolchain import compile_c
+from hesr_model.support.compiler import compile_c
 
 FUZZ = Path(__file__).with_name("fuzz.c")
 FLAGS = ("-std=c99", "-g", "-I.", f"-I{FUZZ.parent}", "-fno-sanitize-recover=all")

@@ -16,8 +16,9 @@ import pytest
 
 from cosim.replay import replay
 from fmu_src import export_fmu
-from fmu_src.toolchain import CFLAGS, TARGETS, build, compile_c, universal
+from fmu_src.toolchain import CFLAGS, TARGETS, build, universal
 from hesr_model.errors import ExportError
+from hesr_model.support.compiler import compile_c
 
 FUNCTIONS = 44  # of FMI 2.0
 

@@ -6,17 +6,20 @@ coefficients the linear ones follow by least squares (variable projection, Golub
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 import sympy
+from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 from scipy.optimize import least_squares as minimise_squares
 
+from hesr_model.equations.compiled import Kernel, OutsideError, Rows, kernel_of
 from hesr_model.equations.functions import lowered
-from hesr_model.equations.memory import DT
+from hesr_model.equations.memory import DT, Element
 from hesr_model.equations.over_log import Array, Discretisation, StatesOverLog
 from hesr_model.friction.fitting.samples import Samples, non_negative_least_squares
 from hesr_model.friction.inputs import INPUTS
@@ -77,8 +80,7 @@ class Separable:
         self.form = form
         self.space = space
         self.samples = samples
-        self._memory, self._columns = _compiled(form, space)
-        self._first = [u[samples.begins] for u in (samples.dq, samples.q, samples.tau_load)]
+        self._equations = _equations(form, space)
         limits = np.array([limits for _, limits in space.bounds]).reshape(-1, 2)
         self._logarithmic = limits[:, 0] > 0.0
         self.bounds = np.where(
@@ -102,24 +104,59 @@ class Separable:
 
     def columns(self, point: Array) -> Array:
         """Return the (N, len(linear)) columns of the torque at a point [N.m per unit of each]."""
-        s = self.samples
-        numbers = self.numbers(point)
-        values = (*numbers, s.dq, s.q, s.tau_load)
+        if self._rows is not None:
+            with suppress(OutsideError):
+                return self._rows.at(self.numbers(point)).copy(order="F")
+        return self._in_numpy(point)
+
+    @cached_property
+    def _rows(self) -> Rows | None:
+        s, kernel = self.samples, self._equations.kernel
+        inputs, euler = (s.dq, s.q, s.tau_load), self.discretisation == "euler"
+        if kernel is None:
+            return None
+        return kernel.over(inputs, s.dt, s.begins, euler=euler, target=s.tau)
+
+    def _in_numpy(self, point: Array) -> Array:
+        s, (memory, columns_of) = self.samples, self._equations.lowered
+        inputs, numbers = (s.dq, s.q, s.tau_load), self.numbers(point)
+        values = (*numbers, *inputs)
         start = np.zeros((len(self.form.memory), len(s.dq)))
-        begun = self._memory.beginning((*numbers, *self._first), list(start[:, s.begins]))
+        firsts = (u[s.begins] for u in inputs)
+        begun = memory.beginning((*numbers, *firsts), list(start[:, s.begins]))
         for of_state, first in zip(start, begun, strict=True):
             of_state[s.begins] = first
-        states = self._memory(values, s.dt, s.begins, list(start), self.discretisation)
+        states = memory(values, s.dt, s.begins, list(start), self.discretisation)
         columns = np.empty((len(s.dq), len(self.space.linear)), order="F")
-        for i, column in enumerate(self._columns(*values, *states, s.dt)):
+        for i, column in enumerate(columns_of(*values, *states, s.dt)):
             columns[:, i] = column
         return columns
 
     def solve(self, point: Array) -> tuple[Array, float]:
         """Return (len(linear),) unknowns at a point and the sum of squared residuals [N^2.m^2]."""
-        return non_negative_least_squares(
-            self.columns(point), self.samples.tau, non_negative=self.space.non_negative
+        own = self.space.non_negative
+        if self._rows is not None:
+            with suppress(OutsideError):
+                found = self._rows.solved(self.numbers(point), non_negative=own)
+                if found is not None:
+                    return found
+        return non_negative_least_squares(self.columns(point), self.samples.tau, non_negative=own)
+
+    def _residual(self, point: Array, weights: Array) -> Array:
+        """Return the (N,) residual of all rows, its unknowns solved for by those that count."""
+        own, tau = self.space.non_negative, self.samples.tau
+        if self._rows is not None:
+            with suppress(OutsideError):
+                found = self._rows.solved(
+                    self.numbers(point), non_negative=own, weights=weights, keep=True
+                )
+                if found is not None:
+                    return np.asarray(self._rows.found @ found[0] - tau)
+        columns = self.columns(point)
+        x, _ = non_negative_least_squares(
+            weights[:, None] * columns, weights * tau, non_negative=own
         )
+        return np.asarray(columns @ x - tau)
 
     def search(self, rng: np.random.Generator, *, effort: int = 40) -> Array:
         """Return the best point of differential evolution (`effort` generations at most).
@@ -149,16 +186,12 @@ class Separable:
         if not len(self.bounds):
             return point
 
-        def residual(trial: Array) -> Array:
-            columns = self.columns(trial)[rows]
-            tau = self.samples.tau[rows]
-            x, _ = non_negative_least_squares(columns, tau, non_negative=self.space.non_negative)
-            return np.asarray(columns @ x - tau)
-
+        weights = np.zeros_like(self.samples.tau)
+        weights[rows] = 1.0
         low, high = self.bounds.T
         found = minimise_squares(
-            residual, np.clip(point, low, high), bounds=(low, high), x_scale=high - low,
-            max_nfev=evaluations, diff_step=1e-6,
+            lambda trial: self._residual(trial, weights)[rows], np.clip(point, low, high),
+            bounds=(low, high), x_scale=high - low, max_nfev=evaluations, diff_step=1e-6,
         )  # fmt: skip
         return np.asarray(found.x)
 
@@ -178,9 +211,7 @@ class Separable:
         return {c.name: float(known[c.name]) for c in self.form.coefficients}
 
 
-def left_out_cost(
-    columns: Array, tau: Array, folds: Sequence[np.ndarray[Any, np.dtype[np.bool_]]]
-) -> float:
+def left_out_cost(columns: Array, tau: Array, folds: Sequence[NDArray[np.bool_]]) -> float:
     """Mean square on each fold of a linear law solved on the other rows, over all rows.
 
     Parameters
@@ -190,16 +221,49 @@ def left_out_cost(
     """
     gram, moment = columns.T @ columns, columns.T @ tau
     total = 0.0
-    for fold in folds:
+    for fold in map(_in_one_piece, folds):
         out, target = columns[fold], tau[fold]
         x = np.linalg.lstsq(gram - out.T @ out, moment - out.T @ target, rcond=1e-12)[0]
         total += float(np.sum((target - out @ x) ** 2))
     return total / len(tau)
 
 
+def _in_one_piece(rows: NDArray[np.bool_]) -> NDArray[np.bool_] | slice:
+    """Return rows that follow one another as a slice, which copies nothing."""
+    at = np.flatnonzero(rows)
+    whole = len(at) and at[-1] - at[0] + 1 == len(at)
+    return slice(int(at[0]), int(at[-1]) + 1) if whole else rows
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Equations:
+    """Memory and columns of a form, and what runs them over rows."""
+
+    memory: tuple[Element, ...]
+    columns: tuple[sympy.Expr, ...]
+    searched: tuple[sympy.Symbol, ...]
+    settling: sympy.Expr
+
+    @cached_property
+    def kernel(self) -> Kernel | None:
+        """The same in C, where that can be had."""
+        return kernel_of(self.memory, self.searched, INPUTS, self.columns, self.settling)
+
+    @cached_property
+    def lowered(self) -> tuple[StatesOverLog, Any]:
+        """States and columns in NumPy."""
+        arguments = (*self.searched, *INPUTS)
+        states = tuple(s for m in self.memory for s in (m.state, m.derivative))
+        read = set().union(*(e.free_symbols for e in self.columns))
+        return (
+            StatesOverLog(self.memory, arguments, read, self.settling),
+            lowered((*arguments, *states, DT), self.columns),
+        )
+
+
 @lru_cache(maxsize=64)
-def _compiled(form: LawForm, space: SearchSpace) -> tuple[StatesOverLog, Any]:
-    """Lower the states and the columns of a form to NumPy."""
+def _equations(form: LawForm, space: SearchSpace) -> _Equations:
+    """Return the states and the columns of a form."""
     replaced = {sympy.Symbol(name, real=True): e for name, e in space.values}
     searched = tuple(sympy.Symbol(name, real=True) for name in space.names)
     linear = tuple(sympy.Symbol(name, real=True) for name in space.linear)
@@ -213,8 +277,6 @@ def _compiled(form: LawForm, space: SearchSpace) -> tuple[StatesOverLog, Any]:
     mixed = set(linear) & set().union(*(e.free_symbols for e in (*parts, *columns)))
     if mixed or rest != 0:
         raise ValueError(f"not linear in {sorted(map(str, mixed)) or 'an offset'}: {output}")
-    states = tuple(s for m in memory for s in (m.state, m.derivative))
-    arguments = (*searched, *INPUTS)
-    read = set().union(*(e.free_symbols for e in columns))
-    states_over_log = StatesOverLog(memory, arguments, read, form.component.settling)
-    return states_over_log, lowered((*arguments, *states, DT), columns)
+    return _Equations(
+        memory=memory, columns=columns, searched=searched, settling=form.component.settling
+    )

@@ -200,9 +200,17 @@ def _unknowns(values: Mapping[str, float], space: SearchSpace) -> dict[str, floa
         rest = [s for s in expression.free_symbols if s.name not in known]
         if len(rest) == 1:
             at = {s: known[s.name] for s in expression.free_symbols if s.name in known}
-            (found, *_) = sympy.solve(expression.subs(at) - values[name], rest[0]) or [0.0]
-            known[rest[0].name] = float(found)
+            at[sympy.Symbol(name, real=True)] = values[name]
+            found = _solved(expression, name, rest[0]).subs(at)
+            known[rest[0].name] = float(found) if found.is_finite else 0.0
     return {name: known[name] for name in every}
+
+
+@lru_cache(maxsize=64)
+def _solved(expression: sympy.Expr, name: str, unknown: sympy.Symbol) -> sympy.Expr:
+    """Return the unknown in an expression by the expression's own name."""
+    (found, *_) = sympy.solve(expression - sympy.Symbol(name, real=True), unknown)
+    return found
 
 
 @lru_cache(maxsize=64)

@@ -172,20 +172,35 @@ def _ranking(
 ) -> list[tuple[int, Times]]:
     """Return orders and times, those that explain most of the residual first."""
     explained = []
+    orders = [order for order in ORDERS if order not in chosen.orders]
+    weights = {order: _weights(samples, chosen.gear_ratio, order, candidates) for order in orders}
     for lag in dict.fromkeys(lag for lag, _ in candidates):
         turn = np.exp(1j * chosen.gear_ratio * (samples.q - lag * samples.dq))
         rotated = np.ones_like(turn)
         for order in ORDERS:  # a power of the first order's wave takes no sine of its own
             rotated *= turn
-            if order in chosen.orders:
+            if order not in weights:
                 continue
-            for at in candidates:
-                if at[0] != lag:
+            smoothings, plain, squared = weights[order]
+            # Cosine, sine, and of the doubled angle, of which their squares are made.
+            moments = (plain * residual) @ rotated.view(float).reshape(-1, 2)
+            doubled = squared @ (rotated * rotated).view(float).reshape(-1, 2)
+            for i, smoothing in enumerate(smoothings):
+                if (lag, smoothing) not in candidates:
                     continue
-                fast = order * chosen.gear_ratio * at[1] * samples.dq
-                waves = (rotated / (1.0 + fast**2)).view(float).reshape(-1, 2)
-                moment = waves.T @ residual
-                share = float(moment @ np.linalg.solve(waves.T @ waves + 1e-9 * np.eye(2), moment))
-                explained.append((share, order, at))
+                both, (c, s), moment = squared[i].sum(), doubled[i], moments[i]
+                gram = 0.5 * np.array([[both + c, s], [s, both - c]]) + 1e-9 * np.eye(2)
+                share = float(moment @ np.linalg.solve(gram, moment))
+                explained.append((share, order, (lag, smoothing)))
     explained.sort(reverse=True)
     return [(order, at) for _, order, at in explained]
+
+
+def _weights(
+    samples: Samples, gear_ratio: float, order: int, candidates: Sequence[Times]
+) -> tuple[list[float], Array, Array]:
+    """Return the smoothings of candidates, what each leaves of an order's waves, and the square."""
+    smoothings = list(dict.fromkeys(smoothing for _, smoothing in candidates))
+    fast = order * gear_ratio * np.outer(smoothings, samples.dq)
+    plain = 1.0 / (1.0 + fast**2)
+    return smoothings, plain, plain**2

@@ -16,9 +16,10 @@ from cosim.closed_loop import Scheme
 from cosim.package.container import write_container
 from cosim.package.contents import read_contents
 from fmu_src import model_file
-from fmu_src.toolchain import TARGETS, compile_c
+from fmu_src.toolchain import TARGETS
 from hesr_model.artifacts import read_model
 from hesr_model.errors import ExportError
+from hesr_model.support.compiler import compile_c
 
 STEPS = 400  # 2 s
 

@@ -5,7 +5,8 @@ from fmu_files import BINARY, changed, check, members, said, texts
 
 from fmu_src.check import binaries
 from fmu_src.check.functions import KNOWN
-from fmu_src.toolchain import TARGETS, compile_c
+from fmu_src.toolchain import TARGETS
+from hesr_model.support.compiler import compile_c
 
 ALL = tuple(sorted(KNOWN))
 ELF = ("-target", "x86_64-linux-gnu.2.17", "-shared", "-fPIC")

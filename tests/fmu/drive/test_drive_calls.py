@@ -16,8 +16,8 @@ from drive_runs import drive, model_of
 
 from cosim.slave import Component
 from fmu_src.drive.drive_fmu import export_drive
-from fmu_src.toolchain import compile_c
 from hesr_model.errors import ExportError, SimulationError
+from hesr_model.support.compiler import compile_c
 
 DISCARD = 2
 FUZZ = Path(__file__).parents[1] / "fuzz.c"

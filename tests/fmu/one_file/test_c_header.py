@@ -17,9 +17,10 @@ from one_file_laws import STEP, first_torques_of, inputs, maxwell_slip, torques_
 
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.one_file.c_header import export_c
-from fmu_src.toolchain import TARGETS, build, compile_c
+from fmu_src.toolchain import TARGETS, build
 from hesr_model.errors import ArtifactError, ExportError
 from hesr_model.friction.model import FrictionModel
+from hesr_model.support.compiler import compile_c
 
 HERE = Path(__file__).parent
 QEMU = shutil.which("qemu-aarch64")

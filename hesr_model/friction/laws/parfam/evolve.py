@@ -120,6 +120,9 @@ class _Projected:
         self.x = x
         self.limit = limit
         self.q = np.linalg.qr(linear)[0]
+        self._squares, self._spanned = (
+            np.einsum("ml,mi->lim", columns, x).reshape(-1, len(x)) for columns in (x, self.q)
+        )
         self.y = self._reject(tau[:, None])
 
     def _reject(self, columns: Array) -> Array:
@@ -163,14 +166,19 @@ class _Projected:
         return np.asarray(np.linalg.solve(damped, gradient[:, :, None])[:, :, 0].T)
 
     def _normal_equations(self, theta: Array) -> tuple[Array, Array]:
+        """Return for each start the (S, F, F) Gram matrix and (S, F) gradient of theta.
+
+        By products of matrices only: what is outside the linear span is orthogonal to it, so the
+        Jacobian's own part outside has to be known by its Gram matrix alone.
+        """
         argument, value, outside, gain = self.evaluate(theta)
         slope = gain * self.dg(argument, value)
         norm = np.maximum(np.einsum("ms,ms->s", outside, outside), 1e-9 * len(self.x))
-        rows, starts = slope.shape
-        flat = (self.x[:, :, None] * slope[:, None, :]).reshape(rows, -1)
-        jacobian = self._reject(flat).reshape(rows, -1, starts)
-        along = np.einsum("ms,mjs->js", outside, jacobian) / norm
-        jacobian -= outside[:, None, :] * along[None]
-        residual = self.y - gain * outside
-        batched = np.ascontiguousarray(jacobian.transpose(2, 1, 0))
-        return batched @ batched.transpose(0, 2, 1), (batched @ residual.T[:, :, None])[:, :, 0]
+        count = len(theta)
+        whole = (self._squares @ slope**2).reshape(count, count, -1)
+        inside = (self._spanned @ slope).reshape(-1, count, slope.shape[1])
+        along = self.x.T @ (outside * slope)
+        residual = self.x.T @ ((self.y - gain * outside) * slope)
+        gram = whole - np.einsum("lis,ljs->ijs", inside, inside) - along[:, None] * along / norm
+        left = np.einsum("ms,ms->s", outside, self.y - gain * outside)
+        return gram.transpose(2, 0, 1), (residual - along * left / norm).T

@@ -1,0 +1,330 @@
+"""Equations as lists of operations on registers, which `rows.c` runs over blocks of rows.
+
+An expression becomes a graph whose equal parts are one node. What is the same for all rows is
+computed once for a run; what inputs alone decide, once for a log.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import sympy
+
+from hesr_model.equations.memory import DT, Element, Relaxation
+
+NAMES = (
+    "ADD", "SUBTRACT", "MULTIPLY", "DIVIDE", "NEGATE", "ROOT", "EXP", "TANH", "SIN", "COS",
+    "CARDINAL_SINE", "SGN", "ABSOLUTE", "POSITIVE", "LARGER", "CLIP", "EXCEEDS", "OVER", "CARRIED",
+    "RELAX", "STOP",
+)  # fmt: skip
+"""The operations of `rows.c`, in the order of their numbers there."""
+
+_FUNCTIONS: Mapping[Any, str] = {sympy.exp: "EXP"} | {
+    name.lower(): name for name in NAMES[NAMES.index("TANH") : NAMES.index("CARRIED")]
+}
+_MOST_FACTORS = 8
+"""Largest whole power that is written as a product."""
+
+
+class UnsupportedError(Exception):
+    """An expression has something in it that `rows.c` does not know."""
+
+
+class Kind(IntEnum):
+    """What a node depends on."""
+
+    LITERAL, NUMBERS, INPUTS, ROWS = range(4)
+
+
+@dataclass(frozen=True)
+class Node:
+    """A value of every row.
+
+    Attributes
+    ----------
+    operation : name of what makes it; empty for what is given.
+    operands : nodes.
+    detail : number of the state, the literal, or the symbol that is given.
+    kind : what it depends on.
+    """
+
+    operation: str
+    operands: "tuple[int, ...]"
+    detail: Any
+    kind: Kind
+
+
+class Graph:
+    """Nodes of several expressions, each after those that it uses.
+
+    Parameters
+    ----------
+    numbers : symbols of what is the same for all rows.
+    inputs : symbols of what differs from row to row; `dt` is one of them.
+    """
+
+    def __init__(self, numbers: Iterable[sympy.Symbol], inputs: Iterable[sympy.Symbol]) -> None:
+        self.nodes: list[Node] = []
+        self._places: dict[tuple[Any, ...], int] = {}
+        self._of: dict[sympy.Basic, int] = {}
+        for kind, symbols in ((Kind.NUMBERS, numbers), (Kind.INPUTS, inputs)):
+            for symbol in symbols:
+                self._of[symbol] = self._node("", (), symbol, kind)
+
+    def define(self, symbol: sympy.Symbol, node: int) -> None:
+        """Let a symbol stand for a node."""
+        self._of[symbol] = node
+
+    def assign(self, assignments: Mapping[sympy.Symbol, sympy.Expr]) -> None:
+        """Let symbols stand for their expressions, which use those before them."""
+        for symbol, expression in assignments.items():
+            self._of[symbol] = self.of(expression)
+
+    def move(self, memory: Sequence[Element]) -> None:
+        """Let the states of elements, and their derivatives, stand for those after a step."""
+        for i, element in enumerate(memory):
+            state = element.state
+            sees_itself = state in sympy.Tuple(*element.parts).free_symbols
+            if sees_itself:
+                self._of[state] = self._node("CARRIED", (), i, Kind.ROWS)
+            first, second = map(self.of, element.parts)
+            if sees_itself:  # forget what was made of the state before it moved
+                self._of = {e: k for e, k in self._of.items() if state not in e.free_symbols}
+            kind = "RELAX" if isinstance(element, Relaxation) else "STOP"
+            self._of[state] = self._node(kind, (first, second), i, Kind.ROWS)
+            self._of[element.derivative] = self.of(element.continuous())
+
+    def of(self, expression: sympy.Expr) -> int:
+        """Return the node of an expression.
+
+        Raises
+        ------
+        UnsupportedError
+            If there is no operation for a part of it.
+        """
+        if expression not in self._of:
+            self._of[expression] = self._made(expression)
+        return self._of[expression]
+
+    def _made(self, e: sympy.Expr) -> int:
+        if e.is_Number or isinstance(e, sympy.NumberSymbol):
+            return self._literal(float(e))
+        if e.is_Add:
+            return self._sum(e)
+        if e.is_Mul:
+            return self._product(e)
+        if e.is_Pow:
+            return self._power(e)
+        name = _FUNCTIONS.get(e.func, _FUNCTIONS.get(e.func.__name__))
+        if name is None:
+            raise UnsupportedError(str(e))
+        return self._operation(name, *map(self.of, e.args))
+
+    def _sum(self, e: sympy.Add) -> int:
+        negative = [t.could_extract_minus_sign() for t in e.args]
+        plus = [self.of(t) for t, n in zip(e.args, negative, strict=True) if not n]
+        minus = [self.of(-t) for t, n in zip(e.args, negative, strict=True) if n]
+        if not plus:
+            return self._operation("NEGATE", self._folded("ADD", minus))
+        found = self._folded("ADD", plus)
+        for node in self._by_kind(minus):
+            found = self._operation("SUBTRACT", found, node)
+        return found
+
+    def _product(self, e: sympy.Mul) -> int:
+        above, below, sign = [], [], False
+        for factor in e.args:
+            if factor.is_Rational and factor < 0:
+                sign, factor = not sign, -factor
+            if factor.is_Rational:
+                above += [] if factor.p == 1 else [self._literal(float(factor.p))]
+                below += [] if factor.q == 1 else [self._literal(float(factor.q))]
+            elif factor.is_Pow and factor.exp.is_number and factor.exp < 0:
+                below.append(self.of(1 / factor))
+            else:
+                above.append(self.of(factor))
+        found = self._folded("MULTIPLY", above) if above else self._literal(1.0)
+        if below:
+            found = self._operation("DIVIDE", found, self._folded("MULTIPLY", below))
+        return self._operation("NEGATE", found) if sign else found
+
+    def _power(self, e: sympy.Pow) -> int:
+        if e.base is sympy.E:
+            return self._operation("EXP", self.of(e.exp))
+        if not e.exp.is_Rational:
+            raise UnsupportedError(str(e))
+        if e.exp < 0:
+            return self._operation("DIVIDE", self._literal(1.0), self.of(e.base**-e.exp))
+        base = self.of(e.base)
+        if e.exp == sympy.Rational(1, 2):
+            return self._operation("ROOT", base)
+        if not e.exp.is_Integer or e.exp > _MOST_FACTORS:
+            raise UnsupportedError(str(e))
+        found = base
+        for _ in range(int(e.exp) - 1):
+            found = self._operation("MULTIPLY", found, base)
+        return found
+
+    def _by_kind(self, nodes: Iterable[int]) -> list[int]:
+        """Return nodes so that what is known for all rows goes together."""
+        return sorted(nodes, key=lambda node: self.nodes[node].kind)
+
+    def _folded(self, name: str, nodes: Iterable[int]) -> int:
+        first, *others = self._by_kind(nodes)
+        for node in others:
+            first = self._operation(name, first, node)
+        return first
+
+    def _literal(self, value: float) -> int:
+        return self._node("", (), value, Kind.LITERAL)
+
+    def _operation(self, name: str, *operands: int) -> int:
+        kinds = {self.nodes[node].kind for node in operands}
+        mixed = {Kind.NUMBERS, Kind.INPUTS} <= kinds
+        kind = Kind.ROWS if mixed else max(*kinds, Kind.NUMBERS)
+        return self._node(name, operands, None, kind)
+
+    def _node(self, name: str, operands: tuple[int, ...], detail: Any, kind: Kind) -> int:
+        # Literals by their text: 0.0 and -0.0 are equal numbers.
+        key = (name, operands, repr(detail) if kind is Kind.LITERAL else detail, kind)
+        if key not in self._places:
+            self._places[key] = len(self.nodes)
+            self.nodes.append(Node(name, operands, detail, kind))
+        return self._places[key]
+
+
+@dataclass(frozen=True)
+class Program:
+    """What `rows.c` runs; registers are numbered as there: inputs, uniform ones, others.
+
+    Attributes
+    ----------
+    inputs : symbols, or nodes of what was computed of them, in the order of the first registers.
+    given : symbols and literals of the next ones.
+    operations : number, result and three operands of each, uniform ones first.
+    uniform : how many of the operations are the same for all rows.
+    uniform_count : registers that are the same for all rows.
+    registers : of all kinds.
+    results : register of each result.
+    """
+
+    inputs: tuple[Any, ...]
+    given: tuple[Any, ...]
+    operations: tuple[tuple[int, int, int, int, int], ...]
+    uniform: int
+    uniform_count: int
+    registers: int
+    results: tuple[int, ...]
+
+
+def fixed_nodes(graph: Graph, results: Sequence[int]) -> list[int]:
+    """Return the nodes that inputs alone decide and others use, or which are results."""
+    nodes = graph.nodes
+    fixed = [node.kind is Kind.INPUTS and bool(node.operation) for node in nodes]
+    seen, waiting, found = set[int](), list(results), set[int]()
+    while waiting:
+        k = waiting.pop()
+        if k in seen:
+            continue
+        seen.add(k)
+        if fixed[k]:
+            found.add(k)
+        else:
+            waiting += nodes[k].operands
+    return sorted(found)
+
+
+def program_of(graph: Graph, results: Sequence[int], known: Sequence[int] = ()) -> Program:
+    """Return the program of results.
+
+    Parameters
+    ----------
+    graph : with the nodes.
+    results : nodes.
+    known : nodes that are inputs of the program, as they were computed before.
+    """
+    nodes = graph.nodes
+    order = _in_order(nodes, results, set(known))
+    inputs: list[Any] = [DT, *(node for node in known if node in order)]
+    inputs += [
+        nodes[k].detail
+        for k in order
+        if nodes[k].kind is Kind.INPUTS and not nodes[k].operation and nodes[k].detail != DT
+    ]
+    places: dict[int, int] = {}
+    for k in order:
+        if k in known:
+            places[k] = inputs.index(k)
+        elif nodes[k].kind is Kind.INPUTS and not nodes[k].operation:
+            places[k] = inputs.index(nodes[k].detail)
+    given = [k for k in order if not nodes[k].operation and k not in places]
+    uniform = [k for k in order if nodes[k].operation and nodes[k].kind <= Kind.NUMBERS]
+    places |= {k: len(inputs) + i for i, k in enumerate((*given, *uniform))}
+    rest = [k for k in order if k not in places]
+    first = len(inputs) + len(given) + len(uniform)
+    registers = _allocate(nodes, rest, set(results), places, first)
+    operations = tuple(_encoded(nodes[k], places[k], places) for k in (*uniform, *rest))
+    return Program(
+        inputs=tuple(inputs),
+        given=tuple(nodes[k].detail for k in given),
+        operations=operations,
+        uniform=len(uniform),
+        uniform_count=len(given) + len(uniform),
+        registers=registers,
+        results=tuple(places[k] for k in results),
+    )
+
+
+def _in_order(nodes: Sequence[Node], results: Sequence[int], known: set[int]) -> list[int]:
+    """Return what results rest on, each after its operands, those of one result together.
+
+    States move in the order of their numbers, whatever asks for them first.
+    """
+    done: dict[int, None] = {}
+
+    def visit(k: int) -> None:
+        if k in done:
+            return
+        if k not in known:
+            for operand in nodes[k].operands:
+                visit(operand)
+        done[k] = None
+
+    needed = set[int]()
+    waiting = list(results)
+    while waiting:
+        k = waiting.pop()
+        if k not in needed:
+            needed.add(k)
+            waiting += () if k in known else nodes[k].operands
+    for k in sorted(k for k in needed if nodes[k].operation in ("CARRIED", "RELAX", "STOP")):
+        visit(k)
+    for k in results:
+        visit(k)
+    return list(done)
+
+
+def _allocate(
+    nodes: Sequence[Node], rest: Sequence[int], kept: set[int], places: dict[int, int], first: int
+) -> int:
+    """Put nodes into registers that are used again once nobody needs what they hold."""
+    last = {operand: i for i, k in enumerate(rest) for operand in nodes[k].operands}
+    own, free, count = set(rest), list[int](), first
+    for i, k in enumerate(rest):
+        # Before those of its operands are free: a result is never one of its own operands.
+        if free:
+            places[k] = free.pop()
+        else:
+            places[k], count = count, count + 1
+        ended = {o for o in nodes[k].operands if o in own and last[o] == i and o not in kept}
+        ended |= {k} if k not in last and k not in kept else set()
+        free += sorted(places[o] for o in ended)
+    return count
+
+
+def _encoded(node: Node, result: int, places: Mapping[int, int]) -> tuple[int, int, int, int, int]:
+    operands = [places[o] for o in node.operands] + [0, 0, 0]
+    if node.operation in ("CARRIED", "RELAX", "STOP"):
+        operands[2] = node.detail
+    return (NAMES.index(node.operation), result, operands[0], operands[1], operands[2])

@@ -1,0 +1,458 @@
+/* Equations over rows of a log: operations on blocks of rows, and the memory of a component.
+ *
+ * A program is a list of operations on registers, of which each holds a number for every row of a
+ * block, small enough that all of them stay in the fastest cache. So there is one binary for all
+ * equations, and nothing is compiled when a search tries another form. `operations.py` makes the
+ * programs; the operations' numbers are defined where this is compiled. */
+#include <stdbool.h>
+#include <stdint.h>
+#include "elementary.h"
+
+enum { BLOCK = 128, LANES = 8 };
+
+enum { DONE, UNSTABLE, TOO_LARGE };
+
+typedef struct {
+    int32_t operation, result, a, b, c;
+} operation;
+
+typedef struct {
+    const operation *operations;
+    int64_t uniform;             /* operations that are the same for all rows, */
+    int64_t count;               /* and all of them */
+    const double *const *inputs; /* (rows) each: the first registers */
+    int64_t input_count;
+    const double *given; /* numbers that are the same for all rows: the next ones */
+    int64_t given_count;
+    int64_t uniform_count; /* these, and what the uniform operations make of them */
+    int64_t registers;     /* of all kinds */
+    int64_t step;          /* register of dt */
+    double euler;
+    const uint8_t *begins;      /* (rows) where states have their start */
+    const double *const *start; /* (rows) of each state */
+    double *carried;            /* each state */
+    int64_t rows, block;
+    double **places; /* (registers) */
+    double *work;    /* BLOCK for each register and for each result, and 3 BLOCK */
+    const int32_t *results;
+    int64_t result_count;
+    double *const *out;    /* (rows) of each result, or NULL */
+    const double *target;  /* (rows) beside the results in the normal equations */
+    const double *weights; /* (rows) of the normal equations, or NULL */
+    double *gram;          /* (results + 1)^2, upper triangle, or NULL */
+    double *lanes;         /* (lane_count) sums that it is made of */
+    int64_t lane_count;
+    const double **columns; /* (results + 4) */
+} program;
+
+#define INLINE static inline __attribute__((always_inline))
+
+INLINE double positive(double x) {
+    return x > 0.0 ? x : 0.0;
+}
+
+INLINE double sgn(double x) {
+    return x > 0.0 ? 1.0 : (x < 0.0 ? -1.0 : x);
+}
+
+INLINE double larger(double a, double b) {
+    return a > b || a != a ? a : b;
+}
+
+INLINE double clip(double x, double b) {
+    const double above = x < -b ? -b : x;
+    return above > b ? b : above;
+}
+
+/* (1 - exp(-z)) / z with e = expm1(-z). */
+INLINE double share(double z, double e) {
+    const bool small = __builtin_fabs(z) < 1e-3;
+    const double series = 1.0 - z / 2.0 * (1.0 - z / 3.0 * (1.0 - z / 4.0 * (1.0 - z / 5.0)));
+    const double quotient = -e / (small ? 1.0 : z);
+    return small ? series : quotient;
+}
+
+INLINE double cardinal_sine(double x) {
+    const bool small = __builtin_fabs(x) < 1e-3;
+    const double series = 1.0 - x * x / 6.0 * (1.0 - x * x / 20.0);
+    const double quotient = even_sin(x) / (small ? 1.0 : x);
+    return small ? series : quotient;
+}
+
+/* Whether sines of all numbers can be had. */
+INLINE bool small_angles(const double *restrict x, int64_t n) {
+    double outside = 0.0;
+    for (int64_t i = 0; i < n; i++) {
+        outside += __builtin_fabs(x[i]) <= LARGEST_ANGLE ? 0.0 : 1.0;
+    }
+    return outside == 0.0;
+}
+
+/* x+ = x + x expm1(-z) + drive dt share(z), z = rate dt; the state begins anew where rows say so.
+ */
+INLINE int relax(program *p, int64_t state, int64_t at, int64_t n, double *restrict x,
+                 const double *restrict drive, const double *restrict rate,
+                 const double *restrict dt) {
+    double *restrict a = p->work + (p->registers + p->result_count + 1) * BLOCK, *restrict c =
+                                                                                     a + BLOCK;
+    const uint8_t *begins = p->begins + at;
+    if (p->euler > 0.0) {
+        for (int64_t i = 0; i < n; i++) {
+            const double z = positive(rate[i]) * dt[i];
+            a[i] = 1.0 - z;
+            c[i] = drive[i] * dt[i];
+            if (z >= 1.0) {
+                return UNSTABLE;
+            }
+        }
+    } else {
+        for (int64_t i = 0; i < n; i++) {
+            const double z = positive(rate[i]) * dt[i];
+            const double e = even_expm1(-z);
+            a[i] = 1.0 + e;
+            c[i] = drive[i] * dt[i] * share(z, e);
+        }
+    }
+    for (int64_t i = 0; i < n; i++) {
+        if (begins[i]) {
+            a[i] = 0.0;
+            c[i] = p->start[state][at + i];
+        }
+    }
+    double now = p->carried[state];
+    for (int64_t i = 0; i < n; i++) {
+        now = a[i] * now + c[i];
+        x[i] = now;
+    }
+    p->carried[state] = now;
+    return DONE;
+}
+
+/* x+ = clip(x + rate dt, bound). */
+INLINE int stop(program *p, int64_t state, int64_t at, int64_t n, double *restrict x,
+                const double *restrict rate, const double *restrict bound,
+                const double *restrict dt) {
+    double *restrict way = p->work + (p->registers + p->result_count + 1) * BLOCK;
+    double *restrict most = way + BLOCK;
+    const uint8_t *begins = p->begins + at;
+    for (int64_t i = 0; i < n; i++) {
+        way[i] = rate[i] * dt[i];
+        most[i] = positive(bound[i]);
+    }
+    double now = p->carried[state];
+    for (int64_t i = 0; i < n; i++) {
+        now = begins[i] ? p->start[state][at + i] : clip(now + way[i], most[i]);
+        x[i] = now;
+    }
+    p->carried[state] = now;
+    return DONE;
+}
+
+#define EACH(expression)                                                                           \
+    for (int64_t i = 0; i < n; i++) {                                                              \
+        d[i] = (expression);                                                                       \
+    }                                                                                              \
+    break
+
+INLINE int operate(program *p, const operation *o, int64_t at, int64_t n) {
+    double *restrict d = p->places[o->result];
+    const double *restrict a = p->places[o->a], *restrict b = p->places[o->b];
+    const double *restrict c = p->places[o->c];
+    switch (o->operation) {
+    case ADD:
+        EACH(a[i] + b[i]);
+    case SUBTRACT:
+        EACH(a[i] - b[i]);
+    case MULTIPLY:
+        EACH(a[i] * b[i]);
+    case DIVIDE:
+        EACH(a[i] / b[i]);
+    case NEGATE:
+        EACH(-a[i]);
+    case ROOT:
+        EACH(__builtin_sqrt(a[i]));
+    case EXP:
+        EACH(even_exp(a[i]));
+    case TANH:
+        EACH(even_tanh(a[i]));
+    case SIN:
+        if (!small_angles(a, n)) {
+            return TOO_LARGE;
+        }
+        EACH(even_sin(a[i]));
+    case COS:
+        if (!small_angles(a, n)) {
+            return TOO_LARGE;
+        }
+        EACH(even_cos(a[i]));
+    case CARDINAL_SINE:
+        if (!small_angles(a, n)) {
+            return TOO_LARGE;
+        }
+        EACH(cardinal_sine(a[i]));
+    case SGN:
+        EACH(sgn(a[i]));
+    case ABSOLUTE:
+        EACH(__builtin_fabs(a[i]));
+    case POSITIVE:
+        EACH(positive(a[i]));
+    case LARGER:
+        EACH(larger(a[i], b[i]));
+    case CLIP:
+        EACH(clip(a[i], b[i]));
+    case EXCEEDS:
+        EACH(a[i] > b[i] ? 1.0 : 0.0);
+    case OVER:
+        EACH(b[i] > 0.0 ? a[i] / b[i] : c[i]);
+    case CARRIED:
+        EACH(p->carried[o->c]);
+    case RELAX:
+        return relax(p, o->c, at, n, d, a, b, p->places[p->step]);
+    case STOP:
+        return stop(p, o->c, at, n, d, a, b, p->places[p->step]);
+    default:
+        return TOO_LARGE;
+    }
+    return DONE;
+}
+
+typedef double vector __attribute__((vector_size(LANES * sizeof(double))));
+
+INLINE vector eight(const double *from) {
+    vector found;
+    __builtin_memcpy(&found, from, sizeof found);
+    return found;
+}
+
+/* Add to the lanes of four sums, one after the other, the products of a column with four others.
+ * Lanes are the same whatever vectors a machine has, and so are their sums. */
+INLINE void add_products(double *sums, const double *a, const double *const *b, int64_t n) {
+    vector s0 = eight(sums), s1 = eight(sums + LANES);
+    vector s2 = eight(sums + 2 * LANES), s3 = eight(sums + 3 * LANES);
+    const double *b0 = b[0], *b1 = b[1], *b2 = b[2], *b3 = b[3];
+    int64_t i = 0;
+    for (; i + LANES <= n; i += LANES) {
+        const vector x = eight(a + i);
+        s0 += x * eight(b0 + i);
+        s1 += x * eight(b1 + i);
+        s2 += x * eight(b2 + i);
+        s3 += x * eight(b3 + i);
+    }
+    __builtin_memcpy(sums, &s0, sizeof s0);
+    __builtin_memcpy(sums + LANES, &s1, sizeof s1);
+    __builtin_memcpy(sums + 2 * LANES, &s2, sizeof s2);
+    __builtin_memcpy(sums + 3 * LANES, &s3, sizeof s3);
+    for (int64_t k = 0; i < n; i++, k++) {
+        for (int64_t j = 0; j < 4; j++) {
+            sums[j * LANES + k] += a[i] * b[j][i];
+        }
+    }
+}
+
+INLINE double total(const double *lanes) {
+    double found[LANES];
+    __builtin_memcpy(found, lanes, sizeof found);
+    for (int64_t width = LANES / 2; width; width /= 2) {
+        for (int64_t k = 0; k < width; k++) {
+            found[k] += found[k + width];
+        }
+    }
+    return found[0];
+}
+
+/* Add a block to the lanes of the normal equations, whose last column is the target. */
+INLINE void add_normal(program *p, int64_t at, int64_t n) {
+    const int64_t count = p->result_count + 1;
+    for (int64_t i = 0; i < count; i++) {
+        const double *column = i < count - 1 ? p->places[p->results[i]] : p->target + at;
+        if (p->weights) {
+            double *restrict weighted = p->work + (p->registers + i) * BLOCK;
+            const double *restrict plain = column, *restrict w = p->weights + at;
+            for (int64_t k = 0; k < n; k++) {
+                weighted[k] = w[k] * plain[k];
+            }
+            column = weighted;
+        }
+        p->columns[i] = column;
+    }
+    for (int64_t i = 1; i < 4; i++) { /* they come in fours, of which the last may go unused */
+        p->columns[count - 1 + i] = p->columns[count - 1];
+    }
+    double *sums = p->lanes;
+    for (int64_t i = 0; i < count; i++) {
+        for (int64_t j = i; j < count; j += 4, sums += 4 * LANES) {
+            add_products(sums, p->columns[i], p->columns + j, n);
+        }
+    }
+}
+
+INLINE void finish_normal(program *p) {
+    const int64_t count = p->result_count + 1;
+    const double *sums = p->lanes;
+    for (int64_t i = 0; i < count; i++) {
+        for (int64_t j = i; j < count; j += 4, sums += 4 * LANES) {
+            for (int64_t k = 0; k < 4 && j + k < count; k++) {
+                p->gram[i * count + j + k] = total(sums + k * LANES);
+            }
+        }
+    }
+}
+
+INLINE int all_rows(program *p) {
+    for (int64_t i = 0; i < p->registers; i++) {
+        p->places[i] = p->work + i * BLOCK;
+    }
+    for (int64_t i = 0; i < p->given_count; i++) {
+        p->places[p->input_count + i][0] = p->given[i];
+    }
+    for (int64_t i = 0; i < p->uniform; i++) {
+        const int ended = operate(p, p->operations + i, 0, 1);
+        if (ended) {
+            return ended;
+        }
+    }
+    for (int64_t i = 0; i < p->uniform_count; i++) {
+        double *restrict of_all = p->places[p->input_count + i];
+        const double of_one = of_all[0];
+        for (int64_t k = 0; k < BLOCK; k++) {
+            of_all[k] = of_one;
+        }
+    }
+    for (int64_t i = 0; p->gram && i < p->lane_count; i++) {
+        p->lanes[i] = 0.0;
+    }
+    for (int64_t at = 0; at < p->rows; at += p->block) {
+        const int64_t n = p->rows - at < p->block ? p->rows - at : p->block;
+        for (int64_t i = 0; i < p->input_count; i++) {
+            p->places[i] = (double *)p->inputs[i] + at;
+        }
+        for (int64_t i = p->uniform; i < p->count; i++) {
+            const int ended = operate(p, p->operations + i, at, n);
+            if (ended) {
+                return ended;
+            }
+        }
+        for (int64_t i = 0; p->out && i < p->result_count; i++) {
+            __builtin_memcpy(p->out[i] + at, p->places[p->results[i]],
+                             (uint64_t)n * sizeof(double));
+        }
+        if (p->gram) {
+            add_normal(p, at, n);
+        }
+    }
+    if (p->gram) {
+        finish_normal(p);
+    }
+    return DONE;
+}
+
+#if defined(__x86_64__)
+#include <cpuid.h>
+
+__attribute__((target("avx2"))) static int in_wide_vectors(program *p) {
+    return all_rows(p);
+}
+
+static bool has_wide_vectors(void) {
+    unsigned a, b, c, d, low, high;
+    if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & (1u << 27))) {
+        return false;
+    }
+    __asm__("xgetbv" : "=a"(low), "=d"(high) : "c"(0)); /* whether the system saves them */
+    return (low & 6) == 6 && __get_cpuid_count(7, 0, &a, &b, &c, &d) && (b & (1u << 5));
+}
+#else
+static int in_wide_vectors(program *p) {
+    return all_rows(p);
+}
+
+static bool has_wide_vectors(void) {
+    return false;
+}
+#endif
+
+#define SHOWN __attribute__((visibility("default")))
+
+/* Run a program over all rows; returns how it ended. */
+SHOWN int run(program *p);
+
+int run(program *p) {
+    static int wide = -1; /* asking takes as long as thousands of rows where a machine is virtual */
+    if (wide < 0) {
+        wide = has_wide_vectors();
+    }
+    return wide ? in_wide_vectors(p) : all_rows(p);
+}
+
+/* Solve the normal equations of (n + 1, n + 1) products whose last column is the target's, where
+ * the first unknowns must not be negative: negative ones become zero one by one, the worst first.
+ * `work` has room for n^2 + 3 n numbers. Returns false where the unknowns are hardly determined. */
+SHOWN bool solve(const double *gram, int64_t n, int64_t non_negative, double *work, double *x,
+                 double *cost);
+
+bool solve(const double *gram, int64_t n, int64_t non_negative, double *work, double *x,
+           double *cost) {
+    double *factor = work, *scale = factor + n * n, *y = scale + n, *of = y + n;
+    int64_t left = n;
+    for (int64_t i = 0; i < n; i++) {
+        const double square = gram[i * (n + 1) + i];
+        if (!(square > 0.0 && square < 1e300)) {
+            return false;
+        }
+        scale[i] = __builtin_sqrt(square);
+        of[i] = (double)i;
+    }
+    for (;;) {
+        for (int64_t i = 0; i < left; i++) {
+            const int64_t row = (int64_t)of[i];
+            double sum = gram[row * (n + 1) + n] / scale[row];
+            for (int64_t j = 0; j <= i; j++) {
+                const int64_t column = (int64_t)of[j]; /* in rising order: the upper triangle */
+                double entry = gram[column * (n + 1) + row] / (scale[row] * scale[column]);
+                for (int64_t k = 0; k < j; k++) {
+                    entry -= factor[i * n + k] * factor[j * n + k];
+                }
+                if (j < i) {
+                    factor[i * n + j] = entry / factor[j * n + j];
+                } else if (entry > 1e-11) {
+                    factor[i * n + i] = __builtin_sqrt(entry);
+                } else {
+                    return false;
+                }
+            }
+            for (int64_t k = 0; k < i; k++) {
+                sum -= factor[i * n + k] * y[k];
+            }
+            y[i] = sum / factor[i * n + i];
+        }
+        for (int64_t i = left - 1; i >= 0; i--) {
+            for (int64_t k = i + 1; k < left; k++) {
+                y[i] -= factor[k * n + i] * y[k];
+            }
+            y[i] /= factor[i * n + i];
+        }
+        int64_t worst = -1;
+        for (int64_t i = 0; i < left && of[i] < (double)non_negative; i++) {
+            if (y[i] < (worst < 0 ? 0.0 : y[worst])) {
+                worst = i;
+            }
+        }
+        if (worst < 0) {
+            break;
+        }
+        left--;
+        for (int64_t i = worst; i < left; i++) {
+            of[i] = of[i + 1];
+        }
+    }
+    *cost = gram[n * (n + 1) + n];
+    for (int64_t i = 0; i < n; i++) {
+        x[i] = 0.0;
+    }
+    for (int64_t i = 0; i < left; i++) {
+        const int64_t row = (int64_t)of[i];
+        x[row] = y[i] / scale[row];
+        *cost -= gram[row * (n + 1) + n] * x[row];
+    }
+    return true;
+}
