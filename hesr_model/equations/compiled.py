@@ -11,17 +11,16 @@ import platform
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import sympy
 from numpy.typing import NDArray
 
-from hesr_model.equations.memory import DT, Element
+from hesr_model.equations.memory import Element
 from hesr_model.equations.operations import NAMES, Graph, Program, UnsupportedError, fixed_nodes
 from hesr_model.equations.operations import program_of as program
 from hesr_model.equations.program import beginning, begun
@@ -56,7 +55,7 @@ class _Program(ctypes.Structure):
         ("inputs", ctypes.c_void_p),
         ("input_count", ctypes.c_int64),
         ("given", ctypes.c_void_p),
-        *((name, ctypes.c_int64) for name in ("given_count", "uniform_count", "registers", "step")),
+        *((name, ctypes.c_int64) for name in ("given_count", "uniform_count", "registers")),
         ("euler", ctypes.c_double),
         *((name, ctypes.c_void_p) for name in ("begins", "start", "carried")),
         *((name, ctypes.c_int64) for name in ("rows", "block")),
@@ -134,14 +133,14 @@ class Kernel:
         settling: sympy.Expr = sympy.S.Zero,
     ) -> None:
         self.memory, self.numbers, self.inputs = tuple(memory), tuple(numbers), tuple(inputs)
-        graph = Graph(numbers, (DT, *inputs))
+        graph = Graph(numbers, inputs)
         graph.move(self.memory)
         results = [graph.of(e) for e in wanted]
         self.known = fixed_nodes(graph, results)
         self.fixed = program(graph, self.known)
         self.main = program(graph, results, self.known)
         starts = tuple(m.state for m in self.memory)
-        graph = Graph((*numbers, *starts), (DT, *inputs))
+        graph = Graph((*numbers, *starts), inputs)
         graph.assign(beginning(self.memory, settling))
         self.first = program(graph, [graph.of(begun(m)) for m in self.memory])
         self.row_by_row = any(m.state in sympy.Tuple(*m.parts).free_symbols for m in self.memory)
@@ -172,8 +171,7 @@ class _Run:
         self,
         library: ctypes.CDLL,
         own: Program,
-        numbers: Sequence[sympy.Symbol],
-        arrays: Mapping[Any, Array],
+        arrays: Sequence[Array],
         begins: NDArray[np.bool_],
         *,
         states: int = 0,
@@ -183,39 +181,29 @@ class _Run:
     ) -> None:
         self._run, self._solve = library["run"], library["solve"]
         rows, count = len(begins), len(own.results)
-        self.found = np.empty((rows, count), order="F")
+        self.found = np.empty((count, rows)).T
         self.starts = np.zeros((states, rows))
-        self._given = np.array([e if isinstance(e, float) else 0.0 for e in own.given])
-        pairs = [(i, numbers.index(e)) for i, e in enumerate(own.given) if e in numbers]
-        self._into, self._from = np.array(pairs, dtype=int).reshape(-1, 2).T
+        self._given, self._numbers = own.given.copy(), own.numbers
         self._gram = np.zeros((count + 1, count + 1))
         self._room = np.empty(count * (count + 3))
         self._x, self._squares = np.empty(count), ctypes.c_double()
         self._out = _addresses(self.found.T)
-        operations = np.array(own.operations, dtype=np.int32)
-        self._held = (
-            operations,
-            begins,
-            [arrays[e] for e in own.inputs],
-            _addresses([arrays[e] for e in own.inputs]),
-            _addresses(self.starts),
-            np.zeros(states),
-            np.empty(own.registers, dtype=np.uintp),
-            np.empty((own.registers + count + 3) * _BLOCK),
-            np.array(own.results, dtype=np.int32),
-            None if target is None else np.ascontiguousarray(target, dtype=float),
-            np.empty(sum(4 * _LANES * -(-left // 4) for left in range(1, count + 2))),
-            np.empty(count + 4, dtype=np.uintp),
-        )
-        *_, inputs, starts, carried, places, work, results, target, lanes, columns = self._held
+        inputs, starts = _addresses([arrays[i] for i in own.inputs]), _addresses(self.starts)
+        carried, places = np.zeros(states), np.empty(own.registers, dtype=np.uintp)
+        work = np.empty((own.registers + count + 3) * _BLOCK)
+        lanes = np.empty(sum(4 * _LANES * -(-left // 4) for left in range(1, count + 2)))
+        columns = np.empty(count + 4, dtype=np.uintp)
+        # As long as addresses of them are in use.
+        self._held = (own, arrays, begins, target, inputs, starts, carried, places, work, lanes,
+                      columns)  # fmt: skip
         self._program = _Program(
-            operations=operations.ctypes.data, uniform=own.uniform, count=len(operations),
+            operations=own.operations.ctypes.data, uniform=own.uniform, count=len(own.operations),
             inputs=inputs.ctypes.data, input_count=len(own.inputs),
             given=self._given.ctypes.data, given_count=len(own.given),
-            uniform_count=own.uniform_count, registers=own.registers, step=own.inputs.index(DT),
-            euler=float(euler), begins=begins.ctypes.data, start=starts.ctypes.data,
-            carried=carried.ctypes.data, rows=rows, block=block, places=places.ctypes.data,
-            work=work.ctypes.data, results=results.ctypes.data, result_count=count,
+            uniform_count=own.uniform_count, registers=own.registers, euler=float(euler),
+            begins=begins.ctypes.data, start=starts.ctypes.data, carried=carried.ctypes.data,
+            rows=rows, block=block, places=places.ctypes.data, work=work.ctypes.data,
+            results=own.results.ctypes.data, result_count=count,
             target=None if target is None else target.ctypes.data,
             lanes=lanes.ctypes.data, lane_count=lanes.size, columns=columns.ctypes.data,
         )  # fmt: skip
@@ -239,7 +227,7 @@ class _Run:
         return (self._x.copy(), self._squares.value) if determined else None
 
     def _started(self, numbers: Array, weights: Array | None, *, gram: bool, keep: bool) -> None:
-        self._given[self._into] = numbers[self._from]
+        self._given[self._numbers[0]] = numbers[self._numbers[1]]
         own = self._program
         own.weights = None if weights is None else weights.ctypes.data
         own.gram = self._gram.ctypes.data if gram else None
@@ -278,22 +266,23 @@ class Rows:
         euler: bool = False,
         target: Array | None = None,
     ) -> None:
-        self.kernel, self._begins = kernel, np.ascontiguousarray(begins, dtype=np.bool_)
-        arrays = dict(zip((DT, *kernel.inputs), (dt, *inputs), strict=True))
-        every = {s: np.ascontiguousarray(a, dtype=float) for s, a in arrays.items()}
-        rows = np.flatnonzero(self._begins)
-        firsts = {s: np.ascontiguousarray(a[rows]) for s, a in every.items()}
+        begins = np.ascontiguousarray(begins, dtype=np.bool_)
+        arrays = [np.ascontiguousarray(a, dtype=np.float64) for a in (dt, *inputs)]
+        self._first_rows, self._states = np.flatnonzero(begins), len(kernel.memory)
         if kernel.known:
-            fixed = _Run(library, kernel.fixed, (), every, self._begins)
+            fixed = _Run(library, kernel.fixed, arrays, begins)
             fixed(np.zeros(0))
-            every |= dict(zip(kernel.known, fixed.found.T, strict=True))
-        symbols = (*kernel.numbers, *(m.state for m in kernel.memory))
-        self._first = _Run(library, kernel.first, symbols, firsts, np.ones(len(rows), dtype=bool))
+            arrays += list(fixed.found.T)
+        if kernel.memory:
+            firsts = [a[self._first_rows] for a in arrays]
+            self._first = _Run(
+                library, kernel.first, firsts, np.ones(len(self._first_rows), dtype=np.bool_)
+            )
         self._run = _Run(
-            library, kernel.main, kernel.numbers, every, self._begins, states=len(kernel.memory),
-            euler=euler, block=1 if kernel.row_by_row else _BLOCK, target=target,
+            library, kernel.main, arrays, begins, states=self._states, euler=euler,
+            block=1 if kernel.row_by_row else _BLOCK,
+            target=None if target is None else np.ascontiguousarray(target, dtype=np.float64),
         )  # fmt: skip
-        self._first_rows, self._states = rows, len(kernel.memory)
 
     def _begin(self, numbers: Array, start: Array | None) -> None:
         """Put states where they begin for the first rows, from their start at rest (0 if None)."""

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+import numpy as np
 import sympy
+from numpy.typing import NDArray
 
 from hesr_model.equations.memory import DT, Element, Relaxation
 
@@ -45,7 +47,7 @@ class Node:
     ----------
     operation : name of what makes it; empty for what is given.
     operands : nodes.
-    detail : number of the state, the literal, or the symbol that is given.
+    detail : number of the state, the literal, or the number of what is given.
     kind : what it depends on.
     """
 
@@ -61,16 +63,17 @@ class Graph:
     Parameters
     ----------
     numbers : symbols of what is the same for all rows.
-    inputs : symbols of what differs from row to row; `dt` is one of them.
+    inputs : symbols of what differs from row to row, after `dt`.
     """
 
-    def __init__(self, numbers: Iterable[sympy.Symbol], inputs: Iterable[sympy.Symbol]) -> None:
+    def __init__(self, numbers: Sequence[sympy.Symbol], inputs: Sequence[sympy.Symbol]) -> None:
+        self.inputs = (DT, *inputs)
         self.nodes: list[Node] = []
         self._places: dict[tuple[Any, ...], int] = {}
         self._of: dict[sympy.Basic, int] = {}
-        for kind, symbols in ((Kind.NUMBERS, numbers), (Kind.INPUTS, inputs)):
-            for symbol in symbols:
-                self._of[symbol] = self._node("", (), symbol, kind)
+        for kind, symbols in ((Kind.NUMBERS, numbers), (Kind.INPUTS, self.inputs)):
+            for i, symbol in enumerate(symbols):
+                self._of[symbol] = self._node("", (), i, kind)
 
     def define(self, symbol: sympy.Symbol, node: int) -> None:
         """Let a symbol stand for a node."""
@@ -194,28 +197,30 @@ class Graph:
         return self._places[key]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Program:
     """What `rows.c` runs; registers are numbered as there: inputs, uniform ones, others.
 
     Attributes
     ----------
-    inputs : symbols, or nodes of what was computed of them, in the order of the first registers.
-    given : symbols and literals of the next ones.
-    operations : number, result and three operands of each, uniform ones first.
+    inputs : of the first registers: numbers of inputs, `dt` first; those behind are known nodes.
+    given : (G,) literals of the next ones, 0 where a number stands in.
+    numbers : (2, M) places among `given`, and the numbers that stand in there.
+    operations : (K, 5) number, result and three operands of each, uniform ones first.
     uniform : how many of the operations are the same for all rows.
     uniform_count : registers that are the same for all rows.
     registers : of all kinds.
-    results : register of each result.
+    results : (R,) register of each result.
     """
 
-    inputs: tuple[Any, ...]
-    given: tuple[Any, ...]
-    operations: tuple[tuple[int, int, int, int, int], ...]
+    inputs: tuple[int, ...]
+    given: NDArray[np.float64]
+    numbers: NDArray[np.int64]
+    operations: NDArray[np.int32]
     uniform: int
     uniform_count: int
     registers: int
-    results: tuple[int, ...]
+    results: NDArray[np.int32]
 
 
 def fixed_nodes(graph: Graph, results: Sequence[int]) -> list[int]:
@@ -246,33 +251,29 @@ def program_of(graph: Graph, results: Sequence[int], known: Sequence[int] = ()) 
     """
     nodes = graph.nodes
     order = _in_order(nodes, results, set(known))
-    inputs: list[Any] = [DT, *(node for node in known if node in order)]
-    inputs += [
-        nodes[k].detail
-        for k in order
-        if nodes[k].kind is Kind.INPUTS and not nodes[k].operation and nodes[k].detail != DT
-    ]
-    places: dict[int, int] = {}
-    for k in order:
-        if k in known:
-            places[k] = inputs.index(k)
-        elif nodes[k].kind is Kind.INPUTS and not nodes[k].operation:
-            places[k] = inputs.index(nodes[k].detail)
-    given = [k for k in order if not nodes[k].operation and k not in places]
+    numbered = {k: len(graph.inputs) + i for i, k in enumerate(known)}
+    numbered |= {
+        k: nodes[k].detail for k in order if nodes[k].kind is Kind.INPUTS and not nodes[k].operation
+    }
+    inputs = [k for k in order if k in numbered]
+    given = [k for k in order if not nodes[k].operation and k not in numbered]
     uniform = [k for k in order if nodes[k].operation and nodes[k].kind <= Kind.NUMBERS]
-    places |= {k: len(inputs) + i for i, k in enumerate((*given, *uniform))}
+    # The step comes first, whether or not an expression reads it: states move by it.
+    places = {k: 1 + i for i, k in enumerate((*inputs, *given, *uniform))}
     rest = [k for k in order if k not in places]
-    first = len(inputs) + len(given) + len(uniform)
-    registers = _allocate(nodes, rest, set(results), places, first)
-    operations = tuple(_encoded(nodes[k], places[k], places) for k in (*uniform, *rest))
+    registers = _allocate(nodes, rest, set(results), places, 1 + len(places))
+    literals = [nodes[k].detail if nodes[k].kind is Kind.LITERAL else 0.0 for k in given]
+    numbers = [(i, nodes[k].detail) for i, k in enumerate(given) if nodes[k].kind is Kind.NUMBERS]
+    operations = [_encoded(nodes[k], places[k], places) for k in (*uniform, *rest)]
     return Program(
-        inputs=tuple(inputs),
-        given=tuple(nodes[k].detail for k in given),
-        operations=operations,
+        inputs=(0, *(numbered[k] for k in inputs)),
+        given=np.array(literals, dtype=np.float64),
+        numbers=np.array(numbers, dtype=np.int64).reshape(-1, 2).T,
+        operations=np.array(operations, dtype=np.int32).reshape(-1, 5),
         uniform=len(uniform),
         uniform_count=len(given) + len(uniform),
         registers=registers,
-        results=tuple(places[k] for k in results),
+        results=np.array([places[k] for k in results], dtype=np.int32),
     )
 
 

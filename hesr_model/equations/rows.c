@@ -20,13 +20,12 @@ typedef struct {
     const operation *operations;
     int64_t uniform;             /* operations that are the same for all rows, */
     int64_t count;               /* and all of them */
-    const double *const *inputs; /* (rows) each: the first registers */
+    const double *const *inputs; /* (rows) each: the first registers, dt before all */
     int64_t input_count;
     const double *given; /* numbers that are the same for all rows: the next ones */
     int64_t given_count;
     int64_t uniform_count; /* these, and what the uniform operations make of them */
     int64_t registers;     /* of all kinds */
-    int64_t step;          /* register of dt */
     double euler;
     const uint8_t *begins;      /* (rows) where states have their start */
     const double *const *start; /* (rows) of each state */
@@ -207,9 +206,9 @@ INLINE int operate(program *p, const operation *o, int64_t at, int64_t n) {
     case CARRIED:
         EACH(p->carried[o->c]);
     case RELAX:
-        return relax(p, o->c, at, n, d, a, b, p->places[p->step]);
+        return relax(p, o->c, at, n, d, a, b, p->places[0]);
     case STOP:
-        return stop(p, o->c, at, n, d, a, b, p->places[p->step]);
+        return stop(p, o->c, at, n, d, a, b, p->places[0]);
     default:
         return TOO_LARGE;
     }
