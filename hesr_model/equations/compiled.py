@@ -93,6 +93,13 @@ def _library() -> ctypes.CDLL | None:
     return library
 
 
+@cache
+def _vectors() -> int:
+    """Return how wide vectors are on this machine, as `rows.c` numbers them."""
+    library = _library()
+    return 0 if library is None else int(library.widest())
+
+
 _only_numpy = False
 
 
@@ -190,7 +197,7 @@ class _Run:
         self._out = _addresses(self.found.T)
         inputs, starts = _addresses([arrays[i] for i in own.inputs]), _addresses(self.starts)
         carried, places = np.zeros(states), np.empty(own.registers, dtype=np.uintp)
-        work = np.empty((own.registers + count + 3) * _BLOCK)
+        work = np.empty((own.registers + count + 4) * _BLOCK)
         lanes = np.empty(sum(4 * _LANES * -(-left // 4) for left in range(1, count + 2)))
         columns = np.empty(count + 4, dtype=np.uintp)
         # As long as addresses of them are in use.
@@ -232,7 +239,7 @@ class _Run:
         own.weights = None if weights is None else weights.ctypes.data
         own.gram = self._gram.ctypes.data if gram else None
         own.out = self._out.ctypes.data if keep else None
-        if self._run(self._reference):
+        if self._run(self._reference, _vectors()):
             raise OutsideError
         RUNS["C"] += 1
 

@@ -32,7 +32,7 @@ typedef struct {
     double *carried;            /* each state */
     int64_t rows, block;
     double **places; /* (registers) */
-    double *work;    /* BLOCK for each register and for each result, and 3 BLOCK */
+    double *work;    /* BLOCK for each register and for each result, and 4 BLOCK */
     const int32_t *results;
     int64_t result_count;
     double *const *out;    /* (rows) of each result, or NULL */
@@ -118,10 +118,21 @@ INLINE int relax(program *p, int64_t state, int64_t at, int64_t n, double *restr
             c[i] = p->start[state][at + i];
         }
     }
+    /* Two steps are one step with a factor and an increment of their own: half as long a chain. */
+    double *restrict factor = c + BLOCK, *restrict increment = factor + BLOCK / 2;
+    for (int64_t i = 0; i < n / 2; i++) {
+        factor[i] = a[2 * i + 1] * a[2 * i];
+        increment[i] = a[2 * i + 1] * c[2 * i] + c[2 * i + 1];
+    }
     double now = p->carried[state];
-    for (int64_t i = 0; i < n; i++) {
-        now = a[i] * now + c[i];
-        x[i] = now;
+    for (int64_t i = 0; i < n / 2; i++) {
+        x[2 * i] = a[2 * i] * now + c[2 * i];
+        now = factor[i] * now + increment[i];
+        x[2 * i + 1] = now;
+    }
+    if (n % 2) {
+        now = a[n - 1] * now + c[n - 1];
+        x[n - 1] = now;
     }
     p->carried[state] = now;
     return DONE;
@@ -345,6 +356,16 @@ INLINE int all_rows(program *p) {
     return DONE;
 }
 
+#define SHOWN __attribute__((visibility("default")))
+
+enum { PLAIN, WIDE, WIDEST };
+
+/* Which vectors this machine has; asking takes as long as thousands of rows where it is virtual. */
+SHOWN int widest(void);
+
+/* Run a program over all rows by such vectors; returns how it ended. The numbers are the same. */
+SHOWN int run(program *p, int vectors);
+
 #if defined(__x86_64__)
 #include <cpuid.h>
 
@@ -352,36 +373,40 @@ __attribute__((target("avx2"))) static int in_wide_vectors(program *p) {
     return all_rows(p);
 }
 
-static bool has_wide_vectors(void) {
-    unsigned a, b, c, d, low, high;
-    if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & (1u << 27))) {
-        return false;
-    }
-    __asm__("xgetbv" : "=a"(low), "=d"(high) : "c"(0)); /* whether the system saves them */
-    return (low & 6) == 6 && __get_cpuid_count(7, 0, &a, &b, &c, &d) && (b & (1u << 5));
-}
-#else
-static int in_wide_vectors(program *p) {
+__attribute__((target("avx512f,avx512dq,avx512vl"))) static int in_widest_vectors(program *p) {
     return all_rows(p);
 }
 
-static bool has_wide_vectors(void) {
-    return false;
+int widest(void) {
+    unsigned a, b, c, d, low, high;
+    if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & (1u << 27))) {
+        return PLAIN;
+    }
+    __asm__("xgetbv" : "=a"(low), "=d"(high) : "c"(0)); /* what the system saves */
+    if ((low & 0x06) != 0x06 || !__get_cpuid_count(7, 0, &a, &b, &c, &d)) {
+        return PLAIN;
+    }
+    if ((low & 0xe0) == 0xe0 && (b >> 16 & 1) && (b >> 17 & 1) && (b >> 31 & 1)) {
+        return WIDEST;
+    }
+    return b >> 5 & 1 ? WIDE : PLAIN;
+}
+
+int run(program *p, int vectors) {
+    return vectors == WIDEST ? in_widest_vectors(p)
+           : vectors == WIDE ? in_wide_vectors(p)
+                             : all_rows(p);
+}
+#else
+int widest(void) {
+    return PLAIN;
+}
+
+int run(program *p, int vectors) {
+    (void)vectors;
+    return all_rows(p);
 }
 #endif
-
-#define SHOWN __attribute__((visibility("default")))
-
-/* Run a program over all rows; returns how it ended. */
-SHOWN int run(program *p);
-
-int run(program *p) {
-    static int wide = -1; /* asking takes as long as thousands of rows where a machine is virtual */
-    if (wide < 0) {
-        wide = has_wide_vectors();
-    }
-    return wide ? in_wide_vectors(p) : all_rows(p);
-}
 
 /* Solve the normal equations of (n + 1, n + 1) products whose last column is the target's, where
  * the first unknowns must not be negative: negative ones become zero one by one, the worst first.

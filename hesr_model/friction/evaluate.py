@@ -15,7 +15,7 @@ import sympy
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 
-from hesr_model.equations.compiled import Kernel, OutsideError, kernel_of
+from hesr_model.equations.compiled import RUNS, Kernel, OutsideError, kernel_of
 from hesr_model.equations.functions import lowered
 from hesr_model.equations.memory import DT, Stop
 from hesr_model.equations.over_log import Array, StatesOverLog
@@ -98,6 +98,7 @@ def predict(
         in_c = _torque(law, t, (dq, q, tau_load), start)
         if in_c is not None:
             return in_c
+        RUNS["NumPy"] += 1
     output, values, states, dt = _states(law, t, (dq, q, tau_load), start)
     if shown is not None:
         values = (*numbers(law), *shown)

@@ -20,6 +20,7 @@ from cosim.replay import replay
 from cosim.slave import Component
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.artifacts import read_model, write_model
+from hesr_model.equations.compiled import RUNS, in_numpy
 from hesr_model.errors import ArtifactError, HesrError
 from hesr_model.friction.evaluate import Stepper, predict
 from hesr_model.friction.fitting.fit import fit_joint
@@ -139,6 +140,21 @@ def test_a_structure_of_another_law_is_refused(name: str) -> None:
     except ArtifactError:
         return  # a family: a structure must be given
     assert entry.form({}) == form
+
+
+# --- over whole logs --------------------------------------------------------------------------
+
+
+def test_torque_over_a_log_in_c_is_that_in_numpy(law: FrictionLaw) -> None:
+    """With the numbers of the fit, and with others; every law is in C where there is a compiler."""
+    for own in (law, *model_of(law).laws):
+        before = RUNS.copy()
+        found = torque(own, unseen())
+        assert RUNS["C"] > before["C"]
+        assert RUNS["NumPy"] == before["NumPy"]
+        with in_numpy():
+            expected = torque(own, unseen())
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
 
 
 # --- the fit ----------------------------------------------------------------------------------

@@ -32,6 +32,7 @@ AREAS = {
     "master": "cosim/master.py",
     "steps": "cosim/stepping.py",
     "c": "fmu_src/c/*.[ch]",
+    "rows": "hesr_model/equations/*.[ch]",
 }
 PATIENCE = 5.0  # times what the tests take without a fault
 # Tests run in forks of a process that has the slow imports behind it, but none of ours.

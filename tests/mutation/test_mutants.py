@@ -12,6 +12,7 @@ SOURCES = [
     path
     for pattern in (
         "hesr_model/**/*.py",
+        "hesr_model/equations/*.[ch]",
         "fmu_src/c/*.[ch]",
         "cosim/master.py",
         "cosim/stepping.py",

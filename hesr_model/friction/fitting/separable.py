@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 from scipy.optimize import least_squares as minimise_squares
 
-from hesr_model.equations.compiled import Kernel, OutsideError, Rows, kernel_of
+from hesr_model.equations.compiled import RUNS, Kernel, OutsideError, Rows, kernel_of
 from hesr_model.equations.functions import lowered
 from hesr_model.equations.memory import DT, Element
 from hesr_model.equations.over_log import Array, Discretisation, StatesOverLog
@@ -118,6 +118,7 @@ class Separable:
         return kernel.over(inputs, s.dt, s.begins, euler=euler, target=s.tau)
 
     def _in_numpy(self, point: Array) -> Array:
+        RUNS["NumPy"] += 1
         s, (memory, columns_of) = self.samples, self._equations.lowered
         inputs, numbers = (s.dq, s.q, s.tau_load), self.numbers(point)
         values = (*numbers, *inputs)

@@ -1,0 +1,349 @@
+"""Equations over rows in C against the same in NumPy, function by function and form by form."""
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import mpmath
+import numpy as np
+import pytest
+import sympy
+from joint_data import law, training
+
+from hesr_model.equations import compiled
+from hesr_model.equations.compiled import OutsideError, Rows, in_numpy, kernel_of
+from hesr_model.equations.functions import (
+    absolute,
+    cardinal_sine,
+    clip,
+    exceeds,
+    larger,
+    lowered,
+    over,
+    positive,
+    sgn,
+)
+from hesr_model.equations.memory import Element, Relaxation, Stop
+from hesr_model.equations.over_log import Discretisation, StatesOverLog
+from hesr_model.errors import ExportError, SimulationError
+from hesr_model.friction.evaluate import predict
+from hesr_model.friction.fitting.samples import Samples, non_negative_least_squares
+from hesr_model.friction.fitting.separable import Separable
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws.lugre import LuGre, LuGreLoad
+from hesr_model.friction.laws.ripple import Ripple
+
+U, V, K = sympy.symbols("u v k", real=True)
+ROWS = 1000  # not a multiple of what a block or a vector has
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def rows_of(
+    wanted: list[sympy.Expr], u: np.ndarray, v: np.ndarray | None = None, *,
+    memory: tuple[Element, ...] = (), begins: np.ndarray | None = None, dt: float = 0.01,
+    euler: bool = False, target: np.ndarray | None = None,
+) -> Rows:  # fmt: skip
+    kernel = kernel_of(memory, (K,), (U, V), wanted, sympy.S.Zero)
+    assert kernel is not None
+    first = np.arange(len(u)) == 0
+    found = kernel.over(
+        (u, np.zeros_like(u) if v is None else v), np.full(len(u), dt),
+        first if begins is None else begins, euler=euler, target=target,
+    )  # fmt: skip
+    assert found is not None, "there is no compiler here"
+    return found
+
+
+def values(expression: sympy.Expr, u: np.ndarray, k: float = 1.0) -> np.ndarray:
+    return rows_of([expression], u).at(np.array([k]))[:, 0].copy()
+
+
+# --- elementary functions ---------------------------------------------------------------------
+
+EXACT: dict[str, tuple[Callable[..., sympy.Expr], Callable[..., mpmath.mpf], float]] = {
+    "exp": (sympy.exp, mpmath.exp, 700.0),
+    "tanh": (sympy.tanh, mpmath.tanh, 25.0),
+    "sin": (sympy.sin, mpmath.sin, 1e6),
+    "cos": (sympy.cos, mpmath.cos, 1e6),
+    "cardinal sine": (cardinal_sine, lambda x: mpmath.sin(x) / x, 50.0),
+}
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_elementary_functions_are_exact_to_the_last_digits(
+    name: str, rng: np.random.Generator
+) -> None:
+    """1e-15 relative; of sines relative to 1, since their zeros have no digits."""
+    function, exact, limit = EXACT[name]
+    size = np.concatenate([np.geomspace(1e-300, limit, 700), rng.uniform(0.1, limit, 800)])
+    u = size * rng.choice([-1.0, 1.0], len(size))
+    expected = np.array([float(exact(mpmath.mpf(x))) for x in u])
+    scale = np.abs(expected) if name in ("exp", "tanh") else 1.0
+    error = np.abs(values(function(K * U), u) - expected) / scale
+    assert error.max() < 1e-15
+
+
+def test_exp_has_the_digits_that_the_smallest_numbers_have() -> None:
+    u = np.linspace(-746.0, -700.0, ROWS)
+    expected = [float(mpmath.exp(mpmath.mpf(x))) for x in u]
+    np.testing.assert_allclose(values(sympy.exp(K * U), u), expected, rtol=1e-15, atol=1e-323)
+
+
+def test_what_is_infinite_and_what_is_no_number() -> None:
+    u = np.array([np.inf, -np.inf, np.nan, 1e6, -1e6, 0.0, 710.0, -750.0])
+    with np.errstate(over="ignore", under="ignore"):
+        np.testing.assert_array_equal(values(sympy.exp(K * U), u), np.exp(u))
+    np.testing.assert_array_equal(values(sympy.tanh(K * U), u), np.tanh(u))
+    np.testing.assert_array_equal(values(positive(K * U), u), np.where(u > 0.0, u, 0.0))
+
+
+def test_a_relaxation_forgets_by_what_the_step_says(rng: np.random.Generator) -> None:
+    """expm1 and the share of a step, from rates that hardly move to those that forget all."""
+    rates = np.concatenate([[0.0], np.geomspace(1e-12, 1e5, ROWS - 1)])
+    x = Relaxation(name="x", unit="1", drive=U / U, rate=U)
+    moved = [
+        rows_of([x.state], np.array([1.0, r]), memory=(x,)).at(
+            np.ones(1), np.array([0.5]), settled=True
+        )[1, 0]
+        for r in rates
+    ]
+    z = [mpmath.mpf(r) * mpmath.mpf(0.01) for r in rates]
+    share = [-mpmath.expm1(-s) / s if s else mpmath.mpf(1) for s in z]
+    expected = [
+        float(0.5 * mpmath.exp(-s) + mpmath.mpf(0.01) * p) for s, p in zip(z, share, strict=True)
+    ]
+    np.testing.assert_allclose(moved, expected, rtol=1e-15, atol=1e-16)
+
+
+# --- expressions ------------------------------------------------------------------------------
+
+EXPRESSIONS = {
+    "sum": 3 * U - 2 * V + K - sympy.Rational(1, 3) - U * V,
+    "negative sum": -U - V - K,
+    "product": -2 * K * U**2 * V / (7 * (1 + V**2)),
+    "powers": U**5 + V**-3 + sympy.sqrt(1 + U**2) + (1 + V**2) ** -2 + U**0,
+    "numbers": sympy.pi * K + sympy.E + sympy.Float(0.1) * U,
+    "bends": absolute(U) + sgn(V) + positive(U - K) + exceeds(U, V) - positive(-V),
+    "bounds": clip(U, absolute(V)) + larger(U, V) + over(U, V, K),
+    "shared": sympy.exp(-(U**2)) * V + K * sympy.exp(-(U**2)),
+    "nested": sympy.tanh(sympy.sin(U) + sympy.cos(K * V) ** 2) / (1 + absolute(sympy.tanh(V))),
+    "of a number alone": sympy.exp(K) * sympy.tanh(K),
+    "an input": V,
+    "a literal": sympy.Integer(2),
+}
+
+
+@pytest.mark.parametrize("name", EXPRESSIONS)
+def test_an_expression_is_what_it_is_in_numpy(name: str, rng: np.random.Generator) -> None:
+    u, v = rng.normal(size=(2, ROWS))
+    v[::50] = 0.1
+    expression, k = EXPRESSIONS[name], 0.7
+    expected = np.broadcast_to(lowered((K, U, V), [expression])(k, u, v)[0], u.shape)
+    found = rows_of([expression], u, v).at(np.array([k]))[:, 0]
+    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
+
+
+def test_results_stand_beside_one_another(rng: np.random.Generator) -> None:
+    """Registers are used again, but not those of results; a result may be part of another."""
+    u, v = rng.normal(size=(2, ROWS))
+    every = list(EXPRESSIONS.values())
+    wanted = [*every, sum(every[:3]), every[0], every[0] * every[1]]
+    found = rows_of(wanted, u, v).at(np.array([0.7])).copy()
+    expected = lowered((K, U, V), wanted)(0.7, u, v)
+    for column, e in zip(found.T, expected, strict=True):
+        np.testing.assert_allclose(column, np.broadcast_to(e, u.shape), rtol=1e-12, atol=1e-12)
+    again = rows_of(wanted, u, v)
+    again.at(np.array([3.0]))
+    np.testing.assert_array_equal(again.at(np.array([0.7])), found)
+
+
+@pytest.mark.parametrize("expression", [U**V, sympy.log(U), U ** sympy.Rational(1, 3), U**9])
+def test_what_c_does_not_know_is_left_to_numpy(expression: sympy.Expr) -> None:
+    assert kernel_of((), (K,), (U, V), [expression], sympy.S.Zero) is None
+
+
+def test_angles_beyond_those_that_can_be_reduced_are_refused() -> None:
+    for function in (sympy.sin, sympy.cos, cardinal_sine):
+        rows = rows_of([function(K * U)], np.linspace(0.0, 1.0, ROWS))
+        rows.at(np.array([1e6]))
+        with pytest.raises(OutsideError):
+            rows.at(np.array([1.1e6]))
+
+
+# --- memory -----------------------------------------------------------------------------------
+
+_x = Relaxation(name="x", unit="1", drive=K * U, rate=1 + absolute(5 * U))
+_own = Relaxation(name="y", unit="1", drive=U, rate=3 + absolute(sympy.Symbol("y", real=True) * V))
+_after = Relaxation(name="z", unit="1", drive=_x.state, rate=sympy.Integer(4) * positive(V))
+_stop = Stop(name="s", unit="1", velocity=U, deflection=sympy.Float(0.02), bound=1 + V / 4)
+_aged = Stop(name="w", unit="1", velocity=U, deflection=sympy.Float(0.05), bound=positive(_x.state))
+MEMORY: dict[str, tuple[Element, ...]] = {
+    "a relaxation": (_x,),
+    "one whose rate sees it": (_own,),
+    "one after the other": (_x, _after),
+    "a stop": (_stop,),
+    "a stop whose bound is a state": (_x, _aged, _stop),
+    "all of them": (_x, _own, _after, _stop, _aged),
+}
+
+
+@pytest.mark.parametrize("discretisation", ["exact", "euler"])
+@pytest.mark.parametrize("name", MEMORY)
+def test_states_and_their_derivatives_are_those_in_numpy(
+    name: str, discretisation: Discretisation, rng: np.random.Generator
+) -> None:
+    memory = MEMORY[name]
+    u, v = rng.normal(size=(2, ROWS))
+    begins = np.isin(np.arange(ROWS), [0, 1, 127, 128, 500])
+    states = [s for m in memory for s in (m.state, m.derivative)]
+    rows = rows_of(states, u, v, memory=memory, begins=begins, euler=discretisation == "euler")
+    start = np.linspace(0.1, 0.3, len(memory))
+    found = rows.at(np.array([2.0]), start, settled=True)
+    oracle = StatesOverLog(memory, (K, U, V), states)
+    expected = oracle((2.0, u, v), np.full(ROWS, 0.01), begins, list(start), discretisation)
+    for column, e in zip(found.T, expected, strict=True):
+        np.testing.assert_allclose(column, e, rtol=0, atol=1e-13 * max(1.0, np.abs(e).max()))
+
+
+def test_states_begin_where_numpy_lets_them_begin(rng: np.random.Generator) -> None:
+    u, v = rng.normal(size=(2, 300))
+    begins = np.isin(np.arange(300), [0, 40, 200])
+    settling = clip(absolute(U), 1)
+    for memory in MEMORY.values():
+        kernel = kernel_of(memory, (K,), (U, V), [m.state for m in memory], settling)
+        assert kernel is not None
+        rows = kernel.over((u, v), np.full(300, 0.01), begins)
+        assert rows is not None
+        start = np.full(len(memory), 0.2)
+        found = rows.at(np.array([2.0]), start)[begins]
+        oracle = StatesOverLog(memory, (K, U, V), [], settling)
+        expected = oracle.beginning((2.0, u[begins], v[begins]), list(start))
+        for column, e in zip(found.T, expected, strict=True):
+            np.testing.assert_allclose(column, e, rtol=1e-13, atol=1e-13)
+
+
+def test_a_step_that_euler_cannot_take_is_refused_as_in_numpy() -> None:
+    rows = rows_of([_x.state], np.full(ROWS, 20.0), memory=(_x,), euler=True)
+    with pytest.raises(OutsideError):
+        rows.at(np.array([1.0]))
+    values_of = {"sigma_0": 3000.0, "sigma_1": 20.0, "sigma_2": 6.0, "F_c": 9.0, "F_s": 12.0,
+                 "v_s": 0.1, "tau_0": 0.4}  # fmt: skip
+    made = FrictionLaw(name="made", form=LuGre.core({}), values=values_of, discretisation="euler")
+    with pytest.raises(SimulationError, match=r"Euler needs 0 <= rate \* step < 1, found"):
+        predict(made, t=np.arange(50) * 0.1, dq=np.ones(50))
+
+
+# --- machines ---------------------------------------------------------------------------------
+
+
+def test_numbers_are_the_same_bits_whatever_vectors_there_are(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    u, v, tau = rng.normal(size=(3, ROWS))
+    wanted = [*EXPRESSIONS.values(), _x.state, _stop.state, _x.derivative]
+    rows = rows_of(wanted, u, v, memory=(_x, _stop), target=tau)
+    widest = compiled._vectors()
+    every = []
+    for width in range(widest + 1):
+        monkeypatch.setattr(compiled, "_vectors", lambda width=width: width)
+        solved = rows.solved(np.array([0.7]), non_negative=0, keep=True)
+        every.append((rows.found.tobytes(), rows._run._gram.tobytes(), str(solved)))
+    assert all(one == every[0] for one in every)
+
+
+@pytest.fixture
+def no_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    def fails(*_: object) -> None:
+        raise ExportError("the C compiler cannot be run (No such file or directory).")
+
+    monkeypatch.setattr(compiled, "compile_c", fails)
+    compiled._library.cache_clear()
+    yield
+    compiled._library.cache_clear()
+
+
+def test_without_a_compiler_all_is_done_in_numpy(request: pytest.FixtureRequest) -> None:
+    made = law("lugre", {}, sigma_0=3e3, sigma_1=20.0, sigma_2=6.0, F_c=9.0, F_s=12.0, v_s=0.1,
+               tau_0=0.4)  # fmt: skip
+    t = np.arange(200) * 0.005
+    before = compiled.RUNS.copy()
+    in_c = predict(made, t=t, dq=np.sin(t))
+    assert compiled.RUNS["C"] > before["C"]
+    assert compiled.RUNS["NumPy"] == before["NumPy"]
+    request.getfixturevalue("no_compiler")
+    found = predict(made, t=t, dq=np.sin(t))
+    assert compiled.RUNS["NumPy"] == before["NumPy"] + 1
+    np.testing.assert_allclose(in_c, found, rtol=0, atol=1e-13 * np.abs(found).max())
+
+
+# --- least squares ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def samples() -> Samples:
+    made = law("lugre", {}, sigma_0=3e3, sigma_1=20.0, sigma_2=6.0, F_c=9.0, F_s=12.0, v_s=0.1,
+               tau_0=0.4)  # fmt: skip
+    return Samples.of(training(made, noise=0.1), coefficients=3)
+
+
+def test_factors_are_those_of_least_squares(samples: Samples) -> None:
+    """With none, some and all of them kept from being negative."""
+    problem = Separable(LuGreLoad.core({}), LuGreLoad().space(), samples)
+    point = problem.point({"deflection": 3e-3, "ratio": 0.7, "v_s": 0.2})
+    columns = problem.columns(point)
+    rows, held = problem._rows, 0
+    assert rows is not None
+    for non_negative in range(6):
+        found = rows.solved(problem.numbers(point), non_negative=non_negative)
+        assert found is not None
+        x, squares = non_negative_least_squares(columns, samples.tau, non_negative=non_negative)
+        held += int(np.sum(x == 0.0))
+        np.testing.assert_allclose(found[0], x, rtol=1e-9, atol=1e-9 * np.abs(x).max())
+        assert math.isclose(found[1], squares, rel_tol=1e-9)
+    assert held, "no factor was at its bound"
+
+
+def test_rows_count_by_their_weights(samples: Samples) -> None:
+    problem = Separable(LuGre.core({}), LuGre().space(), samples)
+    point = problem.point({"deflection": 3e-3, "ratio": 1.4, "v_s": 0.1})
+    weights = (samples.record == 0).astype(float)
+    found = problem._residual(point, weights)
+    with in_numpy():
+        expected = Separable(problem.form, problem.space, samples)._residual(point, weights)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+    assert np.abs(found - problem._residual(point, np.ones_like(weights))).max() > 1e-3
+
+
+def test_factors_that_rows_hardly_determine_are_left_to_numpy(rng: np.random.Generator) -> None:
+    u, tau = rng.normal(size=(2, ROWS))
+    twice = rows_of([K * U, U + U], u, target=tau)
+    assert twice.solved(np.ones(1), non_negative=0) is None
+    nothing = rows_of([K * U, 0 * U], u, target=tau)
+    assert nothing.solved(np.ones(1), non_negative=0) is None
+
+
+def test_a_search_in_c_ends_where_one_in_numpy_does(samples: Samples) -> None:
+    def found() -> np.ndarray:
+        problem = Separable(LuGre.core({}), LuGre().space(), samples)
+        point = problem.polish(problem.search(np.random.default_rng(0), effort=8))
+        return np.concatenate([point, problem.solve(point)[0]])
+
+    in_c = found()
+    with in_numpy():
+        np.testing.assert_allclose(in_c, found(), rtol=1e-5)
+
+
+def test_ripple_at_angles_out_of_reach_is_what_it_is_in_numpy(samples: Samples) -> None:
+    waves = Ripple(gear_ratio=1e7, orders=(1,))
+    plain = Separable(LuGre.core({}), LuGre().space(), samples)
+    form, space = waves.extend(plain.form), waves.extend_space(plain.space)
+    numbers = {"deflection": 3e-3, "ratio": 1.4, "v_s": 0.1, "lag": 1e-3, "smoothing": 1e-3}
+    problem = Separable(form, space, samples)
+    columns = problem.columns(problem.point(numbers))
+    with in_numpy():
+        expected = Separable(form, space, samples).columns(problem.point(numbers))
+    np.testing.assert_array_equal(columns, expected)
