@@ -52,16 +52,20 @@ class _Program(ctypes.Structure):
     _fields_ = (
         ("operations", ctypes.c_void_p),
         *((name, ctypes.c_int64) for name in ("uniform", "count")),
-        ("inputs", ctypes.c_void_p),
+        *((name, ctypes.c_void_p) for name in ("inputs", "strides")),
         ("input_count", ctypes.c_int64),
         ("given", ctypes.c_void_p),
         *((name, ctypes.c_int64) for name in ("given_count", "uniform_count", "registers")),
         ("euler", ctypes.c_double),
-        *((name, ctypes.c_void_p) for name in ("begins", "start", "carried")),
+        ("firsts", ctypes.c_void_p),
+        *((name, ctypes.c_int64) for name in ("first_count", "coming")),
+        *((name, ctypes.c_void_p) for name in ("start", "carried")),
         *((name, ctypes.c_int64) for name in ("rows", "block")),
         *((name, ctypes.c_void_p) for name in ("places", "work", "results")),
         ("result_count", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in ("out", "target", "weights", "gram", "lanes")),
+        ("out", ctypes.c_void_p),
+        ("out_stride", ctypes.c_int64),
+        *((name, ctypes.c_void_p) for name in ("target", "weights", "gram", "lanes")),
         ("lane_count", ctypes.c_int64),
         ("columns", ctypes.c_void_p),
     )
@@ -124,6 +128,7 @@ class Kernel:
     inputs : symbols of what differs from row to row, besides `dt`.
     wanted : expressions; of states and their derivatives as they are at the end of a step.
     settling : as in `StatesOverLog`.
+    once : whether rows are run over once: then what inputs alone decide is not computed before.
 
     Raises
     ------
@@ -138,12 +143,14 @@ class Kernel:
         inputs: Sequence[sympy.Symbol],
         wanted: Sequence[sympy.Expr],
         settling: sympy.Expr = sympy.S.Zero,
+        *,
+        once: bool = False,
     ) -> None:
         self.memory, self.numbers, self.inputs = tuple(memory), tuple(numbers), tuple(inputs)
         graph = Graph(numbers, inputs)
         graph.move(self.memory)
         results = [graph.of(e) for e in wanted]
-        self.known = fixed_nodes(graph, results)
+        self.known = [] if once else fixed_nodes(graph, results)
         self.fixed = program(graph, self.known)
         self.main = program(graph, results, self.known)
         starts = tuple(m.state for m in self.memory)
@@ -156,17 +163,18 @@ class Kernel:
         self,
         inputs: Sequence[Array],
         dt: Array,
-        begins: NDArray[np.bool_],
+        firsts: Sequence[int] | NDArray[np.int64],
         *,
         euler: bool = False,
         target: Array | None = None,
+        found: Array | None = None,
     ) -> "Rows | None":
         """Return the kernel on rows, None where only NumPy is to be had; see `Rows`."""
         library = None if _only_numpy else _library()
         if library is None:
             return None
         try:
-            return Rows(library, self, inputs, dt, begins, euler=euler, target=target)
+            return Rows(library, self, inputs, dt, firsts, euler=euler, target=target, found=found)
         except OutsideError:
             return None
 
@@ -179,38 +187,42 @@ class _Run:
         library: ctypes.CDLL,
         own: Program,
         arrays: Sequence[Array],
-        begins: NDArray[np.bool_],
+        firsts: NDArray[np.int64],
         *,
         states: int = 0,
         euler: bool = False,
         block: int = _BLOCK,
         target: Array | None = None,
+        found: Array | None = None,
     ) -> None:
         self._run, self._solve = library["run"], library["solve"]
-        rows, count = len(begins), len(own.results)
-        self.found = np.empty((count, rows)).T
-        self.starts = np.zeros((states, rows))
+        rows, count = len(arrays[0]), len(own.results)
+        self.found = np.empty((count, rows)).T if found is None else found
+        self.starts = np.zeros((states, len(firsts)))
         self._given, self._numbers = own.given.copy(), own.numbers
         self._gram = np.zeros((count + 1, count + 1))
         self._room = np.empty(count * (count + 3))
         self._x, self._squares = np.empty(count), ctypes.c_double()
         self._out = _addresses(self.found.T)
-        inputs, starts = _addresses([arrays[i] for i in own.inputs]), _addresses(self.starts)
+        inputs = _addresses([arrays[i] for i in own.inputs])
+        strides = np.array([arrays[i].strides[0] // 8 for i in own.inputs])
         carried, places = np.zeros(states), np.empty(own.registers, dtype=np.uintp)
-        work = np.empty((own.registers + count + 4) * _BLOCK)
+        work = np.empty((own.registers + count + 11) * _BLOCK)
         lanes = np.empty(sum(4 * _LANES * -(-left // 4) for left in range(1, count + 2)))
         columns = np.empty(count + 4, dtype=np.uintp)
         # As long as addresses of them are in use.
-        self._held = (own, arrays, begins, target, inputs, starts, carried, places, work, lanes,
+        self._held = (own, arrays, firsts, target, inputs, strides, carried, places, work, lanes,
                       columns)  # fmt: skip
         self._program = _Program(
             operations=own.operations.ctypes.data, uniform=own.uniform, count=len(own.operations),
-            inputs=inputs.ctypes.data, input_count=len(own.inputs),
+            inputs=inputs.ctypes.data, strides=strides.ctypes.data, input_count=len(own.inputs),
             given=self._given.ctypes.data, given_count=len(own.given),
             uniform_count=own.uniform_count, registers=own.registers, euler=float(euler),
-            begins=begins.ctypes.data, start=starts.ctypes.data, carried=carried.ctypes.data,
+            firsts=firsts.ctypes.data, first_count=len(firsts),
+            start=self.starts.ctypes.data, carried=carried.ctypes.data,
             rows=rows, block=block, places=places.ctypes.data, work=work.ctypes.data,
             results=own.results.ctypes.data, result_count=count,
+            out_stride=self.found.strides[0] // 8,
             target=None if target is None else target.ctypes.data,
             lanes=lanes.ctypes.data, lane_count=lanes.size, columns=columns.ctypes.data,
         )  # fmt: skip
@@ -244,6 +256,12 @@ class _Run:
         RUNS["C"] += 1
 
 
+def _in_numbers(values: Array) -> Array:
+    """Return an array of floats; a column of a table stays where it is."""
+    found = np.asarray(values, dtype=np.float64)
+    return found if found.strides[0] % 8 == 0 else np.ascontiguousarray(found)
+
+
 def _addresses(arrays: Iterable[Array]) -> NDArray[np.uintp]:
     return np.array([a.ctypes.data for a in arrays], dtype=np.uintp)
 
@@ -257,9 +275,10 @@ class Rows:
     kernel : the expressions.
     inputs : (N,) of each input.
     dt : (N,) step that ends at each row [s].
-    begins : (N,) True where a record begins.
+    firsts : rows at which records begin, in rising order, 0 before all.
     euler : whether relaxations move by Euler's step.
     target : (N,) what results are fitted to.
+    found : (N, K) for the results; one of its own where not given.
     """
 
     def __init__(
@@ -268,27 +287,26 @@ class Rows:
         kernel: Kernel,
         inputs: Sequence[Array],
         dt: Array,
-        begins: NDArray[np.bool_],
+        firsts: Sequence[int] | NDArray[np.int64],
         *,
         euler: bool = False,
         target: Array | None = None,
+        found: Array | None = None,
     ) -> None:
-        begins = np.ascontiguousarray(begins, dtype=np.bool_)
-        arrays = [np.ascontiguousarray(a, dtype=np.float64) for a in (dt, *inputs)]
-        self._first_rows, self._states = np.flatnonzero(begins), len(kernel.memory)
+        arrays = [_in_numbers(a) for a in (dt, *inputs)]
+        firsts, self._states = np.asarray(firsts, dtype=np.int64), len(kernel.memory)
         if kernel.known:
-            fixed = _Run(library, kernel.fixed, arrays, begins)
+            fixed = _Run(library, kernel.fixed, arrays, firsts)
             fixed(np.zeros(0))
             arrays += list(fixed.found.T)
         if kernel.memory:
-            firsts = [a[self._first_rows] for a in arrays]
-            self._first = _Run(
-                library, kernel.first, firsts, np.ones(len(self._first_rows), dtype=np.bool_)
-            )
+            at_firsts = [a[firsts] for a in arrays]
+            self._first = _Run(library, kernel.first, at_firsts, np.arange(len(firsts)))
         self._run = _Run(
-            library, kernel.main, arrays, begins, states=self._states, euler=euler,
+            library, kernel.main, arrays, firsts, states=self._states, euler=euler,
             block=1 if kernel.row_by_row else _BLOCK,
             target=None if target is None else np.ascontiguousarray(target, dtype=np.float64),
+            found=found,
         )  # fmt: skip
 
     def _begin(self, numbers: Array, start: Array | None) -> None:
@@ -296,7 +314,7 @@ class Rows:
         if self._states:
             at_rest = np.zeros(self._states) if start is None else start
             self._first(np.concatenate([numbers, at_rest]))
-            self._run.starts[:, self._first_rows] = self._first.found.T
+            self._run.starts[:] = self._first.found.T
 
     def at(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
         """Return the (N, K) results for numbers, which stand there until the next call.
@@ -313,7 +331,7 @@ class Rows:
             If a number is outside of what can be had here.
         """
         if settled and start is not None:
-            self._run.starts[:, self._first_rows] = start[:, None]
+            self._run.starts[:] = start[:, None]
         else:
             self._begin(numbers, start)
         self._run(numbers)
@@ -355,10 +373,12 @@ def kernel_of(
     inputs: Sequence[sympy.Symbol],
     wanted: Sequence[sympy.Expr],
     settling: sympy.Expr,
+    *,
+    once: bool = False,
 ) -> Kernel | None:
     """Return the kernel of expressions, None where they have something in them that C has not."""
     try:
-        return Kernel(memory, numbers, inputs, wanted, settling)
+        return Kernel(memory, numbers, inputs, wanted, settling, once=once)
     except UnsupportedError as reason:
         _log.info("a law is run over logs in NumPy (%s).", reason)
         return None

@@ -14,17 +14,21 @@ import sympy
 from numpy.typing import NDArray
 
 from hesr_model.equations.memory import DT, Element, Relaxation
+from hesr_model.equations.over_log import groups_of
 
 NAMES = (
     "ADD", "SUBTRACT", "MULTIPLY", "DIVIDE", "NEGATE", "ROOT", "EXP", "TANH", "SIN", "COS",
     "CARDINAL_SINE", "SGN", "ABSOLUTE", "POSITIVE", "LARGER", "CLIP", "EXCEEDS", "OVER", "CARRIED",
-    "RELAX", "STOP",
+    "RELAX", "STOP", "STOP_BESIDE",
 )  # fmt: skip
 """The operations of `rows.c`, in the order of their numbers there."""
+STOPS = 4
+"""Stops that move at once, as in `rows.c`."""
 
 _FUNCTIONS: Mapping[Any, str] = {sympy.exp: "EXP"} | {
     name.lower(): name for name in NAMES[NAMES.index("TANH") : NAMES.index("CARRIED")]
 }
+_MOVES = ("CARRIED", "RELAX", "STOP", "STOP_BESIDE")
 _MOST_FACTORS = 8
 """Largest whole power that is written as a product."""
 
@@ -86,17 +90,27 @@ class Graph:
 
     def move(self, memory: Sequence[Element]) -> None:
         """Let the states of elements, and their derivatives, stand for those after a step."""
-        for i, element in enumerate(memory):
-            state = element.state
-            sees_itself = state in sympy.Tuple(*element.parts).free_symbols
-            if sees_itself:
-                self._of[state] = self._node("CARRIED", (), i, Kind.ROWS)
-            first, second = map(self.of, element.parts)
-            if sees_itself:  # forget what was made of the state before it moved
-                self._of = {e: k for e, k in self._of.items() if state not in e.free_symbols}
-            kind = "RELAX" if isinstance(element, Relaxation) else "STOP"
-            self._of[state] = self._node(kind, (first, second), i, Kind.ROWS)
-            self._of[element.derivative] = self.of(element.continuous())
+        for i, end in groups_of(memory):
+            group = memory[i:end]
+            for k in range(0, len(group), STOPS):
+                self._move_together(group[k : k + STOPS], i + k)
+
+    def _move_together(self, group: Sequence[Element], first: int) -> None:
+        """Move elements that do not read one another: one, or stops."""
+        (element, *_), states = group, [m.state for m in group]
+        sees_itself = element.state in sympy.Tuple(*element.parts).free_symbols
+        if sees_itself:
+            self._of[element.state] = self._node("CARRIED", (), first, Kind.ROWS)
+        parts = [tuple(map(self.of, m.parts)) for m in group]
+        if sees_itself:  # forget what was made of the state before it moved
+            self._of = {e: k for e, k in self._of.items() if element.state not in e.free_symbols}
+        kind = "RELAX" if isinstance(element, Relaxation) else "STOP"
+        leader = self._of[states[0]] = self._node(kind, parts[0], first, Kind.ROWS)
+        for i in range(1, len(group)):
+            own = (*parts[i], leader)
+            self._of[states[i]] = self._node("STOP_BESIDE", own, first + i, Kind.ROWS)
+        for m in group:
+            self._of[m.derivative] = self.of(m.continuous())
 
     def of(self, expression: sympy.Expr) -> int:
         """Return the node of an expression.
@@ -299,7 +313,13 @@ def _in_order(nodes: Sequence[Node], results: Sequence[int], known: set[int]) ->
         if k not in needed:
             needed.add(k)
             waiting += () if k in known else nodes[k].operands
-    for k in sorted(k for k in needed if nodes[k].operation in ("CARRIED", "RELAX", "STOP")):
+    moves = sorted(k for k in needed if nodes[k].operation in _MOVES)
+    for k in moves:
+        # Those that move beside it do so at once, so what they need comes before.
+        for other in moves:
+            if nodes[other].operation == "STOP_BESIDE" and nodes[other].operands[2] == k:
+                for operand in nodes[other].operands[:2]:
+                    visit(operand)
         visit(k)
     for k in results:
         visit(k)
@@ -326,6 +346,6 @@ def _allocate(
 
 def _encoded(node: Node, result: int, places: Mapping[int, int]) -> tuple[int, int, int, int, int]:
     operands = [places[o] for o in node.operands] + [0, 0, 0]
-    if node.operation in ("CARRIED", "RELAX", "STOP"):
+    if node.operation in _MOVES:
         operands[2] = node.detail
     return (NAMES.index(node.operation), result, operands[0], operands[1], operands[2])

@@ -51,7 +51,7 @@ class StatesOverLog:
         self._parts = lowered(
             arguments, [part for i in self._alone for part in self._memory[i].parts]
         )
-        self._groups = tuple(_groups(self._memory))
+        self._groups = tuple(groups_of(self._memory))
         # Stops that read what moves before them go together, too.
         self._later = {
             i: lowered(
@@ -185,7 +185,7 @@ class StatesOverLog:
         return found
 
 
-def _groups(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
+def groups_of(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
     """Yield first and last but one of what moves together: one relaxation, or stops in a row.
 
     None of the stops reads its own state or that of another one.

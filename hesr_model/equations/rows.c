@@ -8,7 +8,7 @@
 #include <stdint.h>
 #include "elementary.h"
 
-enum { BLOCK = 128, LANES = 8 };
+enum { BLOCK = 128, LANES = 8, STOPS = 4 };
 
 enum { DONE, UNSTABLE, TOO_LARGE };
 
@@ -21,21 +21,24 @@ typedef struct {
     int64_t uniform;             /* operations that are the same for all rows, */
     int64_t count;               /* and all of them */
     const double *const *inputs; /* (rows) each: the first registers, dt before all */
+    const int64_t *strides;      /* of each, in numbers */
     int64_t input_count;
     const double *given; /* numbers that are the same for all rows: the next ones */
     int64_t given_count;
     int64_t uniform_count; /* these, and what the uniform operations make of them */
     int64_t registers;     /* of all kinds */
     double euler;
-    const uint8_t *begins;      /* (rows) where states have their start */
-    const double *const *start; /* (rows) of each state */
-    double *carried;            /* each state */
+    const int64_t *firsts;       /* (first_count) rows, in rising order, at which records begin, */
+    int64_t first_count, coming; /* and how many of them are behind the block */
+    const double *start;         /* (states, first_count) where each state begins there */
+    double *carried;             /* each state */
     int64_t rows, block;
     double **places; /* (registers) */
-    double *work;    /* BLOCK for each register and for each result, and 4 BLOCK */
+    double *work;    /* BLOCK for each register and for each result, and 10 BLOCK */
     const int32_t *results;
     int64_t result_count;
     double *const *out;    /* (rows) of each result, or NULL */
+    int64_t out_stride;    /* of each, in numbers */
     const double *target;  /* (rows) beside the results in the normal equations */
     const double *weights; /* (rows) of the normal equations, or NULL */
     double *gram;          /* (results + 1)^2, upper triangle, or NULL */
@@ -87,14 +90,16 @@ INLINE bool small_angles(const double *restrict x, int64_t n) {
     return outside == 0.0;
 }
 
-/* x+ = x + x expm1(-z) + drive dt share(z), z = rate dt; the state begins anew where rows say so.
- */
+/* For each record that begins in a block: its number f and its row i in the block. */
+#define EACH_FIRST(f, i)                                                                           \
+    for (int64_t f = p->coming, i; f < p->first_count && (i = p->firsts[f] - at) < n; f++)
+
+/* x+ = x + x expm1(-z) + drive dt share(z), z = rate dt. */
 INLINE int relax(program *p, int64_t state, int64_t at, int64_t n, double *restrict x,
                  const double *restrict drive, const double *restrict rate,
                  const double *restrict dt) {
-    double *restrict a = p->work + (p->registers + p->result_count + 1) * BLOCK, *restrict c =
-                                                                                     a + BLOCK;
-    const uint8_t *begins = p->begins + at;
+    double *restrict a = p->work + (p->registers + p->result_count + 1) * BLOCK;
+    double *restrict c = a + BLOCK;
     if (p->euler > 0.0) {
         for (int64_t i = 0; i < n; i++) {
             const double z = positive(rate[i]) * dt[i];
@@ -112,11 +117,9 @@ INLINE int relax(program *p, int64_t state, int64_t at, int64_t n, double *restr
             c[i] = drive[i] * dt[i] * share(z, e);
         }
     }
-    for (int64_t i = 0; i < n; i++) {
-        if (begins[i]) {
-            a[i] = 0.0;
-            c[i] = p->start[state][at + i];
-        }
+    EACH_FIRST(f, i) {
+        a[i] = 0.0;
+        c[i] = p->start[state * p->first_count + f];
     }
     /* Two steps are one step with a factor and an increment of their own: half as long a chain. */
     double *restrict factor = c + BLOCK, *restrict increment = factor + BLOCK / 2;
@@ -138,24 +141,43 @@ INLINE int relax(program *p, int64_t state, int64_t at, int64_t n, double *restr
     return DONE;
 }
 
-/* x+ = clip(x + rate dt, bound). */
-INLINE int stop(program *p, int64_t state, int64_t at, int64_t n, double *restrict x,
-                const double *restrict rate, const double *restrict bound,
-                const double *restrict dt) {
-    double *restrict way = p->work + (p->registers + p->result_count + 1) * BLOCK;
-    double *restrict most = way + BLOCK;
-    const uint8_t *begins = p->begins + at;
-    for (int64_t i = 0; i < n; i++) {
-        way[i] = rate[i] * dt[i];
-        most[i] = positive(bound[i]);
+/* x+ = clip(x + rate dt, bound) of up to STOPS states, none of which waits for another one. */
+INLINE void stops(program *p, const operation *o, int64_t count, int64_t at, int64_t n) {
+    double *scratch = p->work + (p->registers + p->result_count + 1) * BLOCK;
+    double *unused = scratch + 2 * STOPS * BLOCK, *x[STOPS], now[STOPS];
+    const double *restrict dt = p->places[0];
+    for (int64_t k = 0; k < STOPS; k++) {
+        const operation *own = o + (k < count ? k : 0);
+        double *restrict way = scratch + 2 * k * BLOCK, *restrict most = way + BLOCK;
+        const double *restrict rate = p->places[own->a], *restrict bound = p->places[own->b];
+        for (int64_t i = 0; i < n; i++) {
+            way[i] = rate[i] * dt[i];
+            most[i] = positive(bound[i]);
+        }
+        x[k] = k < count ? p->places[own->result] : unused;
+        now[k] = p->carried[own->c];
     }
-    double now = p->carried[state];
-    for (int64_t i = 0; i < n; i++) {
-        now = begins[i] ? p->start[state][at + i] : clip(now + way[i], most[i]);
-        x[i] = now;
+    for (int64_t from = 0, f = p->coming; from < n; f++) {
+        const int64_t first = f < p->first_count ? p->firsts[f] - at : n;
+        const int64_t to = first < n ? first : n;
+        double x0 = now[0], x1 = now[1], x2 = now[2], x3 = now[3];
+        const double *w = scratch;
+        for (int64_t i = from; i < to; i++) {
+            x[0][i] = x0 = clip(x0 + w[i], w[BLOCK + i]);
+            x[1][i] = x1 = clip(x1 + w[2 * BLOCK + i], w[3 * BLOCK + i]);
+            x[2][i] = x2 = clip(x2 + w[4 * BLOCK + i], w[5 * BLOCK + i]);
+            x[3][i] = x3 = clip(x3 + w[6 * BLOCK + i], w[7 * BLOCK + i]);
+        }
+        now[0] = x0, now[1] = x1, now[2] = x2, now[3] = x3;
+        for (int64_t k = 0; first < n && k < STOPS; k++) {
+            const int64_t state = o[k < count ? k : 0].c;
+            x[k][first] = now[k] = p->start[state * p->first_count + f];
+        }
+        from = to + 1;
     }
-    p->carried[state] = now;
-    return DONE;
+    for (int64_t k = 0; k < count; k++) {
+        p->carried[o[k].c] = now[k];
+    }
 }
 
 #define EACH(expression)                                                                           \
@@ -218,8 +240,17 @@ INLINE int operate(program *p, const operation *o, int64_t at, int64_t n) {
         EACH(p->carried[o->c]);
     case RELAX:
         return relax(p, o->c, at, n, d, a, b, p->places[0]);
-    case STOP:
-        return stop(p, o->c, at, n, d, a, b, p->places[0]);
+    case STOP: {
+        int64_t count = 1;
+        while (count < STOPS && o + count < p->operations + p->count &&
+               o[count].operation == STOP_BESIDE) {
+            count++;
+        }
+        stops(p, o, count, at, n);
+        break;
+    }
+    case STOP_BESIDE: /* has moved with the one before */
+        break;
     default:
         return TOO_LARGE;
     }
@@ -309,6 +340,7 @@ INLINE void finish_normal(program *p) {
 }
 
 INLINE int all_rows(program *p) {
+    p->coming = 0;
     for (int64_t i = 0; i < p->registers; i++) {
         p->places[i] = p->work + i * BLOCK;
     }
@@ -334,7 +366,16 @@ INLINE int all_rows(program *p) {
     for (int64_t at = 0; at < p->rows; at += p->block) {
         const int64_t n = p->rows - at < p->block ? p->rows - at : p->block;
         for (int64_t i = 0; i < p->input_count; i++) {
-            p->places[i] = (double *)p->inputs[i] + at;
+            const int64_t stride = p->strides[i];
+            const double *from = p->inputs[i] + at * stride;
+            if (stride == 1) {
+                p->places[i] = (double *)from;
+                continue;
+            }
+            double *restrict own = p->work + i * BLOCK;
+            for (int64_t k = 0; k < n; k++) {
+                own[k] = from[k * stride];
+            }
         }
         for (int64_t i = p->uniform; i < p->count; i++) {
             const int ended = operate(p, p->operations + i, at, n);
@@ -343,11 +384,21 @@ INLINE int all_rows(program *p) {
             }
         }
         for (int64_t i = 0; p->out && i < p->result_count; i++) {
-            __builtin_memcpy(p->out[i] + at, p->places[p->results[i]],
-                             (uint64_t)n * sizeof(double));
+            const double *restrict from = p->places[p->results[i]];
+            double *restrict to = p->out[i] + at * p->out_stride;
+            if (p->out_stride == 1) {
+                __builtin_memcpy(to, from, (uint64_t)n * sizeof(double));
+                continue;
+            }
+            for (int64_t k = 0; k < n; k++) {
+                to[k * p->out_stride] = from[k];
+            }
         }
         if (p->gram) {
             add_normal(p, at, n);
+        }
+        while (p->coming < p->first_count && p->firsts[p->coming] < at + n) {
+            p->coming++;
         }
     }
     if (p->gram) {

@@ -7,6 +7,7 @@ rest.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
@@ -27,7 +28,8 @@ from hesr_model.friction.law import FrictionLaw, LawForm
 def _kernel(form: LawForm) -> Kernel | None:
     """Return the torque in C, where that can be had."""
     symbols = tuple(c.symbol for c in form.coefficients)
-    return kernel_of(form.memory, symbols, INPUTS, (form.output,), form.component.settling)
+    settling = form.component.settling
+    return kernel_of(form.memory, symbols, INPUTS, (form.output,), settling, once=True)
 
 
 @lru_cache(maxsize=256)
@@ -94,12 +96,12 @@ def predict(
     SimulationError
         If the discretisation is not stable at the log's steps.
     """
+    dt, inputs = _arrays(t, (dq, q, tau_load))
     if shown is None:
-        in_c = _torque(law, t, (dq, q, tau_load), start)
-        if in_c is not None:
-            return in_c
-        RUNS["NumPy"] += 1
-    output, values, states, dt = _states(law, t, (dq, q, tau_load), start)
+        found = np.empty_like(dt)
+        if _in_c(law, dt, inputs, start, found):
+            return found
+    output, values, states = _states(law, dt, inputs, start)
     if shown is not None:
         values = (*numbers(law), *shown)
         every = np.ones(dt.shape, dtype=bool)  # so that states stay and derivatives follow
@@ -107,49 +109,58 @@ def predict(
     return np.array(np.broadcast_to(output(*values, *states, dt)[0], dt.shape))
 
 
+def predict_joints(
+    laws: Sequence[FrictionLaw], *, t: Array, dq: Array, q: Array, tau_load: Array
+) -> Array:
+    """Return the (N, n) torques of the laws of n joints over a log; arguments (N, n), as above."""
+    dt, inputs = _arrays(t, (dq, q, tau_load))
+    found = np.empty(dq.shape)
+    for k, law in enumerate(laws):
+        own = [u[:, k] for u in inputs]
+        if not _in_c(law, dt, own, None, found[:, k]):
+            output, values, states = _states(law, dt, own, None)
+            found[:, k] = output(*values, *states, dt)[0]
+    return found
+
+
 def states_over(law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Array) -> Array:
     """Return the states of a law over a log, (m, N) in their units; arguments as of `predict`."""
-    _, _, states, dt = _states(law, t, (dq, q, tau_load), None)
+    dt, inputs = _arrays(t, (dq, q, tau_load))
+    _, _, states = _states(law, dt, inputs, None)
     return np.array(states[::2]).reshape(len(law.form.memory), len(dt))
 
 
 def _arrays(t: ArrayLike, given: tuple[ArrayLike | None, ...]) -> tuple[Array, list[Array]]:
     """Return steps and inputs."""
     time = np.asarray(t, dtype=float)
-    zero = np.zeros_like(time)
+    zero = np.broadcast_to(0.0, time.shape)
     inputs = [zero if u is None else np.asarray(u, dtype=float) for u in given]
     return np.diff(time, prepend=time[0]), inputs
 
 
-def _torque(
+def _in_c(
     law: FrictionLaw,
-    t: ArrayLike,
-    given: tuple[ArrayLike | None, ...],
+    dt: Array,
+    inputs: Sequence[Array],
     start: tuple[float, ...] | None,
-) -> Array | None:
-    """Return what `predict` does, in C; None where NumPy has to."""
-    kernel = _kernel(law.form)
-    if kernel is None:
-        return None
-    dt, inputs = _arrays(t, given)
-    rows = kernel.over(inputs, dt, np.arange(len(dt)) == 0, euler=law.discretisation == "euler")
-    if rows is None:
-        return None
-    at_rest = np.array(law.start if start is None else start, dtype=float)
-    try:
-        return rows.at(np.array(numbers(law)), at_rest, settled=start is not None)[:, 0]
-    except OutsideError:
-        return None
+    found: Array,
+) -> bool:
+    """Put what `predict` returns into an array; False where NumPy has to."""
+    kernel, euler = _kernel(law.form), law.discretisation == "euler"
+    rows = kernel.over(inputs, dt, [0], euler=euler, found=found[:, None]) if kernel else None
+    if rows is not None:
+        at_rest = np.array(law.start if start is None else start, dtype=float)
+        with suppress(OutsideError):
+            rows.at(np.array(numbers(law)), at_rest, settled=start is not None)
+            return True
+    RUNS["NumPy"] += 1
+    return False
 
 
 def _states(
-    law: FrictionLaw,
-    t: ArrayLike,
-    given: tuple[ArrayLike | None, ...],
-    start: tuple[float, ...] | None,
-) -> tuple[Any, tuple[Any, ...], list[Array], Array]:
-    """Return the output's function, what it reads besides states, states and derivatives, steps."""
-    dt, inputs = _arrays(t, given)
+    law: FrictionLaw, dt: Array, inputs: Sequence[Array], start: tuple[float, ...] | None
+) -> tuple[Any, tuple[Any, ...], list[Array]]:
+    """Return the output's function, what it reads besides states, and states and derivatives."""
     memory, output = _functions(law.form)
     values = (*numbers(law), *inputs)
     states = memory(
@@ -159,7 +170,7 @@ def _states(
         first_states(law, *(float(u[0]) for u in inputs)) if start is None else start,
         law.discretisation,
     )
-    return output, values, states, dt
+    return output, values, states
 
 
 def estimated_start(

@@ -12,7 +12,7 @@ from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.band import LEVEL
 from hesr_model.friction.banded import predict_band
 from hesr_model.friction.equation import equations
-from hesr_model.friction.evaluate import predict
+from hesr_model.friction.evaluate import predict_joints
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.thermal import Thermal
@@ -200,11 +200,9 @@ class FrictionModel:
         if self.coupling:
             speed, position = self.coupling.motion(speed), self.coupling.motion(position)
             load = self.coupling.torque(load)
-        columns = [
-            predict(law, t=time, dq=speed[:, k], q=position[:, k], tau_load=load[:, k])
-            for k, law in enumerate(self.laws)
-        ]
-        return self._at_joints(np.column_stack(columns))
+        return self._at_joints(
+            predict_joints(self.laws, t=time, dq=speed, q=position, tau_load=load)
+        )
 
     def predict_band(
         self, records: Sequence[FrictionRecord], *, coverage: float = LEVEL
@@ -266,7 +264,7 @@ class FrictionModel:
 
     def _rows(self, name: str, values: ArrayLike | None, count: int) -> NDArray[np.float64]:
         shape = (count, len(self.joints))
-        rows = np.zeros(shape) if values is None else np.asarray(values, dtype=float)
+        rows = np.broadcast_to(0.0, shape) if values is None else np.asarray(values, dtype=float)
         if rows.shape != shape:
             raise SimulationError(
                 f"friction model '{self.law}': '{name}' has the shape {rows.shape}; needed is "

@@ -49,10 +49,9 @@ def rows_of(
 ) -> Rows:  # fmt: skip
     kernel = kernel_of(memory, (K,), (U, V), wanted, sympy.S.Zero)
     assert kernel is not None
-    first = np.arange(len(u)) == 0
     found = kernel.over(
         (u, np.zeros_like(u) if v is None else v), np.full(len(u), dt),
-        first if begins is None else begins, euler=euler, target=target,
+        [0] if begins is None else np.flatnonzero(begins), euler=euler, target=target,
     )  # fmt: skip
     assert found is not None, "there is no compiler here"
     return found
@@ -216,7 +215,7 @@ def test_states_begin_where_numpy_lets_them_begin(rng: np.random.Generator) -> N
     for memory in MEMORY.values():
         kernel = kernel_of(memory, (K,), (U, V), [m.state for m in memory], settling)
         assert kernel is not None
-        rows = kernel.over((u, v), np.full(300, 0.01), begins)
+        rows = kernel.over((u, v), np.full(300, 0.01), np.flatnonzero(begins))
         assert rows is not None
         start = np.full(len(memory), 0.2)
         found = rows.at(np.array([2.0]), start)[begins]

@@ -115,7 +115,7 @@ class Separable:
         inputs, euler = (s.dq, s.q, s.tau_load), self.discretisation == "euler"
         if kernel is None:
             return None
-        return kernel.over(inputs, s.dt, s.begins, euler=euler, target=s.tau)
+        return kernel.over(inputs, s.dt, np.flatnonzero(s.begins), euler=euler, target=s.tau)
 
     def _in_numpy(self, point: Array) -> Array:
         RUNS["NumPy"] += 1
