@@ -193,6 +193,14 @@ INLINE int operate(program *p, const operation *o, int64_t at, int64_t n) {
     switch (o->operation) {
     case ADD:
         EACH(a[i] + b[i]);
+    case ADD_SAME: {
+        const double same = b[0];
+        EACH(a[i] + same);
+    }
+    case MULTIPLY_SAME: {
+        const double same = b[0];
+        EACH(a[i] * same);
+    }
     case SUBTRACT:
         EACH(a[i] - b[i]);
     case MULTIPLY:

@@ -16,10 +16,11 @@ import sympy
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 
-from hesr_model.equations.compiled import RUNS, Kernel, OutsideError, kernel_of
+from hesr_model.equations.compiled import Kernel, kernel_of
 from hesr_model.equations.functions import lowered
 from hesr_model.equations.memory import DT, Stop
 from hesr_model.equations.over_log import Array, StatesOverLog
+from hesr_model.equations.rows import RUNS, OutsideError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw, LawForm
 

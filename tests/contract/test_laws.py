@@ -20,7 +20,8 @@ from cosim.replay import replay
 from cosim.slave import Component
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.artifacts import read_model, write_model
-from hesr_model.equations.compiled import RUNS, in_numpy
+from hesr_model.equations.compiled import in_numpy
+from hesr_model.equations.rows import RUNS
 from hesr_model.errors import ArtifactError, HesrError
 from hesr_model.friction.evaluate import Stepper, predict
 from hesr_model.friction.fitting.fit import fit_joint

@@ -10,8 +10,8 @@ import pytest
 import sympy
 from joint_data import law, training
 
-from hesr_model.equations import compiled
-from hesr_model.equations.compiled import OutsideError, Rows, in_numpy, kernel_of
+from hesr_model.equations import rows as rows_module
+from hesr_model.equations.compiled import Rows, in_numpy, kernel_of
 from hesr_model.equations.functions import (
     absolute,
     cardinal_sine,
@@ -25,6 +25,7 @@ from hesr_model.equations.functions import (
 )
 from hesr_model.equations.memory import Element, Relaxation, Stop
 from hesr_model.equations.over_log import Discretisation, StatesOverLog
+from hesr_model.equations.rows import RUNS, OutsideError
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fitting.samples import Samples, non_negative_least_squares
@@ -245,12 +246,12 @@ def test_numbers_are_the_same_bits_whatever_vectors_there_are(
     u, v, tau = rng.normal(size=(3, ROWS))
     wanted = [*EXPRESSIONS.values(), _x.state, _stop.state, _x.derivative]
     rows = rows_of(wanted, u, v, memory=(_x, _stop), target=tau)
-    widest = compiled._vectors()
+    widest = rows_module.vectors()
     every = []
     for width in range(widest + 1):
-        monkeypatch.setattr(compiled, "_vectors", lambda width=width: width)
+        monkeypatch.setattr(rows_module, "vectors", lambda width=width: width)
         solved = rows.solved(np.array([0.7]), non_negative=0, keep=True)
-        every.append((rows.found.tobytes(), rows._run._gram.tobytes(), str(solved)))
+        every.append((rows.found.tobytes(), rows._run.gram.tobytes(), str(solved)))
     assert all(one == every[0] for one in every)
 
 
@@ -259,23 +260,23 @@ def no_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Non
     def fails(*_: object) -> None:
         raise ExportError("the C compiler cannot be run (No such file or directory).")
 
-    monkeypatch.setattr(compiled, "compile_c", fails)
-    compiled._library.cache_clear()
+    monkeypatch.setattr(rows_module, "compile_c", fails)
+    rows_module.library.cache_clear()
     yield
-    compiled._library.cache_clear()
+    rows_module.library.cache_clear()
 
 
 def test_without_a_compiler_all_is_done_in_numpy(request: pytest.FixtureRequest) -> None:
     made = law("lugre", {}, sigma_0=3e3, sigma_1=20.0, sigma_2=6.0, F_c=9.0, F_s=12.0, v_s=0.1,
                tau_0=0.4)  # fmt: skip
     t = np.arange(200) * 0.005
-    before = compiled.RUNS.copy()
+    before = RUNS.copy()
     in_c = predict(made, t=t, dq=np.sin(t))
-    assert compiled.RUNS["C"] > before["C"]
-    assert compiled.RUNS["NumPy"] == before["NumPy"]
+    assert RUNS["C"] > before["C"]
+    assert RUNS["NumPy"] == before["NumPy"]
     request.getfixturevalue("no_compiler")
     found = predict(made, t=t, dq=np.sin(t))
-    assert compiled.RUNS["NumPy"] == before["NumPy"] + 1
+    assert RUNS["NumPy"] == before["NumPy"] + 1
     np.testing.assert_allclose(in_c, found, rtol=0, atol=1e-13 * np.abs(found).max())
 
 

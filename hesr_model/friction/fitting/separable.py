@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 from scipy.optimize import least_squares as minimise_squares
 
-from hesr_model.equations.compiled import RUNS, Kernel, OutsideError, Rows, kernel_of
+from hesr_model.equations.compiled import Kernel, Rows, kernel_of
 from hesr_model.equations.functions import lowered
 from hesr_model.equations.memory import DT, Element
 from hesr_model.equations.over_log import Array, Discretisation, StatesOverLog
+from hesr_model.equations.rows import RUNS, OutsideError
 from hesr_model.friction.fitting.samples import Samples, non_negative_least_squares
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import LawForm

@@ -1,0 +1,217 @@
+"""Programs of `operations.py` on arrays: the library that `rows.c` is, and one run of it."""
+
+import ctypes
+import logging
+import platform
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Sequence
+from functools import cache
+from itertools import accumulate
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.equations.operations import NAMES, Program
+from hesr_model.errors import ExportError
+from hesr_model.support.compiler import compile_c
+
+Array = NDArray[np.float64]
+
+_log = logging.getLogger(__name__)
+BLOCK, _LANES = 128, 8  # as in rows.c
+
+RUNS: Counter[str] = Counter()
+"""How many runs over rows were in C and how many in NumPy, for whoever asks what was used."""
+
+_HOSTS = {
+    ("linux", "x86_64"): ("x86_64-linux-gnu.2.17", ".so"),
+    ("linux", "aarch64"): ("aarch64-linux-gnu.2.17", ".so"),
+    ("darwin", "x86_64"): ("x86_64-macos.11.0", ".dylib"),
+    ("darwin", "arm64"): ("aarch64-macos.11.0", ".dylib"),
+    ("win32", "AMD64"): ("x86_64-windows-gnu", ".dll"),
+}
+"""The compiler's name of this machine, and how its libraries end."""
+_FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
+          "-fPIC", "-shared", "-nostdlib", "-g0", "-s")  # fmt: skip
+_SOURCES = ("rows.c", "elementary.h")
+
+
+class _Program(ctypes.Structure):
+    _fields_ = (
+        ("operations", ctypes.c_void_p),
+        *((name, ctypes.c_int64) for name in ("uniform", "count")),
+        *((name, ctypes.c_void_p) for name in ("inputs", "strides")),
+        ("input_count", ctypes.c_int64),
+        ("given", ctypes.c_void_p),
+        *((name, ctypes.c_int64) for name in ("given_count", "uniform_count", "registers")),
+        ("euler", ctypes.c_double),
+        ("firsts", ctypes.c_void_p),
+        *((name, ctypes.c_int64) for name in ("first_count", "coming")),
+        *((name, ctypes.c_void_p) for name in ("start", "carried")),
+        *((name, ctypes.c_int64) for name in ("rows", "block")),
+        *((name, ctypes.c_void_p) for name in ("places", "work", "results")),
+        ("result_count", ctypes.c_int64),
+        ("out", ctypes.c_void_p),
+        ("out_stride", ctypes.c_int64),
+        *((name, ctypes.c_void_p) for name in ("target", "weights", "gram", "lanes")),
+        ("lane_count", ctypes.c_int64),
+        ("columns", ctypes.c_void_p),
+    )
+
+
+class OutsideError(Exception):
+    """Numbers are outside of what `rows.c` takes; NumPy goes on."""
+
+
+@cache
+def library() -> ctypes.CDLL | None:
+    """Return the compiled `rows.c`, None where it cannot be had."""
+    triple, suffix = _HOSTS.get((sys.platform, platform.machine()), ("", ""))
+    if not triple:
+        return None
+    numbers = [f"-D{name}={i}" for i, name in enumerate(NAMES)]
+    try:
+        with tempfile.TemporaryDirectory(prefix="hesr-", ignore_cleanup_errors=True) as folder:
+            for name in _SOURCES:
+                text = Path(__file__).with_name(name).read_bytes()
+                Path(folder, name).write_bytes(text)
+            file = Path(folder, f"rows{suffix}")
+            compile_c(Path(folder, "rows.c"), ("-target", triple, *_FLAGS, *numbers), file)
+            found = ctypes.CDLL(str(file))
+    except (ExportError, OSError) as error:
+        _log.info("laws are run over logs in NumPy (%s).", error)
+        return None
+    found.solve.restype = ctypes.c_bool
+    return found
+
+
+@cache
+def vectors() -> int:
+    """Return how wide vectors are on this machine, as `rows.c` numbers them."""
+    found = library()
+    return 0 if found is None else int(found.widest())
+
+
+class Run:
+    """A program on arrays, with all that it works on.
+
+    Parameters
+    ----------
+    loaded : the library.
+    own : the program.
+    arrays : (N,) inputs by their numbers.
+    firsts : rows at which records begin.
+    states : how many there are.
+    euler : whether relaxations move by Euler's step.
+    block : rows of a block.
+    target : (N,) what results are fitted to.
+    found : (N, K) for the results.
+
+    Attributes
+    ----------
+    found : the results of the last call that kept them.
+    starts : (states, firsts) where states begin.
+    """
+
+    def __init__(
+        self,
+        loaded: ctypes.CDLL,
+        own: Program,
+        arrays: Sequence[Array],
+        firsts: NDArray[np.int64],
+        *,
+        states: int = 0,
+        euler: bool = False,
+        block: int = BLOCK,
+        target: Array | None = None,
+        found: Array | None = None,
+    ) -> None:
+        self._run, self._solve = loaded["run"], loaded["solve"]
+        rows, count = len(arrays[0]), len(own.results)
+        self.found = np.empty((count, rows)).T if found is None else found
+        used = [arrays[i] for i in own.inputs]
+        sizes = {
+            "work": (own.registers + count + 11) * BLOCK,
+            "lanes": sum(4 * _LANES * -(-left // 4) for left in range(1, count + 2)),
+            "gram": (count + 1) ** 2,
+            "x": count,
+            "factors": count * (count + 3),
+            "given": len(own.given),
+            "start": states * len(firsts),
+            "carried": states,
+            "inputs": len(used),
+            "strides": len(used),
+            "out": count,
+            "places": own.registers,
+            "columns": count + 4,
+        }
+        # All in one piece, since to ask for addresses takes long.
+        starts = list(accumulate(sizes.values(), initial=0))
+        room = np.zeros(starts[-1])
+        part = {
+            name: room[start : start + size]
+            for (name, size), start in zip(sizes.items(), starts, strict=False)
+        }
+        base, out = _address(room), _address(self.found)
+        at = {name: base + 8 * start for name, start in zip(sizes, starts, strict=False)}
+        part["given"][:] = own.given
+        part["inputs"].view(np.int64)[:] = [_address(a) for a in used]
+        part["strides"].view(np.int64)[:] = [a.strides[0] // 8 for a in used]
+        part["out"].view(np.int64)[:] = [out + i * self.found.strides[1] for i in range(count)]
+        self.starts, self.gram = part["start"].reshape(states, len(firsts)), part["gram"]
+        self._given, self._numbers = part["given"], own.numbers
+        self._x, self._squares = part["x"], ctypes.c_double()
+        self._at, self._held = at, (own, used, firsts, target)  # as addresses of them are in use
+        operations, results = own.addresses
+        self._program = _Program(
+            operations=operations, uniform=own.uniform, count=len(own.operations),
+            inputs=at["inputs"], strides=at["strides"], input_count=len(used),
+            given=at["given"], given_count=len(own.given),
+            uniform_count=own.uniform_count, registers=own.registers, euler=float(euler),
+            firsts=_address(firsts), first_count=len(firsts), start=at["start"],
+            carried=at["carried"], rows=rows, block=block, places=at["places"], work=at["work"],
+            results=results, result_count=count, out_stride=self.found.strides[0] // 8,
+            target=None if target is None else _address(target),
+            lanes=at["lanes"], lane_count=sizes["lanes"], columns=at["columns"],
+        )  # fmt: skip
+        self._reference = ctypes.byref(self._program)
+
+    def __call__(self, numbers: Array) -> None:
+        """Put the results for numbers into `found`.
+
+        Raises
+        ------
+        OutsideError
+            If a number is outside of what `rows.c` takes.
+        """
+        self._started(numbers, weights=None, gram=False, keep=True)
+
+    def solved(
+        self, numbers: Array, non_negative: int, weights: Array | None, *, keep: bool
+    ) -> tuple[Array, float] | None:
+        """See `compiled.Rows`."""
+        self._started(numbers, weights, gram=True, keep=keep)
+        at = self._at
+        determined = self._solve(
+            ctypes.c_void_p(at["gram"]), ctypes.c_int64(len(self._x)),
+            ctypes.c_int64(non_negative), ctypes.c_void_p(at["factors"]),
+            ctypes.c_void_p(at["x"]), ctypes.byref(self._squares),
+        )  # fmt: skip
+        return (self._x.copy(), self._squares.value) if determined else None
+
+    def _started(self, numbers: Array, weights: Array | None, *, gram: bool, keep: bool) -> None:
+        self._given[self._numbers[0]] = numbers[self._numbers[1]]
+        own = self._program
+        own.weights = None if weights is None else _address(weights)
+        own.gram = self._at["gram"] if gram else None
+        own.out = self._at["out"] if keep else None
+        if self._run(self._reference, vectors()):
+            raise OutsideError
+        RUNS["C"] += 1
+
+
+def _address(array: NDArray[np.generic]) -> int:
+    return int(array.ctypes.data)
