@@ -1,0 +1,146 @@
+"""Equations over rows in C: against NumPy, against the FMU step by step, and what fits take of it.
+
+Ratios are of the best of several rounds, taken in turns, so that a busy machine slows both alike.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from cosim.native import through
+from cosim.slave import Component
+from fmu_src import export_fmu
+from hesr_model.equations.compiled import in_numpy
+from hesr_model.friction.evaluate import predict
+from hesr_model.friction.fitting.declarative import OneForm
+from hesr_model.friction.fitting.fit import fit_joint
+from hesr_model.friction.fitting.samples import Samples
+from hesr_model.friction.fitting.separable import Separable
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import registry
+from hesr_model.rigid_body.residual import FrictionRecord
+
+Tell = Callable[[str], None]
+STEP, ROWS, JOINTS = 0.005, 20000, 6
+NETWORKS = ("rbfnn_h", "mlp_h")  # whose fits are of kinds of their own
+
+
+def seconds(*functions: Callable[[], object], rounds: int = 20) -> list[float]:
+    """Return the best time of each function [s of CPU]."""
+    best = [np.inf] * len(functions)
+    for _ in range(rounds):
+        for i, function in enumerate(functions):
+            start = time.process_time()
+            function()
+            best[i] = min(best[i], time.process_time() - start)
+    return best
+
+
+@pytest.fixture(scope="module")
+def joint(records: dict[str, list[FrictionRecord]]) -> Sequence[FrictionRecord]:
+    """The logs of one joint, some 8,000 rows."""
+    return [of_joints[0] for of_joints in records.values()]
+
+
+@pytest.fixture(scope="module")
+def fitted(joint: Sequence[FrictionRecord]) -> Callable[[str], FrictionLaw]:
+    known: dict[str, FrictionLaw] = {}
+    return lambda law: known.setdefault(law, fit_joint(law, joint, seed=0))
+
+
+def motion() -> dict[str, np.ndarray]:
+    t = STEP * np.arange(ROWS)
+    joints = [0.9 * np.sin(t + i) * np.sin(2.3 * t) for i in range(JOINTS)]
+    dq = np.stack(joints, axis=1)
+    q = np.cumsum(dq, axis=0) * STEP
+    return {"t": t, "dq": dq, "q": q, "tau_load": 20.0 * np.sin(q)}
+
+
+@pytest.mark.parametrize("law", [law for law in registry() if law not in NETWORKS])
+def test_torque_over_a_log(law: str, fitted: Callable[[str], FrictionLaw], tell: Tell) -> None:
+    one = {name: values if values.ndim == 1 else values[:, 0] for name, values in motion().items()}
+    own = fitted(law)
+
+    def plainly() -> np.ndarray:
+        with in_numpy():
+            return predict(own, **one)
+
+    in_c, oracle = seconds(lambda: predict(own, **one), plainly)
+    tell(f"{law} over a log: {in_c / ROWS * 1e9:.1f} ns a row, NumPy {oracle / in_c:.1f} times")
+    expected = plainly()
+    assert np.abs(predict(own, **one) - expected).max() <= 1e-13 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(
+    "law", ["lugre", "lugre_load", "parfam_hx", "parfam_h", "parfam_s_v", "parfam_v"]
+)
+def test_a_log_at_once_against_step_by_step(
+    law: str, fitted: Callable[[str], FrictionLaw], tmp_path: Path, tell: Tell
+) -> None:
+    """Aim: 5 times, against steps in C; the same torque to 1e-14 of its largest value."""
+    model = FrictionModel(
+        law=law, robot="bench", joints=tuple(f"j{i}" for i in range(JOINTS)),
+        laws=(fitted(law),) * JOINTS, sample_time=STEP,
+    )  # fmt: skip
+    data = motion()
+    names = [f"{name}[{i + 1}]" for name in ("dq", "q", "tau_load") for i in range(JOINTS)]
+    rows = np.hstack([data[name] for name in ("dq", "q", "tau_load")])
+    first = dict(zip(names, map(float, rows[0]), strict=True))
+    t = data["t"]
+    with Component(export_fmu(model, tmp_path / "F.fmu")) as component:
+        inputs = component.batch(names)
+        outputs = component.batch([f"tau[{i + 1}]" for i in range(JOINTS)])
+        found = []
+
+        def stepped() -> None:
+            component.reset()
+            component.initialise(start=first)
+            found[:] = [through(component, inputs, outputs, t[:-1], np.diff(t), rows[1:])]
+
+        at_once, by_steps = seconds(lambda: model.predict(**data), stepped)
+    torque = model.predict(**data)[1:]
+    off = np.abs(torque - found[0]).max() / np.abs(torque).max()
+    tell(
+        f"{law}, {JOINTS} joints at once: {at_once / ROWS * 1e9:.0f} ns a row, steps of the FMU "
+        f"{by_steps / at_once:.1f} times; they differ by {off:.0e} of the largest torque"
+    )
+    assert off < 1e-14
+
+
+@pytest.mark.parametrize("law", [law for law in registry() if issubclass(registry()[law], OneForm)])
+def test_an_evaluation_of_a_fit(law: str, joint: Sequence[FrictionRecord], tell: Tell) -> None:
+    entry = registry()[law]
+    assert issubclass(entry, OneForm)
+    samples = Samples.of(joint, coefficients=3)
+    problem, oracle = (Separable(entry.core({}), entry().space(), samples) for _ in range(2))
+    point = problem.bounds.mean(axis=1)
+
+    def plainly() -> object:
+        with in_numpy():
+            return oracle.solve(point)
+
+    with threadpool_limits(1):
+        plainly()  # binds the second one to NumPy for good
+        in_c, by_numpy = seconds(lambda: problem.solve(point), plainly)
+    rows = len(samples.tau)
+    tell(f"{law}, columns solved: {in_c / rows * 1e9:.0f} ns a row, NumPy {by_numpy / in_c:.1f}")
+
+
+@pytest.mark.parametrize(
+    ("law", "aim"),
+    [("lugre", 0.2), ("lugre_load_ripple", None), ("parfam_hx", 1.2), ("parfam_h", None)],
+)
+def test_a_fit(law: str, aim: float | None, joint: Sequence[FrictionRecord], tell: Tell) -> None:
+    def plainly() -> None:
+        with in_numpy():
+            fit_joint(law, joint, seed=0)
+
+    in_c, by_numpy = seconds(lambda: fit_joint(law, joint, seed=0), plainly, rounds=3)
+    goal = f" (aim: {aim} s)" if aim else ""
+    rows = sum(len(record.t) for record in joint)
+    tell(f"fit of {law}, {rows} rows: {in_c:.2f} s{goal}, in NumPy {by_numpy / in_c:.1f} times")
