@@ -146,15 +146,8 @@ class Rows:
             found=found,
         )  # fmt: skip
 
-    def _begin(self, numbers: Array, start: Array | None) -> None:
-        """Put states where they begin for the first rows, from their start at rest (0 if None)."""
-        if self._states:
-            at_rest = np.zeros(self._states) if start is None else start
-            self._first(np.concatenate([numbers, at_rest]))
-            self._run.starts[:] = self._first.found.T
-
-    def at(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
-        """Return the (N, K) results for numbers, which stand there until the next call.
+    def begin(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> None:
+        """Put the states where they begin for the first rows.
 
         Parameters
         ----------
@@ -169,10 +162,34 @@ class Rows:
         """
         if settled and start is not None:
             self._run.starts[:] = start[:, None]
-        else:
-            self._begin(numbers, start)
+        elif self._states:
+            at_rest = np.zeros(self._states) if start is None else start
+            self._first(np.concatenate([numbers, at_rest]))
+            self._run.starts[:] = self._first.found.T
+
+    def at(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
+        """Return the (N, K) results for numbers, which stand there until the next call.
+
+        Parameters and errors are those of `begin`.
+        """
+        self.begin(numbers, start, settled=settled)
         self._run(numbers)
         return self._run.found
+
+    def on(self, numbers: Array, first: int, stop: int) -> None:
+        """Put the results of rows into `found`, after `begin` and after those before them.
+
+        Parameters
+        ----------
+        numbers : those of the kernel, in their units.
+        first, stop : rows.
+
+        Raises
+        ------
+        OutsideError
+            If a number is outside of what can be had here.
+        """
+        self._run.on(numbers, first, stop)
 
     def solved(
         self, numbers: Array, *, non_negative: int, weights: Array | None = None, keep: bool = False
@@ -195,7 +212,7 @@ class Rows:
         OutsideError
             If a number is outside of what can be had here.
         """
-        self._begin(numbers, None)
+        self.begin(numbers)
         return self._run.solved(numbers, non_negative, weights, keep=keep)
 
     @property

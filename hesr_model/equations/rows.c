@@ -32,7 +32,8 @@ typedef struct {
     int64_t first_count, coming; /* and how many of them are behind the block */
     const double *start;         /* (states, first_count) where each state begins there */
     double *carried;             /* each state */
-    int64_t rows, block;
+    int64_t first, stop;         /* rows; those before were run before */
+    int64_t block;
     double **places; /* (registers) */
     double *work;    /* BLOCK for each register and for each result, and 10 BLOCK */
     const int32_t *results;
@@ -347,7 +348,8 @@ INLINE void finish_normal(program *p) {
     }
 }
 
-INLINE int all_rows(program *p) {
+/* What is the same for all rows. */
+INLINE int prepare(program *p) {
     p->coming = 0;
     for (int64_t i = 0; i < p->registers; i++) {
         p->places[i] = p->work + i * BLOCK;
@@ -371,8 +373,16 @@ INLINE int all_rows(program *p) {
     for (int64_t i = 0; p->gram && i < p->lane_count; i++) {
         p->lanes[i] = 0.0;
     }
-    for (int64_t at = 0; at < p->rows; at += p->block) {
-        const int64_t n = p->rows - at < p->block ? p->rows - at : p->block;
+    return DONE;
+}
+
+INLINE int all_rows(program *p) {
+    const int prepared = p->first ? DONE : prepare(p);
+    if (prepared) {
+        return prepared;
+    }
+    for (int64_t at = p->first; at < p->stop; at += p->block) {
+        const int64_t n = p->stop - at < p->block ? p->stop - at : p->block;
         for (int64_t i = 0; i < p->input_count; i++) {
             const int64_t stride = p->strides[i];
             const double *from = p->inputs[i] + at * stride;

@@ -51,7 +51,7 @@ class _Program(ctypes.Structure):
         ("firsts", ctypes.c_void_p),
         *((name, ctypes.c_int64) for name in ("first_count", "coming")),
         *((name, ctypes.c_void_p) for name in ("start", "carried")),
-        *((name, ctypes.c_int64) for name in ("rows", "block")),
+        *((name, ctypes.c_int64) for name in ("first", "stop", "block")),
         *((name, ctypes.c_void_p) for name in ("places", "work", "results")),
         ("result_count", ctypes.c_int64),
         ("out", ctypes.c_void_p),
@@ -129,8 +129,9 @@ class Run:
         target: Array | None = None,
         found: Array | None = None,
     ) -> None:
+        self._rows = len(arrays[0])
         self._run, self._solve = loaded["run"], loaded["solve"]
-        rows, count = len(arrays[0]), len(own.results)
+        rows, count = self._rows, len(own.results)
         self.found = np.empty((count, rows)).T if found is None else found
         used = [arrays[i] for i in own.inputs]
         sizes = {
@@ -172,7 +173,7 @@ class Run:
             given=at["given"], given_count=len(own.given),
             uniform_count=own.uniform_count, registers=own.registers, euler=float(euler),
             firsts=_address(firsts), first_count=len(firsts), start=at["start"],
-            carried=at["carried"], rows=rows, block=block, places=at["places"], work=at["work"],
+            carried=at["carried"], block=block, places=at["places"], work=at["work"],
             results=results, result_count=count, out_stride=self.found.strides[0] // 8,
             target=None if target is None else _address(target),
             lanes=at["lanes"], lane_count=sizes["lanes"], columns=at["columns"],
@@ -187,13 +188,17 @@ class Run:
         OutsideError
             If a number is outside of what `rows.c` takes.
         """
-        self._started(numbers, weights=None, gram=False, keep=True)
+        self.on(numbers, 0, self._rows)
+
+    def on(self, numbers: Array, first: int, stop: int) -> None:
+        """Put those of some rows into `found`, after those before them; raises the same."""
+        self._started(numbers, (first, stop), weights=None, gram=False, keep=True)
 
     def solved(
         self, numbers: Array, non_negative: int, weights: Array | None, *, keep: bool
     ) -> tuple[Array, float] | None:
         """See `compiled.Rows`."""
-        self._started(numbers, weights, gram=True, keep=keep)
+        self._started(numbers, (0, self._rows), weights, gram=True, keep=keep)
         at = self._at
         determined = self._solve(
             ctypes.c_void_p(at["gram"]), ctypes.c_int64(len(self._x)),
@@ -202,9 +207,13 @@ class Run:
         )  # fmt: skip
         return (self._x.copy(), self._squares.value) if determined else None
 
-    def _started(self, numbers: Array, weights: Array | None, *, gram: bool, keep: bool) -> None:
+    def _started(
+        self, numbers: Array, rows: tuple[int, int], weights: Array | None,
+        *, gram: bool, keep: bool,
+    ) -> None:  # fmt: skip
         self._given[self._numbers[0]] = numbers[self._numbers[1]]
         own = self._program
+        own.first, own.stop = rows
         own.weights = None if weights is None else _address(weights)
         own.gram = self._at["gram"] if gram else None
         own.out = self._at["out"] if keep else None

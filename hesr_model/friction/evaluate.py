@@ -16,13 +16,16 @@ import sympy
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 
-from hesr_model.equations.compiled import Kernel, kernel_of
+from hesr_model.equations.compiled import Kernel, Rows, kernel_of
 from hesr_model.equations.functions import lowered
 from hesr_model.equations.memory import DT, Stop
 from hesr_model.equations.over_log import Array, StatesOverLog
 from hesr_model.equations.rows import RUNS, OutsideError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw, LawForm
+
+_PIECE = 2048
+"""Rows that are run for all joints before the next ones."""
 
 
 @lru_cache(maxsize=256)
@@ -100,13 +103,16 @@ def predict(
     dt, inputs = _arrays(t, (dq, q, tau_load))
     if shown is None:
         found = np.empty_like(dt)
-        if _in_c(law, dt, inputs, start, found):
-            return found
+        with suppress(OutsideError):
+            rows = _begun(law, dt, inputs, start, found)
+            if rows is not None:
+                rows.on(np.array(numbers(law)), 0, len(dt))
+                return found
+        return _in_numpy(law, dt, inputs, start)
     output, values, states = _states(law, dt, inputs, start)
-    if shown is not None:
-        values = (*numbers(law), *shown)
-        every = np.ones(dt.shape, dtype=bool)  # so that states stay and derivatives follow
-        states = _functions(law.form)[0](values, dt, every, states[::2], law.discretisation)
+    values = (*numbers(law), *shown)
+    every = np.ones(dt.shape, dtype=bool)  # so that states stay and derivatives follow
+    states = _functions(law.form)[0](values, dt, every, states[::2], law.discretisation)
     return np.array(np.broadcast_to(output(*values, *states, dt)[0], dt.shape))
 
 
@@ -116,11 +122,21 @@ def predict_joints(
     """Return the (N, n) torques of the laws of n joints over a log; arguments (N, n), as above."""
     dt, inputs = _arrays(t, (dq, q, tau_load))
     found = np.empty(dq.shape)
+    in_c: dict[int, tuple[Rows, Array]] = {}
     for k, law in enumerate(laws):
-        own = [u[:, k] for u in inputs]
-        if not _in_c(law, dt, own, None, found[:, k]):
-            output, values, states = _states(law, dt, own, None)
-            found[:, k] = output(*values, *states, dt)[0]
+        with suppress(OutsideError):
+            rows = _begun(law, dt, [u[:, k] for u in inputs], None, found[:, k])
+            if rows is not None:
+                in_c[k] = rows, np.array(numbers(law))
+    # All joints together, a piece of the log after the other, as long as it stays in a cache.
+    for first in range(0, len(dt), _PIECE):
+        for k, (rows, values) in list(in_c.items()):
+            try:
+                rows.on(values, first, min(first + _PIECE, len(dt)))
+            except OutsideError:
+                del in_c[k]
+    for k in set(range(len(laws))) - in_c.keys():
+        found[:, k] = _in_numpy(laws[k], dt, [u[:, k] for u in inputs], None)
     return found
 
 
@@ -139,23 +155,29 @@ def _arrays(t: ArrayLike, given: tuple[ArrayLike | None, ...]) -> tuple[Array, l
     return np.diff(time, prepend=time[0]), inputs
 
 
-def _in_c(
+def _begun(
     law: FrictionLaw,
     dt: Array,
     inputs: Sequence[Array],
     start: tuple[float, ...] | None,
     found: Array,
-) -> bool:
-    """Put what `predict` returns into an array; False where NumPy has to."""
+) -> Rows | None:
+    """Return the law's rows in C where they begin, to be run into an array; None for NumPy."""
     kernel, euler = _kernel(law.form), law.discretisation == "euler"
     rows = kernel.over(inputs, dt, [0], euler=euler, found=found[:, None]) if kernel else None
     if rows is not None:
         at_rest = np.array(law.start if start is None else start, dtype=float)
-        with suppress(OutsideError):
-            rows.at(np.array(numbers(law)), at_rest, settled=start is not None)
-            return True
+        rows.begin(np.array(numbers(law)), at_rest, settled=start is not None)
+    return rows
+
+
+def _in_numpy(
+    law: FrictionLaw, dt: Array, inputs: Sequence[Array], start: tuple[float, ...] | None
+) -> Array:
+    """Return the torque as `predict` does."""
     RUNS["NumPy"] += 1
-    return False
+    output, values, states = _states(law, dt, inputs, start)
+    return np.array(np.broadcast_to(output(*values, *states, dt)[0], dt.shape))
 
 
 def _states(
