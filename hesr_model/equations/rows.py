@@ -26,16 +26,17 @@ BLOCK, _LANES = 128, 8  # as in rows.c
 RUNS: Counter[str] = Counter()
 """How many runs over rows were in C and how many in NumPy, for whoever asks what was used."""
 
-_HOSTS = {
+HOSTS = {
     ("linux", "x86_64"): ("x86_64-linux-gnu.2.17", ".so"),
     ("linux", "aarch64"): ("aarch64-linux-gnu.2.17", ".so"),
     ("darwin", "x86_64"): ("x86_64-macos.11.0", ".dylib"),
     ("darwin", "arm64"): ("aarch64-macos.11.0", ".dylib"),
     ("win32", "AMD64"): ("x86_64-windows-gnu", ".dll"),
 }
-"""The compiler's name of this machine, and how its libraries end."""
+"""The compiler's name of a machine, and how its libraries end."""
 _FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
-          "-fPIC", "-shared", "-nostdlib", "-g0", "-s")  # fmt: skip
+          "-Wall", "-Wextra", "-Werror", "-shared", "-nostdlib", "-g0", "-s")  # fmt: skip
+_LAST = {".dll": ("-Wl,--no-entry", "-lcompiler_rt")}
 _SOURCES = ("rows.c", "elementary.h")
 
 
@@ -66,21 +67,34 @@ class OutsideError(Exception):
     """Numbers are outside of what `rows.c` takes; NumPy goes on."""
 
 
+def built(folder: Path, host: tuple[str, str]) -> Path:
+    """Compile `rows.c` in a folder for a machine, and return the library.
+
+    Raises
+    ------
+    ExportError
+        If the compiler fails.
+    """
+    triple, suffix = HOSTS[host]
+    for name in _SOURCES:
+        Path(folder, name).write_bytes(Path(__file__).with_name(name).read_bytes())
+    numbers = [f"-D{name}={i}" for i, name in enumerate(NAMES)]
+    position = () if suffix == ".dll" else ("-fPIC",)
+    file = Path(folder, f"rows{suffix}")
+    flags = ("-target", triple, *_FLAGS, *position, *numbers)
+    compile_c(Path(folder, "rows.c"), flags, file, _LAST.get(suffix, ()))
+    return file
+
+
 @cache
 def library() -> ctypes.CDLL | None:
     """Return the compiled `rows.c`, None where it cannot be had."""
-    triple, suffix = _HOSTS.get((sys.platform, platform.machine()), ("", ""))
-    if not triple:
+    host = sys.platform, platform.machine()
+    if host not in HOSTS:
         return None
-    numbers = [f"-D{name}={i}" for i, name in enumerate(NAMES)]
     try:
         with tempfile.TemporaryDirectory(prefix="hesr-", ignore_cleanup_errors=True) as folder:
-            for name in _SOURCES:
-                text = Path(__file__).with_name(name).read_bytes()
-                Path(folder, name).write_bytes(text)
-            file = Path(folder, f"rows{suffix}")
-            compile_c(Path(folder, "rows.c"), ("-target", triple, *_FLAGS, *numbers), file)
-            found = ctypes.CDLL(str(file))
+            found = ctypes.CDLL(str(built(Path(folder), host)))
     except (ExportError, OSError) as error:
         _log.info("laws are run over logs in NumPy (%s).", error)
         return None

@@ -240,6 +240,12 @@ def test_a_step_that_euler_cannot_take_is_refused_as_in_numpy() -> None:
 # --- machines ---------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("host", rows_module.HOSTS, ids=" ".join)
+def test_every_machine_has_a_library(host: tuple[str, str], tmp_path: Path) -> None:
+    data = rows_module.built(tmp_path, host).read_bytes()
+    assert all(name in data for name in (b"run", b"solve", b"widest"))
+
+
 def test_numbers_are_the_same_bits_whatever_vectors_there_are(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
