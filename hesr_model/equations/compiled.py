@@ -97,6 +97,10 @@ class Kernel:
             return None
 
 
+def _whole(values: Array, rows: int) -> Array:
+    return np.ascontiguousarray(np.broadcast_to(values, (rows,)), dtype=np.float64)
+
+
 def _in_numbers(values: Array) -> Array:
     """Return an array of floats; a column of a table stays where it is."""
     found = np.asarray(values, dtype=np.float64)
@@ -130,7 +134,8 @@ class Rows:
         target: Array | None = None,
         found: Array | None = None,
     ) -> None:
-        arrays = [_in_numbers(a) for a in (dt, *inputs)]
+        # Of the same length, all of them: C does not ask.
+        arrays = [_in_numbers(np.broadcast_to(a, np.shape(dt))) for a in (dt, *inputs)]
         firsts, self._states = np.asarray(firsts, dtype=np.int64), len(kernel.memory)
         if kernel.known:
             fixed = Run(loaded, kernel.fixed, arrays, firsts)
@@ -142,7 +147,7 @@ class Rows:
         self._run = Run(
             loaded, kernel.main, arrays, firsts, states=self._states, euler=euler,
             block=1 if kernel.row_by_row else BLOCK,
-            target=None if target is None else np.ascontiguousarray(target, dtype=np.float64),
+            target=None if target is None else _whole(target, len(arrays[0])),
             found=found,
         )  # fmt: skip
 
@@ -213,7 +218,8 @@ class Rows:
             If a number is outside of what can be had here.
         """
         self.begin(numbers)
-        return self._run.solved(numbers, non_negative, weights, keep=keep)
+        by = None if weights is None else _whole(weights, len(self._run.found))
+        return self._run.solved(numbers, non_negative, by, keep=keep)
 
     @property
     def found(self) -> Array:

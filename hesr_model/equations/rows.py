@@ -95,7 +95,7 @@ def library() -> ctypes.CDLL | None:
     try:
         with tempfile.TemporaryDirectory(prefix="hesr-", ignore_cleanup_errors=True) as folder:
             found = ctypes.CDLL(str(built(Path(folder), host)))
-    except (ExportError, OSError) as error:
+    except (ExportError, ImportError, OSError) as error:
         _log.info("laws are run over logs in NumPy (%s).", error)
         return None
     found.solve.restype = ctypes.c_bool

@@ -174,6 +174,32 @@ def test_angles_beyond_those_that_can_be_reduced_are_refused() -> None:
             rows.at(np.array([1.1e6]))
 
 
+def test_inputs_of_other_lengths_are_refused() -> None:
+    """C would read beyond them."""
+    kernel = kernel_of((), (K,), (U, V), [K * U + V], sympy.S.Zero)
+    assert kernel is not None
+    with pytest.raises(ValueError, match="broadcast"):
+        kernel.over((np.ones(ROWS - 1), np.ones(ROWS)), np.ones(ROWS), [0])
+    with pytest.raises(ValueError, match="broadcast"):
+        rows_of([K * U], np.ones(ROWS), target=np.ones(ROWS + 1))
+    with pytest.raises(ValueError, match="broadcast"):
+        predict(
+            law("lugre", {}, sigma_0=3e3, sigma_1=20.0, sigma_2=6.0, F_c=9.0, F_s=12.0, v_s=0.1,
+                tau_0=0.4),
+            t=np.arange(5.0), dq=np.ones(4),
+        )  # fmt: skip
+
+
+def test_columns_of_a_table_are_read_where_they_stand(rng: np.random.Generator) -> None:
+    table = rng.normal(size=(ROWS, 3))
+    found = rows_of([K * U + V], table[:, 0], table[:, 2]).at(np.array([2.0]))[:, 0]
+    np.testing.assert_array_equal(found, 2.0 * table[:, 0] + table[:, 2])
+    halves = rows_of([K * U], table[::-1, 1]).at(np.array([2.0]))[:, 0]
+    np.testing.assert_array_equal(halves, 2.0 * table[::-1, 1])
+    single = rows_of([K * U], np.full(ROWS, 1, dtype=np.float32)).at(np.array([2.0]))[:, 0]
+    np.testing.assert_array_equal(single, np.full(ROWS, 2.0))
+
+
 # --- memory -----------------------------------------------------------------------------------
 
 _x = Relaxation(name="x", unit="1", drive=K * U, rate=1 + absolute(5 * U))
