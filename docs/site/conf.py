@@ -1,6 +1,6 @@
 """The documentation as a site: pages, docstrings and notebooks that are executed.
 
-`make docs` builds it; it is strict, so that a link without an end or a cell that fails ends the build.
+`make docs` builds it. It is strict: a link without an end or a cell that fails ends the build.
 """
 
 import importlib.metadata

@@ -157,7 +157,7 @@ class Rows:
         Parameters
         ----------
         numbers : those of the kernel, in their units.
-        start : of each state, from which it begins; 0 where not given.
+        start : of each state, from which it begins, (m,) or (m, records); 0 where not given.
         settled : whether states begin at that start itself, wherever their inputs would have them.
 
         Raises
@@ -166,7 +166,7 @@ class Rows:
             If a number is outside of what can be had here.
         """
         if settled and start is not None:
-            self._run.starts[:] = start[:, None]
+            self._run.starts[:] = start if start.ndim > 1 else start[:, None]
         elif self._states:
             at_rest = np.zeros(self._states) if start is None else start
             self._first(np.concatenate([numbers, at_rest]))

@@ -23,6 +23,7 @@ from hesr_model.artifacts import read_model, write_model
 from hesr_model.equations.compiled import in_numpy
 from hesr_model.equations.rows import RUNS
 from hesr_model.errors import ArtifactError, HesrError
+from hesr_model.forward.stepping import LawSteps
 from hesr_model.friction.evaluate import Stepper, predict
 from hesr_model.friction.fitting.fit import fit_joint
 from hesr_model.friction.inputs import INPUTS
@@ -156,6 +157,21 @@ def test_torque_over_a_log_in_c_is_that_in_numpy(law: FrictionLaw) -> None:
         with in_numpy():
             expected = torque(own, unseen())
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
+
+
+def test_steps_of_many_motions_in_c_are_those_in_numpy(law: FrictionLaw) -> None:
+    """With the law's own coefficients, and with others for each motion."""
+    rng, motions = np.random.default_rng(3), 20
+    dt, *inputs = rng.uniform(1e-4, 1e-2, motions), *rng.normal(size=(3, motions))
+    x = 1e-3 * rng.normal(size=(len(law.form.memory), motions))
+    others = np.outer(list(law.values.values()), np.linspace(0.9, 1.1, motions))
+    for values in (None, others):
+        found = LawSteps(law, values)(dt, *inputs, x)
+        with in_numpy():
+            expected = LawSteps(law, values)(dt, *inputs, x)
+        for own, right in zip(found, expected, strict=True):
+            largest = np.abs(right).max(initial=0.0)
+            np.testing.assert_allclose(own, right, rtol=0, atol=1e-13 * largest)
 
 
 # --- the fit ----------------------------------------------------------------------------------
