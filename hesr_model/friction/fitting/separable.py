@@ -144,8 +144,8 @@ class Separable:
                     return found
         return non_negative_least_squares(self.columns(point), self.samples.tau, non_negative=own)
 
-    def _residual(self, point: Array, weights: Array) -> Array:
-        """Return the (N,) residual of all rows, its unknowns solved for by those that count."""
+    def _residual(self, point: Array, weights: Array | None) -> Array:
+        """Return the (N,) residual of all rows, its unknowns solved for by their weights."""
         own, tau = self.space.non_negative, self.samples.tau
         if self._rows is not None:
             with suppress(OutsideError):
@@ -154,10 +154,8 @@ class Separable:
                 )
                 if found is not None:
                     return np.asarray(self._rows.found @ found[0] - tau)
-        columns = self.columns(point)
-        x, _ = non_negative_least_squares(
-            weights[:, None] * columns, weights * tau, non_negative=own
-        )
+        columns, w = self.columns(point), np.ones_like(tau) if weights is None else weights
+        x, _ = non_negative_least_squares(w[:, None] * columns, w * tau, non_negative=own)
         return np.asarray(columns @ x - tau)
 
     def search(self, rng: np.random.Generator, *, effort: int = 40) -> Array:
@@ -178,22 +176,27 @@ class Separable:
         )  # fmt: skip
         return np.asarray(best.x)
 
-    def polish(self, point: Array, *, evaluations: int = 12, rows: Any = slice(None)) -> Array:
+    def polish(
+        self, point: Array, *, evaluations: int = 12, rows: NDArray[np.bool_] | None = None
+    ) -> Array:
         """Return the point after a local search of all coefficients at once.
 
         The residual has its linear unknowns projected out, so the search runs over everything while
-        it steps in the searched numbers only. Only `rows` count. Shape and units of the point are
-        those of `point`.
+        it steps in the searched numbers only. Only `rows` count, a mask (N,), all where not given.
+        Shape and units of the point are those of `point`.
         """
         if not len(self.bounds):
             return point
+        weights = None if rows is None else rows.astype(float)
 
-        weights = np.zeros_like(self.samples.tau)
-        weights[rows] = 1.0
+        def residual(trial: Array) -> Array:
+            found = self._residual(trial, weights)
+            return found if rows is None else found[rows]
+
         low, high = self.bounds.T
         found = minimise_squares(
-            lambda trial: self._residual(trial, weights)[rows], np.clip(point, low, high),
-            bounds=(low, high), x_scale=high - low, max_nfev=evaluations, diff_step=1e-6,
+            residual, np.clip(point, low, high), bounds=(low, high), x_scale=high - low,
+            max_nfev=evaluations, diff_step=1e-6,
         )  # fmt: skip
         return np.asarray(found.x)
 
