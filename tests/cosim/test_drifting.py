@@ -1,0 +1,201 @@
+"""The twin over a day: friction that drifts, and the closed loop that follows it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from closed_loop import GAINS, MOTION, UF850
+from small_study import Run, uf850
+
+from cosim.commands import fit as fit_to
+from cosim.studies.drifting import (
+    Drift,
+    Drifted,
+    DriftingLoop,
+    run_drifting,
+    score,
+    warm_up,
+    wear,
+)
+from fmu_src.arm.drifting import DriftingArm
+from fmu_src.arm.plant import Plant
+from fmu_src.arm.truth import true_friction
+from hesr_model.artifacts import read_rigid_body
+from hesr_model.errors import ConfigError
+from hesr_model.friction.adaptive.thermal_fit import fit_thermal
+from hesr_model.friction.fitting.fit import fit
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.laws.lugre import LuGre
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.thermal import Thermal
+from hesr_model.friction.trained import TrainedRange
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.typed_json import to_json
+
+PLANT = Plant.read(UF850 / "plant.toml")
+
+
+def truth() -> FrictionModel:
+    """The twin's own friction, as if it had been fitted."""
+    seen = TrainedRange(sample_time=0.005, dq=(-1.2, 1.2), q=(-3, 3), tau_load=(-60, 60),
+                        tau=(-60, 60))  # fmt: skip
+    known = true_friction(PLANT.model, PLANT.joints, sample_time=0.005)
+    return replace(known, trained=(seen,) * 3, training_rmse=PLANT.noise.torque)
+
+
+def loop_of(
+    folder: Path, model: FrictionModel, parameters: np.ndarray | None = None
+) -> DriftingLoop:
+    robot = RobotModel(RobotDescription.read(UF850 / "robot.toml"))
+    made = DriftingLoop(
+        plant=PLANT, robot=robot, model=model, motion=MOTION, gains=GAINS, folder=folder,
+        parameters=robot.nominal_parameters if parameters is None else parameters,
+    )  # fmt: skip
+    made.build()
+    return made
+
+
+def by_hand() -> FrictionModel:
+    """LuGre laws with the sums of the twin's bristles."""
+    numbers = ((9.6, 13.0, 16.6), (12.1, 15.7, 12.5), (5.5, 7.4, 4.0))
+    laws = tuple(
+        FrictionLaw(name="lugre", form=LuGre.form({}), values={
+            "sigma_0": 4e4, "sigma_1": 0.0, "sigma_2": viscous, "F_c": coulomb, "F_s": static,
+            "v_s": 0.1, "tau_0": 0.0,
+        })
+        for coulomb, static, viscous in numbers
+    )  # fmt: skip
+    return replace(truth(), law="lugre", laws=laws)
+
+
+@pytest.fixture(scope="module")
+def simple(tmp_path_factory: pytest.TempPathFactory) -> DriftingLoop:
+    return loop_of(tmp_path_factory.mktemp("simple"), by_hand())
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory: pytest.TempPathFactory) -> DriftingLoop:
+    return loop_of(tmp_path_factory.mktemp("loop"), truth())
+
+
+def test_friction_of_the_arm_is_scaled() -> None:
+    arm = DriftingArm(PLANT, "payload")
+    found = []
+    for coulomb, viscous in ((1.0, 1.0), (0.9, 0.7)):
+        arm.reset(np.array([0.0, 0.3, -1.9]))
+        arm.scale([coulomb] * 3, [viscous] * 3)
+        for _ in range(300):
+            out = arm.step([0.4, 0.4, 0.4], 0.005)
+        found.append(out.tau_f_true)
+    sliding = np.array([0.4 * 16.6, 0.4 * 12.5, 0.4 * 4.0])
+    # What is left of the difference is ripple.
+    change = 0.1 * (found[0] - sliding) + 0.3 * sliding
+    np.testing.assert_allclose(found[0] - found[1], change, atol=0.35)
+
+
+def test_a_load_and_a_push_are_measured() -> None:
+    arm = DriftingArm(PLANT, "payload")
+    found = []
+    for mass in (0.0, 2.0):
+        arm.reset(np.array([0.0, 0.3, -1.9]))
+        arm.load(mass)
+        for _ in range(200):
+            loaded = arm.step(np.array([0.0, 0.3, 0.3]), 0.005).tau_meas
+        found.append(loaded)
+    assert found[0][2] - found[1][2] > 5.0
+    arm.push([0.0, 0.0, 30.0])
+    for _ in range(100):
+        pushed = arm.step(np.zeros(3), 0.005).tau_meas
+    assert pushed[2] - loaded[2] < -5.0
+    with pytest.raises(ConfigError, match="has no body 'hand'"):
+        DriftingArm(PLANT, "hand")
+
+
+def test_the_loop_follows_a_drift(simple: DriftingLoop) -> None:
+    drift = Drift(coulomb=lambda _, n: np.full(n, 0.8), viscous=lambda _, n: np.full(n, 0.6))
+    followed, fixed = (run_drifting(simple, drift, 10.0, adapt=adapt) for adapt in (True, False))
+    undrifted = replace(fixed, tau_true=fixed.fixed(simple.model))
+    found = score(simple.model, followed, fixed, undrifted, 6.0)
+    assert min(found.cut) > 0.3
+    assert np.all(np.array(found.tracking) < 0.8 * np.array(found.tracking_fixed))
+    assert np.all(np.array(found.level) < 0.97)
+    assert to_json(found).keys() >= {"cut", "tracking"}
+
+
+# --- soak -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def fitted(study_run: Run, tmp_path_factory: pytest.TempPathFactory) -> DriftingLoop:
+    """A law that was fitted to one log of the twin, whose friction is none of its form."""
+    model = fit_to("lugre_load", study_run.log("sweep"), uf850("robot.toml"), study_run.rigid_body)
+    body = np.array(read_rigid_body(study_run.rigid_body).parameters)
+    return loop_of(tmp_path_factory.mktemp("fitted"), model, body)
+
+
+def first(run: Drifted, alarm: str) -> list[float]:
+    """When an alarm of each joint begins [s]; inf for never."""
+    rows = [np.flatnonzero(column) for column in run.learned[alarm].T]
+    return [float(run.t[own[0]]) if len(own) else np.inf for own in rows]
+
+
+@pytest.mark.soak
+def test_a_warm_up_is_followed_as_by_a_law_refitted_every_minute(fitted: DriftingLoop) -> None:
+    seconds = 1260.0
+    followed = run_drifting(fitted, warm_up(), seconds)
+    fixed = run_drifting(fitted, warm_up(), seconds, adapt=False)
+    undrifted = run_drifting(fitted, Drift(), seconds, adapt=False)
+
+    def refitted(run: Drifted, k: int) -> FrictionModel:
+        rows = slice(k - 12_000, k)
+        return fit("lugre_load", run.records(fitted.model.joints, rows)) if k else fitted.model
+
+    minute = run_drifting(fitted, warm_up(), seconds, refitted=refitted)
+    found = score(fitted.model, followed, fixed, undrifted, 60.0)
+    assert min(found.cut) >= 0.7
+    late = followed.t >= 60.0
+    own, other = (
+        np.sqrt(np.mean((run.q - run.q_d)[late] ** 2, axis=0)) for run in (followed, minute)
+    )
+    assert np.all(own <= 1.15 * other)
+
+
+@pytest.mark.soak
+def test_wear_is_told_from_a_load_a_collision_and_a_sensor(fitted: DriftingLoop) -> None:
+    worn = run_drifting(fitted, wear(60.0, 0), 120.0)
+    assert 60.0 < first(worn, "drift")[0] < 120.0
+    assert first(worn, "drift")[1:] == [np.inf, np.inf]
+    assert worn.learned["level"][-1, 0] > 1.1
+    shifted = run_drifting(
+        fitted, Drift(torque_offset=lambda t, n: np.full(n, 5.0 * (t >= 60.0))), 120.0
+    )
+    assert min(first(shifted, "shift")) > 60.0
+    assert max(first(shifted, "shift")) < 120.0
+    calm = run_drifting(fitted, Drift(), 70.0)
+    push = np.array([80.0, -80.0, 40.0])
+    hit = run_drifting(fitted, Drift(push=lambda t, _: push * (60.0 <= t < 60.3)), 70.0)
+    for factor in ("level", "viscosity"):
+        assert np.abs(hit.learned[factor] - calm.learned[factor]).max() < 0.02
+    assert first(hit, "drift") == [np.inf] * 3
+
+
+@pytest.mark.soak
+def test_temperature_of_the_twin_is_found(known: DriftingLoop) -> None:
+    """Both coefficients of a known law within 5 %, joint by joint, under the twin's noise."""
+    true = Thermal(coulomb=0.004, viscous=0.02, reference=30.0)
+
+    def at(t: float) -> np.ndarray:
+        return np.full(3, 20.0 + 20.0 * min(t / 200.0, 1.0))
+
+    drift = Drift(
+        coulomb=lambda t, _: true.factors(at(t))[0], viscous=lambda t, _: true.factors(at(t))[1]
+    )
+    run = run_drifting(known, drift, 240.0, adapt=False)
+    temperature = np.array([at(t) for t in run.t])
+    records = [replace(record, temperature=column)
+               for record, column in zip(run.records(known.model.joints), temperature.T,
+                                         strict=True)]  # fmt: skip
+    for thermal in fit_thermal(known.model, [records])[0].thermal:
+        assert thermal.coulomb == pytest.approx(true.coulomb, rel=0.05)
+        assert thermal.viscous == pytest.approx(true.viscous, rel=0.05)

@@ -1,0 +1,75 @@
+"""Friction of a UR10e that is followed over its days, from the law of the training logs."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import IDENTIFICATION
+
+from hesr_model.friction.adaptive.follow import Follower
+from hesr_model.friction.fitting.fit import fit
+from hesr_model.friction.metrics import rmse
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import identify
+from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.robots.robot import RobotDescription, RobotModel
+
+DAYS = (
+    "test_ptp_10_points",
+    *(f"friction_sine_joint{k}" for k in range(1, 7)),
+    "test_fourier_20s_8harm",
+    "test_fourier_20s_7harm",
+    "test_fourier_40s_12harm",
+)
+"""Logs that no law was fitted to, in the order of their days."""
+
+MOVES = 0.1
+"""[rad/s] A joint whose speed never exceeds it teaches nothing, and has nothing to gain."""
+
+
+Days = Callable[[Sequence[str]], list[list[FrictionRecord]]]
+
+
+@pytest.fixture(scope="module")
+def read(
+    ur10e_data: Path, ur10e: RobotDescription, ur10e_model: RobotModel, id_logs: list[RobotLog]
+) -> Days:
+    """Records [log][joint] of logs by name."""
+    body = identify(id_logs, ur10e_model)
+
+    def records(names: Sequence[str]) -> list[list[FrictionRecord]]:
+        logs = (RobotLog.read(ur10e_data / f"{name}.csv", ur10e) for name in names)
+        return [friction_records(log, ur10e_model, body) for log in logs]
+
+    return records
+
+
+def ratios(
+    law: str, training: Sequence[Sequence[FrictionRecord]], days: Sequence[Sequence[FrictionRecord]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return [log][joint] error of what was followed over that of the fixed law, and who moved."""
+    follower = Follower(fit(law, *training))
+    found = [
+        [rmse(one.outputs["tau"] - one.record.tau) / rmse(one.fixed - one.record.tau)
+         for one in follower.follow(day)]
+        for day in days
+    ]  # fmt: skip
+    moved = [[np.abs(record.dq).max() > MOVES for record in day] for day in days]
+    return np.array(found), np.array(moved)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("law", ["parfam_s", "lugre_load"])
+def test_no_joint_is_harmed_and_those_that_move_gain(read: Days, law: str) -> None:
+    found, moved = ratios(law, read(IDENTIFICATION), read(DAYS))
+    assert found.max() <= 1.01
+    assert np.exp(np.log(found[moved]).mean()) <= 0.98
+
+
+def test_a_day_that_was_left_out_of_training_gains(read: Days) -> None:
+    """What the numbers of the filter were chosen by, for one of the days."""
+    long, middle, short = read(IDENTIFICATION)
+    found, _ = ratios("lugre_load", [long, middle], [short])
+    assert found.max() <= 1.01
+    assert np.exp(np.log(found).mean()) <= 0.98
