@@ -7,10 +7,11 @@ moves the memory, then everything is read, and what was read is the previous val
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import sympy
 
 from hesr_model.equations.component import Component, previous
-from hesr_model.equations.functions import SCALAR
+from hesr_model.equations.functions import NUMPY, SCALAR
 from hesr_model.equations.memory import DT, EULER
 from hesr_model.equations.program import (
     Assignments,
@@ -30,9 +31,12 @@ class Steps:
     ----------
     component : the equations; relaxations move exactly.
     observed : names of equations to be returned by each step; the outputs where not given.
+    lanes : whether every number is an array of runs that go side by side.
     """
 
-    def __init__(self, component: Component, observed: Sequence[str] | None = None) -> None:
+    def __init__(
+        self, component: Component, observed: Sequence[str] | None = None, *, lanes: bool = False
+    ) -> None:
         own = [e.name for e in component.outputs] if observed is None else list(observed)
         self.observed = tuple(own)
         self.component = component
@@ -47,17 +51,20 @@ class Steps:
             (given, states),
             {symbol: e.xreplace(starts) for symbol, e in begins.items()},
             ([begun(m) for m in component.memory],),
+            lanes=lanes,
         )
         self._start = _function(
             (given, states),
             readings(component, starting=True)
             | {symbol: start.xreplace(starts) for symbol, start in starts.items()},
             (seen, remembered),
+            lanes=lanes,
         )
         self._step = _function(
             (given, states, before, (DT,)),
             sampled(component) | {EULER: sympy.Integer(0)},
             (seen, remembered, [moved(m) for m in component.memory]),
+            lanes=lanes,
         )
 
     def run(
@@ -83,14 +90,15 @@ class Run:
     ) -> None:  # fmt: skip
         names = [q.name for q in component.given]
         self._settle, self._start, self._step = settle, start, step
-        self._given = [float(values.get(name, 0.0)) for name in names]
+        self._given: list[Any] = [float(values.get(name, 0.0)) for name in names]
         self._places = [names.index(name) for name in inputs]
         self.states: Sequence[float] = list(states)
         self.remembered: Sequence[float] = []
 
     def _set(self, inputs: Sequence[float]) -> None:
         for place, value in zip(self._places, inputs, strict=True):
-            self._given[place] = float(value)  # NumPy's numbers are slow, and no plain ones
+            # NumPy's numbers are slow, and no plain ones.
+            self._given[place] = value if isinstance(value, np.ndarray) else float(value)
 
     def settle(self, *inputs: float) -> None:
         """Put the states, which are at their start, where the first inputs let them begin."""
@@ -116,8 +124,13 @@ def _function(
     arguments: Sequence[Sequence[sympy.Symbol]],
     program: Assignments,
     targets: Sequence[Sequence[sympy.Symbol]],
+    *,
+    lanes: bool,
 ) -> Any:
-    """Return a Python function of numbers that runs a program; targets and arguments in groups."""
+    """Return a Python function of numbers, or of arrays of them, that runs a program.
+
+    Targets and arguments are in groups.
+    """
     lines, names = straight_line(program, [symbol for group in targets for symbol in group])
     short = {symbol: sympy.Symbol(name) for symbol, name in names.items()}
     lines = {short.get(symbol, symbol): e.xreplace(short) for symbol, e in lines.items()}
@@ -125,6 +138,6 @@ def _function(
     return sympy.lambdify(
         [list(group) for group in arguments],
         wanted,
-        modules=[dict(SCALAR), "math"],
+        modules=[dict(NUMPY), "numpy"] if lanes else [dict(SCALAR), "math"],
         cse=lambda _: (list(lines.items()), wanted),
     )

@@ -4,15 +4,17 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from adaptive_models import model as model_of
 from fmpy import read_model_description
 from small_study import Run, hesr_here, uf850
 
 from cosim.commands import fit
-from hesr_model.artifacts import write_model
+from hesr_model.artifacts import read_model, write_model
 from hesr_model.friction.adaptive.tuning import TUNING
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.lugre import LuGre
+from hesr_model.logs.robot_log import RobotLog
 
 
 def test_an_adaptive_fmu(tmp_path: Path, capsys, monkeypatch) -> None:
@@ -31,6 +33,29 @@ def test_an_adaptive_fmu(tmp_path: Path, capsys, monkeypatch) -> None:
     answer = hesr("export", law, "--adaptive", "-o", fmu)
     assert answer.code == 0, answer.err
     assert {v.name for v in read_model_description(fmu).modelVariables} >= {"level[1]", "adapt"}
+
+
+def test_temperature_is_found_in_logs(study_run: Run, tmp_path: Path, capsys, monkeypatch) -> None:
+    hesr = hesr_here(capsys, monkeypatch)
+    robot, body, law = uf850("robot.toml"), study_run.rigid_body, tmp_path / "law.json"
+    write_model(law, fit("lugre", study_run.log("sweep"), robot, body))
+    log, out, found = tmp_path / "warm.csv", tmp_path / "warm.json", tmp_path / "found.json"
+    cold = RobotLog.read(study_run.log("sweep"), robot)
+    options = ("--law", law, "--robot", robot, "--rigid-body", body, "-o", out, "--json", found)
+    answer = hesr("thermal", study_run.log("sweep"), *options)
+    assert answer.code == 2
+    assert "without temperatures, logs of at least 300 s" in answer.err
+    assert not out.exists()
+    warm = np.linspace(20.0, 40.0, len(cold.t))[:, None] * np.ones(cold.q.shape[1])
+    replace(cold, temperature=warm).write(log)
+    answer = hesr("thermal", log, *options)
+    assert answer.code == 0, answer.err
+    # The twin knows no temperature.
+    for joint in json.loads(found.read_text(encoding="utf-8")):
+        thermal = joint["thermal"]
+        assert abs(thermal["viscous"]) < 0.005 + 4.0 * joint["viscous_error"]
+    assert len(read_model(out).thermal) == 3
+    assert "Coulomb friction falls by" in answer.out
 
 
 def test_friction_is_monitored_over_logs(

@@ -1,12 +1,16 @@
 """The adaptive friction FMU: the equations of Python, and all that it knows is its state."""
 
 import ctypes
+import subprocess
+import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from adaptive_models import lugre, model, motion, stops
+from c_hosts import build_host
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
@@ -17,9 +21,11 @@ from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.adaptive.follow import Follower
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.stribeck import Stribeck
+from hesr_model.friction.thermal import Thermal
 from hesr_model.rigid_body.residual import FrictionRecord
 
-MODEL = model(lugre(), stops(), lugre())
+WARM = Thermal(coulomb=0.004, viscous=0.02, resistance=0.5, time_constant=30.0)
+MODEL = replace(model(lugre(), stops(), lugre()), thermal=(WARM,) * 3)
 OUTPUTS = ("tau", "level", "viscosity", "offset", "level_sd", "viscosity_sd", "offset_sd", "drift",
            "shift", "health")  # fmt: skip
 
@@ -39,7 +45,17 @@ def records() -> list[FrictionRecord]:
         tau = 15.0 * np.tanh(dq / 0.01) + 11.0 * dq + rng.normal(size=len(t))
         tau[(t > 5.0) & (t < 5.2)] += 60.0
         found.append(
-            FrictionRecord(log="one", joint=joint, t=t, dq=dq, q=q, tau_load=load, tau=tau)
+            FrictionRecord(
+                log="one",
+                joint=joint,
+                t=t,
+                dq=dq,
+                q=q,
+                tau_load=load,
+                tau=tau,
+                # The last joint has no thermometer: its own friction heats it.
+                temperature=None if k == 2 else 20.0 + 3.0 * t,
+            )
         )
     return found
 
@@ -57,11 +73,15 @@ class Bench:
         for i, r in enumerate(self.records, start=1):
             values = {"dq": r.dq, "q": r.q, "tau_load": r.tau_load, "tau_rigid": r.tau_load,
                       "tau_meas": r.tau + r.tau_load}  # fmt: skip
+            if r.temperature is not None:
+                values["temperature"] = r.temperature
             found |= {f"{name}[{i}]": float(column[row]) for name, column in values.items()}
         return found
 
     def begin(self) -> None:
-        self.fmu.initialise(start=self.inputs(0))
+        read = {f"joint[{i}].thermometer": float(r.temperature is not None)
+                for i, r in enumerate(self.records, start=1)}  # fmt: skip
+        self.fmu.initialise(start=self.inputs(0) | read)
 
     def run(self, first: int, last: int) -> np.ndarray:
         rows = []
@@ -97,9 +117,46 @@ def test_it_is_valid(fmu: Path) -> None:
     description = read_model_description(fmu)
     assert description.modelExchange is None
     assert {v.name for v in description.modelVariables if v.causality == "input"} == {
-        "adapt", *(f"{n}[{i}]" for n in ("dq", "q", "tau_load", "tau_meas", "tau_rigid")
+        "adapt", *(f"{n}[{i}]" for n in ("dq", "q", "tau_load", "tau_meas", "tau_rigid",
+                                         "temperature")
                    for i in (1, 2, 3))
     }  # fmt: skip
+
+
+def test_temperature_is_told_in_its_unit(fmu: Path) -> None:
+    description = read_model_description(fmu)
+    [unit] = [u for u in description.unitDefinitions if u.name == "degC"]
+    assert (unit.baseUnit.K, unit.baseUnit.offset) == (1, 273.15)
+    found = {v.name: v for v in description.modelVariables}
+    assert (found["temperature[1]"].unit, found["temperature[1]"].start) == ("degC", "20.0")
+    assert found["joint[1].thermometer"].start == "1.0"
+    assert found["rise[1]"].unit == "K"
+
+
+def test_what_friction_heats_is_state(bench: Bench) -> None:
+    bench.begin()
+    bench.run(1, 300)
+    heated = bench.fmu.get([f"rise[{i}]" for i in (1, 2, 3)])
+    assert np.all((heated > 0.1) & (heated < 10.0))
+
+
+@pytest.mark.soak
+def test_what_a_step_takes(fmu: Path, tmp_path: Path) -> None:
+    """The aim is 1 us for three joints, set and read, and 4 KiB an instance."""
+    description = read_model_description(fmu)
+    places = {v.name: v.valueReference for v in description.modelVariables}
+    with zipfile.ZipFile(fmu) as archive:
+        [name] = [n for n in archive.namelist() if n.endswith(".so")]
+        library = tmp_path / "library.so"
+        library.write_bytes(archive.read(name))
+    found = subprocess.run(
+        [build_host("adaptive_host.c", tmp_path), library, description.guid, "3",
+         *(str(places[f"{n}[1]"]) for n in ("tau_meas", "tau_rigid", "tau")), "20000"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    step, whole, size = found.stdout.split()
+    print(f"three joints: {step} ns a step, {whole} ns with inputs and outputs, {size} B")  # noqa: T201
+    assert int(size) <= 4 * 1024
 
 
 def test_a_reset_instance_begins_anew(bench: Bench) -> None:

@@ -1,5 +1,6 @@
 """What every engine runs: each FMU alone, and the two systems."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from closed_loop import MOTION
@@ -14,20 +15,26 @@ from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import start_values, trajectory
 from fmu_src.blocks.velocity import velocity
 from fmu_src.drive.drive_fmu import content as drive
-from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.friction.friction_fmu import adaptive_content, export_bare
 from fmu_src.package import Version, write_fmu
 from hesr_model.artifacts import read_model
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
+from hesr_model.friction.thermal import Thermal
+from hesr_model.friction.trained import TrainedRange
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.files import models_folder
 
 NAMES = (
-    "friction", "exact", "lugre", "trajectory", "body", "controller", "arm", "open", "closed",
+    "friction", "exact", "lugre", "adaptive", "trajectory", "body", "controller", "arm", "open",
+    "closed",
 )  # fmt: skip
 
-OF_FMI_3 = ("friction", "exact", "lugre", "drive", "trajectory", "body", "controller", "velocity")
+OF_FMI_3 = (
+    "friction", "exact", "lugre", "adaptive", "drive", "trajectory", "body", "controller",
+    "velocity",
+)  # fmt: skip
 """FMUs that are also run in FMI 3.0."""
 
 # States at their start attributes: CasADi, which evaluates the equations only, begins there.
@@ -60,6 +67,7 @@ def alone(folder: Path, closed: Together) -> list[Alone]:
         driven(friction, name="friction"),
         driven(friction, name="exact", start=EXACT),
         driven(export_fmu(lugre(), folder / "LuGre.fmu"), name="lugre"),
+        driven(export_fmu(followed(), folder / "Adaptive.fmu", adaptive=True), name="adaptive"),
         *(driven(used[name].fmu, name=name, start=used[name].start) for name in names),
     ]
 
@@ -70,6 +78,7 @@ def of_both_versions(folder: Path) -> dict[str, tuple[Alone, Alone]]:
     robot = RobotModel(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
     joints = len(table1.joints)
     contents = {
+        "adaptive": adaptive_content(followed()),
         "drive": drive(table1, inertia=(3.0, 3.0, 0.6), stiffness=(1e4, 2e4, 1e4)),
         "trajectory": trajectory(joints),
         "body": inverse_dynamics(robot, robot.nominal_parameters),
@@ -98,3 +107,12 @@ def lugre() -> FrictionModel:
     form = registry()["lugre"].core({})
     laws = (FrictionLaw(name="lugre", form=form, values=LUGRE),)
     return FrictionModel(law="lugre", robot="bench", joints=("j1",), laws=laws, sample_time=0.005)
+
+
+def followed() -> FrictionModel:
+    """The same law with a thermal model, as noisy as what the inputs of a run differ from it by."""
+    seen = TrainedRange(
+        sample_time=0.005, dq=(-0.5, 0.5), q=(-0.5, 0.5), tau_load=(-0.5, 0.5), tau=(-15, 15)
+    )
+    thermal = Thermal(coulomb=0.004, viscous=0.02)
+    return replace(lugre(), trained=(seen,), training_rmse=(5.0,), thermal=(thermal,))

@@ -1,13 +1,20 @@
 """What a joint goes through, with known truth: it warms up, wears, and works for days."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from adaptive_models import NOISE, STEP, coloured, lugre, model, motion, stops, truth
+from adaptive_models import NOISE, STEP, Array, coloured, lugre, model, motion, stops, truth
 
-from hesr_model.friction.adaptive.follow import Follower
+from hesr_model.equations.component import Parameter
+from hesr_model.equations.stepping import Steps
+from hesr_model.friction.adaptive.follow import Follower, adaptive_components
+from hesr_model.friction.adaptive.thermal_fit import Factored
 from hesr_model.friction.adaptive.tuning import TUNING
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
+from hesr_model.rigid_body.residual import FrictionRecord
 
 WARM_UP = 1200.0
 """[s] in which 30 % of viscous and 10 % of Coulomb friction are lost."""
@@ -37,48 +44,91 @@ def test_drift_of_a_warm_up_is_cut_within_a_minute_of_motion(law) -> None:
     assert rmse(followed) <= 0.3 * rmse(fixed)
 
 
-def wear_found(seed: int) -> float:
-    """Return the time in motion until wear of 25 % is found [s]."""
-    t, dq, q, load = motion(120.0, seed)
-    record = truth(
-        lugre(), t, dq, q, load, seed=seed,
-        level=lambda t: 1.0 + 0.25 * (t > 60.0), viscosity=np.ones_like,
-    )  # fmt: skip
-    [found] = Follower(model(lugre())).follow([record])
-    drift = found.outputs["drift"]
-    assert not np.any(drift[t <= 60.0])
-    rows = np.flatnonzero(drift > 0.0)
-    return float(t[rows[0]] - 60.0) if len(rows) else np.inf
+Lanes = dict[str, np.ndarray]
+FACTORED = Factored(lugre())
 
 
-@pytest.mark.parametrize("seed", [11, 12])
-def test_wear_is_found_within_a_minute(seed: int) -> None:
-    assert wear_found(seed) <= 60.0
+def worked(
+    seed: int, seconds: float, step: float, correlation: float, level: Callable[[Array], Array]
+) -> FrictionRecord:
+    """Return what a joint with a level that is a function of time does, with coloured noise."""
+    t, dq, q, load = motion(seconds, seed, step=step)
+    clean = FrictionRecord(log="", joint="j1", t=t, dq=dq, q=q, tau_load=load, tau=t)
+    torque = FACTORED.torque(clean, level(t), np.ones_like(t))
+    return replace(clean, tau=torque + coloured(len(t), step, correlation, NOISE, seed))
+
+
+def side_by_side(
+    seeds: range,
+    seconds: float,
+    *,
+    step: float,
+    correlation: float,
+    level: Callable[[Array], Array],
+) -> tuple[Array, Lanes]:
+    """Follow a joint of every seed at once; return time (N,) and alarms (N, seeds)."""
+    law, records = lugre(), [worked(seed, seconds, step, correlation, level) for seed in seeds]
+    dq, q, load, friction = (
+        np.stack([getattr(r, name) for r in records], axis=1)
+        for name in ("dq", "q", "tau_load", "tau")
+    )
+    t, measured = records[0].t, friction + load
+    [component] = adaptive_components(model(law))
+    steps = Steps(component, ["drift", "shift", "level"], lanes=True)
+    values = law.values | {p.name: p.start for p in component.parameters
+                           if isinstance(p, Parameter)}  # fmt: skip
+    names = ("dq", "q", "tau_load", "tau_meas", "tau_rigid", "adapt")
+    run = steps.run(values, [np.zeros(len(seeds))] * len(law.start), names)
+    rows = zip(dq, q, load, measured, load, strict=True)
+    first = next(rows)
+    run.settle(*first, 1.0)
+    found = [run.begin(*first, 1.0), *(run.step(step, *row, 1.0) for row in rows)]
+    columns = zip(steps.observed, zip(*found, strict=True), strict=True)
+    return t, {n: np.stack(np.broadcast_arrays(*c, dq[0])[:-1]) for n, c in columns}
+
+
+def test_lanes_are_runs() -> None:
+    _, lanes = side_by_side(range(2), 5.0, step=STEP, correlation=0.1, level=np.ones_like)
+    for seed in range(2):
+        record = worked(seed, 5.0, STEP, 0.1, np.ones_like)
+        [alone] = Follower(model(lugre())).follow([record])
+        np.testing.assert_allclose(lanes["level"][:, seed], alone.outputs["level"], rtol=1e-12)
+
+
+def wear_found(seeds: range, step: float = STEP) -> Array:
+    """Return the times in motion until wear of 25 % is found [s]; none is found before it."""
+    t, lanes = side_by_side(
+        seeds, 120.0, step=step, correlation=0.1, level=lambda t: 1.0 + 0.25 * (t > 60.0)
+    )
+    assert not np.any(lanes["drift"][t <= 60.0])
+    found = lanes["drift"] > 0.0
+    return np.where(found.any(axis=0), t[found.argmax(axis=0)] - 60.0, np.inf)
+
+
+def test_wear_is_found_within_a_minute() -> None:
+    assert wear_found(range(11, 13), 0.04).max() <= 60.0
 
 
 @pytest.mark.soak
 def test_wear_is_found_in_most_seeds() -> None:
-    assert sum(wear_found(seed) <= 60.0 for seed in range(100)) >= 95
+    assert np.count_nonzero(wear_found(range(100)) <= 60.0) >= 95
 
 
-def alarms(hours: float, seed: int) -> int:
-    """Return in how many rows of steady work there is an alarm.
+def alarms(hours: float, seeds: range) -> int:
+    """Return in how many rows of steady work there is an alarm, so many hours of each seed.
 
     The noise has the correlation time that the filter expects: whitened, innovations are white.
     """
-    motions = motion(3600.0 * hours, seed, step=0.05)
-    record = truth(
-        lugre(), *motions, seed=seed, level=np.ones_like, viscosity=np.ones_like,
-        correlation=TUNING.correlation_time,
-    )  # fmt: skip
-    [found] = Follower(model(lugre())).follow([record])
-    return int(np.count_nonzero(found.outputs["drift"]) + np.count_nonzero(found.outputs["shift"]))
+    _, lanes = side_by_side(
+        seeds, 3600.0 * hours, step=0.1, correlation=TUNING.correlation_time, level=np.ones_like
+    )
+    return int(np.count_nonzero(lanes["drift"]) + np.count_nonzero(lanes["shift"]))
 
 
 def test_steady_work_gives_no_alarm() -> None:
-    assert alarms(0.5, 0) == 0
+    assert alarms(0.05, range(40)) == 0
 
 
 @pytest.mark.soak
 def test_no_alarm_in_300_hours() -> None:
-    assert sum(alarms(1.0, seed) for seed in range(1, 301)) == 0
+    assert sum(alarms(1.0, range(first, first + 150)) for first in (1, 151)) == 0

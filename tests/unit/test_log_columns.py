@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from hesr_model.errors import LogError
+from hesr_model.logs.guess import guess
 from hesr_model.logs.log_format import LogColumns, LogFormat, LogUnits
 from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.tables import read_table
 from hesr_model.robots.robot import RobotDescription
 
 HEADER = ["t", "q1", "q2", "dq1", "dq2", "tau1", "tau2"]
@@ -148,6 +150,36 @@ def test_joints_counted_from_zero_are_counted_right_in_messages(read: Read) -> N
         read(text, log)
     with pytest.raises(LogError, match=r"has column 'actual_q_1', but the robot has 1 joints"):
         read(written(values, RTDE, delimiter=" "), log, joints=["a"])
+
+
+def test_temperatures_are_read_where_a_log_holds_them(read: Read, tmp_path: Path) -> None:
+    warm = np.column_stack([np.full(len(rows()), 30.0), 25.0 + np.arange(len(rows()))])
+    values = np.column_stack([rows(), warm])
+    header = ["t", "q1", "q2", "dq1", "dq2", "tau1", "tau2", "temperature1", "temperature2"]
+    assert read(written(rows(), header[:7])).temperature is None
+    log = read(written(values, header))
+    np.testing.assert_array_equal(log.temperature, warm)
+    kelvin = LogFormat(units=LogUnits(temperature="K"))
+    np.testing.assert_allclose(read(written(values, header), kelvin).temperature, warm - 273.15)
+    log.write(tmp_path / "again.csv")
+    assert "temperature2" in (tmp_path / "again.csv").read_text(encoding="utf-8")
+    assert np.array_equal(log.rows(slice(0, 3)).temperature, warm[:3])
+    # As Universal Robots' recorder names them; what has a name must be there.
+    own = LogFormat(columns=LogColumns(temperature="joint_temperatures_{0}"))
+    named = [*header[:7], "joint_temperatures_0", "joint_temperatures_1"]
+    np.testing.assert_array_equal(read(written(values, named), own).temperature, warm)
+    with pytest.raises(LogError, match="column 'joint_temperatures_0' is missing"):
+        read(written(rows(), header[:7]), own)
+
+
+def test_columns_of_temperatures_are_guessed(tmp_path: Path) -> None:
+    names = [*RTDE, "joint_temperatures_0", "joint_temperatures_1"]
+    path = tmp_path / "run.csv"
+    values = np.column_stack([rows(), 2.0 * rows()[:, 5:], rows()[:, 5:]])
+    path.write_text(written(values, names), encoding="utf-8")
+    found = guess(read_table(path)).columns
+    assert found["temperature"] == ("joint_temperatures_0", "joint_temperatures_1")
+    assert found["q"] == ("actual_q_0", "actual_q_1")
 
 
 def test_columns_may_be_named_after_the_joints(read: Read) -> None:
