@@ -18,11 +18,12 @@ function fitTables() {
   }
 }
 {
+  let width, frame;
+  const soon = () => { frame ??= requestAnimationFrame(() => { frame = undefined; fitTables(); }); };
   /* Of widths alone: it changes heights itself. */
-  let width;
   new ResizeObserver(() => {
-    if (width !== document.body.clientWidth) fitTables();
+    if (width !== document.body.clientWidth) soon();
     width = document.body.clientWidth;
   }).observe(document.body);
-  document.addEventListener("toggle", (event) => event.target.matches("details") && fitTables(), true);
+  document.addEventListener("toggle", soon, true);
 }

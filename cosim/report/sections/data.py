@@ -1,8 +1,13 @@
-"""The robot and its logs."""
+"""The robot, its logs, and what the checks found in them."""
 
-from cosim.report.markup import Pictures, Section, joined, paragraph, table
+from markupsafe import Markup
+
+from cosim.health import read_findings
+from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
 from cosim.report.results import Results
 from cosim.tables.table import ResultTable, TableRow, number
+
+_FEW = 3  # findings that stand open
 
 
 def section(results: Results, pictures: Pictures) -> Section:
@@ -29,10 +34,11 @@ def section(results: Results, pictures: Pictures) -> Section:
     )
     return Section(
         key="data",
-        title="Robot and data",
+        title="Robot, data and their health",
         html=joined(
             paragraph(f"Robot {run.robot}, model {run.model}, joints {joints}.{gears}"),
             paragraph(source),
+            _health(results),
             table(
                 ResultTable(
                     caption="Logs, and what they served for; no log of a test set was trained on",
@@ -54,6 +60,21 @@ def section(results: Results, pictures: Pictures) -> Section:
             ),
         ),
     )
+
+
+def _health(results: Results) -> Markup:
+    """Say what the checks found: in logs first, then in fits; many are folded away."""
+    findings = sorted(read_findings(results.folder), key=lambda finding: not finding.logs)
+    if not findings:
+        return paragraph("The checks of logs and fits found nothing wrong or odd.")
+    items = Markup("<ul>{}</ul>").format(
+        Markup("").join(Markup("<li>{}</li>").format(found.sentence) for found in findings)
+    )
+    said = f"The checks found {len(findings)} odd thing{'s' if len(findings) > 1 else ''}"
+    if len(findings) <= _FEW:
+        return joined(paragraph(f"{said}:"), items)
+    logs = sum(bool(finding.logs) for finding in findings)
+    return details(f"{said}: {logs} in logs, {len(findings) - logs} in what was fitted", items)
 
 
 def _roles(roles: tuple[str, ...]) -> str:

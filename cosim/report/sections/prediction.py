@@ -5,6 +5,7 @@ from markupsafe import Markup
 from cosim.report import paper
 from cosim.report.markup import Pictures, Section, details, heading, joined, paragraph, table
 from cosim.report.results import Results
+from cosim.report.sections.traces import WINDOW as MOVING
 from cosim.report.sections.traces import torque_chart
 from cosim.scoring import input_classes
 from cosim.tables.scores import MEASURES, errors, position_errors
@@ -41,8 +42,9 @@ def bands(results: Results, pictures: Pictures) -> Section | None:
             "they extrapolate; it is split where it leaves what was trained (0.6 Hz in the paper)."
         )
     ]
-    for test in tests:
-        parts += _of_bands(results, pictures, test)
+    first, *others = tests
+    parts += _of_bands(results, pictures, first)
+    parts += [details(f"‘{test}’", *_of_bands(results, pictures, test)) for test in others]
     return Section(key="chirp", title="Chirp: beyond the trained frequencies", html=joined(*parts))
 
 
@@ -58,7 +60,7 @@ def _of_test(results: Results, pictures: Pictures, test: str, *, first: bool) ->
         shown.append(details("As simulators: torque in, position out", table(found)))
     shown.append(details("Moving rows and reversals by themselves", *parts))
     if log is not None and not first and test not in split:
-        shown.append(_traces(results, pictures, test))
+        shown.append(details(f"Torque over time on ‘{test}’", _traces(results, pictures, test)))
     return shown
 
 
@@ -85,12 +87,12 @@ def _traces(results: Results, pictures: Pictures, test: str) -> Markup:
     return pictures.chart(
         f"torque_{_key(results, test)}",
         chart,
-        f"Friction torque on {what} (left) and the absolute error of the laws (right), as Fig. 4 "
-        "of "
-        "the paper. Look at the reversals, where laws without a memory err most. The view that "
+        f"Friction torque on {what} (left) and the RMS error of the laws over {MOVING:g} s "
+        "(right), as Fig. 4 of the paper. Look at the reversals, where laws without a memory err "
+        "most. The view that "
         f"zooms shows the whole log. Shown: {names}.",
         alt=f"Friction torque over time on {log.name} for each joint, measured and predicted by "
-        f"{names}; beside it the absolute error, with peaks at velocity reversals.",
+        f"{names}; beside it the moving error, with peaks at velocity reversals.",
     )
 
 
@@ -108,10 +110,10 @@ def _of_bands(results: Results, pictures: Pictures, test: str) -> list[Markup]:
             pictures.chart(
                 f"split_{_key(results, test)}",
                 torque_chart(results, log, laws, marks=marks),
-                f"Friction torque and absolute error on {log.name}, with its split (Fig. 5 of the "
-                f"paper). Shown: {names}.",
+                f"Friction torque and RMS error over {MOVING:g} s on {log.name}, with its split "
+                f"(Fig. 5 of the paper). Shown: {names}.",
                 alt=f"Friction torque over time on {log.name} for each joint, measured and by "
-                f"{names}, with a dashed line at the split; beside it the absolute error.",
+                f"{names}, with a dashed line at the split; beside it the moving error.",
             )
         )
     return parts + [_errors(results, band.name) for band in of_test]

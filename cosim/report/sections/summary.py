@@ -37,8 +37,8 @@ def summary(results: Results, pictures: Pictures) -> Markup:
         t for t in (_error(results), _paper(results), _tracking(results), _physics(results)) if t
     ]
     return joined(
-        _warnings(results),
         _words(results),
+        _warnings(results),
         paragraph(_done(results)),
         *(
             paragraph(f"The law {law} was left out: {why}")
@@ -53,16 +53,14 @@ def summary(results: Results, pictures: Pictures) -> Markup:
 
 
 def _warnings(results: Results) -> Markup:
-    """Say what the checks found, above all else."""
-    findings = read_findings(results.folder)
-    if not findings:
+    """Say how much the checks found; what, stands with the data."""
+    count = len(read_findings(results.folder))
+    if not count:
         return Markup()
-    return Markup('<ul class="warnings">{}</ul>').format(
-        Markup("").join(
-            Markup('<li><strong class="fail">Warning.</strong> {}</li>').format(finding.sentence)
-            for finding in findings
-        )
-    )
+    return Markup(
+        '<p><strong class="fail">{}</strong> of data and fits: see <a href="#data">robot, data and '
+        "their health</a>.</p>"
+    ).format(_count(count, "warning"))
 
 
 def _words(results: Results) -> Markup:

@@ -43,7 +43,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
             f"{results.loop.tracking[0].rmse.shape[0]} random Fourier motions; errors are those of "
             "the true position."
         ),
-        _diagram(pictures),
+        details("The controller", _diagram(pictures)),
         heading("The paper’s scheme, beside Table III"),
         paragraph(
             "With a servo that integrates, a perfect torque model gives no correction at all, so "
@@ -51,7 +51,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
             "much harm a wrong model does, more than how much good a right one does."
         ),
         table(_beside_paper(results)),
-        _figure(results, pictures, _OWN),
+        details("The first motion under the paper’s scheme", _figure(results, pictures, _OWN)),
         heading("Where models pay: the servo’s inverse"),
         paragraph(
             "The torque of the models goes through the inverse of the servo’s own PI, ahead by its "

@@ -1,0 +1,86 @@
+"""Every page: nothing for the accessibility checker, and nothing cut at any width."""
+
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from pages import PAGES, log_csv
+
+if TYPE_CHECKING:
+    from conftest import OpenPage
+    from playwright.sync_api import Page
+
+RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
+WIDTHS = (390, 1024, 1440, 1920)
+
+CUT = """() => {
+  const width = document.documentElement.clientWidth, found = [];
+  if (document.documentElement.scrollWidth > width) found.push("the page scrolls sideways");
+  for (const e of document.querySelectorAll("body, body *")) {
+    if (!e.checkVisibility() || (e.closest("svg, math") && !e.matches("svg, math"))) continue;
+    const { overflowX, position } = getComputedStyle(e), box = e.getBoundingClientRect();
+    const about = `${e.tagName} "${e.textContent.trim().slice(0, 40)}" in ${e.parentElement?.className}`;
+    if (position !== "absolute" && box.width > 1 && (box.right > width + 1 || box.left < -1)) {
+      found.push(`${about} from ${box.left} to ${box.right}`);
+    }
+    if (overflowX !== "visible" && e.clientWidth && e.scrollWidth > e.clientWidth + 1) {
+      found.push(`${about}: ${e.scrollWidth} in ${e.clientWidth}`);
+    }
+  }
+  return found;
+}"""
+
+
+@pytest.fixture(scope="module")
+def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if request.param == "report":
+        results: Path = request.getfixturevalue("small_results")
+        return results / "report.html"
+    return PAGES[request.param](tmp_path_factory.mktemp(request.param))
+
+
+@pytest.fixture(scope="module")
+def axe() -> str:
+    pytest.importorskip("axe_playwright_python", reason="axe-core is not installed")
+    return (files("axe_playwright_python") / "axe.min.js").read_text(encoding="utf-8")
+
+
+def unfold(page: "Page") -> None:
+    """Open all that is folded, and drop a log where a page takes one."""
+    page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
+    if page.locator("section.log").count():
+        page.locator(".log-start").wait_for()
+        page.locator(".log-file").set_input_files(
+            {"name": "day.csv", "mimeType": "text/csv", "buffer": log_csv().encode()}
+        )
+        page.locator(".log-app").wait_for()
+        page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
+@pytest.mark.parametrize("path", [*PAGES, "report"], indirect=True)
+def test_nothing_is_cut(open_page: "OpenPage", path: Path) -> None:
+    page = open_page(path)
+    unfold(page)
+    for width in WIDTHS:
+        page.set_viewport_size({"width": width, "height": 900})
+        page.evaluate(
+            "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+        )
+        assert page.evaluate(CUT)[:5] == [], width
+
+
+# That of a run is looked at in test_report.py, with a view that zooms.
+@pytest.mark.parametrize("path", [*PAGES], indirect=True)
+def test_the_accessibility_checker_finds_nothing(
+    open_page: "OpenPage", path: Path, axe: str
+) -> None:
+    page = open_page(path)
+    unfold(page)
+    page.evaluate(axe)
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        found: dict[str, Any] = page.evaluate("rules => axe.run({runOnly: rules})", RULES)
+        assert [(v["id"], v["nodes"][0]["html"]) for v in found["violations"]] == []
+        assert "color-contrast" in {rule["id"] for rule in found["passes"]}
