@@ -1,6 +1,12 @@
 /* Tables that are wider than their place are set tighter; those that still are, row by row, with the
- * names of the columns in each cell. */
+ * names of the columns in each cell. Equations are set smaller. */
 function fitTables() {
+  const equations = [...document.querySelectorAll(".equation")].filter((e) => e.clientWidth);
+  for (const equation of equations) equation.style.fontSize = "";
+  const shares = equations.map((e) => 0.96 * e.clientWidth / e.scrollWidth);
+  equations.forEach((e, k) => {
+    if (shares[k] < 0.96) e.style.fontSize = `${shares[k] * parseFloat(getComputedStyle(e).fontSize)}px`;
+  });
   const places = [...document.querySelectorAll(".wide")].filter((place) => place.clientWidth);
   const wider = (all) => all.filter((place) => place.scrollWidth > place.clientWidth);
   for (const place of places) place.classList.remove("tight", "cards");

@@ -20,7 +20,7 @@ CUT = """() => {
   for (const e of document.querySelectorAll("body, body *")) {
     if (!e.checkVisibility() || (e.closest("svg, math") && !e.matches("svg, math"))) continue;
     const { overflowX, position } = getComputedStyle(e), box = e.getBoundingClientRect();
-    const about = `${e.tagName} "${e.textContent.trim().slice(0, 40)}" in ${e.parentElement?.className}`;
+    const about = `${e.tagName} "${e.textContent.trim().slice(0, 40)}"`;
     if (position !== "absolute" && box.width > 1 && (box.right > width + 1 || box.left < -1)) {
       found.push(`${about} from ${box.left} to ${box.right}`);
     }

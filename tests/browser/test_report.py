@@ -70,6 +70,14 @@ def test_every_figure_is_drawn(open_page: "OpenPage", report: Path) -> None:
         assert min(inside) > 100
 
 
+def test_the_verdict_is_first_and_few_figures_are_open(open_page: "OpenPage", report: Path) -> None:
+    page = open_page(report)
+    assert page.locator("#summary h2 + *").get_attribute("class") == "verdict"
+    assert page.locator("main > section").nth(1).get_attribute("id") == "data"
+    shown = [figure for figure in page.locator("figure.figure").all() if figure.is_visible()]
+    assert 3 < len(shown) <= 7
+
+
 def test_a_view_zooms_and_all_panels_follow(open_page: "OpenPage", report: Path) -> None:
     page = open_page(report)
     figure = zoomed(page, "torque_1")
@@ -109,6 +117,7 @@ def test_a_name_hides_its_lines(open_page: "OpenPage", report: Path) -> None:
 
 def test_every_view_zooms(open_page: "OpenPage", report: Path) -> None:
     page = open_page(report)
+    unfold(page)
     buttons = page.get_by_role("button", name="Zoom in")
     count = buttons.count()
     assert count == page.locator("script[id^=zoom-]").count() - 1 == 5  # one is the library
