@@ -25,11 +25,13 @@ function fitTables() {
 }
 {
   let width, frame;
-  const soon = () => { frame ??= requestAnimationFrame(() => { frame = undefined; fitTables(); }); };
   /* Of widths alone: it changes heights itself. */
   new ResizeObserver(() => {
-    if (width !== document.body.clientWidth) soon();
+    if (width !== document.body.clientWidth) fitTables();
     width = document.body.clientWidth;
   }).observe(document.body);
-  document.addEventListener("toggle", soon, true);
+  /* Many that are unfolded at once are fitted once. */
+  document.addEventListener("toggle", () => {
+    frame ??= requestAnimationFrame(() => { frame = undefined; fitTables(); });
+  }, true);
 }
