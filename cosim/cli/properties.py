@@ -46,7 +46,7 @@ def properties(
 ) -> None:
     """Put friction laws to the test: memory, stick-slip, work done.
 
-    Every law runs through the same ten experiments, as an FMU: moved by velocities, and as a
+    Every law runs through the same thirteen experiments, as an FMU: moved by velocities, and as a
     JointDrive under torques. A foreign FMU runs through those that need its connectors only.
 
     Example: hesr properties uf850-table1 laws/lugre.json Friction.fmu --why

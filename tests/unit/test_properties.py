@@ -44,7 +44,7 @@ def found(**changes: Finding) -> Properties:
 
 
 def test_every_expectation_says_who_expects_it_and_how_it_is_measured() -> None:
-    assert len(EXPECTATIONS) == 10
+    assert len(EXPECTATIONS) == 13
     for key, e in EXPECTATIONS.items():
         assert e.key == key
         assert e.sources
@@ -56,7 +56,7 @@ def test_every_expectation_says_who_expects_it_and_how_it_is_measured() -> None:
             assert text.endswith(".")
         assert len(e.short) <= 6
     for attribute in ("title", "short", "measured"):
-        assert len({getattr(e, attribute) for e in EXPECTATIONS.values()}) == 10
+        assert len({getattr(e, attribute) for e in EXPECTATIONS.values()}) == 13
 
 
 @pytest.mark.parametrize(
@@ -65,6 +65,8 @@ def test_every_expectation_says_who_expects_it_and_how_it_is_measured() -> None:
         ("presliding", f"{expectations.SMOOTH:.0%}"),
         ("presliding", f"{expectations.RATE:.0%}"),
         ("memory", f"{expectations.CLOSED:.0%}"),
+        ("nested", f"{expectations.CLOSED:.0%}"),
+        ("start", f"{expectations.BEGINS:.0%}"),
         ("breakaway", f"{expectations.FALLS:.0%}"),
         ("lag", f"{expectations.WIDTH:.0%}"),
         ("stick_slip", f"{expectations.WEAKENING:.0%}"),
@@ -132,6 +134,20 @@ def test_a_damaged_file_is_refused(change: Change, said: str, tmp_path: Path) ->
     with pytest.raises(ArtifactError) as caught:
         read_properties(file)
     assert str(caught.value).startswith(f"{file}: {said}")
+
+
+def test_what_an_older_file_lacks_was_not_run(tmp_path: Path) -> None:
+    file = tmp_path / "properties.json"
+    write_properties(file, {"a": found()})
+    data = json.loads(file.read_text(encoding="utf-8"))
+    for key in ("nested", "start", "drive"):
+        del data["laws"]["a"]["joints"][0]["findings"][key]
+    file.write_text(json.dumps(data), encoding="utf-8")
+    joint = read_properties(file)["a"].joints[0]
+    assert list(joint.findings) == list(EXPECTATIONS)
+    assert joint.findings["drive"].verdict == "not run"
+    assert joint.findings["drive"].reason == "Not run: the file is older than this experiment."
+    assert joint.findings["work"] == found().joints[0].findings["work"]
 
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:

@@ -21,11 +21,13 @@ from cosim.studies.properties.bench import (
     friction_bench,
 )
 from cosim.studies.properties.coupling import coupling
+from cosim.studies.properties.dissipation import dissipation
 from cosim.studies.properties.driven import breakaway, dither, hold
 from cosim.studies.properties.inertia import INERTIA
-from cosim.studies.properties.presliding import memory, presliding
+from cosim.studies.properties.presliding import memory, nested, presliding
 from cosim.studies.properties.scale import Scale, measure_scale
 from cosim.studies.properties.sliding import chatter, lag, work
+from cosim.studies.properties.starts import start
 from cosim.studies.properties.stick_slip import stick_slip
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.friction_fmu import export_bare
@@ -42,6 +44,7 @@ from hesr_model.friction.audit.properties import (
     read_properties,
     write_properties,
 )
+from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.support import parallel
@@ -54,6 +57,7 @@ _DRIVEN: Mapping[str, Callable[[DriveBench, Scale], list[Finding]]] = {
     "dither": dither,
     "hold": hold,
 }
+_DRIVE = "drive"  # driven as well, by more than its scale
 _NO_INERTIA = "Not run: the inertia of the joints is not known; give it by --inertia."
 _NO_MODEL = "Not run: the FMU carries no law of which a JointDrive could be made."
 
@@ -156,6 +160,9 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
             with drive_bench(drive, places) as driven:
                 for key, experiment in _DRIVEN.items():
                     found[key] = _tried(partial(experiment, driven, scale), joints)
+                loaded = np.array([TAU_LOAD in law.form.inputs for law in turning.laws])
+                peaks = _peaks(seen, scale)
+                found[_DRIVE] = _tried(partial(dissipation, driven, scale, peaks, loaded), joints)
     return _collected(subject, load, speed, scale, inertia, found)
 
 
@@ -207,9 +214,11 @@ def _moved(
         for law, one in zip(laws, seen, strict=True)
     ]
     not_run = Finding(verdict="not run", reason=_NO_INERTIA if model else _NO_MODEL)
-    found = {key: [not_run] * n for key in _DRIVEN}
+    found = {key: [not_run] * n for key in (*_DRIVEN, _DRIVE)}
     found["presliding"] = _tried(partial(presliding, bench, scale), n)
     found["memory"] = _tried(partial(memory, bench, scale, states), n)
+    found["nested"] = _tried(partial(nested, bench, scale, states, _peaks(seen, scale)), n)
+    found["start"] = _tried(partial(start, bench, scale), n)
     found["lag"] = _tried(partial(lag, bench, scale), n)
     found["chatter"] = _tried(partial(chatter, bench, scale, seen), n)
     found["work"] = _tried(partial(work, bench, seen, loads), n)
@@ -219,6 +228,15 @@ def _moved(
         else _tried(partial(coupling, bench, scale, inertia), n)
     )
     return found
+
+
+def _peaks(seen: list[TrainedRange], scale: Scale) -> Array:
+    """Return the trained load of each joint that is largest in size, (n,) [N.m].
+
+    Where no load was trained, what is held and a friction level on top of it stand in.
+    """
+    trained = np.array([max(one.tau_load, key=abs) for one in seen])
+    return np.where(trained != 0.0, trained, scale.load + scale.level)
 
 
 def _tried(experiment: Callable[[], list[Finding]], joints: int) -> list[Finding]:

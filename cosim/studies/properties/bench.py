@@ -1,6 +1,6 @@
 """Two benches: one moves the joints of a friction FMU, the other drives those of a JointDrive."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -168,20 +168,30 @@ class DriveBench:
         )
         self._time = 0.0
 
-    def start(self, *, load: float | Array, torque: Array, stiffness: Array | None = None) -> None:
+    def start(
+        self,
+        *,
+        load: float | Array,
+        torque: Array,
+        stiffness: Array | None = None,
+        substep: float | None = None,
+    ) -> None:
         """Begin at rest under a torque (n,) [N.m], the link where the joint is.
 
-        The load is that of every joint [N.m], the stiffness (n,) that of its flexspline [N.m/rad].
+        The load is that of every joint [N.m], the stiffness (n,) that of its flexspline [N.m/rad],
+        the substep the longest inner step [s], the FMU's own where not given.
         """
         component, n = self._component, self.joints
         if component.used:
             component.reset()
-        start: Mapping[str, float] = {
+        start = {
             f"{name}[{i}]": float(values[i - 1])
             for name, values in (("q_start", self.places), ("stiffness", stiffness))
             if values is not None
             for i in range(1, n + 1)
         }
+        if substep is not None:
+            start["substep"] = substep
         component.enter_initialisation(start=start)
         self._inputs.values[:] = 0.0
         self._inputs.values[:n] = torque
@@ -203,21 +213,32 @@ class DriveBench:
         """(n,) motor torque [N.m], to be set in place."""
         return self._inputs.values[: self.joints]
 
-    @property
-    def link(self) -> Array:
-        """(n,) position of the link [rad], to be set in place."""
-        return self._inputs.values[self.joints : 2 * self.joints]
-
-    def run(self, dt: Array, feed: Callable[[int], None]) -> Array:
+    def run(
+        self,
+        dt: Array,
+        *,
+        torque: Array | None = None,
+        link: Array | None = None,
+        load: Array | None = None,
+    ) -> Array:
         """Return q, dq and tau_f over steps, (3, K, n) in SI units.
 
-        `feed` sets the inputs of each step, dt (K,) [s] is how long they are.
+        Parameters
+        ----------
+        dt : (K,) how long they are [s].
+        torque, link, load : (K, n) motor torque [N.m], position of the link [rad] and load [N.m]
+            of each; what is not given stays as it is.
         """
-        found = np.empty((3, len(dt), self.joints))
-        for k, seconds in enumerate(dt.tolist()):
-            feed(k)
-            found[:, k] = self.step(seconds)
-        return found
+        n = self.joints
+        rows = np.tile(self._inputs.values, (len(dt), 1))
+        for values, first in ((torque, 0), (link, n), (load, 3 * n)):
+            if values is not None:
+                rows[:, first : first + n] = values
+        times = np.cumsum(np.concatenate([[self._time], dt]))
+        found = through(self._component, self._inputs, self._outputs, times[:-1], dt, rows)
+        self._inputs.values[:] = rows[-1]
+        self._time = float(times[-1])
+        return np.moveaxis(found.reshape(len(dt), 3, n), 1, 0)
 
 
 @contextmanager

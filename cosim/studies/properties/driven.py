@@ -112,7 +112,7 @@ def hold(bench: DriveBench, scale: Scale) -> list[Finding]:
     bench.start(load=load, torque=scale.offset)
     _put_on(bench, scale, load)
     dt = np.full(600, MINUTE / 600)
-    q = bench.run(dt, lambda _: None)[0]
+    q = bench.run(dt)[0]
     return _drifting(np.concatenate([[0.0], np.cumsum(dt[1:])]), q)
 
 
@@ -124,11 +124,7 @@ def dither(bench: DriveBench, scale: Scale) -> list[Finding]:
     rows = round((MINUTE + _SETTLING) * FREQUENCY * _PER_PERIOD)
     dt = np.full(rows, 1.0 / (FREQUENCY * _PER_PERIOD))
     wave = np.sin(2.0 * np.pi / _PER_PERIOD * (np.arange(rows) + 0.5))
-
-    def shake(k: int) -> None:
-        bench.torque[:] = scale.offset + load + DITHER * wave[k] * scale.bears
-
-    q = bench.run(dt, shake)[0]
+    q = bench.run(dt, torque=scale.offset + load + DITHER * wave[:, None] * scale.bears)[0]
     # The middle of each period: what drifts, not what swings.
     middle = q.reshape(-1, _PER_PERIOD, bench.joints).mean(axis=1)
     middle = middle[round(_SETTLING * FREQUENCY) :]
@@ -138,9 +134,8 @@ def dither(bench: DriveBench, scale: Scale) -> list[Finding]:
 def _put_on(bench: DriveBench, scale: Scale, load: Array) -> None:
     """Raise the load smoothly and let the joints settle under it."""
     steps = 100
-    for k in range(1, steps + 1):
-        bench.torque[:] = scale.offset + (0.5 - 0.5 * np.cos(np.pi * k / steps)) * load
-        bench.step(_PUT_ON / steps)
+    rise = 0.5 - 0.5 * np.cos(np.pi / steps * np.arange(1, steps + 1))
+    bench.run(np.full(steps, _PUT_ON / steps), torque=scale.offset + rise[:, None] * load)
     bench.step(_SETTLING)
 
 

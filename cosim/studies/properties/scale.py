@@ -6,6 +6,7 @@ import numpy as np
 
 from cosim.batch import Array
 from cosim.studies.properties.bench import FrictionBench
+from hesr_model.friction.audit.cycles import ENCODER
 
 CREEP = 0.01
 """Slow sliding, as a share of the largest trained speed."""
@@ -16,7 +17,7 @@ DEFLECTION = 1e-3
 
 _NO_FRICTION = 1e-6  # [N.m]; a level of less would divide by nothing
 _SHARES = np.geomspace(1e-3, 1.0, 31)
-_DEFLECTIONS = (1e-4, 1e-2)  # [rad] that are taken for one
+_DEFLECTIONS = (ENCODER, 1e-2)  # [rad] that are taken for one: an encoder sees no less
 _BACK = np.geomspace(1e-7, 0.5, 100)  # [rad] after a reversal
 
 

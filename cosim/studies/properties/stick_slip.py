@@ -28,13 +28,10 @@ def stick_slip(bench: DriveBench, scale: Scale) -> list[Finding]:
     bench.start(load=scale.load, torque=scale.offset, stiffness=stiffness)
     rows = int(np.ceil(seconds / _STEP))
     ahead = 0.5 * STRETCH
-
-    def draw(k: int) -> None:
-        bench.link[:] = bench.places + ahead + pull * _STEP * (k + 1)
-
-    q, dq, _ = bench.run(np.full(rows, _STEP), draw)
     t = _STEP * np.arange(1, rows + 1, dtype=float)
-    stretch = bench.places + ahead + pull * t[:, None] - q
+    link = bench.places + ahead + pull * t[:, None]
+    q, dq, _ = bench.run(np.full(rows, _STEP), link=link)
+    stretch = link - q
     return [
         _pulled(t, stretch[:, j], dq[:, j], pulls[j], falls[j], bool(scale.drives[j]))
         for j in range(bench.joints)

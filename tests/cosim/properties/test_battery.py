@@ -1,5 +1,6 @@
 """The property battery on laws whose answers are known, some of them in closed form."""
 
+import re
 from dataclasses import replace
 from math import exp, tanh
 from pathlib import Path
@@ -12,11 +13,13 @@ from subjects import INERTIA, SPEED, bristle, law, model
 from cosim.studies.properties.battery import Subject, measure, run_battery
 from fmu_src import export_fmu, model_file
 from hesr_model.artifacts import read_model
+from hesr_model.equations.functions import absolute
+from hesr_model.equations.memory import Stop
 from hesr_model.errors import ConfigError
 from hesr_model.friction.audit.audit import audit
 from hesr_model.friction.audit.expectations import EXPECTATIONS
 from hesr_model.friction.audit.properties import Finding, Properties
-from hesr_model.friction.inputs import DQ
+from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.trained import TrainedRange
 
@@ -202,6 +205,7 @@ def test_table_1_is_no_friction(table_1: Properties) -> None:
     for joint in (1, 2):
         verdicts = {key: finding(table_1, key, joint).verdict for key in EXPECTATIONS}
         assert verdicts.pop("coupling") == "not applicable"
+        assert verdicts.pop("start") == "pass"
         assert set(verdicts.values()) == {"fail"}, verdicts
     assert value(table_1, "work", 1) == pytest.approx(12.4, abs=0.05)
     assert value(table_1, "work", 2) == pytest.approx(20.6, abs=0.05)
@@ -231,7 +235,7 @@ def test_an_fmu_gives_what_its_model_gives_whatever_the_number_of_processes(
 
 def test_without_an_inertia_nothing_is_driven_and_it_says_so() -> None:
     found = measure(Subject(name="bench", model=model(bristle())))
-    for key in ("breakaway", "stick_slip", "dither", "hold", "coupling"):
+    for key in ("breakaway", "stick_slip", "dither", "hold", "drive", "coupling"):
         assert finding(found, key).verdict == "not run"
         assert finding(found, key).reason == (
             "Not run: the inertia of the joints is not known; give it by --inertia."
@@ -244,7 +248,7 @@ def test_without_an_inertia_nothing_is_driven_and_it_says_so() -> None:
 def test_what_an_fmu_without_a_law_cannot_be_asked_is_said(slip_fmu: Path) -> None:
     found = measure(Subject(name="slip", model=None, fmu=slip_fmu, inertia=(1.0,)))
     assert (found.law, found.robot) == ("slip", "")
-    for key in ("breakaway", "stick_slip", "dither", "hold"):
+    for key in ("breakaway", "stick_slip", "dither", "hold", "drive"):
         assert finding(found, key).verdict == "not run"
         assert finding(found, key).reason == (
             "Not run: the FMU carries no law of which a JointDrive could be made."
@@ -274,9 +278,56 @@ def test_something_has_to_be_put_to_the_test() -> None:
 def test_a_load_that_is_a_factor_gives_energy_where_it_moves() -> None:
     """Half of its motions hold the load as before, and take energy."""
     dahl = law("dahl_load", kappa_1=5e3, F_1=2.0, mu_1=1.0)
-    work = measure(Subject(name="load", model=model(dahl))).joints[0].findings["work"]
+    found = measure(Subject(name="load", model=model(dahl), inertia=(INERTIA,)))
+    work = finding(found, "work")
     assert work.verdict == "fail"
     assert "while the load swings by 10 N.m." in work.reason
+    drive = finding(found, "drive")
+    assert (drive.verdict, drive.figures[0].unit) == ("fail", "J")
+    assert re.fullmatch(r"Under a torque of 0\.\d+ levels it gives \S+ J a cycle\.", drive.reason)
+    assert value(found, "drive") > 1e-6
+
+
+def test_a_load_that_is_a_bound_gives_none_and_erases_no_reversal() -> None:
+    """Maxwell-slip whose strength is the load: two loops, one in the other, close under it."""
+    deflections = (3e-4, 1e-3, 3e-3)
+    stops = tuple(
+        Stop(name=f"x{i}", unit="1", velocity=DQ, deflection=w, bound=1 + absolute(TAU_LOAD) / 10)
+        for i, w in enumerate(deflections, start=1)
+    )
+    form = LawForm(coefficients=(), memory=stops, output=sum(2 * x.state for x in stops))
+    own = FrictionLaw(name="loaded", form=form, values={})
+    found = measure(Subject(name="loaded", model=model(own), inertia=(INERTIA,)))
+    for key in ("memory", "nested", "start", "work", "drive"):
+        assert finding(found, key).verdict == "pass", key
+    assert value(found, "nested") < 1e-12
+    assert value(found, "drive") == 0.0
+    assert 0.1 < value(found, "nested", figure=2) < 0.5
+
+
+def test_what_begins_at_rest_in_motion_is_off_at_once(
+    slip_fmu: Path, bristles: Properties, maps: Properties
+) -> None:
+    """Spring-sliders begin unstretched: of the 5 v + 10 N.m of sliding the first torque has 5 v."""
+    found = measure(Subject(name="slip", model=None, fmu=slip_fmu, inertia=(1.0,)))
+    assert finding(found, "start").verdict == "fail"
+    slowest = 0.05 * found.joints[0].speed
+    missing = 10.0 / (10.0 + 5.0 * slowest)
+    assert value(found, "start") == pytest.approx(missing, rel=1e-9)
+    assert finding(found, "start").reason == (
+        f"At {slowest:.3g} rad/s the first torque is off by -{missing:.0%}."
+    )
+    for of_laws in (bristles, maps):
+        for joint in (1, 2):
+            assert finding(of_laws, "start", joint).verdict == "pass"
+            assert value(of_laws, "start", joint) < 1e-6
+
+
+def test_two_loops_of_one_bristle_miss_where_they_turned(bristles: Properties) -> None:
+    found = finding(bristles, "nested")
+    assert found.verdict == "fail"
+    assert found.reason.endswith("One first-order state cannot have non-local memory.")
+    assert value(bristles, "nested") >= value(bristles, "memory")
 
 
 def test_dither_is_scaled_to_what_slow_sliding_bears() -> None:
