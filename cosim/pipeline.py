@@ -124,11 +124,11 @@ class Job:
 
     @cached_property
     def laws(self) -> tuple[str, ...]:
-        """Laws and variants of the study: where it names none, all that the robot file allows."""
+        """Laws and variants: where the study names none, everyday ones that the robot allows."""
         possible = (
             name
             for name, law in registry().items()
-            if all(getattr(self.robot, need) is not None for need in law.needs)
+            if law.everyday and all(getattr(self.robot, need) is not None for need in law.needs)
         )
         return (*(self.study.laws or possible), *self.study.variants)
 

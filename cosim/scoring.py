@@ -29,7 +29,8 @@ REFERENCE = "lugre"
 """Law to which ratios are taken where no class has one of its own; else the first law."""
 CLASSIC = (
     *("stribeck", "lugre", "lugre_textbook", "lugre_passive", "dahl", "strain_wave"),
-    *("lugre_load", "lugre_load_ripple", "dahl_load"),
+    *("lugre_load", "lugre_load_ripple", "dahl_load", "dahl_bound", "strain_wave_bound", "gms"),
+    *(f"bam_m{k}" for k in range(1, 7)),
 )
 """Laws of the literature, the strongest of which is the reference of its class of inputs."""
 MEASURED_START = " + start"

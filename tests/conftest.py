@@ -11,12 +11,11 @@ import pytest
 from c_hosts import Wine
 from filelock import FileLock
 from hypothesis import settings
-from registry_models import models_of_registry
+from registry_models import everyday, models_of_registry
 
 from fmu_src import export_fmu, model_file
 from hesr_model.artifacts import read_model, write_model
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import registry
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import Motion
@@ -106,14 +105,14 @@ def table1_fmu(table1: FrictionModel, shared: Shared) -> Path:
 
 @pytest.fixture(scope="session")
 def registry_models(shared: Shared) -> dict[str, FrictionModel]:
-    """A fitted model of every law of the registry, in its order."""
+    """A fitted model of every law of everyday tests, in the order of the registry."""
 
     def fit(folder: Path) -> None:
         for model in models_of_registry():
             write_model(folder / f"{model.law}.json", model)
 
     folder = shared("registry", fit)
-    return {law: read_model(folder / f"{law}.json") for law in registry()}
+    return {law: read_model(folder / f"{law}.json") for law in everyday()}
 
 
 @pytest.fixture(scope="session")

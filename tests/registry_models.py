@@ -4,15 +4,29 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hesr_model.friction.fitting.estimator import Estimator
 from hesr_model.friction.fitting.fit import fit_joint
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord
 
+_ONE_OF_EACH_KIND = ("bam_m6", "strain_wave_bound", "gms")
+"""Of the laws that no study has unless it names them; soak tests run all of them."""
+
+
+STUDIED = tuple(name for name, law in registry().items() if law.everyday)
+"""Laws of studies that name none, for tests that take long for each."""
+
+
+def everyday() -> dict[str, type[Estimator]]:
+    """Laws of the registry in everyday tests."""
+    laws = registry().items()
+    return {name: law for name, law in laws if law.everyday or name in _ONE_OF_EACH_KIND}
+
 
 def models_of_registry() -> Iterator[FrictionModel]:
-    """A model of every law of the registry, fitted to a motion with a rest and some noise."""
+    """A model of each law of everyday tests, fitted to a motion with a rest and some noise."""
     t = 0.01 * np.arange(900)
     dq = np.sin(2.0 * t) * np.sin(0.7 * t)
     q = np.cumsum(dq) * 0.01
@@ -22,7 +36,7 @@ def models_of_registry() -> Iterator[FrictionModel]:
     record = FrictionRecord(
         log="made", joint="j1", t=t, dq=dq, q=q, tau_load=load, tau=tau, gear_ratio=101.0
     )
-    for name in registry():
+    for name in everyday():
         yield FrictionModel(
             law=name,
             robot="bench",

@@ -22,6 +22,8 @@ MODULES = (
     "strain_wave",
     "parfam.extended",
     "stops.estimator",
+    "bam",
+    "gms",
 )
 """Modules of `hesr_model.friction` whose import registers estimators."""
 

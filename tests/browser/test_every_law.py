@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from live_page import SAME, alive, error, expected, field, saved, slider
+from registry_models import STUDIED
 
 from cosim.slave import Component
 from fmu_src import export_fmu
@@ -17,7 +18,6 @@ from fmu_src.friction.friction_fmu import live_of
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import Motion, torques
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import registry
 from hesr_model.friction.scales import scaled
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def page_of(
     return page
 
 
-EVERY = ("table1", *registry())
+EVERY = ("table1", *STUDIED)
 
 
 @pytest.mark.parametrize("name", EVERY)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from registry_models import everyday
 from threadpoolctl import threadpool_limits
 
 from cosim.replay import replay
@@ -92,7 +93,9 @@ def model_of(law: FrictionLaw) -> FrictionModel:
     )
 
 
-@pytest.fixture(params=list(registry()))
+@pytest.fixture(
+    params=[pytest.param(n, marks=() if n in everyday() else pytest.mark.soak) for n in registry()]
+)
 def name(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import sympy
 from binary import Binary
+from registry_models import STUDIED, everyday
 
 from hesr_model.artifacts import read_model, write_model
 from hesr_model.equations.functions import absolute, sgn
@@ -17,7 +18,6 @@ from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.laws.parfam import family
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import registry
 from hesr_model.rigid_body.residual import FrictionRecord
 
 FEATURES = ["1", "dq", "h", "dh"]
@@ -109,7 +109,7 @@ def law(request: pytest.FixtureRequest) -> FrictionLaw:
     return HAND_MADE[request.param]()
 
 
-EVERY_LAW = (*HAND_MADE, *(f"fitted_{name}" for name in registry()))
+EVERY_LAW = (*HAND_MADE, *(f"fitted_{name}" for name in STUDIED))
 
 
 @pytest.fixture(scope="session", params=EVERY_LAW)
@@ -141,7 +141,7 @@ def fitted(make_motion, shared) -> dict[str, FrictionLaw]:
     record = FrictionRecord(log="made", joint="axis", t=t, dq=dq, q=q, tau_load=load, tau=tau)
 
     def fit(folder: Path) -> None:
-        for name, estimator in registry().items():
+        for name, estimator in everyday().items():
             law = estimator().fit([record], np.random.default_rng(0))
             model = FrictionModel(
                 law=name, robot="bench", joints=("axis",), laws=(law,), sample_time=0.005
@@ -149,7 +149,7 @@ def fitted(make_motion, shared) -> dict[str, FrictionLaw]:
             write_model(folder / f"{name}.json", model)
 
     folder = shared("fitted", fit)
-    return {name: read_model(folder / f"{name}.json").laws[0] for name in registry()}
+    return {name: read_model(folder / f"{name}.json").laws[0] for name in everyday()}
 
 
 @pytest.fixture(scope="session")

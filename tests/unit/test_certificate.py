@@ -85,7 +85,7 @@ def worst_step(law: FrictionLaw, count: int, seed: int) -> float:
     values = (*law.values.values(), v, q, load)
     begins = np.arange(count) == 0
     states = memory(values, np.diff(t, prepend=0.0), begins, law.start, "exact")[::2]
-    stored = sum(f * x**2 for f, x in zip(factors, states, strict=True))
+    stored = sum((f * x**2 for f, x in zip(factors, states, strict=True)), np.zeros(count))
     power = tau * v * np.diff(t, prepend=0.0)
     margin = power[1:] - np.diff(stored)
     size = np.maximum(np.maximum(stored[1:], stored[:-1]), np.abs(power[1:]))

@@ -7,7 +7,9 @@ without lag) stands beside it: it does no work over a closed way.
 
     stop       F x, F >= 0                 S = F w x^2 / 2, any step: a clip is a projection on a
                                            set that holds 0, however its bound moves
-    bristle    c x, x' = b v - |v| k(v) x  S = c x^2 / (2 b), any step of an exact relaxation
+    bristle    c x, x' = b v - r x, r >= 0 S = c x^2 / (2 b), any step of an exact relaxation,
+                                           however its rate r moves with speed and load
+    level      sgn(v) g, g(v, load) >= 0   takes g |v|
     with       + d x'                      f >= d (max k / min k - 1): Barabanov and Ortega (2000),
                                            in continuous time
     f(v) v     f >= 0
@@ -22,7 +24,7 @@ from typing import Literal
 import numpy as np
 import sympy
 
-from hesr_model.equations.functions import cardinal_sine, lowered
+from hesr_model.equations.functions import absolute, cardinal_sine, lowered, positive, sgn
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
 from hesr_model.equations.over_log import Array
 from hesr_model.friction.audit.attack import Attack, attack
@@ -123,9 +125,14 @@ class _Proof:
         linear = sum(self.output.diff(s) * s for s in states if self.output.has(s))
         if sympy.expand(self.output - rest - linear) != 0:
             raise _UnprovenError("the torque is not linear in the states")
-        if TAU_LOAD in rest.free_symbols:
-            raise _UnprovenError("the load is in the torque itself, not in a bound")
-        terms = sympy.Add.make_args(sympy.expand_mul(rest))
+        terms = list(sympy.Add.make_args(sympy.expand_mul(rest)))
+        levels = [term for term in terms if TAU_LOAD in term.free_symbols]
+        for term in levels:
+            if not never_negative(term / sgn(DQ)):
+                raise _UnprovenError("the load is in the torque itself, not in a bound")
+            terms.remove(term)
+        if levels:
+            self.conditions.append("what rises with the load brakes: its factors are >= 0")
         waves = [term for term in terms if Q in term.free_symbols]
         self._viscous(sympy.Add(*(t for t in terms if Q not in t.free_symbols)), waves, damping)
         return Certificate(
@@ -164,11 +171,12 @@ class _Proof:
         gain = sympy.simplify(element.drive / DQ)
         if not gain.is_number or float(gain) <= 0.0:
             raise _UnprovenError(f"the drive of {x} is not proportional to the velocity")
-        if not element.rate.free_symbols <= {DQ}:
-            raise _UnprovenError(f"the rate of {x} depends on more than the velocity")
-        rate = _values(element.rate, np.concatenate([-SPEEDS[::-1], SPEEDS]))
-        if rate.min() < 0.0:
-            raise _UnprovenError(f"the rate of {x} is negative at some speed")
+        if element.rate.free_symbols <= {DQ}:
+            rate = _values(element.rate, np.concatenate([-SPEEDS[::-1], SPEEDS]))
+            if rate.min() < 0.0:
+                raise _UnprovenError(f"the rate of {x} is negative at some speed")
+        elif not (element.rate.free_symbols <= {DQ, TAU_LOAD} and never_negative(element.rate)):
+            raise _UnprovenError(f"the rate of {x} depends on more than velocity and load")
         self.conditions.append(f"F({x}) = {force:.3g} >= 0, rate of {x} >= 0")
         if self.law.discretisation != "exact":
             self.step = None
@@ -178,6 +186,8 @@ class _Proof:
         """Barabanov and Ortega: d (max k / min k - 1), of the rate |v| k(v)."""
         if not isinstance(element, Relaxation) or damper < 0.0:
             raise _UnprovenError(f"the factor of {element.derivative} is negative, {damper:.3g}")
+        if TAU_LOAD in element.rate.free_symbols:
+            raise _UnprovenError(f"the rate of {element.name} with damping depends on the load")
         speeds = SPEEDS[1:]
         k = np.concatenate([_values(element.rate, s * speeds) / speeds for s in (1.0, -1.0)])
         if k.min() <= 0.0:
@@ -260,6 +270,18 @@ class _Proof:
             "f(v) >= sum_k A_k min(n_k c, 2/|v|) at all speeds, of lag, sampling and smoothing"
         )
         return _needed(groups, step)
+
+
+def never_negative(expression: sympy.Expr) -> bool:
+    """Whether signs alone show that an expression is >= 0 for all real inputs."""
+    e = expression
+    if e.is_number:
+        return bool(e >= 0)
+    if isinstance(e, sympy.exp | absolute | positive):
+        return True
+    if isinstance(e, sympy.Pow):
+        return bool(e.exp.is_even) or never_negative(e.base)
+    return isinstance(e, sympy.Add | sympy.Mul) and all(map(never_negative, e.args))
 
 
 def _holds(groups: Sequence[tuple[float, ...]], f: Array, step: float) -> bool:

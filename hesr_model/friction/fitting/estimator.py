@@ -27,12 +27,14 @@ class Estimator(ABC):
     title : the name that people use.
     typical : a structure that its equations are shown with where none was found by a fit.
     needs : fields of a `FrictionRecord` that may be unknown, and that the law cannot do without.
+    everyday : whether studies that name no laws have this one, too.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
     typical: ClassVar[Mapping[str, Any]] = {}
     needs: ClassVar[tuple[str, ...]] = ()
+    everyday: ClassVar[bool] = True
 
     @staticmethod
     @abstractmethod

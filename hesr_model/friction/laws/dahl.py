@@ -1,6 +1,7 @@
 """Dahl basis: parallel elements of rate-independent memory with fixed deflections, no search."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -85,3 +86,35 @@ class DahlBasisLoad(DahlBasis):
     name = "dahl_load"
     title = "Dahl basis+load"
     load = True
+
+
+RISE = Coefficient(name="rise", unit="1/(N.m)", description="relative rise of the bounds per load")
+RISE_BOUNDS = (1e-4, 1.0)
+"""Of that [1/(N.m)]."""
+
+
+@register
+class DahlBasisBound(DahlBasis):
+    """x_i' = kappa_i (v - |v| x_i / (1 + rise |tau_load|)): the load in the bounds, not a factor.
+
+    A bound that moves gives no energy, where a factor does. All elements share the rise.
+    """
+
+    name = "dahl_bound"
+    title = "Dahl basis, load as bound"
+    everyday = False
+
+    @classmethod
+    def core(cls, structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        plain = super().core(structure)
+        bound = 1 + RISE.symbol * absolute(TAU_LOAD)
+        return replace(
+            plain,
+            coefficients=(*plain.coefficients, RISE),
+            memory=tuple(replace(x, rate=x.rate / bound) for x in plain.relaxations),
+        )
+
+    def space(self) -> SearchSpace:
+        """Search the rise; everything else is linear."""
+        return replace(super().space(), bounds=((RISE.name, RISE_BOUNDS),))

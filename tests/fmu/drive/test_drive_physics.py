@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drive_runs import Run, drive, reversals
+from registry_models import STUDIED
 from scipy.integrate import cumulative_simpson, solve_ivp
 
 from fmu_src.documentation.datasheet import EULER
@@ -21,7 +22,7 @@ from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.dahl import DEFLECTIONS
-from hesr_model.friction.registry import estimator, registry
+from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -29,7 +30,7 @@ INERTIA = (3.0, 0.6)  # [kg.m2], both for every law
 STEPS = (1e-4, 1e-3, 5e-3, 1e-2)  # [s]
 REFERENCE = 1e-6  # [s]
 GRID = 1e-2  # [s] over which a torque holds
-LAWS = tuple(registry())
+LAWS = STUDIED
 FORGETS = ("parfam_v", "parfam_h", "mlp_h", "rbfnn_h")
 """Laws without memory of position: no state, or one that fades at rest (the paper's h)."""
 NETWORKS = ("mlp_h", "rbfnn_h")

@@ -248,6 +248,9 @@ REGISTRY = {
     "parfam_s": "is a stop, and MuJoCo's bristles relax",
     "parfam_s_load": "is a stop, and MuJoCo's bristles relax",
     "parfam_s_v": "is a stop, and MuJoCo's bristles relax",
+    "bam_m6": "has the term F_c*sgn(dq), which is neither",
+    "gms": "is a stop, and MuJoCo's bristles relax",
+    "strain_wave_bound": "its state 'z' relaxes at the rate ",
     "lugre_textbook": "has the term dq*sigma_t/(1 + abs(dq)/v_t), which is neither",
 }
 

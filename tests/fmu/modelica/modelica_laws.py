@@ -3,17 +3,17 @@
 from pathlib import Path
 
 import sympy
+from registry_models import STUDIED
 
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Relaxation
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.registry import registry
 
 LIBRARY = Path(__file__).parent / "library"
 """Folder of the stand-in for the Modelica Standard Library."""
 
-EVERY = (*registry(), "ripple", "gaussians", "start", "shapes")
+EVERY = (*STUDIED, "ripple", "gaussians", "start", "shapes")
 """Names of the joints' laws: all of the registry, one with ripple in the joint angle, one of 90
 coefficients, one that does not start at zero, one with expressions that are easily misprinted."""
 

@@ -1,0 +1,153 @@
+"""Laws of the literature that studies have by name only: their equations, signs and proofs."""
+
+from math import inf
+from pathlib import Path
+
+import numpy as np
+import pytest
+from registry_models import everyday
+from test_certificate import TRAINED, law_of, worst_step
+
+from cosim.replay import replay
+from fmu_src.friction.friction_fmu import export_bare
+from hesr_model.friction.audit.certificate import certify
+from hesr_model.friction.evaluate import predict
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import registry
+
+NAMES = ("dahl_bound", "strain_wave_bound", *(f"bam_m{k}" for k in range(1, 7)), "gms")
+NUMBERS = {
+    "F_c": 4.0, "F_e": 2.0, "mu": 0.1, "mu_e": 0.03, "mu_d": 0.15, "mu_b": 0.05, "mu_e_d": 0.02,
+    "mu_e_b": 0.06, "nu_d": 0.004, "nu_b": 0.007, "alpha": 1.5, "v_s": 0.1, "sigma_2": 2.0,
+    "tau_0": -0.3, "x_0": 1e-3, "rise_d": 0.02, "rise_b": 0.05, "rise": 0.03, "ratio": 1.4,
+    "C": 50.0, **{f"kappa_{i}": 10.0 ** (5 - i) for i in range(1, 6)},
+    **{f"F_{i}": float(i) for i in range(1, 6)},
+}  # fmt: skip
+
+
+def law(name: str) -> FrictionLaw:
+    coefficients = registry()[name].form({}).coefficients
+    return law_of(name, **{c.name: NUMBERS[c.name] for c in coefficients})
+
+
+def steady(name: str, dq: float, load: float) -> float:
+    """Torque of a velocity that is held for ever [N.m]."""
+    held = np.ones(3)
+    return float(predict(law(name), t=1e4 * np.arange(3.0), dq=dq * held, tau_load=load * held)[-1])
+
+
+def test_studies_that_name_no_laws_do_not_have_them() -> None:
+    assert [name for name, law in registry().items() if not law.everyday] == list(NAMES)
+
+
+def _bam(model: int, v: float, load: float) -> float:
+    """BAM's friction as its documentation has it, with both weights solved for the load."""
+    n, e = NUMBERS, np.exp(-((abs(v) / NUMBERS["v_s"]) ** NUMBERS["alpha"]))
+    driving = v * load > 0.0
+    per_load = n["mu"] if model < 5 else n["mu_d" if driving else "mu_b"]
+    at_rest = n["mu_e"] if model < 5 else n["mu_e_d" if driving else "mu_e_b"]
+    level = n["F_c"]
+    if model >= 3:
+        level += per_load * abs(load)
+    if model not in (1, 3):
+        level += e * n["F_e"]
+    if model >= 4:
+        level += e * at_rest * abs(load)
+    if model == 6:
+        level += e * n["nu_d" if driving else "nu_b"] * load**2
+    return float(np.sign(v) * level + n["sigma_2"] * v + n["tau_0"])
+
+
+@pytest.mark.parametrize("model", range(1, 7))
+@pytest.mark.parametrize("dq", [-0.7, -0.05, 0.05, 0.7])
+@pytest.mark.parametrize("load", [-12.0, 0.0, 12.0])
+def test_servo_friction_is_that_of_its_models(model: int, dq: float, load: float) -> None:
+    assert steady(f"bam_m{model}", dq, load) == pytest.approx(_bam(model, dq, load), rel=1e-12)
+
+
+def test_a_motors_weight_and_a_loads_make_one_level_each_way() -> None:
+    """tau = F_c + |(K_m + K_e) L + K_m tau|, as BAM has it, is a level per load each way."""
+    k_m, k_e, f_c, load = 0.04, 0.06, 4.0, 30.0
+    for way, level in ((1.0, (k_m + k_e) / (1.0 - k_m)), (-1.0, (k_m + k_e) / (1.0 + k_m))):
+        base = f_c / (1.0 - way * k_m)
+        tau = base + level * load
+        motor = load + way * tau
+        assert tau == pytest.approx(f_c + abs(k_m * motor + k_e * load), rel=1e-12)
+
+
+@pytest.mark.parametrize("load", [-12.0, 0.0, 12.0])
+def test_a_load_in_the_bounds_scales_what_slides(load: float) -> None:
+    n = NUMBERS
+    dahl = sum(n[f"F_{i}"] for i in range(1, 6)) * (1.0 + n["rise"] * abs(load))
+    assert steady("dahl_bound", 0.5, load) == pytest.approx(dahl + 1.0 - 0.3, rel=1e-9)
+    for dq in (0.5, -0.5):
+        rise = n["rise_d" if dq * load > 0.0 else "rise_b"]
+        mesh = np.sign(dq) * n["F_c"] * (1.0 + rise * abs(load))
+        assert steady("strain_wave_bound", dq, load) == pytest.approx(mesh + 2.0 * dq - 0.3)
+
+
+def test_sliding_elements_settle_at_the_rate_of_attraction() -> None:
+    """From steady sliding at v_s to ten times that: b' = C (1 - b / s) to its closed form."""
+    n = NUMBERS
+    slow, fast = (1.0 + 0.4 * np.exp(-((r) ** 2)) for r in (1.0, 10.0))
+    forces = sum(n[f"F_{i}"] for i in range(1, 6))
+    assert steady("gms", n["v_s"], 0.0) == pytest.approx(forces * slow + 0.2 - 0.3, rel=1e-9)
+    t = np.concatenate([[0.0, 1e4], 1e4 + 1e-3 * np.arange(1, 40)])
+    dq = np.where(t <= 1e4, n["v_s"], 10.0 * n["v_s"])
+    tau = predict(law("gms"), t=t, dq=dq)[2:]
+    bound = fast + (slow - fast) * np.exp(-n["C"] / fast * (t[2:] - 1e4))
+    np.testing.assert_allclose(tau, forces * bound + 2.0 - 0.3, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_is_proven_passive_and_holds_on_random_steps(name: str) -> None:
+    found = certify(law(name), TRAINED)
+    assert (found.verdict, found.largest_step) == ("proven", inf)
+    assert worst_step(law(name), 10_000, 0) > -1e-9
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", NAMES)
+def test_each_holds_on_a_million_steps(name: str) -> None:
+    assert worst_step(law(name), 1_000_000, 1) > -1e-9
+
+
+@pytest.mark.parametrize(
+    ("name", "coefficient", "said"),
+    [
+        ("bam_m3", "mu", "the load is in the torque itself"),
+        ("bam_m6", "nu_b", "the load is in the torque itself"),
+        ("dahl_bound", "rise", "the rate of x1 depends on more"),
+        ("strain_wave_bound", "rise_d", "the rate of z depends on more"),
+    ],
+)
+def test_a_negative_factor_is_no_proof(name: str, coefficient: str, said: str) -> None:
+    own = law(name)
+    wrong = law_of(name, **{**own.values, coefficient: -0.01})
+    found = certify(wrong, TRAINED)
+    assert found.verdict != "proven"
+    assert said in found.rests_on[0]
+
+
+def test_those_that_no_contract_exports_go_into_an_fmu(
+    tmp_path: Path, motion: Callable[[], np.ndarray]
+) -> None:
+    names = tuple(name for name in NAMES if name not in everyday())
+    laws = tuple(map(law, names))
+    model = FrictionModel(
+        law=laws[0].name, robot="bench", joints=names, laws=laws, sample_time=0.005
+    )
+    t, dq, load = motion
+    wide = np.tile(dq[:, None], len(names)), np.tile(load[:, None], len(names))
+    fmu = export_bare(model, tmp_path / "classic.fmu")
+    found = replay(fmu, t, dq=wide[0], q=np.zeros_like(wide[0]), tau_load=wide[1])
+    for own, tau in zip(laws, found.T, strict=True):
+        expected = predict(own, t=t, dq=dq, tau_load=load)
+        assert np.abs(tau - expected).max() <= 1e-12 * np.abs(expected).max(), own.name
+
+
+@pytest.fixture
+def motion() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    t = 0.01 * np.arange(400)
+    return t, np.sin(3.0 * t) * np.sin(0.7 * t), 20.0 * np.cos(1.3 * t)
