@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from significance import against
 
 from cosim.closed_loop import StandIn
 from cosim.pipeline import Job
-from cosim.run import run_study, score_study
+from cosim.run import Scored, run_study, score_study
 from cosim.scoring import ORACLE, Comparison, measured_start
 from cosim.studies.loops import assemble, limits_of, motions
 from cosim.studies.tracking import Tracked, track
@@ -37,6 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Outcome:
     """Scores of the shipped study, and its closed loop."""
 
+    run: Scored
     comparisons: Mapping[str, Comparison]
     models: Mapping[str, FrictionModel]
     loop: LoopOutcome
@@ -50,7 +52,13 @@ def outcome(folder: Path) -> Outcome:
         run = score_study(job, folder)
         loop = job.closed_loop(run.robot, run.rigid_body, folder, run.models)
     assert loop
-    return Outcome(comparisons=run.comparisons, models=run.models, loop=loop)
+    return Outcome(run=run, comparisons=run.comparisons, models=run.models, loop=loop)
+
+
+@pytest.mark.parametrize("tests", ["fourier", "chirp", "chirp_20s"])
+def test_stops_are_never_significantly_worse_than_lugre(outcome: Outcome, tests: str) -> None:
+    found = against(outcome.run, tests, ("parfam_s_v", "parfam_s_load", "parfam_s"))
+    assert not found.worse, str(found)
 
 
 @pytest.mark.soak

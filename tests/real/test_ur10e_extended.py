@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from registry_models import STUDIED
+from significance import against
 
 from cosim.pipeline import Job
 from cosim.replay import replay
@@ -140,6 +141,14 @@ def test_stops_with_symbolic_bounds_are_ahead_in_every_class(
     ratio = errors(scores, row("parfam_s")) / errors(scores, row("parfam_hx"))
     assert np.exp(np.mean(np.log(ratio[:4]))) <= 1.0
     assert errors(scores, row("parfam_s"))[4] <= 0.40
+
+
+def test_stops_are_never_significantly_worse_than_lugre(outcome: Scored) -> None:
+    laws = ("parfam_s_v", "parfam_s_load", "parfam_s")
+    found = against(outcome, "test", laws)
+    assert not found.worse, str(found)
+    for law in laws:
+        assert found.mean(law) <= 0.94, str(found)
 
 
 def test_every_studied_law_and_every_extension_is_a_row(outcome: Scored) -> None:

@@ -130,24 +130,17 @@ def test_a_negative_factor_is_no_proof(name: str, coefficient: str, said: str) -
     assert said in found.rests_on[0]
 
 
-def test_those_that_no_contract_exports_go_into_an_fmu(
-    tmp_path: Path, motion: Callable[[], np.ndarray]
-) -> None:
+def test_those_that_no_contract_exports_go_into_an_fmu(tmp_path: Path) -> None:
     names = tuple(name for name in NAMES if name not in everyday())
     laws = tuple(map(law, names))
     model = FrictionModel(
         law=laws[0].name, robot="bench", joints=names, laws=laws, sample_time=0.005
     )
-    t, dq, load = motion
-    wide = np.tile(dq[:, None], len(names)), np.tile(load[:, None], len(names))
+    t = 0.01 * np.arange(400)
+    dq, load = np.sin(3.0 * t) * np.sin(0.7 * t), 20.0 * np.cos(1.3 * t)
+    wide = {"dq": dq, "q": 0.0 * t, "tau_load": load}
     fmu = export_bare(model, tmp_path / "classic.fmu")
-    found = replay(fmu, t, dq=wide[0], q=np.zeros_like(wide[0]), tau_load=wide[1])
+    found = replay(fmu, t, **{k: np.tile(v[:, None], len(names)) for k, v in wide.items()})
     for own, tau in zip(laws, found.T, strict=True):
         expected = predict(own, t=t, dq=dq, tau_load=load)
         assert np.abs(tau - expected).max() <= 1e-12 * np.abs(expected).max(), own.name
-
-
-@pytest.fixture
-def motion() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    t = 0.01 * np.arange(400)
-    return t, np.sin(3.0 * t) * np.sin(0.7 * t), 20.0 * np.cos(1.3 * t)
