@@ -10,16 +10,19 @@ from test_certificate import TRAINED, law_of, worst_step
 
 from cosim.replay import replay
 from fmu_src.friction.friction_fmu import export_bare
+from hesr_model.errors import ArtifactError
 from hesr_model.friction.audit.certificate import certify
 from hesr_model.friction.evaluate import predict
+from hesr_model.friction.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
+from hesr_model.rigid_body.residual import FrictionRecord
 
 NAMES = ("dahl_bound", "strain_wave_bound", *(f"bam_m{k}" for k in range(1, 7)), "gms")
 NUMBERS = {
     "F_c": 4.0, "F_e": 2.0, "mu": 0.1, "mu_e": 0.03, "mu_d": 0.15, "mu_b": 0.05, "mu_e_d": 0.02,
-    "mu_e_b": 0.06, "nu_d": 0.004, "nu_b": 0.007, "alpha": 1.5, "v_s": 0.1, "sigma_2": 2.0,
+    "mu_e_b": 0.06, "nu_d": 0.004, "nu_b": 0.007, "v_s": 0.1, "sigma_2": 2.0,
     "tau_0": -0.3, "x_0": 1e-3, "rise_d": 0.02, "rise_b": 0.05, "rise": 0.03, "ratio": 1.4,
     "C": 50.0, **{f"kappa_{i}": 10.0 ** (5 - i) for i in range(1, 6)},
     **{f"F_{i}": float(i) for i in range(1, 6)},
@@ -41,9 +44,9 @@ def test_studies_that_name_no_laws_do_not_have_them() -> None:
     assert [name for name, law in registry().items() if not law.everyday] == list(NAMES)
 
 
-def _bam(model: int, v: float, load: float) -> float:
+def _bam(model: int, v: float, load: float, alpha: int = 2) -> float:
     """BAM's friction as its documentation has it, with both weights solved for the load."""
-    n, e = NUMBERS, np.exp(-((abs(v) / NUMBERS["v_s"]) ** NUMBERS["alpha"]))
+    n, e = NUMBERS, np.exp(-((abs(v) / NUMBERS["v_s"]) ** alpha))
     driving = v * load > 0.0
     per_load = n["mu"] if model < 5 else n["mu_d" if driving else "mu_b"]
     at_rest = n["mu_e"] if model < 5 else n["mu_e_d" if driving else "mu_e_b"]
@@ -64,6 +67,33 @@ def _bam(model: int, v: float, load: float) -> float:
 @pytest.mark.parametrize("load", [-12.0, 0.0, 12.0])
 def test_servo_friction_is_that_of_its_models(model: int, dq: float, load: float) -> None:
     assert steady(f"bam_m{model}", dq, load) == pytest.approx(_bam(model, dq, load), rel=1e-12)
+
+
+@pytest.mark.parametrize("alpha", [1, 2, 3])
+def test_the_exponent_of_the_curve_is_chosen_by_the_data(alpha: int) -> None:
+    t = 0.01 * np.arange(3000)
+    dq, load = 0.3 * np.sin(1.1 * t) * np.sin(0.37 * t), 20.0 * np.cos(1.3 * t)
+    tau = np.array([_bam(4, v, tau_load, alpha) for v, tau_load in zip(dq, load, strict=True)])
+    record = FrictionRecord(log="made", joint="j1", t=t, dq=dq, q=np.cumsum(dq) * 0.01,
+                            tau_load=load, tau=tau)  # fmt: skip
+    found = fit_joint("bam_m4", [record], seed=0)
+    assert found.structure == {"alpha": alpha}
+    for name, value in found.values.items():
+        assert value == pytest.approx(NUMBERS[name], rel=1e-3), name
+
+
+@pytest.mark.parametrize(
+    ("name", "structure", "said"),
+    [
+        ("bam_m2", {"alpha": 4}, "law 'bam_m2' has 'alpha', one of 1, 2, 3 to choose, found "
+         "{'alpha': 4}."),
+        ("bam_m1", {"alpha": 2}, "law 'bam_m1' has nothing to choose, found {'alpha': 2}."),
+    ],
+)  # fmt: skip
+def test_what_is_no_choice_is_refused(name: str, structure: dict[str, int], said: str) -> None:
+    with pytest.raises(ArtifactError) as caught:
+        registry()[name].form(structure)
+    assert str(caught.value) == said
 
 
 def test_a_motors_weight_and_a_loads_make_one_level_each_way() -> None:

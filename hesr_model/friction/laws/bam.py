@@ -3,7 +3,7 @@
 Source: M. Duclusaud, G. Passault, V. Padois, O. Ly, Extended friction models for the physics
 simulation of servo actuators, 2024 (arXiv 2410.08650), and the documentation of BAM.
 
-With e = exp(-|v/v_s|^alpha) and the load L, the torque is sgn(v) times
+With e = exp(-|v/v_s|^alpha), alpha 1, 2 or 3, and the load L, the torque is sgn(v) times
 
     M1  F_c                             M2  F_c + F_e e
     M3  F_c + mu |L|                    M4  F_c + mu |L| + e (F_e + mu_e |L|)
@@ -17,24 +17,27 @@ one where the motor drives, another one where it is driven. These are what is fi
 weight M3 and M4 are that to first order, the same both ways.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
+import numpy as np
 import sympy
 
 from hesr_model.equations.functions import absolute, positive, sgn
-from hesr_model.friction.fitting.declarative import OneForm, no_structure
+from hesr_model.errors import ArtifactError
+from hesr_model.friction.fitting.declarative import OneForm
 from hesr_model.friction.fitting.estimator import register
-from hesr_model.friction.fitting.separable import SearchSpace
+from hesr_model.friction.fitting.samples import Samples
+from hesr_model.friction.fitting.separable import SearchSpace, Separable
 from hesr_model.friction.inputs import DQ, TAU_LOAD
-from hesr_model.friction.law import Coefficient, LawForm
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.laws.stribeck import F_C, SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
+from hesr_model.rigid_body.residual import FrictionRecord
 
-ALPHA = Coefficient(name="alpha", unit="1", description="exponent of the Stribeck curve")
-ALPHA_BOUNDS = (1.0, 3.0)
-"""Of that exponent; below 1 the curve would have a corner of its own at rest."""
+ALPHAS = (1, 2, 3)
+"""Exponents of the Stribeck curve, of which a fit takes the best."""
 
-_AT_REST = sympy.exp(-((absolute(DQ) / V_S.symbol) ** ALPHA.symbol))
+_AT_REST = sympy.Symbol("e", real=True)  # stands for exp(-|v/v_s|^alpha)
 _AHEAD, _BACK = (positive(way * sgn(DQ) * TAU_LOAD) for way in (1, -1))
 _ANY = absolute(TAU_LOAD)
 
@@ -69,25 +72,40 @@ class _Bam(OneForm):
 
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions."""
-        no_structure(cls.name, structure)
-        level = sum(c.symbol * factor for c, factor in cls.terms)
-        own = (V_S, ALPHA) if cls._falls() else ()
+        """Return the expressions; {"alpha": 1} gives another exponent than 2."""
+        alpha = structure.get("alpha", 2)
+        falls = cls._falls()
+        if structure.keys() - ({"alpha"} if falls else set()) or alpha not in ALPHAS:
+            known = f"'alpha', one of {', '.join(map(str, ALPHAS))}" if falls else "nothing"
+            raise ArtifactError(f"law '{cls.name}' has {known} to choose, found {dict(structure)}.")
+        at_rest = sympy.exp(-((absolute(DQ) / V_S.symbol) ** alpha))
+        level = sum(c.symbol * factor for c, factor in cls.terms).xreplace({_AT_REST: at_rest})
         return LawForm(
-            coefficients=(*(c for c, _ in cls.terms), SIGMA_2, TAU_0, *own),
+            coefficients=(*(c for c, _ in cls.terms), SIGMA_2, TAU_0, *((V_S,) if falls else ())),
             output=level * sgn(DQ) + SIGMA_2.symbol * DQ + TAU_0.symbol,
         )
 
     def space(self) -> SearchSpace:
-        """Search v_s and alpha where there are; everything else is linear."""
+        """Search v_s where there is one; everything else is linear."""
         names = (*(c.name for c, _ in self.terms), SIGMA_2.name)
         return SearchSpace(
-            bounds=((V_S.name, VELOCITY_BOUNDS), (ALPHA.name, ALPHA_BOUNDS))
-            if self._falls()
-            else (),
+            bounds=((V_S.name, VELOCITY_BOUNDS),) if self._falls() else (),
             linear=(*names, TAU_0.name),
             non_negative=len(names),
         )
+
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Fit with each exponent, as many coefficients each, and keep the least squares."""
+        if not self._falls():
+            return super().fit(records, rng)
+        samples = Samples.of(records, coefficients=len(self.core({}).coefficients))
+        fits = []
+        for alpha in ALPHAS:
+            problem = Separable(self.core({"alpha": alpha}), self.space(), samples)
+            point = problem.polish(problem.search(rng))
+            fits.append((problem.solve(point)[1], alpha, problem, point))
+        _, alpha, problem, point = min(fits, key=lambda fit: fit[0])
+        return self.finish({"alpha": alpha}, problem, point)
 
     @classmethod
     def _falls(cls) -> bool:
