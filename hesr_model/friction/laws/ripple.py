@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import sympy
+from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from hesr_model.equations.over_log import Array
@@ -115,12 +116,14 @@ class Ripple:
         lag, smoothing = times
         angle = self.gear_ratio * (samples.q - lag * samples.dq)
         fast = self.gear_ratio * smoothing * samples.dq
-        waves = [
-            wave(k * angle) / (1.0 + (k * fast) ** 2)
-            for k in self.orders
-            for wave in (np.cos, np.sin)
-        ]
-        return np.stack(waves, axis=1)
+        turn, waves = np.exp(1j * angle), dict[int, NDArray[np.complex128]]()
+        rotated = np.ones_like(turn)
+        for k in range(1, max(self.orders, default=0) + 1):  # powers take no sines of their own
+            rotated *= turn
+            if k in self.orders:
+                waves[k] = rotated / (1.0 + (k * fast) ** 2)
+        parts = [part for k in self.orders for part in (waves[k].real, waves[k].imag)]
+        return np.stack(parts, axis=1)
 
 
 def select(
