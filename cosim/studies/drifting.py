@@ -193,7 +193,7 @@ def run_drifting(
     """
     n, step = len(loop.model.joints), loop.step
     count = round(seconds / step) + 1
-    t = step * np.arange(count)
+    t = step * np.arange(count, dtype=float)
     q_d, dq_d, rigid = loop.desired(t)
     ahead = loop.desired(t + preview(SCHEME, loop.gains, step))
     arm = DriftingArm(loop.plant, LOAD)
@@ -329,7 +329,7 @@ def score(
 
     def squares(run: Drifted, torque: Array) -> Array:
         late = run.t >= since
-        return np.mean((torque - run.tau_true)[late] ** 2, axis=0)
+        return np.asarray(np.mean((torque - run.tau_true)[late] ** 2, axis=0))
 
     known = squares(undrifted, undrifted.fixed(model))
     drifted = squares(fixed, fixed.fixed(model)) - known
