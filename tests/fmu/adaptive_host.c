@@ -4,7 +4,8 @@
  *
  * Of tau_meas[1], tau_rigid[1] and tau[1] the value references are given; dq[i] have 0, 1, ..
  * It prints the time of a doStep [ns], that with inputs set and torques read, and the size of all
- * that an instance knows [B]. Measured torque is the friction before it times 1.2: factors do follow. */
+ * that an instance knows [B]. Measured torque is the friction before it times 1.2: factors do
+ * follow. */
 #include "host.h"
 
 enum { MOST = 16 };
@@ -48,7 +49,7 @@ int main(int count, char **argument) {
         in[joints + i] = (fmi2ValueReference)(atoi(argument[4]) + i);
         tau[i] = (fmi2ValueReference)(atoi(argument[6]) + i);
     }
-    double seconds[2] = {0.0, 0.0}; /* without and with the step */
+    double seconds[2] = {0.0, 0.0};           /* without and with the step */
     for (int timed = 0; timed < 3; timed++) { /* to warm up, then each */
         const double start = now();
         for (int k = 0; k < steps; k++) {
