@@ -11,6 +11,7 @@ from cosim.native import through
 from cosim.slave import Component
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
+from hesr_model.friction.law import TORQUE
 
 
 def replay(
@@ -20,6 +21,8 @@ def replay(
     q: ArrayLike | None = None,
     tau_load: ArrayLike | None = None,
     start: Mapping[str, float] | None = None,
+    *,
+    output: str = TORQUE,
 ) -> Array:
     """Return the friction torque that an FMU computes for a log.
 
@@ -34,10 +37,11 @@ def replay(
     q : (N, n) joint position [rad]; zero where not given.
     tau_load : (N, n) load torque [N.m]; zero where not given.
     start : parameters by name, as {"start_mode": 2, "h_start[1]": 0.2}.
+    output : what is read of each joint, as `tau_lower` of an FMU with a band.
 
     Returns
     -------
-    (N, n) friction torque [N.m].
+    (N, n) friction torque, or what else is read [N.m].
 
     Raises
     ------
@@ -45,7 +49,7 @@ def replay(
         If the log does not fit the FMU, or the FMU fails.
     """
     with Component(fmu) as component:
-        return replayed(component, t, dq, q, tau_load, start)
+        return replayed(component, t, dq, q, tau_load, start, output=output)
 
 
 def replayed(
@@ -55,6 +59,8 @@ def replayed(
     q: ArrayLike | None = None,
     tau_load: ArrayLike | None = None,
     start: Mapping[str, float] | None = None,
+    *,
+    output: str = TORQUE,
 ) -> Array:
     """Do what `replay` does with an FMU that is loaded, and reset it where it has been used."""
     fmu, time = component.fmu, np.asarray(t, dtype=float)
@@ -74,7 +80,7 @@ def replayed(
         raise SimulationError(f"{fmu}: time does not increase at row {row} of the log.")
     indices = range(1, joints + 1)
     inputs = component.batch([f"{symbol}[{i}]" for symbol in INPUTS for i in indices])
-    outputs = component.batch([f"tau[{i}]" for i in indices])
+    outputs = component.batch([f"{output}[{i}]" for i in indices])
     rows = np.hstack(parts)
     torque = np.empty_like(zero)
     if component.used:

@@ -93,13 +93,14 @@ def export_bare(
     path: Path,
     *,
     platforms: Sequence[str] = ("linux64",),
+    band: bool = False,
     fmi: Version = 2,
 ) -> Path:
     """Write the same FMU without its documentation, to try the law in.
 
     Arguments and errors are those of `export_fmu`.
     """
-    table, about, sources = _component(model)
+    table, about, sources = _component(model, band=band)
     members = {EMBEDDED_MODEL: _embedded(model)}  # of which measured torques find the start
     bare = Content(table=table, about=about, sources=sources, members=members)
     return write_fmu(bare, path, platforms=platforms, fmi=fmi)

@@ -1,17 +1,18 @@
 """Charts of friction over time, measured and predicted, with the moving error beside it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.figures.chart import Chart, Line, Panel
-from cosim.figures.style import MEASURED, strokes
+from cosim.figures.style import MEASURED, SOFT, Stroke, strokes
 from cosim.report.results import Results
 from cosim.saved import SavedLog
 from cosim.tables.table import title
+from hesr_model.equations.over_log import Array
+from hesr_model.friction.banded import predict_band
 
-Array = NDArray[np.float64]
+_EDGE = Stroke(colour=SOFT, width=0.6, dash=(1.5, 1.5))
 
 WINDOW = 0.25
 """[s] Of a moving error: single errors of noise hide which law errs, and where."""
@@ -32,7 +33,10 @@ def torque_chart(
     marks: tuple[tuple[float, str], ...] = (),
     window: tuple[float, float] | None = None,
 ) -> Chart:
-    """Return a row for each joint: friction torque, and the moving RMS error of each law."""
+    """Return a row for each joint: friction torque, and the moving RMS error of each law.
+
+    The 95 % band is that of the best law, where it is among them and has one.
+    """
     torques = results.torques(log)
     t = torques["t"]
     styles = strokes(results.key_laws)
@@ -48,6 +52,7 @@ def torque_chart(
                     title=f"{short}: {name}",
                     y=f"friction [{results.unit('N.m', k - 1)}]",
                     lines=(
+                        *_band(results, k, torques, results.best if results.best in laws else ""),
                         Line(name="measured", x=t, y=measured, stroke=MEASURED),
                         *(
                             Line(name=title(law), x=t, y=tau, stroke=styles[law])
@@ -69,3 +74,20 @@ def torque_chart(
             )
         )  # fmt: skip
     return Chart(x="t [s]", rows=tuple(rows), height=1.5, window=window)
+
+
+def _band(results: Results, joint: int, torques: Mapping[str, Array], law: str) -> tuple[Line, ...]:
+    """Return both ends of a law's band as lines."""
+    model = results.models.get(law)
+    if model is None or not model.banded:
+        return ()
+    ends = predict_band(
+        model.laws[joint - 1],
+        t=torques["t"],
+        dq=torques[f"dq{joint}"],
+        q=torques[f"q{joint}"],
+        tau_load=torques[f"tau_rb{joint}"],
+        torque=torques[f"{law}.tau_f{joint}"],
+    )
+    name = f"95 % band of {title(law)}"
+    return tuple(Line(name=name, x=torques["t"], y=end, stroke=_EDGE) for end in ends)

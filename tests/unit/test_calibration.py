@@ -1,0 +1,113 @@
+"""How wide a band is: what left-out logs err by, and what the covariance says of other places."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from joint_data import along, law, path, with_tau
+
+from hesr_model.artifacts import read_model, write_model
+from hesr_model.errors import ArtifactError, SimulationError
+from hesr_model.friction.fitting.calibration import with_band
+from hesr_model.friction.fitting.uncertainty import with_standard_errors
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.robots.transmission import Coupling
+
+TRUTH = law(
+    "strain_wave", {}, x_0=4e-3, mu_avg=0.12, mu_dif=0.03, F_c=5.0, sigma_2=7.0, tau_0=0.5
+)  # fmt: skip
+
+
+def noisy(seed: int, *, rests: bool = False, spread: float = 0.5) -> FrictionRecord:
+    """A log whose noise is twice as large in slow motion, and grows with the speed."""
+    clean = along(TRUTH, path(seed, seconds=24.0, rests=rests))
+    slow = 1.0 / (1.0 + (clean.dq / 0.08) ** 2)
+    size = spread * np.sqrt(1.0 + 3.0 * slow + clean.dq**2)
+    noise = size * np.random.default_rng(seed).normal(size=len(clean.t))
+    return replace(with_tau(clean, clean.tau + noise), log=f"log {seed}")
+
+
+@pytest.fixture(scope="module")
+def banded() -> FrictionLaw:
+    records = [noisy(seed) for seed in range(3)]
+    return with_band(with_standard_errors(TRUTH, records), records)
+
+
+def model_of(*laws: FrictionLaw, **more) -> FrictionModel:
+    joints = tuple(f"axis_{i}" for i, _ in enumerate(laws))
+    return FrictionModel(law="lugre", robot="bench", joints=joints, laws=laws, sample_time=0.008,
+                         **more)  # fmt: skip
+
+
+@pytest.mark.parametrize("coverage", [0.8, 0.9, 0.95, 0.99])
+def test_a_band_holds_its_share_of_an_unseen_log(banded: FrictionLaw, coverage: float) -> None:
+    inside, width = [], []
+    for seed in range(10, 14):
+        unseen = replace(noisy(seed), joint="axis_0")
+        lower, upper = model_of(banded).predict_band([unseen], coverage=coverage)
+        inside.append((unseen.tau > lower[:, 0]) & (unseen.tau < upper[:, 0]))
+        width.append(np.abs(unseen.dq))
+    held, speed = np.concatenate(inside), np.concatenate(width)
+    assert held.mean() == pytest.approx(coverage, abs=0.02)
+    for slow in (speed < 0.1, speed > 0.5):  # wherever errors are of another size
+        assert held[slow].mean() == pytest.approx(coverage, abs=0.05)
+
+
+def test_it_is_as_wide_as_errors_are(banded: FrictionLaw) -> None:
+    band = banded.band
+    assert band is not None
+    assert band.floor == pytest.approx(1.96 * 0.5, rel=0.15)
+    assert band.slow == pytest.approx(1.96 * 0.5 * np.sqrt(3.0), rel=0.3)
+    assert band.slow_speed in (0.04, 0.08, 0.16)
+    assert band.tail == pytest.approx(0.65, abs=0.06)  # of normal errors
+    assert (band.envelope, band.rest) == (1.0, 0.0)
+
+
+def test_what_is_uncertain_widens_it() -> None:
+    """Ten times the deviations: the errors that logs show are a small part of it."""
+    records = [noisy(seed) for seed in range(3)]
+    known = with_standard_errors(TRUTH, records)
+    assert known.covariance is not None
+    large = replace(known.covariance, within=1e4 * known.covariance.within)
+    certain, doubtful = (with_band(x, records).band for x in (replace(known, covariance=None),
+                         replace(known, covariance=large)))  # fmt: skip
+    assert certain is not None
+    assert doubtful is not None
+    assert doubtful.fast > 2.0 * certain.fast
+
+
+def test_rests_that_were_seen_take_the_place_of_the_envelope() -> None:
+    records = [noisy(seed, rests=True) for seed in range(5)]  # two rests each
+    assert with_band(TRUTH, records).band.envelope == 0.0  # type: ignore[union-attr]
+    assert with_band(TRUTH, records[:4]).band.envelope == 1.0  # type: ignore[union-attr]
+
+
+def test_perfect_logs_give_a_band_without_width() -> None:
+    records = [along(TRUTH, path(0))]
+    band = with_band(TRUTH, records).band
+    assert band is not None
+    assert band.floor == pytest.approx(0.0, abs=1e-9)
+
+
+def test_it_is_written_and_read(banded: FrictionLaw, tmp_path) -> None:
+    model = replace(model_of(replace(banded, covariance=None)), law="strain_wave")
+    write_model(tmp_path / "law.json", model)
+    assert read_model(tmp_path / "law.json").laws[0].band == banded.band
+
+
+@pytest.mark.parametrize(("name", "value"), [("floor", -1.0), ("slow_speed", 0.0),
+                                             ("tail", float("nan"))])  # fmt: skip
+def test_numbers_that_are_none_of_a_band(banded: FrictionLaw, name: str, value: float) -> None:
+    with pytest.raises(ArtifactError, match=f"'{name}' of a band is"):
+        replace(banded.band, **{name: value})
+
+
+def test_who_has_no_band_says_so(banded: FrictionLaw) -> None:
+    record = replace(noisy(0), joint="axis_0")
+    with pytest.raises(SimulationError, match="does not say how far measured friction is from it"):
+        model_of(TRUTH).predict_band([record])
+    coupled = model_of(banded, banded, coupling=Coupling(matrix=((1.0, 0.0), (1.0, 1.0))))
+    with pytest.raises(SimulationError, match="a band is made joint by joint only"):
+        coupled.require_band()
