@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -24,6 +25,15 @@ def run(
     quick: Annotated[
         bool, typer.Option("--quick", help="Stribeck, LuGre and ParFam-H only.")
     ] = False,
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            "--seeds",
+            metavar="N",
+            help="Of a twin: score the laws over N draws of noise, motions and true friction "
+            "instead, in Python, and write FOLDER/seeds.json.",
+        ),
+    ] = None,
     accept: Accept = None,
     json_file: Json = None,
 ) -> None:
@@ -32,7 +42,7 @@ def run(
     The scores are those of the FMUs on motions that the laws have not seen. A run that was
     interrupted or killed goes on from what it had finished when it is started again.
 
-    Example: hesr run tests/real/ur10e_study.toml -o results/ur10e
+    Examples: hesr run tests/real/ur10e_study.toml -o results/ur10e; hesr run --quick --seeds 20
     """
     from rich.console import Console
 
@@ -49,6 +59,9 @@ def run(
 
     path = study or models_folder() / "studies" / "default.toml"
     folder = output or Path("results") / Study.read(path).name
+    if seeds is not None:
+        _seeds(path, folder, seeds, quick=quick, json_file=json_file)
+        return
     with answer_file(json_file) as wanted:
         with shown_progress() as progress, _going_on(unfinished(folder)):
             outcome = run_study(
@@ -90,6 +103,34 @@ def run(
         console.print(sentence, highlight=False, markup=False)
     report = folder / "report.html"
     console.print(f"Everything is in {folder}; look at {report}.", soft_wrap=True, highlight=False)
+
+
+def _seeds(path: Path, folder: Path, seeds: int, *, quick: bool, json_file: Path | None) -> None:
+    """Score laws over draws, write what comes out and print its tables."""
+    from rich.console import Console
+
+    from cosim.run import QUICK_LAWS
+    from cosim.studies.seeds import run_seeds
+    from cosim.tables.seeds import over_draws
+    from cosim.tables.terminal import Drawn
+    from hesr_model.artifacts import write_json
+    from hesr_model.support.typed_json import to_json
+
+    with answer_file(json_file) as wanted:
+        with shown_progress() as progress:
+            found = run_seeds(
+                path,
+                seeds,
+                laws=QUICK_LAWS if quick else (),
+                progress=partial(progress, "running draws"),
+            )
+        folder.mkdir(parents=True, exist_ok=True)
+        write_json(folder / "seeds.json", to_json(found))
+        if wanted:
+            write_json(wanted, to_json(found))
+    console = Console()
+    for table in over_draws(found):
+        console.print(Drawn(table))
 
 
 @contextmanager

@@ -175,6 +175,31 @@ class Arm:
         """Time since the last reset [s], from the step counter."""
         return self.steps * self.timestep
 
+    def scale_friction(self, coulomb: ArrayLike, viscous: ArrayLike) -> None:
+        """Multiply Coulomb and static friction, with its stiffness, and viscous friction.
+
+        Of what the MJCF holds as passive dcmotor actuators, before a run is reset.
+
+        Parameters
+        ----------
+        coulomb, viscous
+            (n,) factors.
+        """
+        model = self._model
+        for name, level, rate in zip(
+            self.plant.joints, np.asarray(coulomb), np.asarray(viscous), strict=True
+        ):
+            joint = model.joint(name).id
+            passive = (
+                (model.actuator_dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR)
+                & (model.actuator_ctrlnum == 0)
+                & (model.actuator_trnid[:, 0] == joint)
+            )
+            for i in np.flatnonzero(passive):
+                model.actuator_dynprm[i, 5] *= level  # bristle stiffness
+                model.actuator_biasprm[i, 3:5] *= level  # Coulomb and static friction
+                model.actuator_damping[i] *= rate
+
     def reset(self, q0: ArrayLike) -> ArmOutput:
         """Put the arm at rest at `q0` (n,) [rad], in equilibrium, with bristles unloaded.
 

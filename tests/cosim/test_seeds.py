@@ -1,0 +1,69 @@
+"""The prediction part of a twin's study over draws: what differs, what it says, and its command."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_study import STUDY, hesr_here
+from small_twin import MOTIONS
+
+from cosim.studies.seeds import one_draw, run_seeds
+from cosim.study import Study
+from hesr_model.errors import ConfigError
+from hesr_model.support.files import models_folder
+
+TWIN = models_folder() / "uf850"
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    text = STUDY.format(robot=TWIN / "robot.toml", plant=TWIN / "plant.toml")
+    (tmp_path / "motions.toml").write_text(MOTIONS, encoding="utf-8")
+    path = tmp_path / "study.toml"
+    path.write_text(text.replace('"parfam_h"', '"lugre"', 1), encoding="utf-8")
+    return path
+
+
+def test_a_draw_is_the_same_again_and_another_one_is_not(study: Path) -> None:
+    read = Study.read(study)
+    first, again, other = (one_draw(read, seed, ["stribeck"]) for seed in (1, 1, 2))
+    assert first == again
+    assert set(first["unseen"]) == {"stribeck", "true friction"}
+    assert np.all(np.abs(np.log(np.divide(
+        first["unseen"]["stribeck"], other["unseen"]["stribeck"]))) > 1e-3)  # fmt: skip
+
+
+def test_the_command(study: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+    hesr = hesr_here(capsys, monkeypatch)
+    answer = hesr("run", study, "--seeds", "2", "-o", tmp_path / "out")
+    assert answer.code == 0, answer.err
+    found = json.loads((tmp_path / "out" / "seeds.json").read_text(encoding="utf-8"))
+    assert (found["seeds"], found["reference"]) == (2, "lugre")
+    scores = found["tests"]["unseen"]
+    drawn = [one_draw(Study.read(study), 3 + k, ["stribeck", "lugre"])["unseen"] for k in range(2)]
+    for joint, spread in enumerate(scores["rmse"]["stribeck"]):
+        values = [d["stribeck"][joint] for d in drawn]
+        assert spread["mean"] == pytest.approx(np.mean(values), rel=1e-12)
+        # Student's quantile of one degree of freedom, and the standard error of two.
+        half = 12.7062047 * abs(values[0] - values[1]) / 2.0
+        assert spread["high"] - spread["mean"] == pytest.approx(half, rel=1e-6)
+        ratio = np.sqrt(np.prod([d["stribeck"][joint] / d["lugre"][joint] for d in drawn]))
+        assert scores["ratios"]["stribeck"][joint]["mean"] == pytest.approx(ratio, rel=1e-12)
+        assert f"{spread['mean']:.3f} [" in answer.out
+
+
+def test_what_seeds_cannot_be_drawn_for(study: Path) -> None:
+    with pytest.raises(ConfigError, match=r"--seeds is 1; needed are at least 2"):
+        run_seeds(study, 1)
+    text = study.read_text(encoding="utf-8")
+    no_laws = study.with_name("none.toml")
+    lines = [line for line in text.splitlines() if not line.startswith("laws")]
+    no_laws.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(ConfigError, match="names none; with --seeds it must"):
+        run_seeds(no_laws, 2)
+    measured = study.with_name("measured.toml")
+    before, _, after = text.partition("[twin]")
+    measured.write_text(before + after[after.index("[logs]") :], encoding="utf-8")
+    with pytest.raises(ConfigError, match="seeds are drawn for a digital twin"):
+        run_seeds(measured, 2)
