@@ -1,5 +1,6 @@
 """The band of a friction FMU: that of the model, with its derivatives and its dependencies."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,14 +9,18 @@ import pytest
 import sympy
 from test_derivatives import difference, initialising, tangent, worst
 
+from cosim.cli import main
 from cosim.replay import replay
 from fmu_src.check import check
+from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
+from hesr_model.artifacts import write_model
 from hesr_model.equations.memory import Relaxation, Stop
 from hesr_model.errors import SimulationError
 from hesr_model.friction.band import Band
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.laws.lugre import LuGre
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -143,3 +148,24 @@ def test_a_model_without_a_band_has_none_to_export(make_law, make_model, tmp_pat
     with pytest.raises(SimulationError, match="does not say how far measured friction is from it"):
         export_fmu(make_model(make_law("lugre")), tmp_path / "F.fmu", band=True)
     assert not list(tmp_path.iterdir())
+
+
+def test_the_command_writes_the_fmu_and_its_parameter_set(tmp_path: Path, monkeypatch) -> None:
+    values = {"F_c": 9.0, "F_s": 11.0, "v_s": 0.1, "sigma_0": 4e3, "sigma_1": 0.0, "sigma_2": 3.0,
+              "tau_0": 0.0}  # fmt: skip
+    law = FrictionLaw(name="lugre", form=LuGre.form({}), values=values, band=BAND)
+    model = FrictionModel(
+        law="lugre", robot="bench", joints=("axis",), laws=(law,), sample_time=0.01
+    )
+    write_model(tmp_path / "law.json", model)
+    fmu = tmp_path / "F.fmu"
+    monkeypatch.setattr(
+        sys, "argv", ["hesr", "export", str(tmp_path / "law.json"), "--band", "-o", str(fmu)]
+    )
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    found = embedded_model(fmu)
+    assert found is not None
+    assert found.laws[0].band == BAND
+    assert b'name="joint[1].F_c"' in fmu.with_suffix(".ssv").read_bytes()
