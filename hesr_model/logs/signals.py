@@ -1,6 +1,6 @@
 """From a log's raw samples to the smooth motion that the dynamics are evaluated on."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,11 @@ class Motion:
     tau: Array
     q_raw: Array
     temperature: Array | None = None
+
+    def rows(self, rows: slice) -> "Motion":
+        """Return the motion of some of its rows, without unit."""
+        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "name"}
+        return replace(self, **{name: column[rows] for name, column in columns.items()})
 
 
 def smooth(log: RobotLog, cutoff: float = 15.0) -> Motion:

@@ -22,7 +22,7 @@ from hesr_model.logs.robot_log import RobotLog, parts_of, require_moving
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body import physical as consistent
 from hesr_model.rigid_body.base_parameters import at_random_states, base_columns
-from hesr_model.rigid_body.least_squares import Block, covariance_of, solve
+from hesr_model.rigid_body.least_squares import Block, Solution, covariance_of, solve
 from hesr_model.rigid_body.observations import (
     averaged,
     friction_columns,
@@ -45,7 +45,7 @@ LEAST_PEAK = 0.02
 _MATTERS = 1e-2
 """Of the largest error of the torque over all states: smaller ones are not carried on."""
 
-_AT_ONCE = 4096
+AT_ONCE = 4096
 """Samples whose regressor is held at a time."""
 
 _log = logging.getLogger(__name__)
@@ -152,7 +152,7 @@ class RigidBody:
         spread = spread @ vt[s > _MATTERS * s[0]].T
         parts = [
             model.regressor(motion.q[k], motion.dq[k], motion.ddq[k])[:, :, columns] @ spread
-            for k in (slice(at, at + _AT_ONCE) for at in range(0, len(motion.t), _AT_ONCE))
+            for k in (slice(at, at + AT_ONCE) for at in range(0, len(motion.t), AT_ONCE))
         ]
         return np.concatenate(parts)
 
@@ -256,8 +256,9 @@ def identify_motions(
     everything = [*motions, *reversed_motions]
     base = base_columns(model)
     friction = friction_columns(model, base) & (method == "stacked")
-    _require_samples(everything, len(base) + int(np.sum(friction)))
-    _require_speed(everything, model)
+    where = "log " + ", ".join(motion.name for motion in everything)
+    require_samples(where, sum(len(m.t) for m in everything), len(base) + int(np.sum(friction)))
+    require_speed(where, np.max(np.abs(rubbing_speeds(everything, model)), axis=0), model)
 
     def blocks_of(columns: tuple[int, ...]) -> list[Block]:
         if method == "paper":
@@ -266,40 +267,21 @@ def identify_motions(
 
     blocks = blocks_of(base)
     weighting = weighting or ("ols" if method == "paper" else "wls")
-    scale = np.ones(blocks[0].matrix.shape[1])  # of friction: 1 N.m, 1 N.m.s/rad
-    scale[: len(base)] = np.sqrt(np.mean(at_random_states(model)[:, list(base)] ** 2, axis=0))
+    scale = scale_of(model, base, friction)
     solution = solve(blocks, scale=scale, weighted=weighting == "wls")
-    if solution.ridge and not physical:
-        _log.warning(
-            "%s: the motion does not determine all parameters (condition number %.2g); "
-            "a ridge of %.2g of the largest singular value was used",
-            _named(everything),
-            solution.condition,
-            solution.ridge,
-        )
+    if not physical:
+        tell_ridge(where, solution)
     labels = logs_of(motions if method == "paper" else everything)
-    # Of friction's columns no name is needed: only the base parameters' part is kept.
-    covariance = covariance_of(("",) * len(scale), blocks, solution, labels).mapped(
-        [model.parameter_names[k] for k in base], np.eye(len(base), len(scale))
-    )
-    parameters = np.zeros(len(model.parameter_names))
-    parameters[list(base)] = solution.x[: len(base)]
-    body = RigidBody(
-        robot=model.description.name,
-        joints=model.description.joints,
-        names=model.parameter_names,
-        parameters=parameters,
-        base=base,
-        standard_errors=covariance.standard_errors,
-        condition=solution.condition,
-        ridge=solution.ridge,
-        friction=per_joint(solution.x[len(base) :], friction),
-        rmse=solution.rmse,
+    body = body_of(
+        solution,
+        covariance_of(("",) * len(scale), blocks, solution, labels),
+        model,
+        base,
+        friction,
         rows=sum(len(motion.t) for motion in everything),
         logs=tuple(dict.fromkeys(motion.name for motion in everything)),
         method=method,
         weighting=weighting,
-        covariance=covariance,
     )
     if not physical:
         return body
@@ -330,24 +312,91 @@ def _consistent(
     )
 
 
-def _named(motions: Sequence[Motion]) -> str:
-    return "log " + ", ".join(motion.name for motion in motions)
+def scale_of(model: RobotModel, base: tuple[int, ...], friction: NDArray[np.bool_]) -> Array:
+    """Return the size of each column [N.m] for `least_squares.solve`, base columns first.
+
+    Those of friction, of which (n, 3) `friction` says which there are, are 1 N.m and 1 N.m.s/rad.
+    """
+    rigid = np.sqrt(np.mean(at_random_states(model)[:, list(base)] ** 2, axis=0))
+    return np.concatenate([rigid, np.ones(int(np.sum(friction)))])
 
 
-def _require_samples(motions: Sequence[Motion], unknowns: int) -> None:
-    rows = sum(len(motion.t) for motion in motions)
+def body_of(
+    solution: Solution,
+    covariance: Covariance,
+    model: RobotModel,
+    base: tuple[int, ...],
+    friction: NDArray[np.bool_],
+    *,
+    rows: int,
+    logs: tuple[str, ...],
+    method: Method,
+    weighting: Weighting,
+) -> RigidBody:
+    """Return the rigid body of a solution, of whose unknowns the base parameters come first."""
+    # Of friction's columns no name is needed: only the base parameters' part is kept.
+    covariance = covariance.mapped(
+        [model.parameter_names[k] for k in base], np.eye(len(base), len(solution.x))
+    )
+    parameters = np.zeros(len(model.parameter_names))
+    parameters[list(base)] = solution.x[: len(base)]
+    return RigidBody(
+        robot=model.description.name,
+        joints=model.description.joints,
+        names=model.parameter_names,
+        parameters=parameters,
+        base=base,
+        standard_errors=covariance.standard_errors,
+        condition=solution.condition,
+        ridge=solution.ridge,
+        friction=per_joint(solution.x[len(base) :], friction),
+        rmse=solution.rmse,
+        rows=rows,
+        logs=logs,
+        method=method,
+        weighting=weighting,
+        covariance=covariance,
+    )
+
+
+def tell_ridge(where: str, solution: Solution) -> None:
+    """Warn of a solution that the motion does not determine by itself."""
+    if solution.ridge:
+        _log.warning(
+            "%s: the motion does not determine all parameters (condition number %.2g); "
+            "a ridge of %.2g of the largest singular value was used",
+            where,
+            solution.condition,
+            solution.ridge,
+        )
+
+
+def require_samples(where: str, rows: int, unknowns: int) -> None:
+    """Check that there are as many samples as unknowns.
+
+    Raises
+    ------
+    FitError
+        If not.
+    """
     if rows < unknowns:
         raise FitError(
-            f"{_named(motions)}: {rows} samples cannot determine {unknowns} parameters; "
+            f"{where}: {rows} samples cannot determine {unknowns} parameters; "
             "longer logs are needed."
         )
 
 
-def _require_speed(motions: Sequence[Motion], model: RobotModel) -> None:
-    peaks = np.max(np.abs(rubbing_speeds(motions, model)), axis=0)
+def require_speed(where: str, peaks: Array, model: RobotModel) -> None:
+    """Check the peak speed (n,) [rad/s] of each joint.
+
+    Raises
+    ------
+    FitError
+        If one hardly moves.
+    """
     for joint, peak in zip(model.description.joints, peaks, strict=True):
         if not peak > LEAST_PEAK:
             raise FitError(
-                f"{_named(motions)}: joint '{joint}' is never faster than {peak:.2g} rad/s; "
+                f"{where}: joint '{joint}' is never faster than {peak:.2g} rad/s; "
                 f"a peak of more than {LEAST_PEAK:g} rad/s is needed in at least one log."
             )

@@ -37,6 +37,36 @@ class Block:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Factor:
+    """All that a solution needs of a block, however many rows it has.
+
+    Attributes
+    ----------
+    triangle
+        (P + 1, P + 1) triangular factor of [matrix, target]: a few rows that have the same squared
+        residuals.
+    rows
+        That it stands for.
+    """
+
+    triangle: Array
+    rows: int = 0
+
+    def with_rows(self, block: Block) -> "Factor":
+        """Return the factor of the rows so far and those of a block, without holding both."""
+        below = np.column_stack([block.matrix, block.target])
+        (factor,) = qr(np.concatenate([self.triangle, below]), mode="r", check_finite=False)
+        return Factor(
+            triangle=np.asarray(factor[: below.shape[1]]), rows=self.rows + len(block.target)
+        )
+
+    @classmethod
+    def of(cls, block: Block) -> "Factor":
+        """Return the factor of a block."""
+        return cls(triangle=np.zeros((0, block.matrix.shape[1] + 1))).with_rows(block)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
     """Unknowns of a least-squares problem, and how well posed it was.
 
@@ -78,15 +108,18 @@ def solve(blocks: Sequence[Block], *, scale: Array, weighted: bool) -> Solution:
         the data hardly excite, scaled up to the others, would get a huge coefficient. In the
         column's unit, [N.m] per unit of its parameter.
     """
-    factors = [_compressed(block) for block in blocks]
-    counts = np.array([len(block.target) for block in blocks])
-    weights = np.ones(len(blocks))
-    solution = _solve(factors, counts, weights, scale)
+    return solve_factors([Factor.of(block) for block in blocks], scale=scale, weighted=weighted)
+
+
+def solve_factors(factors: Sequence[Factor], *, scale: Array, weighted: bool) -> Solution:
+    """Do what `solve` does with blocks, of which only their factors are left; `scale` as there."""
+    weights = np.ones(len(factors))
+    solution = _solve(factors, weights, scale)
     for _ in range(_REWEIGHTINGS if weighted else 0):
         # A block that is matched exactly must not get an infinite weight.
         floor = 1e-6 * float(np.max(solution.rmse)) or 1.0
         weights = 1.0 / np.maximum(solution.rmse, floor)
-        solution = _solve(factors, counts, weights, scale)
+        solution = _solve(factors, weights, scale)
     return solution
 
 
@@ -128,17 +161,9 @@ def covariance_of(
     return covariance(names, gradients, hessians, labels, known=known, carried=carried)
 
 
-def _compressed(block: Block) -> Array:
-    """Triangular factor of [matrix, target]: a few rows that have the same squared residuals."""
-    rows = np.column_stack([block.matrix, block.target])
-    (factor,) = qr(rows, mode="r", check_finite=False)
-    return np.asarray(factor[: rows.shape[1]])
-
-
-def _solve(
-    factors: Sequence[Array], counts: NDArray[np.int_], weights: Array, scale: Array
-) -> Solution:
-    rows = np.concatenate([w * factor for w, factor in zip(weights, factors, strict=True)])
+def _solve(factors: Sequence[Factor], weights: Array, scale: Array) -> Solution:
+    triangles = [factor.triangle for factor in factors]
+    rows = np.concatenate([w * factor for w, factor in zip(weights, triangles, strict=True)])
     matrix, target = rows[:, :-1], rows[:, -1]
     u, s, vt = np.linalg.svd(matrix / scale, full_matrices=False)
     # Beyond 1/eps a condition number says only that the matrix is singular.
@@ -146,12 +171,12 @@ def _solve(
     ridge = _RIDGE if condition > _HUGE_CONDITION else 0.0
     pull = ridge * s[0]
     x = vt.T @ (s / (s**2 + pull**2) * (u.T @ target)) / scale
-    squares = [np.sum((f[:, -1] - f[:, :-1] @ x) ** 2) for f in factors]
+    squares = [np.sum((f[:, -1] - f[:, :-1] @ x) ** 2) for f in triangles]
     return Solution(
         x=x,
         condition=condition,
         ridge=ridge,
         pull=pull * scale,
         weights=np.asarray(weights),
-        rmse=np.sqrt(squares / counts),
+        rmse=np.sqrt(squares / np.array([factor.rows for factor in factors])),
     )

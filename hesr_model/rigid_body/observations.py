@@ -29,7 +29,11 @@ def rubbing_speeds(motions: Sequence[Motion], model: RobotModel) -> Array:
 
 def slow_speeds(motions: Sequence[Motion], model: RobotModel) -> Array:
     """Speed (n,) [rad/s] below which the rows of a friction coordinate are dropped."""
-    fastest: Array = np.max(np.abs(rubbing_speeds(motions, model)), axis=0)
+    return slow_of(np.max(np.abs(rubbing_speeds(motions, model)), axis=0))
+
+
+def slow_of(fastest: Array) -> Array:
+    """Return the same (n,) [rad/s] for joints whose peak speeds (n,) are known."""
     return np.minimum(SLOW, SLOW_SHARE * fastest)
 
 
@@ -70,6 +74,7 @@ def stacked(
     model: RobotModel,
     base: tuple[int, ...],
     friction: NDArray[np.bool_],
+    slow: Array | None = None,
 ) -> list[Block]:
     """One block per friction coordinate, as a rule a joint: base columns, then those of friction.
 
@@ -79,6 +84,8 @@ def stacked(
         Columns of the regressor.
     friction
         (n, 3) which of Coulomb, viscous and offset each joint has; see `friction_columns`.
+    slow
+        (n,) [rad/s] speed below which rows are dropped; `slow_speeds` of the motions by default.
     """
     n = model.n
     q, dq, ddq, tau = (
@@ -89,7 +96,7 @@ def stacked(
     coupling = model.description.coupling
     if coupling is not None:
         dq, tau, rigid = coupling.motion(dq), coupling.torque(tau), coupling.torque(rigid)
-    slow = slow_speeds(motions, model)
+    slow = slow_speeds(motions, model) if slow is None else slow
     blocks = []
     for joint in range(n):
         rows = np.abs(dq[:, joint]) > slow[joint]

@@ -30,7 +30,7 @@ class Samples:
     dt : (N,) time since the row before [s], 0 where a record begins.
     gear_ratio : turns of the motor per turn of the joint, where known.
     begins : (N,) True where a record begins.
-    record : (N,) index of the record.
+    record : (N,) index of the record's log; of the record where all are of one log.
     dq, q, tau_load, tau : (N,) as in the records.
     """
 
@@ -45,11 +45,11 @@ class Samples:
 
     @property
     def folds(self) -> "list[Rows]":
-        """(N,) masks of rows to leave out in turn: records, or blocks of time of a single one."""
-        records = int(self.record[-1]) + 1
+        """(N,) masks of rows to leave out in turn: logs, or blocks of time of a single one."""
+        records = int(self.record.max()) + 1
         rows = len(self.tau)
         group = self.record if records > 1 else np.arange(rows) * BLOCKS // rows
-        return [np.asarray(group == k) for k in range(int(group[-1]) + 1)]
+        return [np.asarray(group == k) for k in range(int(group.max()) + 1)]
 
     @classmethod
     def of(cls, records: Sequence[FrictionRecord], *, coefficients: int) -> "Samples":
@@ -74,10 +74,12 @@ class Samples:
                 f"joint '{joint}': {rows} rows for {coefficients} coefficients; more data needed."
             )
         require_reversals(records)
+        logs = list(dict.fromkeys(r.log for r in records))
+        groups = [logs.index(r.log) for r in records] if len(logs) > 1 else range(len(records))
         return cls(
             dt=np.concatenate([np.diff(r.t, prepend=r.t[0]) for r in records]),
             begins=np.concatenate([np.arange(len(r.t)) == 0 for r in records]),
-            record=np.repeat(np.arange(len(records)), [len(r.t) for r in records]),
+            record=np.repeat(groups, [len(r.t) for r in records]),
             dq=np.concatenate([r.dq for r in records]),
             q=np.concatenate([r.q for r in records]),
             tau_load=np.concatenate([r.tau_load for r in records]),

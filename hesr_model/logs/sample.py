@@ -1,0 +1,161 @@
+"""A sample of motions that stays small, and in which what is rare stays.
+
+Motions are cut into windows of a second. Each window belongs to the strata of which it has rows: of
+each joint rest, surroundings of reversals, octaves of speed, octaves of torque of either sign. The
+windows of a stratum are ranked by weighted sampling without replacement (Efraimidis and Spirakis,
+Inf. Process. Lett. 97 (2006) 181-185), the weight of a window being its rows in the stratum, and
+strata take their next best one in turns, those with the fewest rows of all first. A rest or a
+reversal under load that few logs have is thus kept; of what every log has, some.
+"""
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from itertools import count, pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr_model.logs.phases import MOVING, near_reversals
+from hesr_model.logs.signals import Motion
+
+Array = NDArray[np.float64]
+Stratum = tuple[int, str, int]
+"""Joint, what of it, and which octave."""
+
+WINDOW = 1.0
+"""[s] What is kept or not: long enough for friction's memory to forget where it began."""
+
+_FASTEST = 8
+"""Octaves of speed above `MOVING`; what is faster counts to the last one."""
+
+_LEAST, _MOST = -3, 5
+"""Octaves of torque about the root mean square of the first motion."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Window:
+    number: int
+    part: int
+    motion: Motion
+    rows: dict[Stratum, int]
+    drawn: float
+
+
+class Sample:
+    """A sample of motions.
+
+    Parameters
+    ----------
+    most : rows that it may hold.
+    seed : of the draws. The same motions in the same order with the same seed give the same sample.
+    """
+
+    def __init__(self, most: int, seed: int) -> None:
+        self._most, self._seed = most, seed
+        self._windows: list[_Window] = []
+        self._seen: Counter[Stratum] = Counter()
+        self._numbers, self._parts = count(), count()
+        self._size: Array | None = None
+
+    def add(self, motion: Motion) -> None:
+        """Offer a motion (N, n): a log, or a part of it between gaps."""
+        if self._size is None:
+            self._size = np.maximum(np.sqrt(np.mean(motion.tau**2, axis=0)), 1e-12)
+        part = next(self._parts)
+        for window, rows in self._cut(motion):
+            number = next(self._numbers)
+            self._seen.update(rows)
+            self._windows.append(
+                _Window(
+                    number=number,
+                    part=part,
+                    motion=window,
+                    rows=rows,
+                    drawn=_uniform(self._seed, motion.name, window.t[0]),
+                )
+            )
+        self._shrink()
+
+    def motions(self) -> list[Motion]:
+        """Return what is kept, (N, n) each, in its order; neighbours are one motion."""
+        groups: list[list[_Window]] = []
+        for window in self._windows:
+            last = groups[-1][-1] if groups else None
+            if last and (last.part, last.number) == (window.part, window.number - 1):
+                groups[-1].append(window)
+            else:
+                groups.append([window])
+        return [_joined([window.motion for window in group]) for group in groups]
+
+    def _cut(self, motion: Motion) -> Iterator[tuple[Motion, dict[Stratum, int]]]:
+        """Yield windows with their rows of each stratum."""
+        t, n = motion.t, motion.q.shape[1]
+        places = np.floor((t - t[0]) / WINDOW).astype(int)
+        # What is left at the end is no window of its own.
+        places = np.minimum(places, max(int((t[-1] - t[0]) / WINDOW) - 1, 0))
+        near = np.column_stack([near_reversals(t, dq) for dq in motion.dq.T])
+        speed = np.floor(np.log2(np.maximum(np.abs(motion.dq), 1e-12) / MOVING))
+        speed = np.clip(speed, -1, _FASTEST).astype(int)  # -1: at rest
+        size = np.maximum(np.abs(motion.tau), 1e-12) / self._size
+        octave = np.clip(np.floor(np.log2(size)), _LEAST, _MOST) - _LEAST + 1
+        torque = (np.sign(motion.tau) * octave).astype(int)
+        ends = [0, *(np.flatnonzero(np.diff(places)) + 1).tolist(), len(t)]
+        for first, last in pairwise(ends):
+            rows: Counter[Stratum] = Counter()
+            for joint in range(n):
+                for kind, codes in (("speed", speed), ("torque", torque), ("near", near)):
+                    found, counts = np.unique(codes[first:last, joint], return_counts=True)
+                    rows.update(
+                        {
+                            (joint, kind, int(code)): int(k)
+                            for code, k in zip(found, counts, strict=True)
+                            if kind != "near" or code
+                        }
+                    )
+            # A copy: a view would keep the whole log.
+            yield _joined([motion.rows(slice(first, last))]), dict(rows)
+
+    def _shrink(self) -> None:
+        """Drop windows until the rest has no more rows than it may."""
+        if sum(len(window.motion.t) for window in self._windows) <= self._most:
+            return
+        # Those of a stratum in the order in which it takes them; -log(u) / weight is least first.
+        queues = {
+            stratum: iter(
+                sorted(
+                    (w for w in self._windows if stratum in w.rows),
+                    key=lambda w: (-np.log(w.drawn) / w.rows[stratum], w.number),
+                )
+            )
+            for stratum in sorted(self._seen, key=lambda s: (self._seen[s], s))
+        }
+        kept: dict[int, _Window] = {}
+        left = self._most
+        while queues:
+            for stratum, queue in list(queues.items()):
+                window = next((w for w in queue if w.number not in kept), None)
+                if window is None:
+                    del queues[stratum]
+                    continue
+                left -= len(window.motion.t)
+                if left < 0 and kept:
+                    queues.clear()
+                    break
+                kept[window.number] = window
+        self._windows = [window for window in self._windows if window.number in kept]
+
+
+def _uniform(seed: int, log: str, t: float) -> float:
+    """Return a number in (0, 1) that only depends on these."""
+    digest = hashlib.sha256(f"{seed} {log} {float(t)!r}".encode()).digest()
+    return (int.from_bytes(digest[:6], "big") + 0.5) / 2.0**48
+
+
+def _joined(motions: Sequence[Motion]) -> Motion:
+    columns = (f.name for f in fields(Motion) if f.name != "name")
+    return Motion(
+        name=motions[0].name,
+        **{c: np.concatenate([getattr(motion, c) for motion in motions]) for c in columns},
+    )

@@ -1,0 +1,125 @@
+"""Identification motion by motion: memory does not grow with the logs.
+
+What least squares needs of all rows is the triangular factor of each friction coordinate's block
+(Golub and Van Loan, Matrix Computations, sec. 5.3 and 6.5), to which the rows of one motion are
+added at a time. The estimate is that of `identification.identify` up to rounding. Its covariance
+needs every row at the estimate; here it is that of a sample of the rows, on the safe side.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from hesr_model.logs.signals import Motion
+from hesr_model.rigid_body.base_parameters import base_columns
+from hesr_model.rigid_body.identification import (
+    AT_ONCE,
+    RigidBody,
+    body_of,
+    require_samples,
+    require_speed,
+    scale_of,
+    tell_ridge,
+)
+from hesr_model.rigid_body.least_squares import Block, Factor, covariance_of, solve_factors
+from hesr_model.rigid_body.observations import (
+    SLOW,
+    friction_columns,
+    logs_of,
+    rubbing_speeds,
+    slow_of,
+    stacked,
+)
+from hesr_model.robots.robot import RobotModel
+
+Array = NDArray[np.float64]
+
+class Streamed:
+    """The stacked problem of a robot, as it grows.
+
+    Parameters
+    ----------
+    model : of the robot.
+    slow : (n,) [rad/s] speeds below which rows of a friction coordinate are dropped. They follow
+        from the peak speeds of all motions, `slow`, which are known at the end; `fits` says whether
+        these were the ones.
+
+    Attributes
+    ----------
+    rows : samples so far.
+    """
+
+    def __init__(self, model: RobotModel, slow: Array | None = None) -> None:
+        self._model, self._base = model, base_columns(model)
+        self._friction = friction_columns(model, self._base)
+        self._used = np.full(model.n, SLOW) if slow is None else slow
+        self._peaks = np.zeros(model.n)
+        self._factors: list[Factor] = []
+        self._logs: dict[str, None] = {}
+        self.rows = 0
+
+    @property
+    def slow(self) -> Array:
+        """(n,) [rad/s] speeds below which rows should be dropped, by the motions so far."""
+        return slow_of(self._peaks)
+
+    @property
+    def fits(self) -> bool:
+        """Whether those rows were dropped; if not, the motions are to be added once more."""
+        return np.array_equal(self.slow, self._used)
+
+    def add(self, motion: Motion) -> None:
+        """Add the rows of a motion (N, n)."""
+        self._peaks = np.maximum(
+            self._peaks, np.max(np.abs(rubbing_speeds([motion], self._model)), axis=0)
+        )
+        self._logs[motion.name] = None
+        self.rows += len(motion.t)
+        with threadpool_limits(1):
+            for first in range(0, len(motion.t), AT_ONCE):
+                blocks = self._blocks([motion.rows(slice(first, first + AT_ONCE))])
+                self._factors = (
+                    [f.with_rows(b) for f, b in zip(self._factors, blocks, strict=True)]
+                    if self._factors
+                    else [Factor.of(b) for b in blocks]
+                )
+
+    def body(self, sample: Sequence[Motion], where: str) -> RigidBody:
+        """Return the rigid body.
+
+        Parameters
+        ----------
+        sample : motions (N, n) of which the covariance is, and parts of which were added.
+        where : names the logs in an error.
+
+        Raises
+        ------
+        FitError
+            If there are fewer samples than unknowns, or a joint hardly moves.
+        """
+        model, base, friction = self._model, self._base, self._friction
+        require_samples(where, self.rows, len(base) + int(np.sum(friction)))
+        require_speed(where, self._peaks, model)
+        scale = scale_of(model, base, friction)
+        with threadpool_limits(1):
+            solution = solve_factors(self._factors, scale=scale, weighted=True)
+            tell_ridge(where, solution)
+            covariance = covariance_of(
+                ("",) * len(scale), self._blocks(sample), solution, logs_of(sample)
+            )
+        return body_of(
+            solution,
+            covariance,
+            model,
+            base,
+            friction,
+            rows=self.rows,
+            logs=tuple(self._logs),
+            method="stacked",
+            weighting="wls",
+        )
+
+    def _blocks(self, motions: Sequence[Motion]) -> list[Block]:
+        return stacked(motions, self._model, self._base, self._friction, self._used)
