@@ -11,7 +11,7 @@ Every command of `hesr` is one call, and every object one name::
 
 Objects   Robot, Log, RigidBody, FrictionModel, FrictionRegressor; HesrError, the base of all errors
 Commands  new, inspect, run, report, results, excite, identify, fit, evaluate, audit, properties,
-          arena, laws, export, check, replay, thermal, monitor, simulate,
+          arena, laws, export, check, replay, thermal, monitor, fleet, simulate,
           package
 Files     read_model, write_model, read_rigid_body, write_rigid_body
 
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         excite,
         export,
         fit,
+        fleet,
         identify,
         inspect,
         laws,
@@ -71,6 +72,7 @@ if TYPE_CHECKING:
         "excite",
         "export",
         "fit",
+        "fleet",
         "identify",
         "inspect",
         "laws",
@@ -104,6 +106,7 @@ _COMMANDS = (
         "audit",
     ),
     *("properties", "arena", "laws", "export", "check", "replay", "thermal", "monitor"),
+    "fleet",
     "simulate",
     "package",
 )

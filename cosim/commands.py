@@ -33,6 +33,7 @@ from hesr_model.support.files import models_folder, path_of
 
 if TYPE_CHECKING:
     from cosim.arena.leaderboard import Leaderboard
+    from cosim.fleet.result import Fleet
     from cosim.master import Result
     from cosim.run import Outcome
     from cosim.scoring import Comparison
@@ -234,6 +235,19 @@ def monitor(
 
     model = model_given(law)
     return watch(model, records_of(logs, robot, rigid_body, accept)[0])
+
+
+def fleet(file: AnyPath, output: AnyPath | None = None, *, workers: int | None = None) -> "Fleet":
+    """Look at all robots of a fleet; see `cosim.fleet.run`.
+
+    Results stand in ``results/NAME`` where no folder is given.
+    """
+    from cosim.fleet.run import run_fleet
+    from cosim.fleet.study import FleetStudy
+
+    path = path_of(file, "a fleet")
+    folder = path_of(output or Path("results") / FleetStudy.read(path).name, "a folder")
+    return run_fleet(path, folder, workers=workers)
 
 
 def audit(model: Model) -> "dict[str, Audit]":

@@ -39,7 +39,8 @@ programs; --json - writes them to standard output, and nothing else there.
 _ORDER = (
     *("new", "inspect", "constants", "run", "report", "results", "view"),
     *("excite", "identify", "fit", "evaluate", "properties", "audit", "arena", "laws"),
-    *("export", "check", "replay", "thermal", "monitor", "simulate", "sweep", "package", "interop"),
+    *("export", "check", "replay", "thermal", "monitor", "fleet", "simulate", "sweep"),
+    *("package", "interop"),
 )
 """Of the commands in the help, as they are needed; others follow."""
 

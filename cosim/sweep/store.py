@@ -20,8 +20,6 @@ ABOUT = "sweep.json"
 RUNS = "runs"
 """Folder of the Parquet files; all of them are one data set."""
 
-_LOCK = ".sweep-lock"
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Table:
@@ -112,33 +110,53 @@ def opened(
 
     Raises
     ------
-    ConfigError
-        If the folder holds results of another sweep.
-    ArtifactError
-        If another sweep is writing there, or it cannot be written.
+    HesrError
+        As `taken`.
     """
+    with taken(folder, RUNS, ABOUT, about):
+        yield Store(folder, inputs, outputs)
+
+
+@contextmanager
+def taken(folder: Path, within: str, file: str, about: Mapping[str, Any]) -> Iterator[None]:
+    """Keep others out of a folder of results, to which this run may add.
+
+    Parameters
+    ----------
+    folder : of the results.
+    within : folder in it that holds their parts.
+    file : in which stands whose results they are, for instance ``sweep.json``.
+    about : what is written there; its "key" is that of whoever may add.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds results of another one.
+    ArtifactError
+        If another one is writing there, or it cannot be written.
+    """
+    what = Path(file).stem
     with ExitStack() as cleanup:
         try:
-            cleanup.enter_context(folder_made(folder / RUNS))
-            lock = FileLock(folder / _LOCK, timeout=0)
+            cleanup.enter_context(folder_made(folder / within))
+            lock = FileLock(folder / f".{what}-lock", timeout=0)
             lock.acquire()
         except Timeout as error:
             raise ArtifactError(
-                f"{folder}: another sweep is writing into this folder; wait until it has ended, or "
-                "give another folder."
+                f"{folder}: another {what} is writing into this folder; wait until it has ended, "
+                "or give another folder."
             ) from error
         except OSError as error:
             raise ArtifactError(f"{folder}: cannot be written there ({error.strerror}).") from error
-        cleanup.callback((folder / _LOCK).unlink, missing_ok=True)
+        cleanup.callback((folder / f".{what}-lock").unlink, missing_ok=True)
         cleanup.callback(lock.release)
-        file = folder / ABOUT
-        if not file.is_file():
-            write_json(file, json.loads(json.dumps(about)))
-        elif read_json(file).get("key") != about["key"]:
+        if not (folder / file).is_file():
+            write_json(folder / file, json.loads(json.dumps(about)))
+        elif read_json(folder / file).get("key") != about["key"]:
             raise ConfigError(
-                f"{folder}: holds results of another sweep, of other files; "
+                f"{folder}: holds results of another {what}, of other files; "
                 "give another folder, or remove this one."
             )
-        for left in (folder / RUNS).glob(".part-*"):  # of a sweep that was killed
+        for left in (folder / within).glob(".part-*"):  # of a run that was killed
             left.unlink(missing_ok=True)
-        yield Store(folder, inputs, outputs)
+        yield

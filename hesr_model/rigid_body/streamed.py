@@ -36,6 +36,7 @@ from hesr_model.robots.robot import RobotModel
 
 Array = NDArray[np.float64]
 
+
 class Streamed:
     """The stacked problem of a robot, as it grows.
 

@@ -44,7 +44,12 @@ ONLY_IN = {
     "lief": ("fmu_src/check/*",),
     "lxml": ("fmu_src/check/*",),
     "ziglang": ("hesr_model/support/compiler.py",),
-    "pyarrow": ("hesr_model/logs/tables.py", "cosim/studies/traces.py", "cosim/sweep/store.py"),
+    "pyarrow": (
+        "hesr_model/logs/tables.py",
+        "cosim/studies/traces.py",
+        "cosim/sweep/store.py",
+        "cosim/fleet/table.py",
+    ),
     "distributed": ("cosim/sweep/cluster.py",),
     # Optional: each reads one kind of log.
     "h5py": ("hesr_model/logs/readers/matlab.py",),

@@ -5,7 +5,7 @@ friction of one joint; a payload, an error of gravity or a sensor moves offsets.
 joint alone has lost to heat looks like wear, and an offset like an error of gravity.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -145,15 +145,23 @@ def _alarms(log: Sequence[Followed]) -> Iterator[Alarm]:
         for kind in ("drift", "shift")
         for row in _begins(one.outputs[kind])
     ]
-    shared = [
-        sign
-        for sign in (1, -1)
-        if len({a.joint for a in found if a.kind == "drift" and a.sign == sign})
-        > max(1.0, _SHARED * len(log))
-    ]
+    shared = shared_signs(((a.joint, a.sign) for a in found if a.kind == "drift"), len(log))
     for alarm in sorted(found, key=lambda a: a.time):
         kind = "shared drift" if alarm.kind == "drift" and alarm.sign in shared else alarm.kind
         yield Alarm(log=alarm.log, joint=alarm.joint, time=alarm.time, kind=kind, sign=alarm.sign)
+
+
+def shared_signs(drifts: Iterable[tuple[str, int]], joints: int) -> list[int]:
+    """Return the signs of a change of friction that more than half of so many joints share.
+
+    Parameters
+    ----------
+    drifts : joint and sign of each change that was found.
+    joints : how many there are.
+    """
+    found = set(drifts)
+    most = max(1.0, _SHARED * joints)
+    return [sign for sign in (1, -1) if sum(own == sign for _, own in found) > most]
 
 
 def _begins(alarm: Array) -> list[int]:

@@ -61,7 +61,7 @@ def own_of_logs(
         law = _law(columns, torque, own)
         predicted = {log: columns[log] @ law for log in logs}
         own = _normalised(
-            {log: _fitted(predicted[log], torque[log], wanted) for log in logs},
+            {log: own_of_log(predicted[log], torque[log], wanted) for log in logs},
             {log: len(torque[log]) for log in logs},
             wanted,
         )
@@ -89,7 +89,7 @@ def with_own(
     found = {}
     for log in logs:
         of_log = [k for k, record in enumerate(records) if record.log == log]
-        found[log] = _fitted(
+        found[log] = own_of_log(
             np.concatenate([predicted[k] for k in of_log]),
             np.concatenate([records[k].tau for k in of_log]),
             wanted,
@@ -113,8 +113,8 @@ def _law(
     return np.asarray(np.linalg.lstsq(rows, target, rcond=None)[0])
 
 
-def _fitted(predicted: Array, torque: Array, wanted: Sequence[Nuisance]) -> OwnOfLog:
-    """Solve what is a log's own, the law being known."""
+def own_of_log(predicted: Array, torque: Array, wanted: Sequence[Nuisance]) -> OwnOfLog:
+    """Solve what is a log's own, its torque by the law (N,) and as measured (N,) known [N.m]."""
     if "level" not in wanted:
         return OwnOfLog(offset=float(np.mean(torque - predicted)))
     columns = [predicted, np.ones_like(predicted)][: 2 if "offset" in wanted else 1]

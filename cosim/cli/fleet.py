@@ -1,0 +1,66 @@
+"""The command that looks at many robots: fleet."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cosim.cli.app import Json, app
+from cosim.cli.console import answer, shown_progress
+
+
+@app.command()
+def fleet(
+    file: Annotated[
+        Path, typer.Argument(metavar="FLEET.toml", help="Types of robots, and their logs.")
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FOLDER", help="Folder; default: results/NAME."),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option("--workers", metavar="N", min=1, help="Processes; default: one a core."),
+    ] = None,
+    json_file: Json = None,
+) -> None:
+    """Find which of many robots deviate from their type, and which got worse.
+
+    Rigid body and friction laws of each robot, from any number of logs. A fleet that was
+    interrupted goes on when it is started again; so does one that has new logs. The exit code is 1
+    if logs of some robots could not be used.
+
+    Example: hesr fleet fleet.toml -o results/fleet
+    """
+    from rich.console import Console
+
+    from cosim.fleet.run import PAGE, run_fleet
+    from cosim.fleet.study import FleetStudy
+    from cosim.tables import fleet as tables
+    from cosim.tables.terminal import Drawn
+    from hesr_model.support.typed_json import to_json
+
+    folder = output or Path("results") / FleetStudy.read(file).name
+    with shown_progress() as progress:
+        found = run_fleet(file, folder, workers=workers, progress=progress)
+    broken = list(found.broken)
+    answer(
+        json_file,
+        {
+            "folder": str(folder),
+            "robots": len(found.robots),
+            "reused": found.reused,
+            "deviants": [to_json(one) for one in found.deviants],
+            "changes": [to_json(one) for one in found.changes],
+            "not_used": {r.robot: [*filter(None, [r.failure]), *r.refused] for r in broken},
+        },
+    )
+    console = Console()
+    for table in tables.all_tables(found):
+        console.print(Drawn(table))
+    if found.reused:
+        console.print(f"{found.reused} of {len(found.robots)} robots were there already.")
+    console.print(
+        f"Everything is in {folder}; look at {folder / PAGE}.", soft_wrap=True, highlight=False
+    )
+    raise typer.Exit(1 if broken else 0)

@@ -1,0 +1,1 @@
+"""A fleet: many robots of a few types, many days of logs."""

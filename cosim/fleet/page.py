@@ -1,0 +1,34 @@
+"""The page of a fleet."""
+
+from pathlib import Path
+
+from cosim.fleet.result import Fleet
+from cosim.report.markup import Section, paragraph, table, write_sections
+from cosim.tables import fleet as tables
+
+
+def write_page(fleet: Fleet, path: Path) -> None:
+    """Write the page, the same bytes for the same results.
+
+    Raises
+    ------
+    ArtifactError
+        If it cannot be written.
+    """
+    rows = sum(robot.rows for robot in fleet.robots)
+    logs = sum(robot.logs for robot in fleet.robots)
+    text = (
+        f"{len(fleet.robots)} robots, {logs} logs of {rows} rows. Everything is in fleet.parquet, "
+        "a row for each robot, law and joint; robots/ holds the rigid body, the laws and the "
+        "parameter sets of each robot, types/ the FMUs that they are for."
+    )
+    write_sections(
+        path,
+        title=f"HESR fleet: {fleet.name}",
+        heading=f"Fleet ‘{fleet.name}’",
+        summary=paragraph(text),
+        sections=[
+            Section(key=f"table-{k}", title=str(one.caption), html=table(one))
+            for k, one in enumerate(tables.all_tables(fleet))
+        ],
+    )

@@ -1,0 +1,85 @@
+"""A fleet: each robot by itself, then all together; it goes on where it was interrupted."""
+
+from functools import partial
+from pathlib import Path
+
+from cosim.fleet.across import changed, compared
+from cosim.fleet.result import Fleet
+from cosim.fleet.robot import look_at, read_result
+from cosim.fleet.study import FleetStudy, Member, members
+from cosim.fleet.table import write_table
+from cosim.fleet.types import ROBOTS, write_types
+from cosim.sweep.store import taken
+from hesr_model.friction.registry import estimator
+from hesr_model.health.examine import CHECKS
+from hesr_model.health.findings import require_known
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support import parallel
+from hesr_model.support.progress import Stages, silent
+
+ABOUT, TABLE, PAGE = "fleet.json", "fleet.parquet", "fleet.html"
+
+
+def run_fleet(
+    path: Path, output: Path, *, workers: int | None = None, progress: Stages = silent
+) -> Fleet:
+    """Look at all robots of a fleet, and write what was found; robots that are done are not redone.
+
+    Parameters
+    ----------
+    path : file of the fleet.
+    output : folder of the results.
+    workers : processes; one for each core where not given, none of its own for 1. The files do not
+        depend on it.
+    progress : told how many robots are done.
+
+    Raises
+    ------
+    HesrError
+        If the file, a robot file or the folder is wrong. What is wrong with the logs of a robot is
+        part of its results.
+    """
+    study = FleetStudy.read(path)
+    for law in study.laws:
+        estimator(law)
+    for kind in study.types.values():
+        RobotModel(RobotDescription.read(kind.robot))
+        require_known(kind.accept, CHECKS)
+    robots = members(study, path)
+    with taken(output, ROBOTS, ABOUT, {"key": study.name}):
+        reused = _each(robots, study, output, workers, partial(progress, study.name))
+        results = tuple(read_result(output / ROBOTS / robot.name) for robot in robots)
+        z, deviants = compared(results, study.level)
+        found = Fleet(
+            name=study.name,
+            robots=results,
+            z=z,
+            deviants=tuple(deviants),
+            changes=tuple(changed(results, study.level, study.least_change)),
+            fmus=write_types(study, results, output, progress) if study.fmu else {},
+            folder=output,
+            reused=reused,
+        )
+        write_table(output / TABLE, found)
+        from cosim.fleet.page import write_page  # draws, which takes long to load
+
+        write_page(found, output / PAGE)
+    return found
+
+
+def _each(
+    robots: list[Member],
+    study: FleetStudy,
+    output: Path,
+    workers: int | None,
+    progress: "partial[None]",
+) -> int:
+    """Look at each robot; return how many were done already."""
+    jobs = [partial(look_at, robot, study, output / ROBOTS / robot.name) for robot in robots]
+    reused = 0
+    progress(0, len(jobs))
+    with parallel.results_of(jobs, workers) as results:
+        for done, was_there in enumerate(results, start=1):
+            reused += was_there
+            progress(done, len(jobs))
+    return reused

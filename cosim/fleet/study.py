@@ -1,0 +1,152 @@
+"""What `hesr fleet` looks at: types of robots, where their logs are, and which laws are fitted."""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from hesr_model.errors import ConfigError
+from hesr_model.logs.readers.formats import COLUMNS, format_of
+from hesr_model.support.config import Config, RelativePath
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
+
+_TABLES = {".csv", ".parquet", ".pq", ".mat"}
+_BAG = "metadata.yaml"
+"""In the folder that is a bag of ROS 2."""
+_WILD = re.compile(r"[*?\[]")
+_DAY = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
+
+
+class RobotType(Config):
+    """Robots that should be alike.
+
+    Attributes
+    ----------
+    robot : robot file of all of them.
+    logs : folders beside the fleet's file, with wildcards: each is a robot of its name, and holds
+        its logs, in any folders. Of names as ``robot=R7``, those of a partitioned data set, the
+        robot is ``R7``; folders of one name are one robot.
+    accept : names of checks whose refusals are only told.
+    """
+
+    robot: RelativePath
+    logs: str = Field(min_length=1)
+    accept: tuple[str, ...] = ()
+
+
+class FleetStudy(Config):
+    """A fleet.
+
+    Attributes
+    ----------
+    name : of the fleet.
+    seed : of samples and fits: the same seed gives the same bytes.
+    laws : that are fitted, names in the registry.
+    options : hyper-parameters of their estimators, by law.
+    rows : of each robot that its laws are fitted to; of logs with more, a sample.
+    level : probability below which, adjusted for how many are compared, something counts.
+    least_change : share of friction by which it must have changed to count.
+    fmu : whether each type gets an FMU of each law, and each robot its parameter set.
+    platforms : of the FMUs.
+    types : by their names.
+    """
+
+    name: Name = "fleet"
+    seed: int = Field(default=0, ge=0)
+    laws: tuple[str, ...] = Field(default=("lugre",), min_length=1)
+    options: Mapping[str, Mapping[str, Any]] = {}
+    rows: int = Field(default=20_000, ge=1000, le=10**7)
+    level: float = Field(default=0.05, gt=0.0, lt=1.0)
+    least_change: float = Field(default=0.05, ge=0.0)
+    fmu: bool = True
+    platforms: tuple[str, ...] = ("linux64",)
+    types: Mapping[Name, RobotType] = Field(min_length=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Member:
+    """A robot of a fleet.
+
+    Attributes
+    ----------
+    name, type : of the robot.
+    kind : what its type says.
+    logs : files in the order of their names, which are their paths without suffix.
+    """
+
+    name: str
+    type: str
+    kind: RobotType
+    logs: tuple[tuple[str, Path], ...]
+
+    @property
+    def days(self) -> dict[str, float]:
+        """By log its day since the first one; its place where not all names hold a date."""
+        found = [_day(name) for name, _ in self.logs]
+        dated = [day for day in found if day is not None]
+        first = min(dated, default=0)
+        places = range(len(found)) if len(dated) < len(found) else (day - first for day in dated)
+        return {name: float(at) for (name, _), at in zip(self.logs, places, strict=True)}
+
+
+def members(study: FleetStudy, path: Path) -> list[Member]:
+    """Find the robots of a fleet and their logs.
+
+    Raises
+    ------
+    ConfigError
+        If a type has no robots, or two types have the same.
+    """
+    found: dict[str, Member] = {}
+    for type_, kind in study.types.items():
+        logs: dict[str, dict[str, Path]] = {}
+        for root, folder in _matching(path.parent, kind.logs):
+            files = logs.setdefault(folder.name.rpartition("=")[2], {})
+            files |= {f.relative_to(root).with_suffix("").as_posix(): f for f in _logs_in(folder)}
+        if not logs:
+            raise ConfigError(f"{path}: type '{type_}': no folder matches '{kind.logs}'.")
+        for name, files in logs.items():
+            if name in found:
+                raise ConfigError(
+                    f"{path}: robot '{name}' is of the types '{found[name].type}' and '{type_}'; "
+                    "give each robot one type."
+                )
+            own = tuple(sorted(files.items()))
+            found[name] = Member(name=name, type=type_, kind=kind, logs=own)
+    return [found[name] for name in sorted(found)]
+
+
+def _matching(beside: Path, pattern: str) -> Iterable[tuple[Path, Path]]:
+    """Yield what is in front of a pattern's first wildcard, and each folder that matches."""
+    parts = Path(pattern).parts
+    wild = next((k for k, part in enumerate(parts) if _WILD.search(part)), len(parts) - 1)
+    root = beside.joinpath(*parts[:wild])
+    for folder in sorted(root.glob("/".join(parts[wild:]))):
+        if folder.is_dir():
+            yield root, folder
+
+
+def _logs_in(folder: Path) -> list[Path]:
+    found: list[Path] = []
+    for entry in sorted(folder.iterdir()):
+        if entry.name.startswith((".", "_")):
+            continue
+        if entry.is_dir() and not (entry / _BAG).exists():
+            found += _logs_in(entry)
+        elif entry.is_dir() or entry.suffix.lower() in _TABLES or format_of(entry) != COLUMNS:
+            found.append(entry)
+    return found
+
+
+def _day(name: str) -> int | None:
+    for match in _DAY.finditer(name):
+        try:
+            return date(*map(int, match.groups())).toordinal()
+        except ValueError:
+            continue
+    return None
