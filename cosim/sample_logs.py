@@ -59,18 +59,25 @@ def sample_logs(model: RobotModel) -> tuple[RobotLog, RobotLog]:
     RobotError
         If the model file allows a joint no motion that is fast enough to be identified.
     """
-    limits = MotionLimits(torque=(_NO_LIMIT,) * model.n)
-    settings = ExcitationSettings(
-        harmonics=_HARMONICS, period=(_PERIOD, _PERIOD), sample_rate=RATE, limits=limits
-    )
+    settings = sample_settings(model)
     base = base_columns(model)
     candidates = random_motions(model, settings, _CANDIDATES, 0)
     training = min(candidates, key=lambda motion: condition(model, base, motion))
     (test,) = random_motions(model, settings, 1, 1)
-    laws = _friction(model, training)
+    laws = plausible_friction(model, training)
     return (
-        _simulated(model, training, laws, name="sample_training", seed=1),
-        _simulated(model, test, laws, name="sample_test", seed=2),
+        simulated(model, training, laws, name="sample_training", seed=1),
+        simulated(model, test, laws, name="sample_test", seed=2),
+    )
+
+
+def sample_settings(model: RobotModel, period: float = _PERIOD) -> ExcitationSettings:
+    """Return how sample motions are drawn, with their period [s]."""
+    return ExcitationSettings(
+        harmonics=_HARMONICS,
+        period=(period, period),
+        sample_rate=RATE,
+        limits=MotionLimits(torque=(_NO_LIMIT,) * model.n),
     )
 
 
@@ -86,8 +93,14 @@ def is_sample(file: Path) -> bool:
     return mark.is_file() and sha256(file) in mark.read_text(encoding="utf-8")
 
 
-def _friction(model: RobotModel, motion: Fourier) -> list[FrictionLaw]:
-    """LuGre laws whose size follows from what a motion takes of each joint."""
+def plausible_friction(model: RobotModel, motion: Fourier) -> list[FrictionLaw]:
+    """Return LuGre laws whose size follows from what a motion takes of each joint.
+
+    Raises
+    ------
+    RobotError
+        If the motion does not move a joint fast enough to be identified.
+    """
     q, dq, ddq = motion.sample(np.arange(round(_PERIOD * RATE)) / RATE)
     speed, travel = np.abs(dq).max(axis=0), np.ptp(q, axis=0)
     for joint, peak in zip(model.description.joints, speed, strict=True):
@@ -122,10 +135,17 @@ def _levels(model: RobotModel, q: Array, dq: Array, ddq: Array) -> Array:
     return np.where(levels > 0.0, levels, 1.0)
 
 
-def _simulated(
-    model: RobotModel, motion: Fourier, laws: list[FrictionLaw], *, name: str, seed: int
+def simulated(
+    model: RobotModel,
+    motion: Fourier,
+    laws: Sequence[FrictionLaw],
+    *,
+    name: str,
+    seed: int,
+    seconds: float = _PERIOD,
 ) -> RobotLog:
-    fine = np.arange(round(_PERIOD * RATE) * _FINER + 1) / (RATE * _FINER)
+    """Return the log of a motion of a robot with LuGre friction, of so many seconds, with noise."""
+    fine = np.arange(round(seconds * RATE) * _FINER + 1) / (RATE * _FINER)
     velocity = motion.sample(fine)[1]
     friction = np.column_stack(
         [predict(law, t=fine, dq=v)[::_FINER] for law, v in zip(laws, velocity.T, strict=True)]

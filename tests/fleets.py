@@ -5,76 +5,89 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cosim import sample_logs as samples
-from cosim.starter import start
+from cosim.sample_logs import RATE, plausible_friction, sample_settings, simulated
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.logs.robot_log import RobotLog
-from hesr_model.motions.excitation import ExcitationSettings, random_motions
-from hesr_model.motions.limits import MotionLimits
+from hesr_model.friction.laws.lugre import LuGre
+from hesr_model.motions.excitation import random_motions
 from hesr_model.robots.robot import RobotDescription, RobotModel
 
-Scale = Callable[[str, int], float]
-"""Factor on the friction of a robot in a log, by its name and the number of the log."""
+INERTIA = '<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/>'
+LINK = f'<inertial><origin xyz="0.2 0 0"/><mass value="2"/>{INERTIA}</inertial>'
+
+
+Array = NDArray[np.float64]
+
+_FORCES = np.isin([c.name for c in LuGre.form({}).coefficients], ["F_c", "F_s", "sigma_2"])
+
+
+def urdf(joints: int) -> str:
+    """Return a robot whose joints turn about vertical and horizontal axes by turns."""
+    parts = ['<robot name="chain"><link name="link0"/>']
+    for k in range(1, joints + 1):
+        axis = "0 1 0" if k % 2 else "0 0 1"
+        parts.append(
+            f'<joint name="j{k}" type="revolute"><origin xyz="0.3 0 0"/>'
+            f'<parent link="link{k - 1}"/><child link="link{k}"/><axis xyz="{axis}"/>'
+            '<limit lower="-1.5" upper="1.5" effort="40" velocity="2"/></joint>'
+            f'<link name="link{k}">{LINK}</link>'
+        )
+    return "".join([*parts, "</robot>"])
 
 
 def write_fleet(
     folder: Path,
-    model: Path,
     *,
     robots: int,
     logs: int,
-    scale: Scale = lambda robot, log: 1.0,
-    law: str = "stribeck",
-    seconds: float = 20.0,
+    joints: int = 1,
+    seconds: float = 5.0,
+    scale: Callable[[int, int], float] = lambda *_: 1.0,
     spread: float = 0.03,
+    law: str = "stribeck",
 ) -> Path:
-    """Write a fleet of robots R0, R1, .. of one model file, and return its file.
+    """Write a partitioned data set of robots R0, R1, .. of one model, and return the fleet's file.
 
-    Coefficients of each robot's friction are drawn about those of the sample logs, with a standard
-    deviation of a share of `spread`.
+    Coefficients of each robot's friction are drawn about those of the sample logs, by a share of
+    `spread`; `scale` is a factor on its friction in a log.
     """
-    start(folder / "type", model)
-    robot = RobotModel(RobotDescription.read(folder / "type" / "robot.toml"))
-    settings = ExcitationSettings(
-        harmonics=5,
-        period=(20.0, 20.0),
-        sample_rate=samples.RATE,
-        limits=MotionLimits(torque=(1e12,) * robot.n),
+    model = folder / "chain.urdf"
+    model.write_text(urdf(joints), encoding="utf-8")
+    names = [f"j{k}" for k in range(1, joints + 1)]
+    (folder / "robot.toml").write_text(
+        f'name = "chain"\nmodel = "chain.urdf"\njoints = {names}\n[log]\nsample_rate = {RATE}\n',
+        encoding="utf-8",
     )
-    motions = random_motions(robot, settings, 3, 0)
-    laws = samples._friction(robot, motions[0])
-    rows = int(seconds * samples.RATE)
+    robot = RobotModel(RobotDescription.read(folder / "robot.toml"))
+    motions = random_motions(robot, sample_settings(robot, seconds), 3, 0)
+    laws = plausible_friction(robot, motions[0])
     for r in range(robots):
         rng = np.random.default_rng(r)
-        own = [_drawn(one, rng, spread) for one in laws]
+        own = [_times(one, np.exp(spread * rng.standard_normal(7))) for one in laws]
         for k in range(logs):
-            today = [_scaled(one, scale(f"R{r}", k)) for one in own]
-            log = samples._simulated(
-                robot, motions[k % len(motions)], today, name="log", seed=1000 * r + k
+            log = simulated(
+                robot,
+                motions[k % len(motions)],
+                [_times(one, np.where(_FORCES, scale(r, k), 1.0)) for one in own],
+                name="log",
+                seed=1000 * r + k,
+                seconds=seconds,
             )
-            day = f"day=2026-01-{1 + k:02d}" if k < 31 else f"day=2026-02-{k - 30:02d}"
-            path = folder / "logs" / f"robot=R{r}" / day / "part-0.parquet"
+            part = f"robot=R{r}/day=2026-{1 + k // 28:02d}-{1 + k % 28:02d}/part-0.parquet"
+            path = folder / "logs" / part
             path.parent.mkdir(parents=True, exist_ok=True)
-            _first(log, rows).write(path)
+            log.write(path)
     file = folder / "fleet.toml"
     file.write_text(
         f'name = "cell"\nlaws = ["{law}"]\nfmu = false\n\n'
-        '[types.arm]\nrobot = "type/robot.toml"\nlogs = "logs/robot=*"\n',
+        '[types.arm]\nrobot = "robot.toml"\nlogs = "logs/robot=*"\n',
         encoding="utf-8",
     )
     return file
 
 
-def _first(log: RobotLog, rows: int) -> RobotLog:
-    return log.rows(slice(0, rows))
-
-
-def _drawn(law: FrictionLaw, rng: np.random.Generator, spread: float) -> FrictionLaw:
-    values = {n: v * float(np.exp(spread * rng.standard_normal())) for n, v in law.values.items()}
-    return replace(law, values=values)
-
-
-def _scaled(law: FrictionLaw, factor: float) -> FrictionLaw:
-    forces = ("F_c", "F_s", "sigma_2")
-    return replace(law, values={n: v * (factor if n in forces else 1.0) for n, v in law.values.items()})
+def _times(law: FrictionLaw, factors: Array) -> FrictionLaw:
+    """Return a law (of LuGre) with a factor on each of its coefficients."""
+    pairs = zip(law.values.items(), factors, strict=True)
+    return replace(law, values={name: value * float(factor) for (name, value), factor in pairs})

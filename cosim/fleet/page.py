@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+from markupsafe import Markup
+
 from cosim.fleet.result import Fleet
-from cosim.report.markup import Section, paragraph, table, write_sections
+from cosim.report.markup import Section, joined, paragraph, table, write_sections
 from cosim.tables import fleet as tables
 
 
@@ -28,7 +30,11 @@ def write_page(fleet: Fleet, path: Path) -> None:
         heading=f"Fleet ‘{fleet.name}’",
         summary=paragraph(text),
         sections=[
-            Section(key=f"table-{k}", title=str(one.caption), html=table(one))
+            Section(
+                key=f"table-{k}",
+                title=one.caption,
+                html=joined(table(one), paragraph(one.note, note=True) if one.note else Markup()),
+            )
             for k, one in enumerate(tables.all_tables(fleet))
         ],
     )

@@ -1,0 +1,433 @@
+"""Fleets: laws of each robot as `hesr fit` finds them, who deviates, who changes, nothing lost."""
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from filelock import FileLock
+from fleets import write_fleet
+from pyarrow import parquet
+
+import hesr
+from cosim.cli import main
+from cosim.fleet.across import changed, compared
+from cosim.fleet.result import BODY, JointResult, RobotResult
+from cosim.fleet.robot import look_at, read_result
+from cosim.fleet.run import run_fleet
+from cosim.fleet.study import FleetStudy, members
+from cosim.fleet.types import write_types
+from cosim.replay import replay
+from hesr_model.artifacts import read_model, read_rigid_body, write_model
+from hesr_model.errors import ArtifactError
+from hesr_model.friction.fitting.fit import fit
+from hesr_model.friction.model import FrictionModel
+from hesr_model.inference.deviation import Trend
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.sample import Sample
+from hesr_model.logs.signals import smooth
+from hesr_model.rigid_body.identification import identify
+from hesr_model.rigid_body.residual import motion_records
+from hesr_model.robots.robot import RobotDescription, RobotModel
+
+Shared = Callable[[str, Callable[[Path], object]], Path]
+Command = Callable[..., int]
+
+
+@pytest.fixture(scope="session")
+def cell(shared: Shared) -> Path:
+    """Two robots with five days of logs; friction of the second grows by a tenth each day."""
+
+    def fill(folder: Path) -> None:
+        file = write_fleet(folder, robots=2, logs=5, scale=lambda r, k: 1.0 + 0.1 * k * r)
+        run_fleet(file, folder / "out", workers=1)
+
+    return shared("fleet", fill)
+
+
+@pytest.fixture
+def copied(cell: Path, tmp_path: Path) -> Path:
+    """The same with its results, to be changed."""
+    shutil.copytree(cell, tmp_path / "cell")
+    return tmp_path / "cell"
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch) -> Command:
+    def run(*words: object) -> int:
+        monkeypatch.setattr(sys, "argv", ["hesr", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return int(ended.value.code or 0)
+
+    return run
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+
+
+def logs_of(cell: Path, robot: str) -> tuple[RobotModel, list[RobotLog]]:
+    description = RobotDescription.read(cell / "robot.toml")
+    found = members(FleetStudy.read(cell / "fleet.toml"), cell / "fleet.toml")
+    logs = next(one.logs for one in found if one.name == robot)
+    read = [replace(RobotLog.read(path, description), name=name) for name, path in logs]
+    return RobotModel(description), read
+
+
+# --- each robot ---------------------------------------------------------------------------------
+
+
+def test_the_rigid_body_is_that_of_all_logs_at_once(cell: Path) -> None:
+    model, logs = logs_of(cell, "R0")
+    found, batch = read_rigid_body(cell / "out/robots/R0/rigid_body.json"), identify(logs, model)
+    scale = np.abs(batch.parameters).max()
+    np.testing.assert_allclose(found.parameters, batch.parameters, rtol=1e-8, atol=1e-9 * scale)
+    np.testing.assert_allclose(found.rmse, batch.rmse, rtol=1e-9)
+    assert (
+        found.logs == batch.logs == tuple(f"robot=R0/day=2026-01-0{k}/part-0" for k in range(1, 6))
+    )
+
+
+def test_laws_of_all_rows_are_those_of_hesr_fit(cell: Path) -> None:
+    """Five logs of 1001 rows are fewer than a sample may have."""
+    _, logs = logs_of(cell, "R1")
+    folder = cell / "out" / "robots" / "R1"
+    robot = cell / "robot.toml"
+    fitted = hesr.fit("stribeck", logs, robot, folder / "rigid_body.json")
+    found = read_model(folder / "stribeck.json")
+    assert found.laws[0].values == fitted.laws[0].values
+    assert found.training_rmse == fitted.training_rmse
+    assert found.trained == fitted.trained
+
+
+def test_laws_of_a_sample_are_those_of_hesr_fit_on_the_same(copied: Path, tmp_path: Path) -> None:
+    file = copied / "fleet.toml"
+    file.write_text("rows = 1500\n" + file.read_text(encoding="utf-8"), encoding="utf-8")
+    study = FleetStudy.read(file)
+    look_at(members(study, file)[0], study, tmp_path / "R0")
+    model, logs = logs_of(copied, "R0")
+    body = read_rigid_body(tmp_path / "R0" / "rigid_body.json")
+    sample = Sample(1500, 0)
+    for log in logs:
+        sample.add(smooth(log))
+    records = [motion_records(motion, model, body) for motion in sample.motions()]
+    assert 1000 < sum(len(of[0].t) for of in records) <= 1500
+    found = read_model(tmp_path / "R0" / "stribeck.json")
+    assert found.laws[0].values == fit("stribeck", *records).laws[0].values
+    # The rigid body is still that of all rows, and so are the errors.
+    assert body.rows == 5005
+    np.testing.assert_allclose(body.parameters, identify(logs, model).parameters, rtol=1e-7)
+    (one,) = read_result(tmp_path / "R0").of_law("stribeck")
+    every = [motion_records(smooth(log), model, body) for log in logs]
+    errors = [found.predict(of)[:, 0] - of[0].tau for of in every]
+    assert one.rmse == pytest.approx(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+    assert one.tau_std == pytest.approx(np.std(np.concatenate([of[0].tau for of in every])))
+
+
+def test_who_got_worse_is_told_and_by_how_much(cell: Path) -> None:
+    rows = parquet.read_table(cell / "out" / "fleet.parquet").to_pylist()
+    assert [(row["robot"], row["law"], row["joint"]) for row in rows] == [
+        (robot, law, joint) for robot in ("R0", "R1")
+        for law, joint in ((BODY, ""), ("stribeck", "j1"))
+    ]  # fmt: skip
+    _, steady, _, growing = rows
+    assert (steady["worse"], steady["changes"]) == (False, [])
+    assert (growing["worse"], growing["changes"]) == (True, ["drift"])
+    # Of 1 to 1.4 about their mean of 1.2.
+    assert growing["level_change"] == pytest.approx(0.4 / 1.2, abs=0.05)
+    assert growing["level_per_day"] == pytest.approx(growing["level_change"] / 4.0)
+    assert dict(growing["coefficients"])["F_c"] > dict(steady["coefficients"])["F_c"]
+    page = (cell / "out" / "fleet.html").read_text(encoding="utf-8")
+    assert "wear or damage of this joint" in page
+    assert "Fewer than 5 robots are not compared: arm." in page
+
+
+# --- many robots --------------------------------------------------------------------------------
+
+
+def test_the_same_bytes_whoever_does_it_and_nothing_twice(copied: Path) -> None:
+    before = files(copied / "out")
+    assert run_fleet(copied / "fleet.toml", copied / "out", workers=1).reused == 2
+    assert files(copied / "out") == before
+    # As if killed while the second robot was being done, and the first one's result was written.
+    (copied / "out/robots/R1/result.json").unlink()
+    (copied / "out/robots/R0/result.json").write_text('{"format": "hesr-fl', encoding="utf-8")
+    assert run_fleet(copied / "fleet.toml", copied / "out", workers=2).reused == 0
+    assert files(copied / "out") == before
+
+
+def test_a_new_day_is_added(copied: Path, command: Command, capsys) -> None:
+    logs = copied / "logs" / "robot=R0"
+    shutil.copytree(logs / "day=2026-01-03", logs / "day=2026-01-09")
+    assert (
+        command("fleet", copied / "fleet.toml", "-o", copied / "out", "--workers", 1, "--json", "-")
+        == 0
+    )
+    found = json.loads(capsys.readouterr().out)
+    assert (found["robots"], found["reused"], found["not_used"]) == (2, 1, {})
+    assert [one["robot"] for one in found["changes"]] == ["R1"]
+    assert read_result(copied / "out" / "robots" / "R0").logs == 6
+
+
+def test_broken_logs_stop_nobody(copied: Path, command: Command, capsys) -> None:
+    logs = copied / "logs"
+    (logs / "robot=R0/day=2026-01-02/part-0.parquet").write_bytes(b"PAR1 cut short")
+    turned = RobotLog.read(
+        logs / "robot=R0/day=2026-01-04/part-0.parquet",
+        RobotDescription.read(copied / "robot.toml"),
+    )
+    replace(turned, tau=-turned.tau).write(turned.path)
+    (logs / "robot=R3").mkdir()
+    (logs / "robot=R4" / "day=2026-01-01").mkdir(parents=True)
+    (logs / "robot=R4" / "day=2026-01-01" / "log.csv").write_text("t,q1\n0,0\n", encoding="utf-8")
+    assert command("fleet", copied / "fleet.toml", "-o", copied / "out", "--workers", 1) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "robot 'R3': there is no log in its folders" in said
+    assert "none of its 1 logs can be used, the first: " in said
+    one, other, *_ = (read_result(copied / "out" / "robots" / r) for r in ("R0", "R1"))
+    assert (one.logs, other.logs) == (3, 5)
+    assert "part-0.parquet" in one.refused[0]
+    assert "[torque-sign]" in one.refused[1]
+    assert one.laws == ["stribeck"]
+    rows = parquet.read_table(copied / "out" / "fleet.parquet").to_pylist()
+    assert [row["robot"] for row in rows if row["failure"]] == ["R3", "R4"]
+
+
+def test_what_a_law_cannot_do_is_told(copied: Path, tmp_path: Path) -> None:
+    file = copied / "fleet.toml"
+    text = file.read_text(encoding="utf-8").replace('["stribeck"]', '["stribeck", "ripple"]')
+    file.write_text(text.replace('"ripple"', '"strain_wave"'), encoding="utf-8")
+    study = FleetStudy.read(file)
+    member = members(study, file)[0]
+    look_at(replace(member, logs=member.logs[:1]), study, tmp_path / "R0")
+    found = read_result(tmp_path / "R0")
+    assert found.failure == ""
+    assert set(found.laws) | {"strain_wave"} == {"stribeck", "strain_wave"}
+
+
+def fleet_of(count: int, seed: int = 0) -> list[RobotResult]:
+    """Robots of one type with two joints, their numbers drawn alike."""
+    rng = np.random.default_rng(seed)
+
+    def joint(name: str) -> JointResult:
+        values = {"F_c": 2.0 * np.exp(0.05 * rng.standard_normal()), "tau_0": rng.normal(0.0, 0.1)}
+        trends = {"level": Trend(slope=0.001, change=0.03, p=float(rng.uniform(0.01, 1.0)))}
+        return JointResult(
+            law="coulomb", joint=name, structure="{}", values=values, errors={"F_c": 0.01},
+            rmse=float(rng.uniform(0.9, 1.1)), tau_std=3.0, trends=trends,
+        )  # fmt: skip
+
+    return [
+        RobotResult(key="", robot=f"R{k:03d}", type="arm", joints=(joint("j1"), joint("j2")))
+        for k in range(count)
+    ]
+
+
+def with_first(robots: list[RobotResult], joint: int, **new: object) -> list[RobotResult]:
+    joints = list(robots[0].joints)
+    joints[joint] = replace(joints[joint], **new)
+    return [replace(robots[0], joints=tuple(joints)), *robots[1:]]
+
+
+def test_who_deviates_from_the_type() -> None:
+    robots = fleet_of(40)
+    z, none = compared(robots, 0.05)
+    assert none == []
+    assert set(z["R000", "coulomb", "j1"]) == {"F_c", "tau_0", "rmse"}
+    odd = with_first(robots, 1, values={"F_c": 3.0, "tau_0": 0.0}, rmse=2.0)
+    _, found = compared(odd, 0.05)
+    assert [(d.robot, d.type, d.joint, d.name) for d in found] == [
+        ("R000", "arm", "j2", "rmse"), ("R000", "arm", "j2", "F_c"),
+    ] or [d.name for d in found] == ["F_c", "rmse"]  # fmt: skip
+    # Of another structure, and of another type, there is nobody to deviate from.
+    assert compared(with_first(odd, 1, structure='{"terms": 2}'), 0.05)[1] == []
+    assert compared([replace(odd[0], type="other"), *odd[1:]], 0.05)[1] == []
+    assert compared(odd[:4], 0.05) == ({}, [])
+
+
+def test_what_changed_and_what_it_points_to() -> None:
+    robots = fleet_of(20)
+    assert changed(robots, 0.05, 0.0) == []
+
+    def trends(**changes: float) -> dict[str, Trend]:
+        return {n: Trend(slope=c / 10.0, change=c, p=1e-9) for n, c in changes.items()}
+
+    def kinds(robots: list[RobotResult]) -> list[tuple[str, str, bool]]:
+        return [(c.joint, c.kind, c.worse) for c in changed(robots, 0.05, 0.05)]
+
+    one = with_first(robots, 0, trends=trends(level=0.2, offset=-0.1, error=-0.3))
+    assert kinds(one) == [
+        ("j1", "drift", True), ("j1", "shift", True), ("j1", "error", False),
+    ]  # fmt: skip
+    both = with_first(one, 1, trends=trends(level=0.3, error=0.04))
+    assert kinds(both)[:2] == [("j2", "shared drift", True), ("j1", "shared drift", True)]
+    less = with_first(one, 1, trends=trends(level=-0.3))
+    assert ("j2", "drift", False) in kinds(less)
+    assert "temperature or lubrication" in changed(both, 0.05, 0.05)[0].points_to
+
+
+# --- one FMU for all ----------------------------------------------------------------------------
+
+
+def test_one_fmu_and_a_parameter_set_each(table1: FrictionModel, tmp_path: Path) -> None:
+    robots = []
+    for name, factor in (("A", 0.9), ("B", 1.0), ("C", 1.1)):
+        laws = [
+            replace(law, values={n: factor * v for n, v in law.values.items()})
+            for law in table1.laws
+        ]
+        write_model(tmp_path / f"robots/{name}/parfam_h.json", replace(table1, laws=tuple(laws)))
+        joints = tuple(
+            JointResult(
+                law="parfam_h", joint=joint, values=law.values, errors={},
+                structure=json.dumps(law.structure, sort_keys=True),
+            )
+            for joint, law in zip(table1.joints, laws, strict=True)
+        )  # fmt: skip
+        robots.append(RobotResult(key="", robot=name, type="arm", joints=joints))
+    study = FleetStudy.model_validate({"types": {"arm": {"robot": "r.toml", "logs": "*"}}})
+    found = write_types(study, robots, tmp_path, lambda *_: None)
+    fmu = tmp_path / "types" / "arm" / "parfam_h.fmu"
+    assert set(found.values()) == {fmu}
+    assert found["arm", "parfam_h", robots[0].structure("parfam_h")] == fmu
+    root = ET.parse(tmp_path / "robots" / "A" / "parfam_h.ssv").getroot()
+    assert root.get("version") == "1.0"
+    start = {
+        str(p.get("name")): float(p[0].get("value", "nan")) for p in root.findall(".//{*}Parameter")
+    }
+    units = {p[0].get("unit") for p in root.findall(".//{*}Parameter")}
+    assert "N.m" in units
+    model = read_model(tmp_path / "robots" / "A" / "parfam_h.json")
+    t = np.arange(200) * 0.005
+    dq = 0.3 * np.sin(4.0 * t)[:, None] * np.ones(len(model.joints))
+    expected = model.predict(t=t, dq=dq)
+    assert np.abs(replay(fmu, t, dq, start=start) - expected).max() < 1e-9
+    assert np.abs(replay(fmu, t, dq) - expected).max() > 1e-3
+
+
+# --- what a fleet is ----------------------------------------------------------------------------
+
+
+def study_of(folder: Path, **types: str) -> tuple[FleetStudy, Path]:
+    found = {name: {"robot": "robot.toml", "logs": logs} for name, logs in types.items()}
+    return FleetStudy.model_validate({"types": found}), folder / "fleet.toml"
+
+
+def laid(folder: Path, *logs: str) -> None:
+    for log in logs:
+        (folder / log).parent.mkdir(parents=True, exist_ok=True)
+        (folder / log).touch()
+
+
+def test_logs_are_found_in_folders_and_partitions(tmp_path: Path) -> None:
+    laid(
+        tmp_path, "a/day=2026-01-30/robot=R1/part-0.parquet", "a/day=2026-02-02/robot=R1/b.csv",
+        "a/day=2026-02-02/robot=R1/_SUCCESS", "a/day=2026-02-02/robot=R1/.b.csv.crc",
+        "a/day=2026-02-02/robot=R1/readme.txt", "b/arm2/run_20260131_b/metadata.yaml",
+        "b/arm2/run_20260131_b/x.db3", "b/arm2/run2.mat", "b/arm2/20269999.pq", "b/note.csv",
+    )  # fmt: skip
+    first, second = members(*study_of(tmp_path, one="a/day=*/robot=*", two="b/*"))
+    assert (first.name, first.type) == ("R1", "one")
+    assert [name for name, _ in first.logs] == [
+        "day=2026-01-30/robot=R1/part-0", "day=2026-02-02/robot=R1/b",
+    ]  # fmt: skip
+    assert list(first.days.values()) == [0.0, 3.0]
+    assert (second.name, second.type) == ("arm2", "two")
+    assert second.days == {"arm2/20269999": 0.0, "arm2/run2": 1.0, "arm2/run_20260131_b": 2.0}
+    (tmp_path / "b/arm2/20269999.pq").unlink()
+    (tmp_path / "b/arm2/run2.mat").rename(tmp_path / "b/arm2/2026-01-30.mat")
+    assert list(members(*study_of(tmp_path, two="b/*"))[0].days.values()) == [0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"logs/robot=*"', '"logs/rob*t"', "type 'arm': no folder matches 'logs/rob*t'."),
+        ('logs = "logs/robot=*"', "", "key 'types.arm.logs' is missing."),
+        ("fmu = false", "seed = -1", "key 'seed' is -1: "),
+        ("fmu = false", "laws_ = []", "unknown key 'laws_'; allowed here: fmu, laws, least_"),
+        ('["stribeck"]', '["stribek"]', "stribek"),
+        ('"robot.toml"', '"no.toml"', "no.toml: no such file."),
+        ('"logs/robot=*"', '"logs/robot=*"\naccept = ["zeros"]', "--accept is 'zeros'; the"),
+        ('"logs/robot=*"', '"logs/robot=*"\n[types.b]\nrobot = "robot.toml"\nlogs = "logs/*"',
+         "robot 'R0' is of the types 'arm' and 'b'; give each robot one type."),
+    ],
+)  # fmt: skip
+def test_fleets_that_are_wrong(
+    cell: Path, copied: Path, old: str, new: str, said: str, command: Command, capsys
+) -> None:
+    file = copied / "fleet.toml"
+    text = file.read_text(encoding="utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new), encoding="utf-8")
+    assert command("fleet", file, "-o", copied / "out") == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert len(err.splitlines()) == 1
+    assert files(copied / "out") == files(cell / "out")
+
+
+def test_folders_of_others(copied: Path, command: Command, capsys) -> None:
+    file = copied / "fleet.toml"
+    with (
+        FileLock(copied / "out" / ".fleet-lock"),
+        pytest.raises(ArtifactError, match="another fleet is writing into this folder; wait"),
+    ):
+        run_fleet(file, copied / "out", workers=1)
+    file.write_text(file.read_text(encoding="utf-8").replace('"cell"', '"hall"'), encoding="utf-8")
+    assert command("fleet", file, "-o", copied / "out") == 2
+    assert "holds results of another fleet, of other files; give" in capsys.readouterr().err
+
+
+# --- at full size -------------------------------------------------------------------------------
+
+
+_MEASURED = """
+import resource, sys
+from pathlib import Path
+from cosim.fleet.run import run_fleet
+run_fleet(Path(sys.argv[1]), Path(sys.argv[2]), workers=1)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+def peak(file: Path, output: Path) -> float:
+    """Return the peak memory [MB] of a process that looks at a fleet."""
+    done = subprocess.run(
+        [sys.executable, "-c", _MEASURED, file, output], capture_output=True, text=True, check=True
+    )
+    return float(done.stdout.split()[-1])
+
+
+@pytest.mark.soak
+def test_memory_does_not_grow_with_the_logs(tmp_path: Path) -> None:
+    found = []
+    for logs in (10, 20, 40):
+        (tmp_path / f"{logs}").mkdir()
+        file = write_fleet(tmp_path / f"{logs}", robots=1, logs=logs, joints=6, seconds=25.0)
+        found.append(peak(file, tmp_path / f"{logs}" / "out"))
+    assert max(found) < 1024.0
+    assert found[2] < 1.1 * found[0]
+
+
+@pytest.mark.soak
+def test_two_hundred_robots(tmp_path: Path) -> None:
+    """Of 6 joints and 10 logs, 10^7 rows: one robot is 30 % off, one grows by 5 % a day."""
+
+    def scale(robot: int, log: int) -> float:
+        return {17: 1.3, 23: 1.0 + 0.05 * log}.get(robot, 1.0)
+
+    file = write_fleet(tmp_path, robots=200, logs=10, joints=6, seconds=25.0, scale=scale)
+    assert peak(file, tmp_path / "out") < 1024.0
+    rows = parquet.read_table(tmp_path / "out" / "fleet.parquet").to_pylist()
+    assert len({row["robot"] for row in rows}) == 200
+    assert sum(row["rows"] for row in rows if row["law"] == BODY) == 200 * 10 * 5001
+    assert {row["robot"] for row in rows if row["worse"]} == {"R23"}
+    assert "R17" in {row["robot"] for row in rows if row["deviates"]}

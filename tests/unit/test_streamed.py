@@ -1,0 +1,90 @@
+"""Identification motion by motion: the estimate of the batch, whatever the motions are cut into."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hesr_model.errors import FitError
+from hesr_model.logs.signals import Motion
+from hesr_model.rigid_body import streamed
+from hesr_model.rigid_body.identification import RigidBody, identify_motions
+from hesr_model.rigid_body.streamed import Streamed
+from hesr_model.robots.robot import RobotModel
+
+MakeMotion = Callable[..., Motion]
+
+
+@pytest.fixture
+def motions(make_motion: MakeMotion) -> list[Motion]:
+    """Three logs with noise."""
+    rng = np.random.default_rng(1)
+    made = [make_motion(name=f"log{k}", seconds=2.0 + k, friction=2.0) for k in range(3)]
+    return [replace(m, tau=m.tau + 0.1 * rng.standard_normal(m.tau.shape)) for m in made]
+
+
+def of(model: RobotModel, motions: list[Motion]) -> RigidBody:
+    stream = Streamed(model)
+    for motion in motions:
+        stream.add(motion)
+    if not stream.fits:
+        again = Streamed(model, stream.slow)
+        for motion in motions:
+            again.add(motion)
+        assert again.fits
+        stream = again
+    return stream.body(motions, "the logs")
+
+
+def assert_alike(one: RigidBody, other: RigidBody) -> None:
+    for name in ("parameters", "friction", "rmse", "standard_errors"):
+        a, b = getattr(one, name), getattr(other, name)
+        np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-9 * float(np.abs(b).max()))
+    assert one.condition == pytest.approx(other.condition, rel=1e-9)
+    assert (one.base, one.rows, one.logs, one.ridge) == (
+        other.base, other.rows, other.logs, other.ridge
+    )  # fmt: skip
+
+
+def test_the_batch_s_body(
+    arm_model: RobotModel, motions: list[Motion], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(streamed, "AT_ONCE", 300)
+    assert_alike(of(arm_model, motions), identify_motions(motions, arm_model))
+
+
+def test_the_batch_s_body_where_a_joint_is_always_slow(
+    arm_model: RobotModel, motions: list[Motion]
+) -> None:
+    """Which of its rows are too slow is known at the end only."""
+    slow = np.array([1.0, 0.1, 1.0])
+    slower = [replace(m, dq=m.dq * slow) for m in motions]
+    stream = Streamed(arm_model)
+    for motion in slower:
+        stream.add(motion)
+    assert not stream.fits
+    assert_alike(of(arm_model, slower), identify_motions(slower, arm_model))
+
+
+def test_the_covariance_of_a_sample_is_on_the_safe_side(
+    arm_model: RobotModel, motions: list[Motion]
+) -> None:
+    stream = Streamed(arm_model)
+    for motion in motions:
+        stream.add(motion)
+    whole = stream.body(motions, "the logs")
+    part = stream.body([motion.rows(slice(0, 400)) for motion in motions], "the logs")
+    np.testing.assert_array_equal(part.parameters, whole.parameters)
+    assert np.median(part.standard_errors / whole.standard_errors) > 1.0
+
+
+def test_too_little(arm_model: RobotModel, motions: list[Motion]) -> None:
+    stream = Streamed(arm_model)
+    stream.add(motions[0].rows(slice(0, 20)))
+    with pytest.raises(FitError, match="robot 'R7': 20 samples cannot determine"):
+        stream.body([motions[0]], "robot 'R7'")
+    still = Streamed(arm_model)
+    still.add(replace(motions[0], dq=0.0 * motions[0].dq))
+    with pytest.raises(FitError, match="robot 'R7': joint 'j1' is never faster than"):
+        still.body([motions[0]], "robot 'R7'")
