@@ -13,6 +13,8 @@ from threadpoolctl import threadpool_limits
 
 from cosim.fleet.result import BODY, JointResult, RobotResult
 from cosim.fleet.study import FleetStudy, Member
+from cosim.package.parameter_set import export_ssv
+from fmu_src.friction.variable_names import exposed
 from hesr_model.artifacts import read_json, write_json, write_model, write_rigid_body
 from hesr_model.errors import ArtifactError, FitError, HesrError, LogError
 from hesr_model.friction.fitting.fit import fit_models
@@ -139,6 +141,8 @@ class _Robot:
         findings = [*check_body(body, self._model), *check_laws(models, records)]
         for law, model in models.items():
             write_model(folder / f"{law}.json", model)
+            if all(map(exposed, model.laws)):
+                export_ssv(model, folder / f"{law}.ssv")
         write_rigid_body(folder / BODY_FILE, body, source)
         return RobotResult(
             key=self._key,

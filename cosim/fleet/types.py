@@ -1,4 +1,4 @@
-"""One FMU for all robots of a type, and a parameter set (SSP 1.0) for each of them."""
+"""One FMU for all robots of a type, of which each has a parameter set (SSP 1.0)."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -8,17 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.description import model_description
 from cosim.fleet.result import RobotResult
 from cosim.fleet.study import FleetStudy
-from cosim.package.ssv import parameter_set
-from cosim.variables import Variables
 from fmu_src import export_fmu
-from fmu_src.friction.friction_fmu import date_of
-from fmu_src.friction.variable_names import exposed, place
+from fmu_src.friction.variable_names import exposed
 from hesr_model.artifacts import read_model
 from hesr_model.friction.model import FrictionModel
-from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Stages
 
 ROBOTS, TYPES = "robots", "types"
@@ -34,7 +29,7 @@ class _Kind(NamedTuple):
 def write_types(
     study: FleetStudy, robots: Sequence[RobotResult], output: Path, progress: Stages
 ) -> dict[tuple[str, str, str], Path]:
-    """Write an FMU for each type and law, and each robot's coefficients as its parameter set.
+    """Write an FMU for each type and law, to which the parameter sets of its robots belong.
 
     Where data chose other structures for some robots, these share an FMU of their own, numbered
     from the most frequent one. The coefficients in an FMU are the medians of its robots.
@@ -58,28 +53,10 @@ def write_types(
         numbers[kind.type, kind.law] += 1
         count = numbers[kind.type, kind.law]
         name = kind.law if count == 1 else f"{kind.law}-{count}"
-        fmu = export_fmu(
+        fmus[kind] = export_fmu(
             typical, output / TYPES / kind.type / f"{name}.fmu", platforms=study.platforms
         )
-        fmus[kind] = fmu
-        variables = Variables(fmu, model_description(fmu))
-        created = date_of(typical).strftime("%Y-%m-%dT%H:%M:%SZ")
-        for robot in of:
-            values = _parameters(typical, robot)
-            with written_whole(output / ROBOTS / robot.robot / f"{kind.law}.ssv") as temporary:
-                temporary.write_bytes(parameter_set(variables, values, created, "1.0"))
     return fmus
-
-
-def _parameters(typical: FrictionModel, robot: RobotResult) -> dict[str, float | str]:
-    """Return the coefficients of a robot by the names of the FMU's variables."""
-    numbers: dict[str, float | str] = {}
-    joints = zip(typical.laws, robot.of_law(typical.law), strict=True)
-    for joint, (law, one) in enumerate(joints, start=1):
-        numbers |= zip(
-            place(law, joint).parameters, (one.values[name] for name in law.values), strict=True
-        )
-    return numbers
 
 
 def _typical(kind: _Kind, robots: Sequence[RobotResult], output: Path) -> FrictionModel:

@@ -55,41 +55,27 @@ class SystemContents:
 
         Of units that have one name but are not the same, only the first is in it.
         """
-        return units_of((self.variables[name], variable) for name, variable in elements)
+        found: dict[str, Unit] = {}
+        for name, variable in elements:
+            unit, base = self.variables[name].unit(variable)
+            if unit and base is not None:
+                found.setdefault(unit, base)
+        return found
 
     def unit(self, element: Element, defined: Mapping[str, Unit]) -> dict[str, str]:
         """Return the attribute that gives a variable's unit; none if that is not a defined one."""
-        return unit_of(self.variables[element[0]], element[1], defined)
+        name, variable = element
+        unit, base = self.variables[name].unit(variable)
+        known = unit and base is not None and defined.get(unit) == base
+        return {"unit": str(unit)} if known and self.type_of(element) == "Real" else {}
 
     def type_of(self, element: Element) -> str:
-        """Return the type of a variable; an Enumeration is the Integer that stands for it."""
-        return type_of(self.variables[element[0]], element[1])
+        """Return the type of a variable; an Enumeration is the Integer that stands for it.
 
-
-def units_of(elements: Iterable[tuple[Variables, str]]) -> dict[str, Unit]:
-    """Do what `SystemContents.units` does, with names of variables of FMUs."""
-    found: dict[str, Unit] = {}
-    for variables, variable in elements:
-        unit, base = variables.unit(variable)
-        if unit and base is not None:
-            found.setdefault(unit, base)
-    return found
-
-
-def unit_of(variables: Variables, variable: str, defined: Mapping[str, Unit]) -> dict[str, str]:
-    """Do what `SystemContents.unit` does, of an FMU."""
-    unit, base = variables.unit(variable)
-    known = unit and base is not None and defined.get(unit) == base
-    return {"unit": str(unit)} if known and type_of(variables, variable) == "Real" else {}
-
-
-def type_of(variables: Variables, variable: str) -> str:
-    """Return the type of a variable; an Enumeration is the Integer that stands for it.
-
-    Not all engines know Enumerations: libcosim refuses a parameter set that holds one.
-    """
-    kind = variables[variable].type
-    return "Integer" if kind == "Enumeration" else str(kind)
+        Not all engines know Enumerations: libcosim refuses a parameter set that holds one.
+        """
+        kind = self.variables[element[0]][element[1]].type
+        return "Integer" if kind == "Enumeration" else str(kind)
 
 
 def read_contents(spec: SystemSpec, path: Path) -> SystemContents:

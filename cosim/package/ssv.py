@@ -1,12 +1,10 @@
 """Start values of a component as a parameter set of SSP."""
 
-from collections.abc import Mapping
 from importlib.metadata import version as installed
 from xml.etree import ElementTree as ET
 
-from cosim.package.contents import SystemContents, type_of, unit_of, units_of
+from cosim.package.contents import SystemContents
 from cosim.package.markup import NAMESPACES, Version, add_units, to_bytes
-from cosim.variables import Variables
 
 PARAMETER_SET = "start"
 """Name of every component's set: libcosim and ecos apply sets of one name together."""
@@ -14,35 +12,20 @@ PARAMETER_SET = "start"
 
 def to_ssv(contents: SystemContents, component: str, version: Version) -> bytes:
     """Return the start values of a component, with the units that its FMU defines."""
-    variables, start = contents.variables[component], contents.wiring.start[component]
-    return parameter_set(variables, start, contents.created, version)
-
-
-def parameter_set(
-    variables: Variables, values: Mapping[str, float | str], created: str, version: Version
-) -> bytes:
-    """Return values of an FMU's variables, with the units that it defines.
-
-    Parameters
-    ----------
-    variables : of the FMU.
-    values : by scalar variable, in its unit.
-    created : date, ISO 8601.
-    version : of the standard.
-    """
-    units = units_of((variables, name) for name in values)
+    start = contents.wiring.start[component]
+    units = contents.units((component, variable) for variable in start)
     root = ET.Element(
         "ssv:ParameterSet",
         {key: NAMESPACES[key] for key in ("xmlns:ssc", "xmlns:ssv")},
         version=version,
         name=PARAMETER_SET,
         generationTool=f"HESR {installed('hesr')}",
-        generationDateAndTime=created,
+        generationDateAndTime=contents.created,
     )
     parameters = ET.SubElement(root, "ssv:Parameters")
-    for variable, value in values.items():
-        kind = type_of(variables, variable)
-        said = {"value": text_of(kind, value)} | unit_of(variables, variable, units)
+    for variable, value in start.items():
+        kind = contents.type_of((component, variable))
+        said = {"value": text_of(kind, value)} | contents.unit((component, variable), units)
         parameter = ET.SubElement(parameters, "ssv:Parameter", name=variable)
         ET.SubElement(parameter, f"ssv:{kind}", said)
     add_units(root, "ssv:Units", units)
