@@ -11,7 +11,7 @@ reversal under load that few logs have is thus kept; of what every log has, some
 import hashlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from itertools import count, pairwise
 
 import numpy as np
@@ -154,8 +154,8 @@ def _uniform(seed: int, log: str, t: float) -> float:
 
 
 def _joined(motions: Sequence[Motion]) -> Motion:
-    columns = (f.name for f in fields(Motion) if f.name != "name")
-    return Motion(
-        name=motions[0].name,
-        **{c: np.concatenate([getattr(motion, c) for motion in motions]) for c in columns},
+    first = motions[0]
+    return replace(
+        first,
+        **{name: np.concatenate([m.columns[name] for m in motions]) for name in first.columns},
     )

@@ -45,8 +45,13 @@ class Motion:
 
     def rows(self, rows: slice) -> "Motion":
         """Return the motion of some of its rows, without unit."""
-        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "name"}
-        return replace(self, **{name: column[rows] for name, column in columns.items()})
+        return replace(self, **{name: column[rows] for name, column in self.columns.items()})
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """What there is by row, (N,) or (N, n) each in its unit, by its name."""
+        found = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "name"}
+        return {name: column for name, column in found.items() if column is not None}
 
 
 def smooth(log: RobotLog, cutoff: float = 15.0) -> Motion:

@@ -1,7 +1,7 @@
 """A capped sample of motions: what is rare stays, and the same seed draws the same."""
 
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,9 +23,10 @@ def sampled(motions: list[Motion], most: int, seed: int = 0) -> list[Motion]:
 
 def same(one: list[Motion], other: list[Motion]) -> bool:
     return len(one) == len(other) and all(
-        np.array_equal(getattr(a, f.name), getattr(b, f.name))
+        a.name == b.name
+        and a.columns.keys() == b.columns.keys()
+        and all(np.array_equal(column, b.columns[name]) for name, column in a.columns.items())
         for a, b in zip(one, other, strict=True)
-        for f in fields(Motion)
     )
 
 
@@ -53,6 +54,9 @@ def days() -> list[Motion]:
 def test_what_fits_is_kept_as_it_is(make_motion: MakeMotion) -> None:
     motions = [make_motion(name="a", seconds=3.3), make_motion(name="b", seconds=0.4)]
     assert same(sampled(motions, 10_000), motions)
+    warm = [replace(m, temperature=30.0 + m.q) for m in motions]
+    assert same(sampled(warm, 10_000), warm)
+    assert not same(warm, motions)
 
 
 def test_what_is_rare_stays(days: list[Motion]) -> None:
