@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,7 +156,7 @@ def _uniform(seed: int, log: str, t: float) -> float:
 
 def _joined(motions: Sequence[Motion]) -> Motion:
     first = motions[0]
-    return replace(
-        first,
-        **{name: np.concatenate([m.columns[name] for m in motions]) for name in first.columns},
-    )
+    whole: dict[str, Any] = {
+        name: np.concatenate([m.columns[name] for m in motions]) for name in first.columns
+    }
+    return replace(first, **whole)

@@ -1,6 +1,7 @@
 """From a log's raw samples to the smooth motion that the dynamics are evaluated on."""
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,8 @@ class Motion:
 
     def rows(self, rows: slice) -> "Motion":
         """Return the motion of some of its rows, without unit."""
-        return replace(self, **{name: column[rows] for name, column in self.columns.items()})
+        own: dict[str, Any] = {name: column[rows] for name, column in self.columns.items()}
+        return replace(self, **own)
 
     @property
     def columns(self) -> dict[str, Array]:
