@@ -36,9 +36,10 @@ typedef struct {
     double x[MAX_STATES], dx[MAX_STATES];
 } Trial;
 
-/* An input at a time [s] after the beginning of the glue's step. */
+/* An input at a time [s] after the beginning of the glue's step; parameters stay. */
 static double input_at(const Component *component, int variable, double time) {
-    return component->v[variable] + component->slope[variable] * time;
+    const double slope = variable < SLOPES ? component->slope[variable] : 0.0;
+    return component->v[variable] + slope * time;
 }
 
 /* The same of a coordinate, of the joints that a vector of variables belongs to. */
