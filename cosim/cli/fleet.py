@@ -24,7 +24,7 @@ def fleet(
     ] = None,
     json_file: Json = None,
 ) -> None:
-    """Find which of many robots deviate from their type, and which got worse.
+    """Find which of many robots deviate from their type.
 
     Rigid body and friction laws of each robot, from any number of logs. A fleet that was
     interrupted goes on when it is started again; so does one that has new logs. The exit code is 1
