@@ -192,6 +192,17 @@ def test_sampled_ripple_without_a_mean_is_certified_up_to_a_step() -> None:
     assert found.largest_step == pytest.approx(0.4, rel=0.15)
 
 
+def test_the_amplitude_of_ripple_may_fall_with_speed_as_a_filter_has_it() -> None:
+    x = Stop(name="x", unit="1", velocity=DQ, deflection=1e-3, bound=1)
+    wave = 0.5 * sympy.cos(200 * (Q - 0.004 * DQ))
+    filtered, other = (
+        certify(own(x.state + 20.0 * DQ + wave / amplitude, x), TRAINED)
+        for amplitude in (1 + 4 * DQ**2, 1 + DQ)
+    )
+    assert filtered.verdict == "proven"
+    assert "no smoothed one" in other.rests_on[0]
+
+
 @pytest.mark.parametrize("dt", [1e-4, 0.004, 0.05, 2.0])
 def test_no_closed_way_gives_energy(dt: float) -> None:
     """Random ways that close, with ripple and a moving load: the work of the tenth round."""
