@@ -1,0 +1,24 @@
+"""Where a component is after so many communication steps of its system."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fakes import Fake
+
+from cosim.stepping import Station
+
+
+@pytest.mark.parametrize(
+    ("every", "steps", "time"), [(1, 0, 0.0), (1, 7, 0.7), (4, 3, 0.0), (4, 8, 0.8), (4, 11, 0.8)]
+)
+def test_a_component_comes_as_far_as_its_own_last_step(every: int, steps: int, time: float) -> None:
+    slave = Fake(Path("fake.fmu"), name="fake")
+    station = Station(
+        slave=slave,
+        every=every,
+        inputs=slave.batch([]),
+        sources=np.zeros(0, dtype=np.intp),
+        outputs=slave.batch([]),
+    )
+    assert station.reached(steps, 0.1) == pytest.approx(time, abs=1e-15)
