@@ -102,8 +102,8 @@ LAWS = """
 enum { JOINTS = 1, COUPLED = 0, MAX_INPUTS = 4, MAX_STATES = 1, MAX_OUTPUTS = 1, EULER = 2 };
 static const double forward[1][1] = {{1.0}}, backward[1][1] = {{1.0}};
 enum { INERTIA, RATIO, STIFFNESS, DAMPING, TAU_MOTOR, TAU_LOAD, Q_LINK, DQ_LINK, DISCRETISATION,
-       FIRST, VARIABLES };
-typedef struct { double v[VARIABLES], slope[VARIABLES]; } Component;
+       FIRST, VARIABLES, SLOPES = DQ_LINK + 1 };
+typedef struct { double v[VARIABLES], slope[SLOPES]; } Component;
 typedef struct {
     const double *constants;
     int first_parameter, inputs, input[MAX_INPUTS];
@@ -132,7 +132,10 @@ EXPORT void tried(const double *values, double h, double time, double v, double 
     Component component;
     Trial trial;
     for (int i = 0; i < VARIABLES; i++) {{
-        component.v[i] = values[i], component.slope[i] = values[VARIABLES + i];
+        component.v[i] = values[i];
+    }}
+    for (int i = 0; i < SLOPES; i++) {{
+        component.slope[i] = values[VARIABLES + i];
     }}
     const Motion from = {{.q = 0.4, .dq = 1.5, .x = {{0.3}}}};
     const Step step = step_of(&component, 0, h, time);
