@@ -7,7 +7,15 @@ import sympy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hesr_model.equations.functions import NUMPY, absolute, larger, lowered, sgn
+from hesr_model.equations.functions import (
+    NUMPY,
+    absolute,
+    cardinal_sine,
+    cardinal_slope,
+    larger,
+    lowered,
+    sgn,
+)
 from hesr_model.friction.inputs import DQ, INPUT_UNITS, INPUTS, TAU_LOAD, Q
 
 X = sympy.Symbol("x", real=True)
@@ -51,6 +59,20 @@ def test_lowered_functions_are_numpys_own(values: list[float]) -> None:
     sign, size = lowered((X,), (sgn(X), absolute(X)))(x)
     np.testing.assert_array_equal(sign, np.sign(x))
     np.testing.assert_array_equal(size, np.abs(x))
+
+
+@pytest.mark.parametrize("x", [0.0, 1e-9, 4e-4, -9.9e-4, 1.1e-3, 0.7, -40.0])
+def test_the_cardinal_sine_and_its_slope_are_exact_near_zero_too(x: float) -> None:
+    z = sympy.Symbol("z", real=True)
+    exact = sympy.sin(z) / z
+    # The slope is a difference of large numbers just above where its series ends.
+    cases = ((cardinal_sine(z), exact, 1e-14), (cardinal_slope(z), exact.diff(z), 1e-10))
+    for form, right, tolerance in cases:
+        (found,) = lowered((z,), (form,))(np.array([x]))
+        wanted = (
+            float(right.subs(z, sympy.Rational(x)).evalf(40)) if x else float(right.limit(z, 0))
+        )
+        np.testing.assert_allclose(found, [wanted], rtol=tolerance, atol=1e-300)
 
 
 def test_lowered_functions_take_their_arguments_in_the_given_order() -> None:
