@@ -9,7 +9,7 @@ from typing import Any
 project = "HESR"
 author = "the authors of HESR"
 release = version = importlib.metadata.version("hesr")
-copyright = author  # noqa: A001
+copyright = author  # noqa: A001  # as Sphinx calls it
 
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc", "myst_nb"]
 root_doc = "docs/index"

@@ -54,6 +54,7 @@ class LawSteps:
     def __init__(self, law: FrictionLaw, values: Array | None = None) -> None:
         self._law, self._own = law, values is None
         self._values = numbers(law) if values is None else tuple(values)
+        self._given = np.array(self._values if self._own else ())
         self._euler = law.discretisation == "euler"
         self._table = np.zeros((0, 0))
         self._rows: Rows | None = None
@@ -90,8 +91,7 @@ class LawSteps:
             for row, given in zip(self._table[-len(INPUTS) :], (dq, q, tau_load), strict=True):
                 row[1::2] = given
             with suppress(OutsideError):
-                own = np.array(self._values if self._own else ())
-                found = self._rows.at(own, x, settled=True)[1::2].T.copy()
+                found = self._rows.at(self._given, x, settled=True)[1::2].T.copy()
                 return found[0], found[1:]
         function = _lowered(self._law.form)
         torque, *after = function(*self._values, dq, q, tau_load, *x, dt, float(self._euler))

@@ -10,14 +10,6 @@
 
 enum { MOST = 16 };
 
-/* A bent triangle with rests at its ends, from -1 to 1. */
-static double swing(int k, int joint) {
-    const int place = (k + 37 * joint) % 400;
-    const double up = place < 200 ? place : 400 - place;
-    const double shape = up / 100.0 - 1.0;
-    return shape * (1.5 - 0.5 * shape * shape);
-}
-
 int main(int count, char **argument) {
     if (count < 8) {
         fail("usage: drive_host LIBRARY GUID JOINTS FIRST STEPS STEP TORQUE [time]");
@@ -41,7 +33,7 @@ int main(int count, char **argument) {
     /* When timed, a hundred steps share one input: the clock and the setting do not count. */
     for (int k = 0; k < steps; k++) {
         for (int i = 0; i < joints; i++) {
-            u[i] = torque * swing(k, i);
+            u[i] = torque * bent_triangle(k, i);
         }
         DO(fmi2SetReal_(c, in, (size_t)joints, u))
         const clock_t start = timed ? clock() : 0;

@@ -11,10 +11,7 @@ enum { MOST = 16 };
 
 /* A triangle of velocity with rests at its ends, from -1.2 to 1.2 rad/s. */
 static double velocity(int k, int joint) {
-    const int place = (k + 37 * joint) % 400;
-    const double up = place < 200 ? place : 400 - place;
-    const double shape = up / 100.0 - 1.0;
-    return 1.2 * shape * (1.5 - 0.5 * shape * shape);
+    return 1.2 * bent_triangle(k, joint);
 }
 
 int main(int count, char **argument) {

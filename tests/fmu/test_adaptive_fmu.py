@@ -155,6 +155,7 @@ def test_what_a_step_takes(fmu: Path, tmp_path: Path) -> None:
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     step, whole, size = found.stdout.split()
+    # A soak test shows what it has measured.
     print(f"three joints: {step} ns a step, {whole} ns with inputs and outputs, {size} B")  # noqa: T201
     assert int(size) <= 4 * 1024
 
