@@ -17,7 +17,7 @@ def build_host(name: str, folder: Path, target: str = "x86_64-linux-gnu.2.17") -
     The target's plainest processor is meant, which emulators and valgrind know.
     """
     sources = {"fmi2.h": own_source("fmi2.h")}
-    sources |= {n: (HOSTS / n).read_text(encoding="utf-8") for n in ("host.h", name)}
+    sources |= {n: (HOSTS / n).read_text(encoding="utf-8") for n in ("host.h", "motion.h", name)}
     for file, text in sources.items():
         (folder / file).write_text(text, encoding="utf-8")
     program = folder / f"host-{target}"

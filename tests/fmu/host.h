@@ -8,6 +8,7 @@
 #include <time.h>
 
 #include "fmi2.h"
+#include "motion.h"
 
 #ifdef _WIN32
 #include <windows.h>
@@ -81,13 +82,5 @@ static void logger(fmi2ComponentEnvironment environment, fmi2String instance, fm
     DO(fmi2SetupExperiment_(c, fmi2False, 0.0, 0.0, fmi2False, 0.0))                               \
     DO(fmi2EnterInitializationMode_(c))                                                            \
     DO(fmi2ExitInitializationMode_(c))
-
-/* What a host sets in step k: a bent triangle with rests at its ends, from -1 to 1. */
-static inline double bent_triangle(int k, int joint) {
-    const int place = (k + 37 * joint) % 400;
-    const double up = place < 200 ? place : 400 - place;
-    const double shape = up / 100.0 - 1.0;
-    return shape * (1.5 - 0.5 * shape * shape);
-}
 
 #endif

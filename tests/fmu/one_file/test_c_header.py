@@ -202,7 +202,7 @@ def _program(model: FrictionModel, folder: Path, triple: str, steps: int) -> Pat
     source = folder / "host.c"
     source.write_text((HERE / "header_host.c").read_text(encoding="utf-8"), encoding="utf-8")
     flags = ("-target", triple, "-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra",
-             "-Werror", f"-DSTEPS={steps}")  # fmt: skip
+             "-Werror", f"-DSTEPS={steps}", f"-I{HERE.parent}")  # fmt: skip
     compile_c(source, flags, folder / "host", ("-lm",))
     return folder / "host"
 
@@ -244,7 +244,8 @@ def test_a_cortex_m7_without_operating_system(table1, tmp_path, capsys) -> None:
     command = [
         M7_COMPILER, "-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-std=c99", "-O2",
         "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", f"-DSTEPS={steps}", "-DCOUNTER",
-        f"-I{tmp_path}", f"-I{m7}", "--specs=rdimon.specs", "-nostartfiles", f"-T{m7 / 'mps2.ld'}",
+        *(f"-I{folder}" for folder in (tmp_path, HERE.parent, m7)),
+        "--specs=rdimon.specs", "-nostartfiles", f"-T{m7 / 'mps2.ld'}",
         HERE / "header_host.c", m7 / "start.c", "-lm", "-o", tmp_path / "m7.elf",
     ]  # fmt: skip
     assert _lines(*command) == []
