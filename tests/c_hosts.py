@@ -9,6 +9,9 @@ from fmu_src.toolchain import TARGETS
 from hesr_model.support.compiler import compile_c
 
 HOSTS = Path(__file__).with_name("fmu")
+LINUX = ("-target", *TARGETS["linux64"].triples, "-O2")
+"""For every program of the tests: another target or level has the compiler make its own libraries
+anew, which takes 3 to 15 s."""
 
 
 def build_host(name: str, folder: Path, target: str = "x86_64-linux-gnu.2.17") -> Path:

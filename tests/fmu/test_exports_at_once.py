@@ -8,15 +8,13 @@ import sys
 import tempfile
 
 import pytest
+from c_hosts import LINUX
 
 from cosim.cli import main
 from cosim.exported import exported
 from fmu_src import export_fmu
-from fmu_src.toolchain import TARGETS
 from hesr_model.artifacts import read_model, write_model
 from hesr_model.support.compiler import compile_c
-
-[LINUX] = TARGETS["linux64"].triples
 
 
 def hesr(*arguments: object) -> None:
@@ -120,6 +118,6 @@ def test_a_home_that_cannot_be_written_does_not_hinder_the_compiler(
     if home:
         monkeypatch.setenv("HOME", home)
     (tmp_path / "main.c").write_text("int main(void) { return 7; }\n")
-    compile_c(tmp_path / "main.c", ("-target", LINUX), tmp_path / "main")
+    compile_c(tmp_path / "main.c", LINUX, tmp_path / "main")
     assert subprocess.run([tmp_path / "main"], check=False).returncode == 7
     assert len([p for p in (private / "binaries").rglob("*") if p.name == "lock"]) == 1

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from c_hosts import LINUX
 
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.support.compiler import compile_c
@@ -44,7 +45,7 @@ def go_through_random_lives(program):
 
 
 def test_any_sequence_of_calls_is_free_of_undefined_behaviour(sources):
-    flags = (*FLAGS, "-fsanitize=undefined")
+    flags = (*LINUX, *FLAGS, "-fsanitize=undefined")
     compile_c(sources / "all.c", flags, sources / "fuzz", (str(FUZZ), "-lm"))
     go_through_random_lives(sources / "fuzz")
 

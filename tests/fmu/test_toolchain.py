@@ -13,6 +13,7 @@ from pathlib import Path
 import lief
 import numpy as np
 import pytest
+from c_hosts import LINUX
 
 from cosim.replay import replay
 from fmu_src import export_fmu
@@ -278,7 +279,7 @@ def test_two_fmus_can_be_linked_into_one_program(sources):
         "int main(void) { return first_fmi2GetVersion()[0] - second_fmi2GetVersion()[0]; }\n"
     )
     (sources / "main.c").write_text(main)
-    compile_c(sources / "main.c", (), sources / "main", ("first_.o", "second_.o", "-lm"))
+    compile_c(sources / "main.c", LINUX, sources / "main", ("first_.o", "second_.o", "-lm"))
     subprocess.run([str(sources / "main")], check=True)
 
 
@@ -301,7 +302,7 @@ def test_compilations_side_by_side_do_not_mix(tmp_path, empty_cache):
         folder.mkdir()
         (folder / "number.h").write_text(f"#define NUMBER {number}\n")
         (folder / "other.c").write_text("int other;\n")
-        compile_c(folder / "other.c", ("-I.",), folder / "program", (str(common),))
+        compile_c(folder / "other.c", (*LINUX, "-I."), folder / "program", (str(common),))
         return subprocess.run([folder / "program"], check=False).returncode
 
     with ThreadPoolExecutor(4) as pool:
@@ -321,7 +322,7 @@ def test_what_goes_into_a_binary_is_compiled_again_when_it_changes(tmp_path, emp
         (tmp_path / name).write_text(text)
 
     def result(added=0):
-        flags = ("-target", *TARGETS["linux64"].triples, "-Ifurther", f"-DADDED={added}")
+        flags = (*LINUX, "-Ifurther", f"-DADDED={added}")
         compile_c(tmp_path / "main.c", flags, tmp_path / "main", ("other.c",))
         return subprocess.run([tmp_path / "main"], check=False).returncode
 

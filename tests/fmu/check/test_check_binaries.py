@@ -1,6 +1,7 @@
 """Shared libraries: right for their folder, complete, loadable without anything else."""
 
 import pytest
+from c_hosts import LINUX
 from fmu_files import BINARY, changed, check, members, said, texts
 
 from fmu_src.check import binaries
@@ -9,7 +10,7 @@ from fmu_src.toolchain import TARGETS
 from hesr_model.support.compiler import compile_c
 
 ALL = tuple(sorted(KNOWN))
-ELF = ("-target", "x86_64-linux-gnu.2.17", "-shared", "-fPIC")
+ELF = (*LINUX, "-shared", "-fPIC")
 
 
 @pytest.fixture
@@ -107,8 +108,7 @@ def test_a_broken_library(of):
 
 def test_a_program(library, of):
     program = library(
-        "int main(void) { return 0; }", flags=("-target", "x86_64-linux-gnu.2.17", "-no-pie"),
-        last=("-rdynamic",),
+        "int main(void) { return 0; }", flags=(*LINUX, "-no-pie"), last=("-rdynamic",),
     )  # fmt: skip
     found = of(program)
     assert f"{BINARY}: it is a program or object file; needed is a shared library." in found

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from binary import Binary
+from c_hosts import LINUX
 from drive_runs import drive, model_of
 
 from cosim.slave import Component
@@ -283,15 +284,7 @@ def sources(fmu: Path, tmp_path: Path) -> Path:
 
 
 def test_any_sequence_of_calls_is_free_of_undefined_behaviour(sources: Path) -> None:
-    flags = (
-        "-std=c99",
-        "-g",
-        "-O1",
-        "-I.",
-        f"-I{FUZZ.parent}",
-        "-fno-sanitize-recover=all",
-        "-fsanitize=undefined",
-    )
+    flags = (*LINUX, *FLAGS, "-fsanitize=undefined")
     compile_c(sources / "all.c", flags, sources / "lives", (str(sources / "lives.c"), "-lm"))
     assert_lives(sources)
 
