@@ -176,7 +176,8 @@ def evaluate(
 
     models_by_name = named(models)
     records = by_joint(records_of(logs, robot, rigid_body, accept)[0])
-    return compare(records, predict_models(models_by_name, records), input_classes(models_by_name))
+    predicted = predict_models(models_by_name, records)
+    return compare(records, predicted, input_classes(models_by_name), models_by_name)
 
 
 def replay(

@@ -365,7 +365,8 @@ class Job:
             predicted = replayed[name]
             if self.study.twin:
                 predicted[ORACLE] = self._true_friction([files[log] for log in logs])
-            comparisons[name], predictions[name] = compare(tested, predicted, inputs), predicted
+            comparisons[name] = compare(tested, predicted, inputs, models)
+            predictions[name] = predicted
             if per_log := self.study.per_log:
                 comparisons[name] = replace(comparisons[name], per_log=())
                 fitted = {

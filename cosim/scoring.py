@@ -9,9 +9,11 @@ import numpy as np
 
 from hesr_model.equations.over_log import Array
 from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.friction.banded import predict_band
 from hesr_model.friction.evaluate import first_states
 from hesr_model.friction.inputs import INPUTS
-from hesr_model.friction.metrics import score, time_band
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.metrics import BandScore, score, score_band, time_band
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import record_start
 from hesr_model.inference.paired import compare_errors, holm
@@ -116,6 +118,8 @@ class Comparison:
         versions.
     per_log : what of each test log was fitted before it was compared; empty where nothing was,
         None in a study that fits nothing of the kind.
+    bands : of each law that has one, how measured friction lies within its 95 % band, one for each
+        joint; empty in results of earlier versions.
     """
 
     joints: tuple[str, ...]
@@ -124,6 +128,7 @@ class Comparison:
     ratios: Ratios
     leading: tuple[tuple[str, ...], ...] = ()
     per_log: tuple[str, ...] | None = None
+    bands: Mapping[str, tuple[BandScore, ...]] = field(default_factory=dict)
 
     def to_pandas(self) -> Any:
         """Return a `pandas.DataFrame` of all measures [N.m; `r2` has none] by law and joint.
@@ -153,6 +158,7 @@ def compare(
     records: Records,
     predictions: Mapping[str, Sequence[Sequence[Array]]],
     inputs: Mapping[str, str] | None = None,
+    models: Mapping[str, FrictionModel] | None = None,
 ) -> Comparison:
     """Score predictions [law][joint][log], (N,) [N.m] each, on records [joint][log].
 
@@ -160,6 +166,7 @@ def compare(
     ----------
     inputs : of each law, as `inputs_of` names them: laws are compared with the strongest classic
         law that has no inputs besides.
+    models : whose bands are scored, too, where they have one; each predicts a row of its name.
     """
     errors = {
         law: [
@@ -228,7 +235,32 @@ def compare(
             for j in numbered
             if best
         ),
+        bands=_band_scores(models or {}, records, predictions),
     )
+
+
+def _band_scores(
+    models: Mapping[str, FrictionModel],
+    records: Records,
+    predictions: Mapping[str, Sequence[Sequence[Array]]],
+) -> dict[str, tuple[BandScore, ...]]:
+    return {
+        name: tuple(
+            score_band(of_joint, predicted, _bands(law, of_joint, predicted))
+            for law, of_joint, predicted in zip(model.laws, records, predictions[name], strict=True)
+        )
+        for name, model in models.items()
+        if model.banded
+    }
+
+
+def _bands(
+    law: FrictionLaw, records: Sequence[FrictionRecord], predicted: Sequence[Array]
+) -> list[tuple[Array, Array]]:
+    return [
+        predict_band(law, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load, torque=torque)
+        for r, torque in zip(records, predicted, strict=True)
+    ]
 
 
 def _runs(law: str) -> bool:

@@ -240,9 +240,8 @@ def evaluate(
         for model in models:
             told(check_owner(model, own))
         inputs = input_classes(named)
-        scores = compare(
-            records, predict_models(named, records, partial(progress, "evaluating")), inputs
-        )
+        predicted = predict_models(named, records, partial(progress, "evaluating"))
+        scores = compare(records, predicted, inputs, named)
         progress("simulating", 0, 1)
         simulated = simulate_laws(named, records, own, read_rigid_body(rigid_body))
     answer(json_file, to_json(scores) | {"simulation": simulated and to_json(simulated)})
@@ -304,12 +303,14 @@ def _print_scores(
 ) -> None:
     from rich.console import Console
 
-    from cosim.tables.scores import MEASURES, errors
+    from cosim.tables.scores import MEASURES, bands, errors
     from cosim.tables.terminal import Drawn
 
     sliding = [of_joint[0].sliding for of_joint in records]
     for measure in MEASURES:
         Console().print(Drawn(errors(name, scores, measure, inputs, sliding)))
+    if scores.bands:
+        Console().print(Drawn(bands(name, scores)))
 
 
 def _print_law(model: "FrictionModel") -> None:

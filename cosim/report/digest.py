@@ -8,7 +8,7 @@ from cosim.scoring import CLASSIC
 from cosim.tables.loop import outcome
 from cosim.tables.markdown import markdown
 from cosim.tables.properties import legend, properties
-from cosim.tables.scores import MEASURES, errors
+from cosim.tables.scores import MEASURES, bands, errors
 from cosim.tables.table import PAPERS, ResultTable, TableRow, named
 from cosim.verdict import read_verdict
 from hesr_model.support.files import written_whole
@@ -58,6 +58,8 @@ def _run(results: Results) -> list[str]:
             markdown(errors(name, scores, measure, run.inputs, results.sliding))
             for measure in measures
         ]
+        if scores.bands and name == results.tests[0]:
+            parts.append(markdown(bands(name, scores)))
     if results.loop:
         parts += ["### In closed loop\n", *map(markdown, outcome(results.loop))]
     if found := results.properties:

@@ -82,6 +82,41 @@ def errors(
     )
 
 
+def bands(name: str, scores: Comparison) -> ResultTable:
+    """Return laws by joints: how many rows of a test set lie within each law's 95 % band.
+
+    Below the share stand that of moving rows and that near reversals, and the band's width over
+    that of a constant one which holds as many rows.
+    """
+    ranked = sorted(scores.bands, key=lambda law: _relative(scores, law))
+    rows = [
+        TableRow(
+            head=named(law),
+            cells=[
+                fixed(
+                    100.0 * band.held,
+                    1,
+                    notes=(
+                        *(
+                            "–" if share is None else f"{100.0 * share:.0f}"
+                            for share in (band.held_moving, band.held_reversal)
+                        ),
+                        "–" if band.width is None else f"× {band.width:.2f}",
+                    ),
+                )
+                for band in scores.bands[law]
+            ],
+        )
+        for law in ranked
+    ]
+    return ResultTable(
+        caption=f"{name}: rows within the 95\u00a0% band [%]; small: moving, near reversals, and "
+        "width over that of a constant band of the same coverage",
+        head=("law", *joints(len(scores.joints))),
+        rows=rows,
+    )
+
+
 def position_errors(name: str, found: Simulated, sliding: Sequence[bool] = ()) -> ResultTable:
     """Return laws as simulators: the error of the position of each joint over windows.
 

@@ -56,6 +56,61 @@ def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Sc
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class BandScore:
+    """How one joint's measured friction lies within a law's band; None where no row is of a kind.
+
+    Attributes
+    ----------
+    held, held_moving, held_reversal
+        Share of all rows, of those in motion, of those near reversals, that are in the band.
+    least_log
+        Share of the log of which the band holds least.
+    width
+        Mean width over that of the constant band around the prediction which holds as many rows;
+        None where the prediction has no error.
+    """
+
+    held: float
+    held_moving: float | None
+    held_reversal: float | None
+    least_log: float
+    width: float | None
+
+
+def score_band(
+    records: Sequence[FrictionRecord],
+    predictions: Sequence[Array],
+    bands: Sequence[tuple[Array, Array]],
+) -> BandScore:
+    """Score the band of one joint's friction, pooled over its records.
+
+    Parameters
+    ----------
+    predictions
+        One array (N,) [N.m] per record, on its rows.
+    bands
+        Lower and upper end per record, (N,) [N.m] each.
+    """
+    inside = [
+        (r.tau >= lower) & (r.tau <= upper)
+        for r, (lower, upper) in zip(records, bands, strict=True)
+    ]
+    held = np.concatenate(inside)
+    near = np.concatenate([near_reversals(r.t, r.dq) for r in records])
+    fast = np.concatenate([moving(r.dq) for r in records])
+    error = np.concatenate([np.abs(r.tau - p) for r, p in zip(records, predictions, strict=True)])
+    constant = 2.0 * float(np.quantile(error, held.mean()))
+    width = float(np.concatenate([upper - lower for lower, upper in bands]).mean())
+    return BandScore(
+        held=float(held.mean()),
+        held_moving=float(held[fast].mean()) if np.any(fast) else None,
+        held_reversal=float(held[near].mean()) if np.any(near) else None,
+        least_log=min(float(of_log.mean()) for of_log in inside),
+        width=width / constant if constant > 0.0 else None,
+    )
+
+
 def rmse(error: Array) -> float:
     """Root of the mean squared error, of any shape, in the error's unit."""
     return float(np.sqrt(np.mean(np.square(error))))

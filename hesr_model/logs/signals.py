@@ -96,8 +96,9 @@ def smooth(log: RobotLog, cutoff: float = 15.0) -> Motion:
 
     def low_passed(values: Array) -> Array:
         even = make_interp_spline(log.t, values, k=3)(grid)
-        filtered: Array = sosfiltfilt(sos, even, axis=0, padlen=padding)
-        return filtered
+        longer = np.concatenate([_before(even, padding), even, _before(even[::-1], padding)[::-1]])
+        filtered: Array = sosfiltfilt(sos, longer, axis=0, padlen=0)
+        return filtered[padding:-padding]
 
     position = make_interp_spline(grid, low_passed(log.q), k=5)
     velocity = (
@@ -115,6 +116,17 @@ def smooth(log: RobotLog, cutoff: float = 15.0) -> Motion:
         q_raw=log.q,
         temperature=log.temperature,
     )
+
+
+def _before(values: Array, rows: int) -> Array:
+    """Return the rows (rows, n) before the first, mirrored at where a parabola through it begins.
+
+    Mirrored at the first value itself, the low pass would leave that value's noise as it is, and
+    laws would start there: intervals of a static friction then cover the truth in 60 of 100 logs.
+    """
+    near = np.arange(round(2.0 * rows / _PADDING_PERIODS) + 1)
+    parabola = np.polynomial.polynomial.polyfit(near, values[near], 2)
+    return np.asarray(2.0 * parabola[0] - values[rows:0:-1])
 
 
 def _require_rate(log: RobotLog, period: float, cutoff: float) -> None:

@@ -23,6 +23,7 @@ from cosim.tables.terminal import Drawn
 from fmu_src import export_fmu
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.errors import ArtifactError, ConfigError, SimulationError
+from hesr_model.friction.band import Band
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
@@ -160,6 +161,26 @@ def test_a_comparison_is_json(records: list[list[FrictionRecord]]) -> None:
     assert scores == compare(
         records, {"lugre": wrong_by(records, 1.0, 0), "other": wrong_by(records, 0.5, 1)}
     )
+
+
+def test_bands_are_scored_where_laws_have_them(records: list[list[FrictionRecord]]) -> None:
+    band = Band(floor=0.5, slow=0.4, slow_speed=0.05, rest=0.3, fast=0.1, load=0.02, tail=0.6,
+                envelope=0.0)  # fmt: skip
+    wide = model_of(*(replace(stribeck(), band=band) for _ in range(2)))
+    models = {"wide": wide, "bare": model_of(stribeck(), stribeck())}
+    predicted = {name: predict_model(model, records) for name, model in models.items()}
+    found = compare(records, predicted, models=models)
+    assert set(found.bands) == {"wide"}
+    for joint, of_joint in enumerate(found.bands["wide"]):
+        inside = []
+        for log in by_joint(records):
+            lower, upper = wide.predict_band(log)
+            tau = log[joint].tau
+            inside.append((tau >= lower[:, joint]) & (tau <= upper[:, joint]))
+        assert of_joint.held == np.concatenate(inside).mean()
+        assert 0.0 < of_joint.least_log < 1.0
+    assert from_json(Comparison, to_json(found), Path("scores.json"), "scores") == found
+    assert compare(records, predicted).bands == {}
 
 
 def test_each_class_of_inputs_has_its_strongest_classic_law_as_reference(

@@ -17,6 +17,7 @@ from cosim.tables.table import ResultTable, TableRow, number
 from cosim.tables.terminal import Drawn
 from hesr_model.friction.audit.expectations import EXPECTATIONS
 from hesr_model.friction.audit.properties import Figure, Finding, JointProperties, Properties
+from hesr_model.friction.metrics import BandScore
 
 LONG = "a variant of the extended law without ripple and without an estimated start"
 LAWS = ("lugre", "lugre_load_ripple", "parfam_hx", LONG, "anamewithoutanyblanks" * 3)
@@ -70,6 +71,21 @@ def test_no_figure_of_many_joints_is_cut(joints: int, measure: str) -> None:
         figures += [f"{s:.0f}" for s in found.tau_std]
     for figure in figures:
         assert re.search(rf"(?<![\d.]){re.escape(figure)}(?![\d.])", text), figure
+
+
+@pytest.mark.parametrize("joints", [1, 6, 7])
+def test_what_bands_hold_is_shown_for_every_joint(joints: int) -> None:
+    rng = np.random.default_rng(joints)
+    bands = tuple(
+        BandScore(held=held, held_moving=moving, held_reversal=None, least_log=0.5, width=width)
+        for held, moving, width in rng.uniform(0.2, 0.99, (joints, 3))
+    )
+    text = terminal(scores.bands("unseen", replace(comparison(joints), bands={"lugre": bands})))
+    for band in bands:
+        assert f"{100.0 * band.held:.1f}" in text
+        assert f"{100.0 * (band.held_moving or 0.0):.0f}" in text
+        assert f"× {band.width:.2f}" in text
+    assert text.count("–") == joints
 
 
 def test_names_are_folded_and_no_letter_of_them_is_lost() -> None:

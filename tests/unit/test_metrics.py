@@ -3,7 +3,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hesr_model.friction.metrics import rmse, rmse_ratio_interval, score, time_band
+from hesr_model.friction.metrics import (
+    rmse,
+    rmse_ratio_interval,
+    score,
+    score_band,
+    time_band,
+)
 from hesr_model.logs.phases import near_reversals, reversals
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -67,6 +73,27 @@ def test_a_score_without_such_rows_says_none() -> None:
     result = score([still], [np.zeros(5)])
     assert (result.rmse, result.tau_std) == (1.0, 0.0)
     assert (result.rmse_moving, result.rmse_reversal, result.r2) == (None, None, None)
+
+
+def test_the_score_of_a_band_counts_its_rows_and_compares_its_width() -> None:
+    t = 0.01 * np.arange(200)
+    dq = np.where(t < 1.0, 0.0, 0.5)
+    moved = record(t, dq, np.where(t < 1.0, 0.0, 4.0))
+    still = record(t[:50], np.zeros(50), np.ones(50))
+    # At rest 80 of 100 are in, on their edge; in motion all; of the second log none.
+    upper = np.where(t < 1.0, np.where(t < 0.795, 0.0, -1.0), 7.0)
+    bands = [(np.full(200, -3.0), upper), (np.full(50, 2.0), np.full(50, 6.0))]
+    torque = [np.where(t < 1.0, 0.1, 1.0), np.full(50, 6.0)]
+    found = score_band([moved, still], torque, bands)
+    assert found.held == pytest.approx(180 / 250)
+    assert found.held_moving == 1.0
+    assert found.held_reversal is None
+    assert found.least_log == 0.0
+    # Errors are .1, 3 and 5 N.m of 100, 100 and 50 rows: 72 % of them are at most 3 N.m.
+    mean = (80 * 3.0 + 20 * 2.0 + 100 * 10.0 + 50 * 4.0) / 250
+    assert found.width == pytest.approx(mean / 6.0)
+    perfect = score_band([still], [still.tau], [(still.tau, still.tau)])
+    assert (perfect.held, perfect.width) == (1.0, None)
 
 
 def test_a_band_holds_its_start_and_not_its_stop() -> None:

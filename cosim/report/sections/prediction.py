@@ -9,6 +9,7 @@ from cosim.report.sections.traces import WINDOW as MOVING
 from cosim.report.sections.traces import torque_chart
 from cosim.scoring import input_classes
 from cosim.tables.scores import MEASURES, errors, position_errors
+from cosim.tables.scores import bands as band_table
 from cosim.tables.table import PAPERS, ResultTable, TableRow, named, number, title
 
 _WINDOW = 10.0  # [s] of a picture; the view that zooms shows all
@@ -50,7 +51,7 @@ def bands(results: Results, pictures: Pictures) -> Section | None:
 
 def _of_test(results: Results, pictures: Pictures, test: str, *, first: bool) -> list[Markup]:
     whole, *parts = (_errors(results, test, measure) for measure in MEASURES)
-    shown = [whole]
+    shown, scores = [whole], results.comparisons[test]
     log = results.log_of(test)
     split = {band.test for band in results.run.bands}
     if log is not None and first:
@@ -58,6 +59,8 @@ def _of_test(results: Results, pictures: Pictures, test: str, *, first: bool) ->
     if test in results.simulated:
         found = position_errors(test, results.simulated[test], results.sliding)
         shown.append(details("As simulators: torque in, position out", table(found)))
+    if scores.bands:
+        shown.append(details("Do the bands hold what they say?", table(band_table(test, scores))))
     shown.append(details("Moving rows and reversals by themselves", *parts))
     if log is not None and not first and test not in split:
         shown.append(details(f"Torque over time on ‘{test}’", _traces(results, pictures, test)))
