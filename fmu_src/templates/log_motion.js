@@ -117,9 +117,17 @@ function lowPassed(values, cutoff, rate, padding) {
   const b = w * w / a0, a1 = 2 * (w * w - 1) / a0, a2 = (1 - Math.SQRT2 * w + w * w) / a0;
   const n = values.length, x = new Float64Array(n + 2 * padding);
   x.set(values, padding);
+  const near = Math.round(2 * padding / PADDING_PERIODS) + 1;
+  let first = 0, last = 0; // where parabolas through the nearest rows begin and end
+  for (let k = 0; k < near; k++) {
+    const weight = (3 * (3 * near * near - 3 * near + 2) - 18 * (2 * near - 1) * k + 30 * k * k) /
+      (near * (near + 1) * (near + 2));
+    first += weight * values[k];
+    last += weight * values[n - 1 - k];
+  }
   for (let k = 1; k <= padding; k++) {
-    x[padding - k] = 2 * values[0] - values[k];
-    x[padding + n - 1 + k] = 2 * values[n - 1] - values[n - 1 - k];
+    x[padding - k] = 2 * first - values[k];
+    x[padding + n - 1 + k] = 2 * last - values[n - 1 - k];
   }
   const once = () => {
     let z0 = (1 - b) * x[0], z1 = (b - a2) * x[0];

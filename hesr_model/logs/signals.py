@@ -124,9 +124,12 @@ def _before(values: Array, rows: int) -> Array:
     Mirrored at the first value itself, the low pass would leave that value's noise as it is, and
     laws would start there: intervals of a static friction then cover the truth in 60 of 100 logs.
     """
-    near = np.arange(round(2.0 * rows / _PADDING_PERIODS) + 1)
-    parabola = np.polynomial.polynomial.polyfit(near, values[near], 2)
-    return np.asarray(2.0 * parabola[0] - values[rows:0:-1])
+    n = round(2.0 * rows / _PADDING_PERIODS) + 1
+    k = np.arange(n)
+    # Weights of a least-squares parabola's value at its first row.
+    weights = 3.0 * (3 * n * n - 3 * n + 2) - 18.0 * (2 * n - 1) * k + 30.0 * k * k
+    first = weights / (n * (n + 1) * (n + 2)) @ values[:n]
+    return np.asarray(2.0 * first - values[rows:0:-1])
 
 
 def _require_rate(log: RobotLog, period: float, cutoff: float) -> None:
