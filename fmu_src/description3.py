@@ -26,8 +26,16 @@ class Arrays:
 
     @cached_property
     def all(self) -> tuple[Array, ...]:
-        """Arrays, but states one by one, as their derivatives stand."""
-        return tuple(part for array in self.table.arrays for part in _parts(array))
+        """Arrays, but one by one states, as their derivatives stand, and what terminals connect."""
+        return tuple(
+            part
+            for array in self.table.arrays
+            for part in (
+                _parts(array)
+                if array.elements[0].role == "state" or array.name in self.table.connected
+                else (array,)
+            )
+        )
 
     @cached_property
     def of(self) -> dict[str, Array]:
@@ -43,8 +51,6 @@ class Arrays:
 
 
 def _parts(array: Array) -> Iterable[Array]:
-    if array.elements[0].role != "state":
-        return (array,)
     return (
         Array(name=v.name, shape=(), place=array.place + i, elements=(v,))
         for i, v in enumerate(array.elements)

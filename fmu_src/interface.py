@@ -93,6 +93,8 @@ class Interface:
     directional_derivatives : whether the component provides them.
     inner_steps : whether the component cuts steps into its own, over which it follows the slopes of
         inputs itself.
+    connected : names of arrays that terminals of FMI 3.0 connect joint by joint. A member of a
+        terminal is a whole variable, so each element of these is one there.
 
     Raises
     ------
@@ -106,6 +108,7 @@ class Interface:
     model_exchange: bool = True
     directional_derivatives: bool = True
     inner_steps: bool = False
+    connected: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         seen: set[str] = set()

@@ -176,7 +176,7 @@ def write_fmu(
                 members[f"binaries/{folder}/{about.identifier}{target.suffix}"] = library
                 if own:
                     members[f"binaries/{folder}/{own.name}"] = own.content
-    if content.stimuli and fmi == 2:
+    if content.stimuli:
         members |= result_files(members, content.stimuli)
     write_archive(members, path, about.created)
     exported.remember(path)

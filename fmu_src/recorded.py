@@ -6,16 +6,14 @@ be compared with it. The files follow the FMI cross-check, and FMI-LS-REF names 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import chdir
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmu_src.layered import Experiment, manifest_files
+from fmu_src.recording import Recording2, Recording3
 from hesr_model.support.files import scratch_folder
 
 Array = NDArray[np.float64]
@@ -90,7 +88,7 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
 
     Parameters
     ----------
-    members : of an FMU of FMI 2.0 for co-simulation, which is run in this process.
+    members : of an FMU for co-simulation, which is run in this process.
     stimuli : for it.
     """
     import fmpy
@@ -100,14 +98,11 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
     kind = root.find("CoSimulation")
     assert kind is not None, "no FMU for co-simulation"
     name = kind.get("modelIdentifier", "")
-    own = f"binaries/{fmpy.platform}/"
+    three = root.get("fmiVersion") == "3.0"
+    own = f"binaries/{fmpy.platform_tuple if three else fmpy.platform}/"
     if f"{own}{name}{fmpy.sharedLibraryExtension}" not in members:
         return {}
-    outputs = [
-        v.get("name", "")
-        for v in root.iter("ScalarVariable")
-        if v.get("causality") == "output" and v.get("variability") != "discrete"
-    ]
+    kind_of = Recording3 if three else Recording2
     with scratch_folder() as home:
         for member, content in members.items():
             if member.startswith((own, "resources/")):
@@ -115,7 +110,10 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
                 file.parent.mkdir(parents=True, exist_ok=True)
                 file.write_bytes(content)
         try:
-            rows = {way: _run(home, root, name, stimuli, outputs, way) for way in WAYS}
+            rows = {}
+            for way in WAYS:
+                instance = kind_of((root, name, home))
+                outputs, rows[way] = instance.outputs, _run(instance, stimuli, way)
         except FMICallException:
             return {}
     if not all(np.all(np.isfinite(found)) for found in rows.values()):
@@ -123,57 +121,28 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
     return _files(name, fmpy.platform, stimuli, outputs, rows)
 
 
-def _run(
-    home: Path, root: ET.Element, identifier: str, stimuli: Stimuli, outputs: Sequence[str],
-    way: str,
-) -> Array:  # fmt: skip
-    """Return the outputs (ROWS + 1, outputs) of an FMU that is unpacked in a folder."""
-    from fmpy.fmi2 import (
-        FMU2Slave,
-        defaultCallbacks,
-        fmi2CallbackFunctions,
-        fmi2CallbackLoggerTYPE,
-    )
-
-    variables = {v.get("name", ""): v for v in root.iter("ScalarVariable")}
-
-    def references(names: Sequence[str]) -> list[int]:
-        return [int(variables[n].get("valueReference", "")) for n in names]
-
-    with chdir(home):  # FMPy changes it, and leaves it so where loading fails
-        slave: Any = FMU2Slave(
-            guid=root.get("guid"),
-            modelIdentifier=identifier,
-            unzipDirectory=str(home),
-            instanceName=identifier,
-        )
-    inputs, read = references([*stimuli.inputs]), references(outputs)
-    columns = np.column_stack([*stimuli.inputs.values(), stimuli.t])[:, :-1]
-    found = np.empty((ROWS + 1, len(outputs)))
-    callbacks = fmi2CallbackFunctions()
-    callbacks.logger = fmi2CallbackLoggerTYPE(lambda *_: None)
-    callbacks.allocateMemory = defaultCallbacks.allocateMemory
-    callbacks.freeMemory = defaultCallbacks.freeMemory
-    slave.instantiate(callbacks=callbacks)
+def _run(instance: Recording2 | Recording3, stimuli: Stimuli, way: str) -> Array:
+    """Return the outputs (ROWS + 1, outputs) of a fresh instance, which is freed."""
+    rows = [
+        dict(zip(stimuli.inputs, map(float, row), strict=True))
+        for row in zip(*stimuli.inputs.values(), strict=True)
+    ] or [{}] * (ROWS + 1)
+    names = instance.outputs
+    found = np.empty((ROWS + 1, len(names)))
     try:
-        for name, value in stimuli.parameters.items():
-            integer = variables[name].find("Integer") is not None
-            put = slave.setInteger if integer else slave.setReal
-            put(references([name]), [int(value) if integer else value])
-        slave.setupExperiment(startTime=0.0)
-        slave.enterInitializationMode()
-        slave.setReal(inputs, columns[0].tolist())
-        slave.exitInitializationMode()
-        found[0] = slave.getReal(read)
+        instance.begin(stimuli.parameters)
+        instance.put(rows[0])
+        instance.initialised()
+        found[0] = instance.read(names)
         for k, t in enumerate(stimuli.t[:-1].tolist()):
-            slave.setReal(inputs, columns[k].tolist())
-            slave.doStep(currentCommunicationPoint=t, communicationStepSize=stimuli.step)
+            instance.put(rows[k])
+            instance.step(t, stimuli.step)
             if way == "shown":
-                slave.setReal(inputs, columns[k + 1].tolist())
-            found[k + 1] = slave.getReal(read)
-        slave.terminate()
+                instance.put(rows[k + 1])
+            found[k + 1] = instance.read(names)
+        instance.end()
     finally:
-        slave.freeInstance()
+        instance.free()
     return found
 
 

@@ -19,10 +19,7 @@ _SIZE = 100.0  # of the picture in its own coordinates
 
 @dataclass(frozen=True, kw_only=True)
 class Terminal:
-    """Variables that are connected as one.
-
-    A member of a terminal is a whole variable, so that a terminal of arrays is one of all joints;
-    where the variables are scalars, each joint has a terminal.
+    """Variables of a joint that are connected as one; see `Interface.connected`.
 
     Attributes
     ----------
@@ -51,9 +48,9 @@ def to_terminals(table: Interface, terminals: Sequence[Terminal], *, icon: bool)
         ET.SubElement(picture, "Icon", place)
     if terminals:
         parent = ET.SubElement(root, "Terminals")
-        arrays = [array.name for array in Arrays(table).all]
+        names = [array.name for array in Arrays(table).all]
         for terminal in terminals:
-            for index in _indices(terminal, arrays):
+            for index in _indices(terminal, names):
                 _add(parent, terminal, index)
     ET.indent(root)
     written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
@@ -61,10 +58,10 @@ def to_terminals(table: Interface, terminals: Sequence[Terminal], *, icon: bool)
 
 
 def _indices(terminal: Terminal, names: Sequence[str]) -> Iterator[str]:
-    """Yield what stands behind the names of the variables of each terminal, nothing for arrays."""
+    """Yield what stands behind the names of the variables of each terminal, as [1]."""
     first, _ = next(iter(terminal.members.values()))
     for name in names:
-        if name == first or name.startswith(f"{first}["):
+        if name.startswith(f"{first}["):
             yield name.removeprefix(first)
 
 

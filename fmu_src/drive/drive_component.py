@@ -170,6 +170,7 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
         model_exchange=False,
         directional_derivatives=False,
         inner_steps=True,
+        connected=frozenset({"q_link", "dq_link", "tau_link"}),
     )
 
 

@@ -33,7 +33,7 @@ ONLY_IN = {
     "bokeh": ("cosim/report/zoom.py",),
     # Packaging, checking, and running.
     "fmpy": (
-        "fmu_src/recorded.py",
+        "fmu_src/record*.py",
         "fmu_src/package*.py",
         "*/check*.py",
         "cosim/slave.py",

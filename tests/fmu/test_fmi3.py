@@ -1,5 +1,6 @@
 """FMI 3.0: the same component behind other calls, through FMPy's importer and fmi-sim."""
 
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from fmpy import extract, read_model_description, simulate_fmu
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 
+from cosim.references import Verified, verify
 from fmu_src.blocks.controller import controller
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import trajectory
@@ -22,7 +24,6 @@ from fmu_src.check import check
 from fmu_src.drive.drive_fmu import content as drive
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.package import Content, write_fmu
-from fmu_src.terminals import to_terminals
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.files import models_folder
@@ -338,28 +339,39 @@ def test_calls_out_of_sequence_around_events_are_refused(drive3, tmp_path) -> No
     assert new.fmu.doStep(0.0, 0.1)[0]
 
 
-def test_flanges_of_a_drive_and_its_check(drive3) -> None:
-    """Arrays make one terminal of all joints; the schema and the rules find no fault."""
+def results_in(fmu: Path) -> dict[str, bytes]:
+    with ZipFile(fmu) as archive:
+        return {n: archive.read(n) for n in archive.namelist() if re.match(r"extra/.*csv$", n)}
+
+
+def test_components_carry_the_results_of_fmi_2(pair) -> None:
+    old, new = map(results_in, pair)
+    assert new == old
+    found = verify(pair[1])
+    assert found.problems == []
+    assert set(found.passed) == ({"hold", "shown"} if new else set())
+
+
+def test_a_drive_carries_results(drive3) -> None:
+    assert results_in(drive3)
+    assert verify(drive3) == Verified(passed={"hold": "hold", "shown": "shown"})
+
+
+def test_each_joint_of_a_drive_has_a_flange(drive3) -> None:
+    """The schema and the rules find no fault."""
     with ZipFile(drive3) as archive:
         root = ET.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
-    [flange] = root.iter("Terminal")
-    members = {e.get("memberName"): e.get("variableName") for e in flange}
-    assert members == {"phi": "q_link", "w": "dq_link", "tau": "tau_link"}
-    found = check(drive3)
-    assert found.problems == ()
-    assert found.skipped == ("VDMCheck2: it is for FMI 2.0, this is FMI 3.0.",)
-
-
-def test_joints_that_turn_and_slide_have_a_flange_each(make_model, make_law) -> None:
-    model = make_model(make_law("viscous"), make_law("viscous"), sliding=(False, True))
-    own = drive(model, inertia=(0.5, 0.5))
-    text = to_terminals(own.table, own.terminals, icon=False)
-    assert text is not None
-    flanges = ET.fromstring(text).iter("Terminal")
-    assert [(e.get("name"), e[0].get("variableName")) for e in flanges] == [
-        ("flange[1]", "q_link[1]"),
-        ("flange[2]", "q_link[2]"),
-    ]
+    found = {
+        flange.get("name"): {e.get("memberName"): e.get("variableName") for e in flange}
+        for flange in root.iter("Terminal")
+    }
+    assert found == {
+        f"flange[{i}]": {"phi": f"q_link[{i}]", "w": f"dq_link[{i}]", "tau": f"tau_link[{i}]"}
+        for i in (1, 2)
+    }
+    report = check(drive3)
+    assert report.problems == ()
+    assert report.skipped == ("VDMCheck2: it is for FMI 2.0, this is FMI 3.0.",)
 
 
 def test_messages_name_the_functions_of_fmi_3(drive3, tmp_path) -> None:
