@@ -67,7 +67,7 @@ def read_json(path: Path, expected_format: str | None = None) -> Any:
     Raises
     ------
     ArtifactError
-        If the file is missing, not JSON, or of another format.
+        If the file is missing, not an object in JSON, or of another format.
     """
     try:
         data = parse_json(read_text(path))
@@ -76,6 +76,8 @@ def read_json(path: Path, expected_format: str | None = None) -> Any:
     except (OSError, ValueError) as error:
         raise ArtifactError(f"{path}: not a readable JSON file ({error}).") from error
     if expected_format is None:
+        if not isinstance(data, dict):
+            raise ArtifactError(f"{path}: not a readable JSON file (it holds no keys).")
         return data
     found = data.pop("format", None) if isinstance(data, dict) else None
     if found != expected_format:

@@ -4,7 +4,6 @@ import io
 import re
 import struct
 import zipfile
-from pathlib import Path
 
 import numpy as np
 
@@ -127,12 +126,11 @@ _ODD_NAMES = (
 """That no file in an archive should have."""
 
 
-def damaged_archive(path: Path, seed: int) -> bytes:
+def damaged_archive(content: bytes, rng: np.random.Generator) -> bytes:
     """Return an archive that is damaged itself, or holds a file that is, all sums being right."""
-    rng = np.random.default_rng(seed)
     if rng.random() < 1 / 3:
-        return damaged(path.read_bytes(), rng)
-    with zipfile.ZipFile(path) as archive:
+        return damaged(content, rng)
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     # What is read of it: XML and JSON above all.
     texts = [name for name in members if name.endswith((".xml", ".ssd", ".ssv", ".json"))]
@@ -142,6 +140,6 @@ def damaged_archive(path: Path, seed: int) -> bytes:
         members[str(rng.choice(_ODD_NAMES))] = members.pop(str(rng.choice(list(members))))
     file, packing = io.BytesIO(), (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)[rng.integers(2)]
     with zipfile.ZipFile(file, "w", packing) as archive:
-        for name, content in members.items():
-            archive.writestr(name, content)
+        for name, member in members.items():
+            archive.writestr(name, member)
     return file.getvalue()

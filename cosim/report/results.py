@@ -151,7 +151,7 @@ class Results:
 
 def _comparisons(path: Path) -> dict[str, Comparison]:
     scores = read_json(path)
-    if not isinstance(scores, dict) or not scores:
+    if not scores:
         raise ArtifactError(f"{path}: not the scores of a run (there is no test set in it).")
     return {
         name: from_json(Comparison, of_test, path, f"the scores of a run on {name!r}")

@@ -84,7 +84,7 @@ def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
         laws = table["law"].to_pylist()
         runs = [(schemes[name], law) for name, law in zip(names, laws, strict=True)]
         columns = [table[name].to_numpy() for name in ("t", *_of(table, "q_d"), *_of(table, "q"))]
-    except (pyarrow.ArrowInvalid, OSError, KeyError, ValueError) as error:
+    except (pyarrow.ArrowException, OSError, KeyError, ValueError) as error:
         raise ArtifactError(f"{path}: is not what a closed loop has written.") from error
     values = np.column_stack(columns)
     joints = (values.shape[1] - 1) // 2

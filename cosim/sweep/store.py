@@ -67,9 +67,11 @@ class Store:
 
     def has(self, first: int, values: Array) -> bool:
         """Whether a chunk is there, readable and of these inputs."""
+        from pyarrow import ArrowException
+
         try:
             return np.array_equal(self._read(first).inputs, values)
-        except (OSError, ValueError, KeyError):
+        except (OSError, ValueError, KeyError, ArrowException):
             return False
 
     def read(self, firsts: list[int]) -> Table:

@@ -7,6 +7,7 @@ import time
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 from damage import damaged_archive
 from hostile import archived
@@ -186,10 +187,10 @@ def read_ssp(path: Path, folder: Path, *, run: bool) -> None:
 def survive(real: Path, folder: Path, count: int, runs: int) -> None:
     """Read damaged copies of a file, and run the first few of those that can be read."""
     read = read_ssp if real.suffix == ".ssp" else read_fmu
-    refused = 0
+    refused, original = 0, real.read_bytes()
     for seed in range(count):
         path = folder / f"{seed}{real.suffix}"
-        content = damaged_archive(real, seed)
+        content = damaged_archive(original, np.random.default_rng(seed))
         path.write_bytes(content)
         most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 + MOST_MORE
         begin = time.monotonic()

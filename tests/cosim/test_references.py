@@ -90,6 +90,7 @@ def test_other_results_are_told(with_results: Callable[..., Path]) -> None:
         ("u\n1\n", "time,y\n0,1\n", "'extra/steps_in.csv' is no table over 'time'"),
         ("time,u\n0,x\n", "time,y\n0,1\n", "could not convert string to float: 'x'"),
         ("time,v\n0,1\n", "time,y\n0,1\n", "'v'"),
+        (f"time,u\n0,{200_000 * '1'}\n", "time,y\n0,1\n", "field larger than field limit"),
     ],
 )
 def test_what_cannot_be_run_is_told(
@@ -113,6 +114,13 @@ def test_changed_and_missing_files_are_told(
     broken = {EXPERIMENTS: b"<Experiments>"}
     found = verify(repacked(fmu, tmp_path / "Broken.fmu", broken))
     assert found.problems[-1].startswith("its reference results cannot be read: no element found")
+    broken = {EXPERIMENTS: b"<?xml version='1.0' encoding='nowhere'?><Experiments/>"}
+    found = verify(repacked(fmu, tmp_path / "Broken.fmu", broken))
+    assert found.problems[-1].endswith("cannot be read: unknown encoding: nowhere.")
+    with zipfile.ZipFile(fmu) as archive:
+        manifest = archive.read(MANIFEST).replace(b"SHA3-256", b"shake_128")
+    found = verify(repacked(fmu, tmp_path / "Sums.fmu", {MANIFEST: manifest}))
+    assert found.problems == []  # a sum without a length is none that is known
 
 
 def test_what_is_not_run_is_said(with_results: Callable[..., Path], lag_fmu: Path) -> None:

@@ -14,9 +14,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from readers import READERS  # which also finds the next
-
-from damage import damaged  # isort: skip
+from readers import READERS
 
 from hesr_model.errors import HesrError
 
@@ -46,7 +44,7 @@ def main() -> None:
     before, longest = memory(), len(original)
     refused, slowest = 0, 0.0
     for seed in range(first, first + count):
-        content = damaged(original, np.random.default_rng(seed))
+        content = reader.damage(original, np.random.default_rng(seed))
         path.write_bytes(content)
         longest = max(longest, len(content))
         say(seed=seed)

@@ -413,6 +413,14 @@ def test_a_wrong_file_leaves_no_trace_of_another_error(tmp_path: Path) -> None:
         read_json(path, "a-format")
 
 
+def test_what_is_no_object_is_none_of_our_files(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    for text in ("[]", "7", '"key"'):
+        path.write_text(text)
+        with pytest.raises(ArtifactError, match=r"not a readable JSON file \(it holds no keys\)"):
+            read_json(path)
+
+
 def test_numbers_that_json_does_not_know_are_never_written(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_text("{}")
