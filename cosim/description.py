@@ -58,4 +58,9 @@ def description_in(archive: Archive) -> tuple[ModelDescription, list[Declared]]:
                 f"{fmu}: its modelIdentifier is {quoted(str(kind.modelIdentifier))}; needed is an "
                 "identifier of C with at most 200 characters."
             )
-    return with_scalars(about) if about.fmiVersion.startswith("3.") else (about, [])
+    if not about.fmiVersion.startswith("3."):
+        return about, []
+    try:
+        return with_scalars(about)
+    except ValueError as error:
+        raise SimulationError(f"{fmu}: not a readable FMU ({plain(str(error))}).") from error

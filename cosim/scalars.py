@@ -5,6 +5,7 @@ The reference of an element is the value reference of its array and, above it, t
 
 from collections.abc import Sequence
 from copy import copy
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ Declared = tuple[int, str, str, list[Any]]
 """Value reference, name, type in FMI 3.0 and start values of a variable."""
 
 _PLACE = 32  # bits of a value reference
+_MOST_ELEMENTS = 100_000
 _TYPES = {"Float64": "Real", "Enumeration": "Integer"} | {
     f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)
 }
@@ -32,7 +34,13 @@ def with_scalars(about: Any) -> tuple[Any, list[Declared]]:
     """Return FMPy's description of FMI 3.0 with a variable for each element, and its variables.
 
     What depends on an array depends on each element; names are as FMI 2.0 structures them, `dq[1]`.
+
+    Raises
+    ------
+    ValueError
+        If a size, a value reference or a start value is none, or there are too many elements.
     """
+    _require_sizes(about.modelVariables)
     elements = {id(v): _elements(v) for v in about.modelVariables}
     declared = [(v.valueReference, v.name, v.type, _starts(v)) for v in about.modelVariables]
 
@@ -72,6 +80,20 @@ def _changed(one: Any, **values: Any) -> Any:
 
 def _every(variables: Sequence[Any] | None, elements: dict[int, list[Any]]) -> list[Any] | None:
     return None if variables is None else [e for v in variables for e in elements[id(v)]]
+
+
+def _require_sizes(variables: Sequence[Any]) -> None:
+    count = 0
+    for v in variables:
+        if not 0 <= v.valueReference < 1 << _PLACE:
+            raise ValueError(f"the value reference of '{v.name}' is {v.valueReference}")
+        if any(size < 0 for size in v.shape):
+            raise ValueError(f"a dimension of '{v.name}' is {min(v.shape)}")
+        count += prod(v.shape)
+    if count > _MOST_ELEMENTS:
+        raise ValueError(
+            f"its variables have {count} elements; at most {_MOST_ELEMENTS} can be read"
+        )
 
 
 def _elements(variable: Any) -> list[Any]:

@@ -1,7 +1,7 @@
 """What `hesr fleet` looks at: types of robots, where their logs are, and which laws are fitted."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -12,6 +12,7 @@ from pydantic import Field
 from hesr_model.errors import ConfigError
 from hesr_model.logs.readers.formats import COLUMNS, format_of
 from hesr_model.support.config import Config, RelativePath
+from hesr_model.support.text import quoted
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
 
@@ -105,7 +106,7 @@ def members(study: FleetStudy, path: Path) -> list[Member]:
     found: dict[str, Member] = {}
     for type_, kind in study.types.items():
         logs: dict[str, dict[str, Path]] = {}
-        for root, folder in _matching(path.parent, kind.logs):
+        for root, folder in _matching(path, type_, kind.logs):
             files = logs.setdefault(folder.name.rpartition("=")[2], {})
             files |= {f.relative_to(root).with_suffix("").as_posix(): f for f in _logs_in(folder)}
         if not logs:
@@ -121,14 +122,17 @@ def members(study: FleetStudy, path: Path) -> list[Member]:
     return [found[name] for name in sorted(found)]
 
 
-def _matching(beside: Path, pattern: str) -> Iterable[tuple[Path, Path]]:
-    """Yield what is in front of a pattern's first wildcard, and each folder that matches."""
+def _matching(path: Path, type_: str, pattern: str) -> list[tuple[Path, Path]]:
+    """Return what is in front of a pattern's first wildcard, with each folder that matches."""
     parts = Path(pattern).parts
     wild = next((k for k, part in enumerate(parts) if _WILD.search(part)), len(parts) - 1)
-    root = beside.joinpath(*parts[:wild])
-    for folder in sorted(root.glob("/".join(parts[wild:]))):
-        if folder.is_dir():
-            yield root, folder
+    root = path.parent.joinpath(*parts[:wild])
+    try:
+        return [(root, f) for f in sorted(root.glob("/".join(parts[wild:]))) if f.is_dir()]
+    except (OSError, ValueError, NotImplementedError) as error:  # of names that no folder can have
+        raise ConfigError(
+            f"{path}: type '{type_}': folders like {quoted(pattern)} cannot be looked for."
+        ) from error
 
 
 def _logs_in(folder: Path) -> list[Path]:

@@ -353,6 +353,8 @@ def test_logs_are_found_in_folders_and_partitions(tmp_path: Path) -> None:
     ("old", "new", "said"),
     [
         ('"logs/robot=*"', '"logs/rob*t"', "type 'arm': no folder matches 'logs/rob*t'."),
+        *(('"logs/robot=*"', f'"{bad}"', f"type 'arm': folders like '{bad}' cannot be looked for.")
+          for bad in (".", "/")),
         ('logs = "logs/robot=*"', "", "key 'types.arm.logs' is missing."),
         ("fmu = false", "seed = -1", "key 'seed' is -1: "),
         ("fmu = false", "laws_ = []", "unknown key 'laws_'; allowed here: fmu, laws, least_"),

@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 from small_fmus import lag
 
+from cosim.description import model_description
 from cosim.interop.drive import driven
 from cosim.master import Master
 from cosim.slave import Component
 from cosim.system import ComponentSpec, SystemSpec
 from fmu_src import exported
+from fmu_src.blocks.velocity import velocity
+from fmu_src.description3 import to_xml3
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
@@ -101,3 +104,25 @@ def test_start_values_of_parts_of_arrays_become_whole(friction3: Path) -> None:
     assert set(case.inputs) == {f"{name}[{i}]" for name in ("dq", "q") for i in (1, 2, 3)} | {
         "tau_load[1]", "tau_load[3]",
     } - set(case.start)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('<Dimension start="2"', '<Dimension start="-2"', "a dimension of 'q' is -2"),
+        ('<Dimension start="2"', '<Dimension start="999999999"', "elements; at most 100000 can"),
+        ('valueReference="5"', 'valueReference="-1"', "the value reference of 'time' is -1"),
+        ('valueReference="5"', f'valueReference="{2**40}"', "the value reference of 'time' is 1"),
+        ('start="0.0 0.0"', 'start="0.0 x"', "could not convert string to float: 'x'"),
+    ],
+)
+def test_arrays_that_cannot_be(tmp_path: Path, old: str, new: str, said: str) -> None:
+    """Of a billion elements each would have a name."""
+    block, fmu = velocity(2), tmp_path / "Odd.fmu"
+    text = to_xml3(block.table, block.about, "{7f}").decode()
+    assert old in text
+    with ZipFile(fmu, "w") as archive:
+        archive.writestr("modelDescription.xml", text.replace(old, new, 1))
+    with pytest.raises(SimulationError, match=r"Odd\.fmu: not a readable FMU \(") as found:
+        model_description(fmu)
+    assert said in str(found.value)
