@@ -28,7 +28,7 @@ static bool fits(fmi3Instance c, const char *function, const fmi3ValueReference 
     const Instance *instance = INNER(c);
     if ((n > 0 && !vr) || (n_values > 0 && !values)) {
         complain(instance, "%s: an argument is NULL.", function);
-    } else if (elements(vr, n) != n_values) {
+    } else if (n > VARIABLES || n_values > VARIABLES || elements(vr, n) != n_values) {
         complain(instance, "%s: %lu values for variables that have others, or are unknown.",
                  function, (unsigned long)n_values);
     } else {
@@ -65,7 +65,7 @@ FMI3_STATUS(fmi3GetFloat64)
             at += indicators;
         } else {
             const size_t own = elements(&vr[i], 1);
-            if (own > room) {
+            if (own > VARIABLES || own > room) {
                 return fits(c, function, &vr[i], 1, value, room) ? fmi3OK : fmi3Error;
             }
             spread(&vr[i], 1, place);
@@ -85,8 +85,7 @@ FMI3_STATUS(fmi3SetFloat64)
 (fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Float64 value[],
  size_t n_values) {
     fmi2ValueReference place[VARIABLES];
-    if (n > VARIABLES || !fits(c, "fmi3SetFloat64", vr, n, value, n_values) ||
-        n_values > VARIABLES) {
+    if (!fits(c, "fmi3SetFloat64", vr, n, value, n_values)) {
         return fmi3Error;
     }
     spread(vr, n, place);
@@ -114,8 +113,7 @@ FMI3_STATUS(fmi3GetDirectionalDerivative)
  fmi3Float64 sensitivity[], size_t n_sensitivity) {
     static const char function[] = "fmi3GetDirectionalDerivative";
     fmi2ValueReference above[VARIABLES], below[VARIABLES];
-    if (n_seed > VARIABLES || n_sensitivity > VARIABLES ||
-        !fits(c, function, unknowns, n_unknowns, sensitivity, n_sensitivity) ||
+    if (!fits(c, function, unknowns, n_unknowns, sensitivity, n_sensitivity) ||
         !fits(c, function, knowns, n_knowns, seed, n_seed)) {
         return fmi3Error;
     }

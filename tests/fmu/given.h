@@ -5,24 +5,18 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "fmi2.h"
-#include "interface.h"
+#include "fmi.h"
 
 static char **given; /* up to a NULL */
 
-static void start(fmi2Component c) {
+static void start(Fmu c) {
     for (char **one = given; one && *one; one++) {
         const size_t length = strcspn(*one, "=");
-        const fmi2Real value = atof(*one + length + 1);
-        for (fmi2ValueReference v = 0; v < VARIABLES; v++) {
+        const double value = atof(*one + length + 1);
+        for (Ref v = 0; v < VARIABLES; v++) {
             const char *name = variables[v].name;
             if (strncmp(name, *one, length) == 0 && (!name[length] || name[length] == '[')) {
-                const fmi2Integer choice = (fmi2Integer)value;
-                if (variables[v].type == INTEGER) {
-                    fmi2SetInteger(c, &v, 1, &choice);
-                } else {
-                    fmi2SetReal(c, &v, 1, &value);
-                }
+                set_at(c, v, value);
             }
         }
     }

@@ -244,6 +244,12 @@ def test_what_does_not_fit_is_refused(friction3, tmp_path) -> None:
         new.fmu.getFloat64([10**6], nValues=1)
     with pytest.raises(Exception, match="failed with status 3"):
         new.fmu.getFloat64([new.variables["dq"].valueReference], nValues=2)
+    for reference in (10**6, len(new.variables) + 100):  # whatever room there is said to be
+        with pytest.raises(Exception, match="failed with status 3"):
+            new.fmu.fmi3GetFloat64(
+                new.fmu.component, (c_uint32 * 1)(reference), 1, (c_double * 1)(), 2**64 - 1
+            )
+        assert "fmi3GetFloat64: 18446744073709551615 values for variables" in new.said[-1]
     assert new.get("dq") == [0.0, 0.0, 0.0]
 
 

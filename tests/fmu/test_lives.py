@@ -1,12 +1,14 @@
-"""Random lives of every FMU of a closed loop, and of a drive, under sanitizers.
+"""Random lives of every FMU of a closed loop, and of others, under sanitizers.
 
-A share of the lives is gone through here, all 10,000 of each with `-m soak`.
+A share of the lives is gone through here, all 10,000 of each with `-m soak`; so is every life of
+those whose code is that of others but for the version of FMI.
 """
 
 import json
 import shutil
 import subprocess
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -14,8 +16,13 @@ import pytest
 from adaptive_models import lugre, model, stops
 from closed_loop import build
 
+from fmu_src.blocks.trajectory import trajectory
+from fmu_src.blocks.velocity import velocity
 from fmu_src.drive.drive_fmu import export_drive
-from fmu_src.friction.friction_fmu import export_fmu
+from fmu_src.friction.friction_fmu import export_bare, export_fmu
+from fmu_src.package import write_fmu
+from hesr_model.friction.band import Band
+from hesr_model.friction.thermal import Thermal
 
 HERE = Path(__file__).parent
 FEW, ALL = 300, 10_000
@@ -25,8 +32,11 @@ WRAPPED = ("-DWRAPPED", "-Wl,--wrap=malloc,--wrap=calloc")
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 
-KINDS = ("arm", "trajectory", "body", "friction", "controller", "velocity", "drive", "adaptive")
-
+LOOP = ("arm", "trajectory", "body", "friction", "controller", "velocity")
+RARE = ("trajectory 3", "velocity 3", "adaptive", "band")
+"""What others have, too: in the soak alone."""
+KINDS = (*LOOP, "drive", "warm", "drive 3", "warm 3", "band 3")
+"""Of FMI 3.0 where a 3 says so. An adaptive one that is warm knows temperature, too."""
 
 GIVEN = {
     "controller": ("sample_time=0.001", "Kv=90", "Ki=900"),
@@ -34,30 +44,56 @@ GIVEN = {
 }
 """What has no start value with which an FMU could begin."""
 
+BAND = Band(floor=0.7, slow=1.3, slow_speed=0.02, rest=0.4, fast=0.5, load=0.05, tail=0.7,
+            envelope=1.0)  # fmt: skip
+WARM = Thermal(coulomb=0.004, viscous=0.02, resistance=0.5, time_constant=30.0)
+
 
 @pytest.fixture(scope="session")
-def kinds(table1, tmp_path_factory):
-    """All FMUs by kind."""
-    folder = tmp_path_factory.mktemp("kinds")
-    fmus = build(folder, table1).fmus
-    more = {
-        "drive": export_drive(table1, folder / "Drive.fmu", inertia=(1.0,) * len(table1.joints)),
-        "adaptive": export_fmu(model(lugre(), stops()), folder / "Adaptive.fmu", adaptive=True),
-    }
-    return {kind: more.get(kind) or getattr(fmus, kind) for kind in KINDS}
+def loop(table1, tmp_path_factory):
+    return build(tmp_path_factory.mktemp("loop"), table1).fmus
 
 
-@pytest.fixture(scope="session", params=KINDS)
-def unpacked(request, kinds, tmp_path_factory):
-    """Folder of an FMU's sources, flags for what it is linked to, and what hosts are told."""
-    folder = tmp_path_factory.mktemp(request.param)
-    with zipfile.ZipFile(kinds[request.param]) as archive:
+@pytest.fixture(scope="session")
+def export(loop, table1, make_law, make_model, tmp_path_factory):
+    """Write the FMU of a kind."""
+    followed = model(lugre(), stops())
+    laws = [replace(make_law(name), band=BAND) for name in ("lugre", "viscous", "elements")]
+
+    def write(kind):
+        path = tmp_path_factory.mktemp("kind") / "F.fmu"
+        name, fmi = kind.split()[0], 3 if kind.endswith("3") else 2
+        if kind in LOOP:
+            return getattr(loop, kind)
+        if name == "drive":
+            inertia = (1.0,) * len(table1.joints)
+            return export_drive(table1, path, inertia=inertia, fmi=fmi, bare=True)
+        if name == "band":
+            return export_bare(make_model(*laws), path, band=True, fmi=fmi)
+        if name in ("warm", "adaptive"):
+            known = replace(followed, thermal=(WARM,) * 2) if name == "warm" else followed
+            return export_fmu(known, path, adaptive=True, fmi=fmi)
+        return write_fmu({"trajectory": trajectory, "velocity": velocity}[name](3), path, fmi=fmi)
+
+    return write
+
+
+@pytest.fixture(
+    scope="session",
+    params=[*KINDS, *(pytest.param(kind, marks=pytest.mark.soak) for kind in RARE)],
+)
+def unpacked(request, export, tmp_path_factory):
+    """Folder of an FMU's sources, flags for what it is and is linked to, what hosts are told."""
+    folder = tmp_path_factory.mktemp("unpacked")
+    with zipfile.ZipFile(export(request.param)) as archive:
         archive.extractall(folder)
     wheel = Path(mujoco.__file__).parent
     [library] = wheel.glob("libmujoco.so.*")
     linked = (f"-isystem{wheel / 'include'}", str(library), f"-Wl,-rpath,{wheel}")
-    more = linked if request.param == "arm" else ()
-    told = ((folder / "resources").as_uri(), *GIVEN.get(request.param, ()))
+    name, of_3 = request.param.split()[0], request.param.endswith("3")
+    resources = folder / "resources"
+    told = (str(resources) if of_3 else resources.as_uri(), *GIVEN.get(name, ()))
+    more = (*(linked if name == "arm" else ()), *(("-DFMI=3",) if of_3 else ()))
     return folder / "sources", more, told
 
 

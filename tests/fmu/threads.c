@@ -4,47 +4,37 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "fmi2.h"
-#include "interface.h"
 #include "given.h"
 
 enum { LIVES = 20, STEPS = 50, TWO = 2 };
 
-static fmi2String resources;
+static Text resources;
 
-static void logger(fmi2ComponentEnvironment environment, fmi2String instance, fmi2Status status,
-                   fmi2String category, fmi2String message, ...) {
-    (void)environment, (void)instance, (void)status, (void)category, (void)message;
+LOGGER {
 }
-
-static const fmi2CallbackFunctions callbacks = {logger, NULL, NULL, NULL, NULL};
 
 static void *lead(void *steps) {
     for (int life = 0; life < LIVES; life++) {
-        fmi2Component c =
-            fmi2Instantiate("one", fmi2CoSimulation, MODEL_GUID, resources, &callbacks, 0, 1);
-        fmi2FMUstate state = NULL;
+        Fmu c = made("one", COUPLED_STEPS, MODEL_GUID, resources, 1, 1, 0);
+        State state = NULL;
         start(c);
-        fmi2SetupExperiment(c, 0, 0.0, 0.0, 0, 0.0);
-        fmi2EnterInitializationMode(c);
-        fmi2ExitInitializationMode(c);
+        begin(c);
         for (int k = 0; k < STEPS; k++) {
-            for (fmi2ValueReference v = 0; v < VARIABLES; v++) {
-                fmi2Real value = 0.01 * (k % 7) - 0.02;
+            for (Ref v = 0; v < VARIABLES; v++) {
                 if (variables[v].role == INPUT && variables[v].type == REAL) {
-                    fmi2SetReal(c, &v, 1, &value);
+                    set_at(c, v, 0.01 * (k % 7) - 0.02);
                 } else if (variables[v].role == OUTPUT && variables[v].type == REAL) {
-                    fmi2GetReal(c, &v, 1, &value);
+                    get_at(c, v);
                 }
             }
             if (k % 10 == 3) {
-                fmi2GetFMUstate(c, &state);
-                fmi2SetFMUstate(c, state);
+                CALL(GetFMUstate)(c, &state);
+                CALL(SetFMUstate)(c, state);
             }
-            *(int *)steps += fmi2DoStep(c, 1e-3 * k, 1e-3, fmi2True) == fmi2OK;
+            *(int *)steps += advance(c, 1e-3 * k, 1e-3) == OK;
         }
-        fmi2FreeFMUstate(c, &state);
-        fmi2FreeInstance(c);
+        CALL(FreeFMUstate)(c, &state);
+        CALL(FreeInstance)(c);
     }
     return NULL;
 }
