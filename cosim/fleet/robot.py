@@ -46,6 +46,11 @@ def look_at(member: Member, study: FleetStudy, folder: Path) -> bool:
     """Do all of one robot and write it into its folder; return whether it was there already.
 
     What is wrong with its logs is a part of the result.
+
+    Raises
+    ------
+    ArtifactError
+        If something cannot be written.
     """
     key, file = _key(member, study), folder / RESULT
     try:
@@ -56,6 +61,8 @@ def look_at(member: Member, study: FleetStudy, folder: Path) -> bool:
     try:
         with threadpool_limits(1):
             result = _Robot(member, study, key).result(folder)
+    except ArtifactError:
+        raise  # a full disk is no fault of the robot's, and must not be kept as one
     except HesrError as error:
         result = RobotResult(key=key, robot=member.name, type=member.type, failure=str(error))
     # Last: whoever is killed before begins this robot anew.
@@ -84,7 +91,7 @@ def _key(member: Member, study: FleetStudy) -> str:
     about = {
         "robot": (member.name, member.type, kind.accept),
         "names": [name for name, _ in member.logs],
-        "files": [sha256(file) if file.exists() else None for file in files],
+        "files": [sha256(file) if file.is_file() or file.is_dir() else None for file in files],
         "study": study.model_dump(mode="json", include={"seed", "laws", "options", "rows"}),
         "versions": [version(name) for name in _VERSIONED],
     }

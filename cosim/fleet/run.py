@@ -42,8 +42,9 @@ def run_fleet(
     study = FleetStudy.read(path)
     for law in study.laws:
         estimator(law)
+    for robot in dict.fromkeys(kind.robot for kind in study.types.values()):
+        RobotModel(RobotDescription.read(robot))
     for kind in study.types.values():
-        RobotModel(RobotDescription.read(kind.robot))
         require_known(kind.accept, CHECKS)
     robots = members(study, path)
     with taken(output, ROBOTS, ABOUT, {"key": study.name}):

@@ -1,5 +1,6 @@
 """What `hesr fleet` looks at: types of robots, where their logs are, and which laws are fitted."""
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -101,7 +102,7 @@ def members(study: FleetStudy, path: Path) -> list[Member]:
     Raises
     ------
     ConfigError
-        If a type has no robots, or two types have the same.
+        If a type has no robots, two types have the same, or a folder holds itself by a link.
     """
     found: dict[str, Member] = {}
     for type_, kind in study.types.items():
@@ -135,13 +136,16 @@ def _matching(path: Path, type_: str, pattern: str) -> list[tuple[Path, Path]]:
         ) from error
 
 
-def _logs_in(folder: Path) -> list[Path]:
+def _logs_in(folder: Path, above: tuple[Path, ...] = ()) -> list[Path]:
     found: list[Path] = []
+    own = Path(os.path.realpath(folder))
+    if any(other.is_relative_to(own) for other in above):  # its logs would count again and again
+        raise ConfigError(f"{folder}: is a link to a folder in which it stands; remove it.")
     for entry in sorted(folder.iterdir()):
         if entry.name.startswith((".", "_")):
             continue
         if entry.is_dir() and not (entry / _BAG).exists():
-            found += _logs_in(entry)
+            found += _logs_in(entry, (*above, own))
         elif entry.is_dir() or entry.suffix.lower() in _TABLES or format_of(entry) != COLUMNS:
             found.append(entry)
     return found

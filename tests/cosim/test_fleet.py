@@ -1,6 +1,7 @@
 """Fleets: laws of each robot as `hesr fit` finds them, who deviates, who changes, nothing lost."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -26,7 +27,7 @@ from cosim.fleet.types import write_types
 from cosim.package.parameter_set import export_ssv
 from cosim.replay import replay
 from hesr_model.artifacts import read_model, read_rigid_body, write_model
-from hesr_model.errors import ArtifactError
+from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.friction.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
 from hesr_model.inference.deviation import Trend
@@ -214,6 +215,27 @@ def test_what_a_law_cannot_do_is_told(copied: Path, tmp_path: Path) -> None:
     assert "law 'lugre_load_ripple' needs the key 'gear_ratio'" in found.refused[0]
 
 
+def test_what_cannot_be_written_is_no_fault_of_a_robot(copied: Path) -> None:
+    """It would be kept as its result when the disk has room again."""
+    file, folder = copied / "fleet.toml", copied / "R0"
+    study = FleetStudy.read(file)
+    (folder / "stribeck.json").mkdir(parents=True)
+    with pytest.raises(ArtifactError, match=r"stribeck\.json: cannot be written there"):
+        look_at(members(study, file)[0], study, folder)
+    assert not (folder / "result.json").exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in folders")
+def test_a_pipe_among_logs_is_not_waited_for(copied: Path) -> None:
+    file, folder = copied / "fleet.toml", copied / "R0"
+    shutil.rmtree(copied / "logs" / "robot=R0")
+    (copied / "logs" / "robot=R0").mkdir()
+    os.mkfifo(copied / "logs" / "robot=R0" / "run.csv")
+    study = FleetStudy.read(file)
+    look_at(members(study, file)[0], study, folder)
+    assert "run.csv: no such log file." in read_result(folder).failure
+
+
 def fleet_of(count: int, seed: int = 0) -> list[RobotResult]:
     """Robots of one type with two joints, their numbers drawn alike."""
     rng = np.random.default_rng(seed)
@@ -377,6 +399,17 @@ def test_fleets_that_are_wrong(
     assert said in err
     assert len(err.splitlines()) == 1
     assert files(copied / "out") == files(cell / "out")
+
+
+def test_a_link_that_leads_back_is_refused(tmp_path: Path) -> None:
+    """Its logs would be read until a path is too long: 41 times."""
+    laid(tmp_path, "b/arm2/run2.mat", "c/arm3/run3.mat")
+    (tmp_path / "b/arm2/far").symlink_to(tmp_path / "c")  # on another disk, say
+    (arm,) = members(*study_of(tmp_path, two="b/*"))
+    assert [name for name, _ in arm.logs] == ["arm2/far/arm3/run3", "arm2/run2"]
+    (tmp_path / "b/arm2/loop").symlink_to("..")
+    with pytest.raises(ConfigError, match="b/arm2/loop: is a link to a folder in which it stands"):
+        members(*study_of(tmp_path, two="b/*"))
 
 
 def test_folders_of_others(copied: Path, command: Command, capsys) -> None:

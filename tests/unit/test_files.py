@@ -232,3 +232,11 @@ def test_a_scratch_folder_goes_whatever_is_in_it(
         os.close(here)
     assert list(tmp_path.iterdir()) == []
     assert (outside / "kept").is_file()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in folders")
+def test_a_pipe_has_no_hash(tmp_path: Path) -> None:
+    """Nobody waits for its end."""
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="it is a pipe or a device"):
+        sha256(tmp_path / "pipe")
