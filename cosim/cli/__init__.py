@@ -27,7 +27,7 @@ from cosim.cli import (
 )
 from cosim.cli.app import app
 from cosim.cli.console import ended_by_signals
-from cosim.cli.last_resort import errors_said, plain_where_needed
+from cosim.cli.last_resort import errors_said, home_where_needed, plain_where_needed
 
 __all__ = [
     "app",
@@ -58,6 +58,7 @@ __all__ = [
 def main() -> NoReturn:
     """Run the command line; an error that a user can mend is one sentence and exit code 2."""
     plain_where_needed()
+    home_where_needed()
     with ended_by_signals(), errors_said():
         app()
     sys.exit(0)

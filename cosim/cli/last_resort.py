@@ -66,6 +66,14 @@ def _give_up_output() -> None:
         os.close(nowhere)
 
 
+def home_where_needed() -> None:
+    """Give Matplotlib a folder where HOME cannot be written: else it complains on its own."""
+    if not os.access(os.environ.get("HOME", ""), os.W_OK | os.X_OK):
+        from hesr_model.support.cache import folder
+
+        os.environ.setdefault("MPLCONFIGDIR", str(folder() / "matplotlib"))
+
+
 def plain_where_needed() -> None:
     """Let standard output and error take any text, in ASCII where their encoding has no more."""
     codecs.register_error("hesr.plain", _plainly)

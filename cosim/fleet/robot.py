@@ -91,11 +91,19 @@ def _key(member: Member, study: FleetStudy) -> str:
     about = {
         "robot": (member.name, member.type, kind.accept),
         "names": [name for name, _ in member.logs],
-        "files": [sha256(file) if file.is_file() or file.is_dir() else None for file in files],
+        "files": [_hash(file) for file in files],
         "study": study.model_dump(mode="json", include={"seed", "laws", "options", "rows"}),
         "versions": [version(name) for name in _VERSIONED],
     }
     return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
+
+
+def _hash(file: Path) -> str | None:
+    """Return the hash of a file; none where reading it will tell what is wrong with it."""
+    try:
+        return sha256(file)
+    except OSError:
+        return None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -230,7 +230,7 @@ def test_a_pipe_among_logs_is_not_waited_for(copied: Path) -> None:
     file, folder = copied / "fleet.toml", copied / "R0"
     shutil.rmtree(copied / "logs" / "robot=R0")
     (copied / "logs" / "robot=R0").mkdir()
-    os.mkfifo(copied / "logs" / "robot=R0" / "run.csv")
+    os.mkfifo(copied / "logs" / "robot=R0" / "run.csv")  # nor can it be hashed
     study = FleetStudy.read(file)
     look_at(members(study, file)[0], study, folder)
     assert "run.csv: no such log file." in read_result(folder).failure

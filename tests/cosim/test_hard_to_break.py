@@ -122,6 +122,33 @@ def test_marks_are_plain_where_the_output_is(encoding: str) -> None:
     assert "?" not in text.partition("as the field expects")[0]
 
 
+# --- homes that cannot be written ---------------------------------------------------------------
+
+DRAWING = """
+from cosim.cli import main
+try:
+    main()
+finally:
+    import matplotlib
+    print(matplotlib.get_configdir())
+"""
+
+
+def test_without_a_home_nobody_else_complains(tmp_path: Path) -> None:
+    env = {key: value for key, value in os.environ.items() if not key.startswith("XDG_")}
+    result = subprocess.run(
+        [sys.executable, "-c", DRAWING, "laws", "--quiet"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=env | {"HOME": "/dev/null", "TMPDIR": str(tmp_path)},
+    )
+    assert (result.returncode, result.stderr) == (0, "")
+    place = Path(result.stdout.splitlines()[-1])
+    assert place == tmp_path / f"hesr-cache-{os.getuid()}" / "matplotlib"
+    assert place.is_dir()
+
+
 # --- hostile files ----------------------------------------------------------------------------
 
 
