@@ -167,10 +167,13 @@ def test_each_run_is_that_of_its_inputs(study: Path, tmp_path: Path):
 
 
 def test_the_same_seed_gives_the_same_bytes_whoever_does_the_runs(study: Path, tmp_path: Path):
+    """Intervals of sensitivities included."""
+    text = STUDY.replace('"monte_carlo"', '"sobol"').replace("runs = 12", "runs = 4")
+    study = written(study.parent, text)
     for name, workers in (("alone", 1), ("shared", 2)):
         run_sweep(study, tmp_path / name, workers=workers)
     assert files(tmp_path / "alone") == files(tmp_path / "shared")
-    assert len(files(tmp_path / "alone")) == 5  # three chunks, what they are, and the page
+    assert len(files(tmp_path / "alone")) == 6  # four chunks, what they are, and the page
 
 
 def test_what_is_there_is_not_done_again(study: Path, tmp_path: Path):
