@@ -5,10 +5,17 @@ from collections.abc import Sequence
 from os.path import relpath
 from pathlib import Path
 
-from hesr_model.health.proposal import Proposal
+import numpy as np
 
-_TRAINED = 0.6
-"""Share of a log that is the only one, in time, on which laws are trained."""
+from hesr_model.health.proposal import Proposal
+from hesr_model.logs.phases import reversals
+from hesr_model.logs.robot_log import RobotLog
+
+_TRAINED, _MOST_TRAINED = 0.6, 0.8
+"""Share of a log that is the only one, in time, on which laws are trained; the most of it where a
+joint is late to reverse."""
+_BEYOND = 0.02
+"""Of a log, by which training goes on after a joint's first reversal."""
 _LAWS = ("stribeck", "lugre", "parfam_s_v")
 
 
@@ -37,7 +44,7 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
     if len(files) > 1:
         return _text([*lines, *_sets(files[:-1], files[-1:])])
     (log,) = proposal.logs
-    cut = float(f"{_TRAINED * (log.t[-1] - log.t[0]):.4g}")
+    cut = float(f"{_share(log) * (log.t[-1] - log.t[0]):.4g}")
     of_log = f"log = {json.dumps(files[0])}"
     return _text(
         [
@@ -50,6 +57,15 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
             f"rest = {{ {of_log}, start = {cut:g} }}",
         ]
     )
+
+
+def _share(log: RobotLog) -> float:
+    """Share of a log to train on: no friction is learnt of a joint that has not reversed."""
+    dq = np.gradient(log.q, log.t, axis=0) if log.dq is None else log.dq
+    found = [reversals(np.asarray(v)) for v in dq.T]
+    whole, first = log.t[-1] - log.t[0], [rows[0] for rows in found if len(rows)]
+    late = float(np.max(log.t[first] - log.t[0], initial=0.0) / whole)
+    return min(max(_TRAINED, late + _BEYOND), _MOST_TRAINED)
 
 
 def _sets(trained: Sequence[str], tested: Sequence[str]) -> list[str]:

@@ -91,8 +91,10 @@ def loops(
             gridspec_kw={"left": 0.07, "right": 0.995, "top": 1.0 - 0.25 / height,
                          "bottom": 0.5 / height, "wspace": 0.07, "hspace": 0.2},
         ).ravel()  # fmt: skip
-        reach = _REACH * float(np.max(np.abs(measured[0])))
-        near = np.abs(measured[0]) <= reach
+        fastest = float(np.max(np.abs(measured[0])))
+        slow = np.abs(measured[0]) <= _REACH * fastest
+        # A joint that is never so slow is drawn whole.
+        reach, near = (_REACH * fastest, slow) if slow.any() else (fastest, ~slow)
         seen = max(1, int(np.count_nonzero(near)) // _SEEN)
         span = _span(measured[1][near])
         for axis, (title, (dq, tau)) in zip(axes, laws.items(), strict=False):

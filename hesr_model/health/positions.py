@@ -53,12 +53,16 @@ def check_time(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
         )  # fmt: skip
         return
     if len(log.gaps):
-        longest = float(np.max(steps))
+        longest, parts = float(np.max(steps)), len(log.parts())
         yield Finding(
             check="gaps", severity="warning", logs=(log.name,),
             found=f"{len(log.gaps)} gap{'s' * (len(log.gaps) > 1)}, the longest of {longest:.3g} s",
-            cause=f"rows are missing; its {len(log.parts())} parts are filtered and fitted one "
-            "by one",
+            cause="rows are missing; "
+            + (
+                f"its {parts} parts are filtered and fitted one by one"
+                if parts > 1
+                else "only one of its parts is long enough to be used"
+            ),
         )  # fmt: skip
     if loses_rows(log):
         share = share_of_long_steps(log)

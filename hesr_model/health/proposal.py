@@ -16,7 +16,7 @@ from hesr_model.health.velocity import match
 from hesr_model.logs.guess import guess
 from hesr_model.logs.log_format import column_names
 from hesr_model.logs.phases import moving, reversals
-from hesr_model.logs.readers.formats import BAG, format_of
+from hesr_model.logs.readers.formats import COLUMNS, format_of
 from hesr_model.logs.readers.matlab import read_matlab
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.tables import Table, read_table
@@ -107,7 +107,7 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
 
 def open_table(path: Path, time: str) -> Table | None:
     """Open a log as a table of named columns; None for formats that have none."""
-    if format_of(path) is BAG or not path.is_file():
+    if format_of(path) is not COLUMNS or not path.is_file():
         return None
     return read_matlab(path, time=time) if path.suffix.lower() == ".mat" else read_table(path)
 

@@ -319,17 +319,20 @@ def _effort(path: Path, samples: Samples, robot: RobotDescription) -> Array:
 
 
 def _require_reasonable(path: Path, samples: Samples, joints: Sequence[str]) -> None:
-    """Check that numbers, in any unit, can be multiplied with each other a few times."""
+    """Check that numbers, in any unit, can be multiplied with each other a few times.
+
+    NaN cannot: a reader need not look for it.
+    """
     for what in ("q", "dq", "effort", "temperature"):
         values = getattr(samples, what)
-        if values is not None and np.any(np.abs(values) > _LARGEST):
-            k, joint = np.argwhere(np.abs(values) > _LARGEST)[0]
+        if values is not None and not np.all(usable := np.abs(values) <= _LARGEST):
+            k, joint = np.argwhere(~usable)[0]
             raise LogError(
                 f"{path}: {samples.place(k)}: {what} of joint '{joints[joint]}' is "
                 f"{values[k, joint]:g}; numbers up to {_LARGEST:g} can be used."
             )
-    if np.any(np.abs(samples.t) > _LARGEST):
-        k = int(np.argmax(np.abs(samples.t) > _LARGEST))
+    if not np.all(usable := np.abs(samples.t) <= _LARGEST):
+        k = int(np.argmin(usable))
         raise LogError(
             f"{path}: {samples.time}, {samples.place(k)}: the time is {samples.t[k]:g}; numbers up "
             f"to {_LARGEST:g} can be used."

@@ -11,9 +11,11 @@ from small_study import Hesr, hesr_here
 
 from cosim.health import read_findings
 from cosim.pipeline import Job
+from cosim.proposed_study import study_file
 from cosim.study import Study
 from hesr_model.errors import ArtifactError, LogError
-from hesr_model.health.proposal import propose, robot_file
+from hesr_model.health.examine import examine
+from hesr_model.health.proposal import Proposal, propose, robot_file
 from hesr_model.logs.guess import guess
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import Motion
@@ -105,18 +107,28 @@ def test_the_proposed_study_reads_what_was_inspected(
     assert refused.err.startswith("hesr: --study needs --write: a study names the robot file")
 
 
-@pytest.mark.soak
-def test_a_messy_log_runs_without_a_hand_laid_on_it(
-    messy: Path, arm: RobotDescription, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
+def test_training_goes_on_until_each_joint_has_reversed(
+    messy: Path, arm: RobotDescription, make_motion: Callable[..., Motion]
 ) -> None:
-    monkeypatch.chdir(messy.parent)
-    asked = ("inspect", "messy.csv", "--robot", arm.model, "--write", "robot.toml")
-    assert hesr(*asked, "--study", "cell.toml").code == 0
-    said = hesr("run", "cell.toml", "--quick")
-    assert said.code == 0, said.err
-    assert "Take fmus/" in said.out.replace("\n", " ")
-    report = Path("results/cell/report.html").read_text("utf-8")
-    assert "rows lack a number" in report
+    robot = messy.with_name("robot.toml")
+    robot.write_text("", encoding="utf-8")
+    study = messy.with_name("study.toml")
+
+    def stop(reversed_at: float) -> float:
+        motion = make_motion(friction=0.8)
+        dq = np.abs(motion.dq) + 0.1
+        dq[motion.t > reversed_at, 1] *= -1.0
+        log = RobotLog(name="late", path=messy, t=motion.t, q=motion.q, dq=dq, tau=motion.tau)
+        looked_at = Proposal(
+            robot=arm, reasons={}, logs=[log], examination=examine([log], arm, None), first=()
+        )
+        text = study_file(looked_at, robot, study)
+        return float(tomllib.loads(text)["logs"]["parts"]["first"]["stop"])
+
+    whole = make_motion(friction=0.8).t[-1]
+    assert stop(0.3 * whole) == pytest.approx(0.6 * whole, rel=1e-3)
+    assert stop(0.7 * whole) == pytest.approx(0.72 * whole, rel=1e-2)
+    assert stop(0.95 * whole) == pytest.approx(0.8 * whole, rel=1e-3)
 
 
 def test_a_clean_log_is_called_clean(

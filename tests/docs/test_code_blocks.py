@@ -17,7 +17,6 @@ import hesr_model
 from fmu_src import export_fmu, model_file
 from hesr_model.artifacts import read_model
 from hesr_model.logs.robot_log import RobotLog
-from hesr_model.robots.robot import RobotDescription
 
 
 @pytest.fixture
@@ -49,8 +48,10 @@ def test_python_is_python(block: Block) -> None:
     compile(block.text, str(block), "exec")
 
 
-RUN = [b for b in blocks("python") if b.runs and b.page.name != "add-a-law.md"]
-"""The law of add-a-law.md is put to the test as a package, in tests/contract/test_toy_law.py."""
+PACKAGES = ("add-a-law.md", "add-a-log-format.md")
+"""Pages whose Python is put to the test as a package: in test_toy_law.py and test_own_parts.py."""
+
+RUN = [b for b in blocks("python") if b.runs and b.page.name not in PACKAGES]
 
 
 def test_there_are_blocks_that_run() -> None:
@@ -78,14 +79,6 @@ def test_the_example_of_the_package_runs(folder: Path) -> None:
 @pytest.mark.parametrize("block", blocks("toml"), ids=str)
 def test_toml_is_toml(block: Block) -> None:
     assert tomllib.loads(block.text)
-
-
-@pytest.mark.parametrize(
-    "block", [b for b in blocks("toml") if b.text.startswith("# robot.toml")], ids=str
-)
-def test_robot_files_are_read(block: Block, tmp_path: Path) -> None:
-    (tmp_path / "robot.toml").write_text(block.text, encoding="utf-8")
-    assert RobotDescription.read(tmp_path / "robot.toml").joints
 
 
 def commands() -> list[tuple[str, str]]:

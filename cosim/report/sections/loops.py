@@ -16,7 +16,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     if log is None:
         return None
     torques = results.torques(log)
-    rows = torques["t"] <= _SPAN
+    rows = torques["t"] - torques["t"][0] <= _SPAN
     parts = []
     for k, (short, name) in enumerate(
         zip(results.joints, results.run.joints, strict=True), start=1

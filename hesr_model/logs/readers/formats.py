@@ -1,7 +1,7 @@
 """The formats of log files there are: those of HESR, then those of other packages.
 
 A package of anybody brings a format by an entry point of the group `hesr.logs`, whose value is a
-`FileFormat` (see `docs/file-formats.md`).
+`FileFormat` (see `docs/add-a-log-format.md`).
 """
 
 from collections.abc import Callable

@@ -1,0 +1,108 @@
+"""A component and a log format of others: what their pages in docs show."""
+
+import csv
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from documents import block
+from small_study import Hesr, hesr_here
+
+from cosim.slave import Component
+from hesr_model.errors import LogError
+from hesr_model.logs.readers import formats
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.robots.robot import RobotDescription
+
+
+@pytest.fixture
+def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
+    return hesr_here(capsys, monkeypatch)
+
+
+def test_the_component_of_the_page_warms_as_its_equation_says(
+    tmp_path: Path, table1_fmu: Path, hesr: Hesr, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(compile(block("add-a-component.md", "python"), "warming.py", "exec"), {})
+    checked = hesr("check", "--references", "Warming.fmu")
+    assert checked.code == 0, checked.out
+    Path("Friction.fmu").write_bytes(table1_fmu.read_bytes())
+    Path("warm.toml").write_text(block("add-a-component.md", "toml"), encoding="utf-8")
+    ran = hesr("simulate", "warm.toml", "-o", "warm.csv")
+    assert ran.code == 0, ran.err
+    with Path("warm.csv").open(encoding="utf-8", newline="") as file:
+        rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+    assert len(rows) == 201
+    for joint in (1, 2, 3):
+        watts = 0.5 * np.abs([row[f"friction.tau[{joint}]"] for row in rows])
+        rise, kept = 0.5 * watts[0], np.exp(-0.1 / 600.0)  # it begins settled
+        for held in watts[20::20]:  # steps of 0.1 s, behind those of friction
+            rise = kept * rise + (1.0 - kept) * 0.5 * held
+        assert rise > 0.1
+        assert rows[-1][f"warming.rise[{joint}]"] == pytest.approx(rise, rel=1e-12)
+    with Component(Path("Warming.fmu")) as fmu:
+        fmu.initialise(start={"T": 300.0, "R[2]": 2.0})
+        fmu.set([f"dq[{k}]" for k in (1, 2, 3)], [-2.0, 2.0, 0.0])
+        fmu.set([f"tau[{k}]" for k in (1, 2, 3)], [4.0, 4.0, 4.0])
+        fmu.step(0.0, 120.0)
+        rises = fmu.get([f"rise[{k}]" for k in (1, 2, 3)])
+    assert rises == pytest.approx(8.0 * np.array([0.5, 2.0, 0.0]) * (1.0 - np.exp(-0.4)), rel=1e-12)
+
+
+@pytest.fixture
+def own_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The package of the page, laid as an installer does."""
+    project = tomllib.loads(block("add-a-log-format.md", "toml"))["project"]
+    points = project["entry-points"]["hesr.logs"]
+    site = tmp_path / "site"
+    metadata = site / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    metadata.mkdir(parents=True)
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\n")
+    lines = [f"{name} = {value}" for name, value in points.items()]
+    (metadata / "entry_points.txt").write_text("\n".join(["[hesr.logs]", *lines, ""]))
+    module = next(iter(points.values())).partition(":")[0]
+    (site / f"{module}.py").write_text(block("add-a-log-format.md", "python"), encoding="utf-8")
+    monkeypatch.syspath_prepend(str(site))
+    formats.formats.cache_clear()
+    yield
+    formats.formats.cache_clear()
+
+
+def recording(path: Path, log: RobotLog, *, joints: int = 3) -> Path:
+    rows = np.hstack([1e6 * log.t[:, None], log.q, log.dq, log.tau])
+    path.write_bytes(b"ARMREC" + bytes([joints]) + rows.astype("<f8").tobytes())
+    return path
+
+
+@pytest.mark.usefixtures("own_format")
+def test_the_format_of_the_page_is_read_and_inspected(
+    tmp_path: Path, arm: RobotDescription, arm_log: RobotLog, hesr: Hesr
+) -> None:
+    path = recording(tmp_path / "run.rec", arm_log)
+    log = RobotLog.read(path, arm)
+    np.testing.assert_allclose(log.t, arm_log.t, rtol=1e-14, atol=0)
+    for name in ("q", "dq", "tau"):
+        np.testing.assert_array_equal(getattr(log, name), getattr(arm_log, name))
+    robot, study = tmp_path / "robot.toml", tmp_path / "study.toml"
+    said = hesr("inspect", path, "--robot", arm.model, "--write", robot, "--study", study)
+    assert said.code == 0, said.err
+    assert RobotLog.read(path, RobotDescription.read(robot)).rate == pytest.approx(arm_log.rate)
+
+
+@pytest.mark.usefixtures("own_format")
+def test_what_is_wrong_in_a_file_of_the_format_is_one_sentence(
+    tmp_path: Path, arm: RobotDescription, arm_log: RobotLog, hesr: Hesr
+) -> None:
+    six = recording(tmp_path / "six.rec", arm_log, joints=6)
+    said = hesr("inspect", six, "--robot", arm.model)
+    assert (said.code, said.err) == (2, f"hesr: {six}: is no recording of 3 joints.\n")
+    holed = arm_log.q.copy()
+    holed[7, 1] = np.nan
+    path = recording(tmp_path / "holed.rec", RobotLog(**(vars(arm_log) | {"q": holed})))
+    with pytest.raises(LogError, match=r"record 8: q of joint 'j2' is nan; numbers up to"):
+        RobotLog.read(path, arm)
+    dropping = arm.model_copy(update={"log": arm.log.model_copy(update={"missing": "drop"})})
+    assert RobotLog.read(path, dropping).dropped == 1
