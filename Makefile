@@ -54,6 +54,7 @@ format: $(VENV)/installed
 	$(BIN)/clang-format -i $(C_FILES)
 
 docs: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --editable '.[gallery]'
 	$(BIN)/sphinx-build -q -W --keep-going -c docs/site . site
 
 interop: $(VENV)/installed
@@ -71,4 +72,4 @@ $(VENV)/installed: pyproject.toml
 	touch $@
 
 clean:
-	rm -rf .venv site .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
+	rm -rf .venv site jupyter_execute .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks

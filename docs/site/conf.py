@@ -40,7 +40,6 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120  # [s] only stops a kernel that hangs
 nb_execution_in_temp = True
-nb_execution_excludepatterns = ["tutorial.ipynb"]  # takes minutes; the tests run it
 nb_merge_streams = True
 
 autosummary_generate = True

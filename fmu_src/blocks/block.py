@@ -8,6 +8,7 @@ from fmu_src.interface import Enumeration, Interface, Variable
 from fmu_src.package import Content, own_source
 from fmu_src.recorded import Stimuli, waves
 from hesr_model.equations.component import Choice, Component, Parameter, Quantity
+from hesr_model.errors import ExportError
 
 
 def block(
@@ -29,7 +30,17 @@ def block(
     text : one sentence of description.
     step : preferred step [s].
     example : parameters of its reference results, those of a joint by their own name.
+
+    Raises
+    ------
+    ExportError
+        If the component has states: a block has no variables of their start values.
     """
+    if component.memory:
+        raise ExportError(
+            f"block '{name}': state '{component.memory[0].name}' has no start value; write what is "
+            "remembered with previous()."
+        )
     own = [Joint(component=component, names=_names(component, i)) for i in range(1, joints + 1)]
     # What was at the last sample is no state of a solver.
     free = not (component.remembered or component.sample_time)
