@@ -26,14 +26,15 @@ def write_page(board: Leaderboard, path: Path) -> None:
         sections.append(Section(key="properties", title="Properties", html=html))
     rules = joined(_rules(board), table(tables.logs(board)), table(tables.entries(board.standings)))
     sections.append(Section(key="rules", title="Rules, logs and entries", html=rules))
-    count = len(board.standings)
+    count, logs = len(board.standings), len(board.logs)
     write_sections(
         path,
         title=f"HESR arena: {board.arena}",
         heading=f"Arena ‘{board.arena}’",
         summary=paragraph(
-            f"{count} friction {'FMUs' if count != 1 else 'FMU'} on {len(board.logs)} logs. An "
-            "entry is any FMU with the connectors of a friction FMU, fitted by whoever made it."
+            f"{count} friction {'FMUs' if count != 1 else 'FMU'} on {logs} "
+            f"{'logs' if logs != 1 else 'log'}. An entry is any FMU with the connectors of a "
+            "friction FMU, fitted by whoever made it."
         ),
         sections=sections,
     )

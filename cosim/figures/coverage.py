@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -60,11 +61,12 @@ def joints(views: Sequence[JointView]) -> Figure:
                 plot(row[0], line)
             if view.friction:
                 plot(row[1], view.friction)
+            else:
+                _say(row[1], "no model")
             for axis, values in ((row[2], view.covered), (row[3], view.loads)):
                 axis.set_yticks([])
                 if values is None or np.ptp(values) < _LEAST:
-                    axis.set_xticks([])
-                    axis.text(0.5, 0.5, "none", ha="center", fontsize=8, transform=axis.transAxes)
+                    _say(axis, "no model" if values is None else "none")
                 else:
                     axis.hist(values, bins=_BINS, color=SERIES[2])
             titles = (
@@ -79,3 +81,10 @@ def joints(views: Sequence[JointView]) -> Figure:
             row[3].set_xlabel("N" if view.unit == "m/s" else "N.m", fontsize=8, labelpad=1)
         legend(figure, [line for view in views for line in view.velocities])
     return figure
+
+
+def _say(axis: Axes, why: str) -> None:
+    """Say why a panel has nothing to draw."""
+    axis.set_xticks([])
+    axis.set_yticks([])
+    axis.text(0.5, 0.5, why, ha="center", fontsize=8, transform=axis.transAxes)

@@ -316,7 +316,7 @@ def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
 
 
 HEAD = (
-    *("log", "joint", "position", "max speed", "rever- sals", "rests %", "dq slope", "lag ms"),
-    *("gravity/ model", "friction (errors)", "expl. %"),
+    *("log", "joint", "position", "max speed", "reversals", "rests %", "dq slope", "lag ms"),
+    *("gravity / model", "friction (errors)", "expl. %"),
 )
 """Of `summary_rows`."""

@@ -19,12 +19,14 @@ CUT = """() => {
   if (document.documentElement.scrollWidth > width) found.push("the page scrolls sideways");
   for (const e of document.querySelectorAll("body, body *")) {
     if (!e.checkVisibility() || (e.closest("svg, math") && !e.matches("svg, math"))) continue;
+    if (e.parentElement?.matches(".drawing")) continue;  // it scrolls in the figure's own box
     const { overflowX, position } = getComputedStyle(e), box = e.getBoundingClientRect();
     const about = `${e.tagName} "${e.textContent.trim().slice(0, 40)}"`;
     if (position !== "absolute" && box.width > 1 && (box.right > width + 1 || box.left < -1)) {
       found.push(`${about} from ${box.left} to ${box.right}`);
     }
-    if (overflowX !== "visible" && e.clientWidth && e.scrollWidth > e.clientWidth + 1) {
+    const cuts = overflowX !== "visible" && !e.matches(".drawing");
+    if (cuts && e.clientWidth && e.scrollWidth > e.clientWidth + 1) {
       found.push(`${about}: ${e.scrollWidth} in ${e.clientWidth}`);
     }
   }
@@ -69,6 +71,26 @@ def test_nothing_is_cut(open_page: "OpenPage", path: Path) -> None:
             "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
         )
         assert page.evaluate(CUT)[:5] == [], width
+
+
+LETTERS = """() => [...document.querySelectorAll(".drawing text")]
+  .filter((e) => e.checkVisibility() && e.textContent.trim())
+  .map((e) => parseFloat(getComputedStyle(e).fontSize) *
+    e.ownerSVGElement.getBoundingClientRect().width / e.ownerSVGElement.viewBox.baseVal.width)"""
+SMALL = 9.0  # [px]
+
+
+@pytest.mark.parametrize("path", ["inspection", "monitor", "sweep", "report"], indirect=True)
+def test_figures_can_be_read_on_a_telephone(open_page: "OpenPage", path: Path) -> None:
+    page = open_page(path, viewport={"width": 390, "height": 844})
+    unfold(page)
+    letters = page.evaluate(LETTERS)
+    assert letters
+    assert min(letters) > SMALL
+    boxes = page.locator(".drawing")
+    for box in boxes.all():
+        box.focus()
+        assert box.evaluate("e => { e.scrollLeft = 9999; return e.scrollLeft; }") > 0
 
 
 # That of a run is looked at in test_report.py, with a view that zooms.

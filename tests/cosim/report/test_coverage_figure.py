@@ -1,0 +1,18 @@
+"""The picture of what logs hold, where there is no model to compare with."""
+
+import numpy as np
+
+from cosim.figures.chart import Line, Stroke
+from cosim.figures.coverage import JointView, joints
+
+
+def test_panels_without_a_model_say_so() -> None:
+    t = np.linspace(0.0, 1.0, 20)
+    line = Line(name="logged", x=t, y=t, stroke=Stroke(colour="C0"))
+    view = JointView(
+        name="j1", unit="rad/s", velocities=(line,), friction=None, covered=t, loads=None
+    )
+    _, friction, covered, loads = joints([view]).axes
+    assert [text.get_text() for text in friction.texts] == ["no model"]
+    assert [text.get_text() for text in loads.texts] == ["no model"]
+    assert not covered.texts
