@@ -19,6 +19,7 @@ function fitTables() {
       [...row.cells].forEach((cell, k) => {
         const name = k && row.cells.length === heads.length ? heads[k].textContent.trim() : "";
         if (name) cell.dataset.label = `${name}: `;
+        if (cell.matches(".beside")) cell.previousElementSibling.dataset.beside = cell.textContent;
       });
     }
   }

@@ -93,6 +93,23 @@ def test_figures_can_be_read_on_a_telephone(open_page: "OpenPage", path: Path) -
         assert box.evaluate("e => { e.scrollLeft = 9999; return e.scrollLeft; }") > 0
 
 
+BESIDE = """() => [...document.querySelectorAll(".cards td.beside")]
+  .filter((e) => e.textContent.trim())
+  .map((e) => [e.textContent, getComputedStyle(e.previousElementSibling, "::after").content])"""
+
+
+@pytest.mark.parametrize("path", ["arena", "scores"], indirect=True)
+def test_an_interval_stays_with_its_number_on_a_telephone(
+    open_page: "OpenPage", path: Path
+) -> None:
+    page = open_page(path, viewport={"width": 390, "height": 844})
+    unfold(page)
+    intervals = page.evaluate(BESIDE)
+    assert len(intervals) > 5
+    for text, shown in intervals:
+        assert shown == f'"{text}"'
+
+
 # That of a run is looked at in test_report.py, with a view that zooms.
 @pytest.mark.parametrize("path", [*PAGES], indirect=True)
 def test_the_accessibility_checker_finds_nothing(
