@@ -27,7 +27,7 @@ run: $(VENV)/installed
 	$(BIN)/hesr run
 
 test: $(VENV)/installed
-	$(BIN)/pytest $(IGNORED:%=--ignore=%) -n 2 --dist loadfile --no-loadscope-reorder -m "not soak"
+	$(BIN)/pytest $(IGNORED:%=--ignore=%) -n 3 --dist loadfile --no-loadscope-reorder -m "not soak"
 
 contract: $(VENV)/installed
 	$(BIN)/pytest tests/contract -n 2 --dist worksteal -m "not soak"
