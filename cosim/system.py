@@ -1,5 +1,6 @@
 """A system of FMUs as a TOML file describes it: components, start values, connections, steps."""
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
@@ -15,6 +16,7 @@ Value = bool | int | float | str | tuple[float, ...]
 
 _MULTIPLE = 1e-9  # relative; how exactly a step has to be a multiple of another
 _MOST_STEPS = 10**9  # of a run
+_MOST_COMPONENTS = 1000
 
 
 def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
@@ -64,16 +66,15 @@ class SystemSpec(Config):
     step: float = Field(gt=0.0)
     stop: float = Field(gt=0.0)
     order: Order = "gauss_seidel"
-    components: tuple[ComponentSpec, ...] = Field(min_length=1)
+    components: tuple[ComponentSpec, ...] = Field(min_length=1, max_length=_MOST_COMPONENTS)
     connections: Mapping[Signal, Signal] = {}
     observe: tuple[Signal, ...] = ()
     limits: Mapping[Signal, Bounds | tuple[Bounds, ...]] = {}
 
     @model_validator(mode="after")
     def _names_and_steps_fit(self) -> Self:
-        names = [component.name for component in self.components]
-        for name in names:
-            if names.count(name) > 1:
+        for name, count in Counter(c.name for c in self.components).items():
+            if count > 1:
                 raise ValueError(f"two components are named '{name}'")
         _multiple_of(self.stop, self.step, "the stop time")
         for component in self.components:

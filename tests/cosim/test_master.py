@@ -370,6 +370,9 @@ def test_files_of_fmus_are_beside_the_toml(tmp_path):
     assert (spec.steps, spec.every(spec.components[0])) == (10, 1)
 
 
+MANY = "".join(f'name = "c{k}"\nfmu = "B.fmu"\n\n[[components]]\n' for k in range(1000))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -381,6 +384,7 @@ def test_files_of_fmus_are_beside_the_toml(tmp_path):
          "the step of 'b' is 0.05 s, no multiple of the communication step, 0.1 s."),
         ('name = "b"', 'name = "a"', "two components are named 'a'."),
         ('name = "b"', 'name = "b.c"', "key 'components.1.name' is 'b.c'"),
+        ('name = "b"', f'{MANY}name = "b"', "at most 1000 items after validation"),
         ("step = 0.1", "step = 0.0", "key 'step' is 0.0: Input should be greater than 0."),
         ("stop = 1.0", 'stop = 1.0\norder = "random"', "key 'order' is 'random': Input should be"),
         ("stop = 1.0", "stop = 1.0\nstopp = 2.0", "unknown key 'stopp'; allowed here: components,"),
