@@ -58,7 +58,8 @@ def full(tmp_path: Path) -> Iterator[Path]:
         (folder / "filled").write_bytes(bytes(1024 * 984))
         yield folder
     finally:
-        subprocess.run(["umount", str(folder)], check=True)
+        # A process that has just ended may hold a file for a moment yet.
+        subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
 def fill(folder: Path) -> None:
