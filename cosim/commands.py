@@ -20,6 +20,7 @@ from cosim.given import (
     logs_of,
     model_given,
     named,
+    page_body,
     records_of,
     robot_of,
 )
@@ -314,6 +315,9 @@ def export(
     model: Model,
     output: AnyPath,
     format: Literal["fmu", "drive", "mjcf", "modelica", "c", "torch", "jax", "ssv"] = "fmu",  # noqa: A002  # as --format
+    *,
+    robot: RobotLike | None = None,
+    rigid_body: Body | None = None,
     **options: Any,
 ) -> Path:
     """Write a friction model for other tools.
@@ -323,6 +327,8 @@ def export(
     model, output : the model, and the file or folder to write.
     format : an FMU, a drive, actuators of MuJoCo, a Modelica package, a header in C,
         a module of PyTorch or JAX, or a parameter set of SSP.
+    robot, rigid_body : for the page of an FMU, which then finds the friction in a log of measured
+        torques itself.
     options : of the format's own function, as `platforms` of FMUs or `inertia` of drives.
 
     Raises
@@ -338,6 +344,10 @@ def export(
         raise ConfigError(f"the format is '{format}'; allowed are {', '.join(_WRITERS)}.")
     module, _, name = _WRITERS[format].partition(":")
     path = path_of(output, "an output")
+    if robot is not None and rigid_body is not None:
+        options["body"] = page_body(robot, rigid_body)
+    elif robot is not None or rigid_body is not None:
+        raise ConfigError("'robot' and 'rigid_body' go together; only one of them was given.")
     getattr(import_module(module), name)(model_given(model), path, **options)
     return path
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cosim.health import told
 from fmu_src import model_file
@@ -16,6 +16,9 @@ from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.described import RobotLike, model_of
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support.files import path_of
+
+if TYPE_CHECKING:
+    from fmu_src.documentation.live.body import PageBody
 
 AnyPath = str | PathLike[str]
 Log = RobotLog | AnyPath
@@ -66,6 +69,20 @@ def body_of(body: Body | None, logs: Sequence[RobotLog], robot: RobotModel) -> R
     if body is None:
         return identify(logs, robot)
     return body if isinstance(body, RigidBody) else read_rigid_body(path_of(body, "a rigid body"))
+
+
+def page_body(robot: RobotLike, body: Body) -> "PageBody":
+    """Return a rigid body as the page of an FMU takes it.
+
+    Raises
+    ------
+    RobotError
+        If the body is of another robot.
+    """
+    from fmu_src.documentation.live.body import PageBody
+
+    model = model_of(robot)
+    return PageBody.of(model, body_of(body, (), model))
 
 
 def listed(given: Any) -> list[Any]:

@@ -14,6 +14,7 @@ from cosim.scoring import Comparison
 from cosim.simulated import SIMULATION, simulate_tests
 from cosim.study import Study
 from cosim.verdict import Verdict, verdict, write_verdict
+from fmu_src.documentation.live.body import PageBody
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.toolchain import targets
 from hesr_model.artifacts import newest, provenance, write_json, write_model, write_rigid_body
@@ -137,22 +138,22 @@ def run_study(
     job = Job(study=study, path=path, progress=progress, kept=kept)
     with parallel.one_pool(), folder_written_whole(output) as folder:
         # The battery tells what stands in the documentation, and comes last.
-        first = export_fmu if quick else export_bare
-        run = score_study(job, folder, first, platforms=platforms, accepted=accepted)
+        run = score_study(job, folder, documented=quick, platforms=platforms, accepted=accepted)
         models, records = run.models, run.records
         tested = {test: records_of(names, records) for test, names in study.logs.test.items()}
         simulated = simulate_tests(models, tested, run.robot, run.rigid_body)
         write_json(folder / SIMULATION, {test: to_json(s) for test, s in simulated.items()})
         loop = job.closed_loop(run.robot, run.rigid_body, folder, models)
         found = {} if quick else job.properties(run.robot, run.rigid_body, models, folder)
-        _export(
-            {law: models[law] for law in found},
-            export_fmu,
-            folder=folder / "fmus",
-            platforms=platforms,
-            progress=partial(job.progress, "documenting FMUs"),
-            properties=found,
-        )
+        body = PageBody.of(run.robot, run.rigid_body)
+        _write_all(
+            [
+                partial(export_fmu, models[law], run.fmus[law], platforms=platforms,
+                        properties=properties, body=body)
+                for law, properties in found.items()
+            ],
+            partial(job.progress, "documenting FMUs"),
+        )  # fmt: skip
         first_test = next(iter(study.logs.test.values()))
         words = verdict(
             run.comparisons,
@@ -196,8 +197,8 @@ def run_study(
 def score_study(
     job: Job,
     folder: Path,
-    write: Callable[..., Path] = export_bare,
     *,
+    documented: bool = False,
     platforms: Sequence[str] = ("linux64",),
     accepted: Sequence[str] = (),
 ) -> Scored:
@@ -207,7 +208,7 @@ def score_study(
     ----------
     job : the steps of the study.
     folder : there already; body, laws, FMUs, findings and scores are written into it.
-    write : writes an FMU, as `export_bare` or `export_fmu`.
+    documented : whether the FMUs hold their documentation, too.
     platforms, accepted : as of `run_study`.
 
     Raises
@@ -237,10 +238,14 @@ def score_study(
     write_findings(folder, findings)
     for law, fitted in models.items():
         write_model(folder / "laws" / f"{law}.json", fitted)
-    fmus = folder / "fmus"
-    telling = partial(job.progress, "building FMUs")
-    _export(models, write, folder=fmus, platforms=platforms, progress=telling)
-    comparisons, predictions = job.compare(models, records, files, fmus)
+    fmus = {law: folder / "fmus" / f"{law}.fmu" for law in models}
+    body = PageBody.of(model, rigid_body)
+    write = partial(export_fmu, body=body) if documented else export_bare
+    _write_all(
+        [partial(write, models[law], fmu, platforms=platforms) for law, fmu in fmus.items()],
+        partial(job.progress, "building FMUs"),
+    )
+    comparisons, predictions = job.compare(models, records, files, folder / "fmus")
     write_json(folder / "evaluation.json", {name: to_json(c) for name, c in comparisons.items()})
     return Scored(
         job=job,
@@ -252,32 +257,14 @@ def score_study(
         models=models,
         left_out=left_out,
         source=source,
-        fmus={law: fmus / f"{law}.fmu" for law in models},
+        fmus=fmus,
         comparisons=comparisons,
         predictions=predictions,
     )
 
 
-def _export(
-    models: Mapping[str, FrictionModel],
-    write: Callable[..., Path],
-    *,
-    folder: Path,
-    platforms: Sequence[str],
-    progress: Progress,
-    properties: "Mapping[str, Properties] | None" = None,
-) -> None:
-    """Write the FMUs of models, each in a process of its own."""
-    jobs = [
-        partial(
-            write,
-            model,
-            folder / f"{law}.fmu",
-            platforms=platforms,
-            **({"properties": properties[law]} if properties else {}),
-        )
-        for law, model in models.items()
-    ]
+def _write_all(jobs: Sequence[Callable[[], Path]], progress: Progress) -> None:
+    """Write FMUs, each in a process of its own."""
     with parallel.results_of(jobs) as written:
         for _ in counted(jobs, progress):
             next(written)

@@ -16,6 +16,7 @@ from hesr_model.errors import ConfigError
 from hesr_model.support.progress import Progress, Stages
 
 if TYPE_CHECKING:
+    from fmu_src.documentation.live.body import PageBody
     from fmu_src.package import Version
     from hesr_model.friction.model import FrictionModel
 
@@ -47,6 +48,7 @@ class _Request:
     band: bool
     adaptive: bool
     fmi: "Version"
+    body: "PageBody | None"
     progress: Stages
 
     @property
@@ -130,6 +132,16 @@ def export(
             metavar="2|3", help="FMU and drive: version of FMI; 3 has arrays, dq for dq[i]."
         ),
     ] = "2",
+    robot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="ROBOT.toml",
+            help="FMU: with --rigid-body, its page finds the friction in a dropped log itself.",
+        ),
+    ] = None,
+    rigid_body: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Result of 'hesr identify'.")
+    ] = None,
     signals: Annotated[
         Path | None,
         typer.Option(
@@ -150,6 +162,8 @@ def export(
     hesr export law.json --format drive --inertia 3,3,0.6 -o Drive.fmu;
     hesr export robot.xml -o Arm.fmu --signals arm.toml --platform win64
     """
+    if (robot is None) != (rigid_body is None):
+        raise ConfigError("--robot and --rigid-body go together; only one of them was given.")
     of_robot = Path(model).suffix.lower() == ".xml"
     for option, given in (("--signals", signals is not None), ("--python", python)):
         if given and not of_robot:
@@ -168,6 +182,7 @@ def export(
             band=band,
             adaptive=adaptive,
             fmi=_version(fmi),
+            body=_body(robot, rigid_body),
             progress=progress,
         )
         _refuse_others(request, platform, kind, of_robot=of_robot)
@@ -192,6 +207,7 @@ def _refuse_others(
         "--power": (request.power, (Format.FMU,)),
         "--band": (request.band, (Format.FMU,)),
         "--adaptive": (request.adaptive, (Format.FMU,)),
+        "--rigid-body": (request.body is not None, (Format.FMU,)),
         "--fmi": (request.fmi != 2, (Format.FMU, Format.DRIVE)),
         "--platform": (platform is not None, (Format.FMU, Format.DRIVE)),
     }
@@ -201,8 +217,19 @@ def _refuse_others(
         if present and kind not in formats:
             allowed = " or ".join(f"--format {f}" for f in formats)
             raise ConfigError(f"{option} needs {allowed}, but the format is '{kind}'.")
-    if request.adaptive and (request.power or request.properties or request.band):
-        raise ConfigError("--adaptive goes with none of --power, --band and --properties.")
+    others = (request.power, request.properties, request.band, request.body is not None)
+    if request.adaptive and any(others):
+        raise ConfigError(
+            "--adaptive goes with none of --power, --band, --properties and --rigid-body."
+        )
+
+
+def _body(robot: Path | None, rigid_body: Path | None) -> "PageBody | None":
+    if robot is None or rigid_body is None:
+        return None
+    from cosim.given import page_body
+
+    return page_body(robot, rigid_body)
 
 
 def _version(text: str) -> "Version":
@@ -250,6 +277,7 @@ def _law(model: str, kind: Format, request: _Request) -> None:
             "power": request.power,
             "band": request.band,
             "adaptive": request.adaptive,
+            "body": request.body and {"cutoff": request.body.cutoff, **request.body.files},
         }
         exported(file, options, request.output, write)
     else:
@@ -280,6 +308,7 @@ def _fmu(model: "FrictionModel", request: _Request) -> None:
         power=request.power,
         band=request.band,
         adaptive=request.adaptive,
+        body=request.body,
         progress=request.building,
         fmi=request.fmi,
     )

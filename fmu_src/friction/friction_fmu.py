@@ -12,6 +12,7 @@ from typing import Any
 
 from fmu_src.description import Description
 from fmu_src.documentation.friction_page import to_html
+from fmu_src.documentation.live.body import PageBody
 from fmu_src.documentation.live.measured import log_section
 from fmu_src.documentation.live.page import live_assets, live_section
 from fmu_src.documentation.live.section import live_data
@@ -46,6 +47,7 @@ def export_fmu(
     power: bool = False,
     band: bool = False,
     adaptive: bool = False,
+    body: PageBody | None = None,
     progress: Progress = silent,
     fmi: Version = 2,
 ) -> Path:
@@ -65,6 +67,8 @@ def export_fmu(
         outputs, too.
     adaptive : whether the FMU follows friction, from measured torques; for co-simulation only, and
         without the pages, the battery's table, the power and the band.
+    body : the rigid body of the robot, for the FMU's page: it then finds the friction in a log of
+        measured torques itself.
     progress : told for how many platforms it is built.
     fmi : version of FMI.
 
@@ -83,7 +87,9 @@ def export_fmu(
     """
     check_request(path, platforms)
     whole = (
-        adaptive_content(model) if adaptive else content(model, properties, power=power, band=band)
+        adaptive_content(model)
+        if adaptive
+        else content(model, properties, power=power, band=band, body=body)
     )
     return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
@@ -124,6 +130,7 @@ def content(
     *,
     power: bool = False,
     band: bool = False,
+    body: PageBody | None = None,
 ) -> Content:
     """Return the FMU of a friction model, before it is compiled."""
     table, about, sources = _component(model, (POWER,) if power else (), band=band)
@@ -132,7 +139,7 @@ def content(
         module = pool.submit(wasm, translation_unit(table, about, sources)[1])
         picture = model_png(model)
         live = live_section(live_data(model, table, module.result()))
-        live += log_section(model) + live_assets(log=True)
+        live += log_section(model, body) + live_assets(log=True)
     page = section(properties, sliding=model.sliding) if properties else ""
     return Content(
         table=table,

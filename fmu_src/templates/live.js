@@ -45,21 +45,22 @@ class Fmu {
     return { torque, refused: status ? this.heard() : "" };
   }
 
-  /* Torques [joint][row] of all joints over a log, as fitted, by the same convention. */
-  replay(joints, t, log) {
-    const { fmu } = this, torque = joints.map(() => new Float64Array(t.length));
-    const put = (k) => joints.some(({ references: { dq, q, tau_load } }, j) =>
-      fmu.live_set(dq, log.dq[j][k]) || fmu.live_set(q, log.q[j][k]) ||
-      fmu.live_set(tau_load, log.tau_load[j][k]));
+  /* An output [joint][row] of all joints over a log, as exported, by the same convention: `inputs`
+   * holds [joint][row] of each input. */
+  replay(joints, t, inputs, output = "tau") {
+    const { fmu } = this, found = joints.map(() => new Float64Array(t.length));
+    const connected = joints.flatMap(({ references }, j) =>
+      Object.entries(inputs).map(([name, values]) => [references[name], values[j]]));
+    const put = (k) => connected.some(([reference, values]) => fmu.live_set(reference, values[k]));
     let failed = fmu.live_reset() || put(0) || fmu.live_initialise();
     for (let k = 0; !failed && k < t.length; k++) {
       if (k) failed = put(k) || fmu.live_step(t[k - 1] - t[0], t[k] - t[k - 1]);
       joints.forEach(({ references }, j) => {
-        const tau = torque[j][k] = fmu.live_get(references.tau);
-        failed ||= !Number.isFinite(tau);
+        found[j][k] = fmu.live_get(references[output]);
+        failed ||= !Number.isFinite(found[j][k]);
       });
     }
-    return { torque, refused: failed ? this.heard() || "Its torque is not finite." : "" };
+    return { found, refused: failed ? this.heard() || `Its ${output} is not finite.` : "" };
   }
 }
 

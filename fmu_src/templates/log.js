@@ -14,8 +14,8 @@ function kindOf(quantity) {
 }
 
 class Log {
-  constructor(element, joints, own, fmu) {
-    Object.assign(this, { element, joints, own, fmu });
+  constructor(element, joints, own, fmu, body) {
+    Object.assign(this, { element, joints, own, fmu, body });
     this.find = (name) => element.querySelector(`.log-${name}`);
     this.plot = new Plot(this.find("plot"), "log", ["measured", "law"]);
     const input = this.find("file");
@@ -136,9 +136,9 @@ class Log {
       try {
         const cutoff = cutoffFor(median(differences(t)), this.own.cutoff);
         const all = [...columns.q.map(cut), ...columns.dq.map(cut)], n = this.joints.length;
-        const speeds = smoothed(t, all, all.map((_, k) => k < n), cutoff);
+        const motion = smoothed(t, all, cutoff);
         for (let k = 0; k < n; k++) {
-          const [derived, logged] = [deviation(speeds[k]), deviation(speeds[n + k])];
+          const [derived, logged] = [deviation(motion[k](1)), deviation(motion[n + k](0))];
           if (derived > 1e-3 && logged > 1e-6) ratios.push(derived / logged);
         }
       } catch (error) {
@@ -215,6 +215,8 @@ class Log {
         `increase, but ${short(found.t[back], 9)} s follows ${short(found.t[back - 1], 9)} s.`);
     }
     for (const quantity of QUANTITIES) found[quantity] = columns[quantity]?.map(cut) ?? null;
+    /* Whether the page's own body gives the rigid-body torque. */
+    found.carried = Boolean(this.body && found.q && !found.tau_load);
     found.parts = partsOf(found.t);
     if (!found.parts.length) throw new LogError("Its gaps leave no part of 1 s.");
     return found;
@@ -251,13 +253,20 @@ class Log {
     const each = kept.map((cut) => {
       const t = cut(log.t), period = median(differences(t));
       const cutoff = this.find("cutoff").value ? wanted : cutoffFor(period, wanted);
-      const derive = this.joints.map(() => !log.dq);
-      const dq = smoothed(t, (log.dq ?? log.q).map(cut), derive, cutoff);
+      const speed = smoothed(t, (log.dq ?? log.q).map(cut), cutoff), first = log.dq ? 0 : 1;
+      const dq = speed.map((derivative) => derivative(first));
       const nothing = () => this.joints.map(() => new Float64Array(t.length));
-      const q = log.q?.map(cut) ?? nothing(), load = log.tau_load?.map(cut) ?? nothing();
-      const { torque, refused } = this.fmu.replay(this.joints, t, { dq, q, tau_load: load });
-      if (refused) throw new LogError(`The FMU refuses it. ${refused}`);
-      return { t: [t], dq, q, load, law: torque, cutoff };
+      const q = log.q?.map(cut) ?? nothing();
+      let load = log.tau_load?.map(cut) ?? nothing();
+      if (log.carried) {
+        const place = log.dq ? smoothed(t, q, cutoff) : speed;
+        load = this.through(this.body, this.own.body.joints, t, {
+          q: place.map((derivative) => derivative(0)), dq,
+          ddq: speed.map((derivative) => derivative(first + 1)),
+        });
+      }
+      const law = this.through(this.fmu, this.joints, t, { dq, q, tau_load: load });
+      return { t: [t], dq, q, load, law, cutoff };
     });
     const of = (name) => joined(each.map((part) => part[name]));
     const found = { t: of("t")[0], dq: of("dq"), q: of("q"), load: of("load"), law: of("law") };
@@ -265,12 +274,18 @@ class Log {
     found.dropped = log.dropped;
     found.ends = each.map((part) => part.t[0].length);
     const total = this.find("kind").value === "total";
-    if (log.tau && (log.tau_load || !total)) {
+    if (log.tau && (log.tau_load || log.carried || !total)) {
       const tau = joined(kept.map((cut) => log.tau.map(cut)));
       found.tau = total ? tau.map((v, k) => v.map((x, i) => x - found.load[k][i])) : tau;
       found.scores = found.tau.map((v, k) => scoreOf(v, found.law[k], found.dq[k]));
     }
     return Object.assign(found, { log, total });
+  }
+
+  through(fmu, joints, t, inputs) {
+    const { found, refused } = fmu.replay(joints, t, inputs);
+    if (refused) throw new LogError(`The FMU refuses it. ${refused}`);
+    return found;
   }
 
   tell() {
@@ -283,7 +298,8 @@ class Log {
     if (ends.length > 1) notes.push(`${ends.length} parts between gaps; the law starts anew in each.`);
     const uses = (name) => this.own.joints.some((joint) => joint.uses.includes(name));
     if (!log.q && uses("q")) notes.push("The law uses the position, which is taken as 0.");
-    if (!log.tau_load && uses("tau_load")) {
+    if (log.carried) notes.push("Rigid-body torque from the body that was identified with this law.");
+    if (!log.tau_load && !log.carried && uses("tau_load")) {
       notes.push("The law uses the load torque, which is taken as 0.");
     }
     this.own.joints.forEach(({ speeds }, k) => {
@@ -302,8 +318,9 @@ class Log {
     const judged = drifts.some(([kind]) => kind !== "rests");
     const missing = !log.tau
       ? "Not answered: no column of a measured torque is chosen."
-      : "Not answered: the torque is the whole one, so a column of the rigid-body torque " +
-        "(tau_load) is needed to take from it, or friction alone.";
+      : "Not answered: the torque is the whole one, so " +
+        (this.body ? "positions are needed, or " : "") + "a column of the rigid-body torque " +
+        "(tau_load) to take from it, or friction alone.";
     const answers = [named("drift") ? `Yes, at ${named("drift")}.` : "No."];
     if (named("shift")) answers.push(`The torque is shifted at ${named("shift")}.`);
     if (named("worse")) answers.push(`The error has grown at ${named("worse")}.`);
@@ -328,7 +345,6 @@ class Log {
       });
       return row;
     }));
-    for (const name of ["time", "residual"]) void name;
     fitTables();
     const residual = this.element.querySelector(".log-views [value=residual]");
     residual.disabled = !scores;
@@ -374,5 +390,6 @@ for (const element of document.querySelectorAll(".log")) {
   const live = document.getElementById(element.dataset.live).querySelector("script");
   const { module, joints } = JSON.parse(live.textContent);
   /* Where it cannot run, the section above says so. */
-  Fmu.from(module).then((fmu) => new Log(element, joints, own, fmu)).catch(() => {});
+  Promise.all([Fmu.from(module), own.body && Fmu.from(own.body.module)])
+    .then(([fmu, body]) => new Log(element, joints, own, fmu, body)).catch(() => {});
 }

@@ -99,15 +99,31 @@ class Spline {
   at(points) {
     return weightsOf(this.knots, this.k, points);
   }
+}
 
-  /* Of the derivative, a spline of one degree less on the inner knots. */
-  slopeAt(points) {
-    return weightsOf(this.knots.subarray(1, this.knots.length - 1), this.k - 1, points);
+/* Values at points of the derivatives of splines of degree k: each is a spline of one degree less
+ * on the inner knots. Weights are found once for all splines on the same knots. */
+class Derivatives {
+  constructor({ knots, k }, points) {
+    this.orders = [{ knots, k, weights: weightsOf(knots, k, points) }];
+    this.points = points;
   }
 
-  slopeCoefficients(c) {
-    const { k, knots } = this;
-    return c.slice(1).map((value, i) => k * (value - c[i]) / (knots[i + k + 1] - knots[i + 1]));
+  of(order) {
+    if (!this.orders[order]) {
+      const { knots, k } = this.of(order - 1), inner = knots.subarray(1, knots.length - 1);
+      this.orders[order] = { knots: inner, k: k - 1, weights: weightsOf(inner, k - 1, this.points) };
+    }
+    return this.orders[order];
+  }
+
+  values(coefficients, order) {
+    let c = coefficients;
+    for (let d = 0; d < order; d++) {
+      const { knots, k } = this.of(d);
+      c = c.slice(1).map((value, i) => k * (value - c[i]) / (knots[i + k + 1] - knots[i + 1]));
+    }
+    return valuesAt(this.of(order).weights, c);
   }
 }
 
@@ -150,8 +166,8 @@ function cutoffFor(period, wanted) {
   return wanted <= 0.4 * rate || rate < 1 ? wanted : Number((0.3 * rate).toPrecision(2));
 }
 
-/* Velocities, smoothed: of columns as logged, or of positions where `derive` says so. */
-function smoothed(t, columns, derive, cutoff) {
+/* Columns, smoothed: of each a function that gives its derivative of an order, 0 for itself. */
+function smoothed(t, columns, cutoff) {
   const period = median(differences(t)), span = t[t.length - 1] - t[0];
   if (cutoff > HIGHEST_SHARE * 0.5 / period) {
     throw new LogError(`Its rows are ${short(period, 3)} s apart, too slow for a low pass of ` +
@@ -167,10 +183,10 @@ function smoothed(t, columns, derive, cutoff) {
   const grid = Float64Array.from({ length: steps + 1 }, (_, k) => k * step + t[0]);
   grid[steps] = t[t.length - 1];
   const into = new Spline(t, 3), outOf = new Spline(grid, 5), rate = steps / (grid[steps] - grid[0]);
-  const evenly = into.at(grid), back = outOf.at(t), slopes = outOf.slopeAt(t);
-  return columns.map((column, k) => {
+  const evenly = into.at(grid), back = new Derivatives(outOf, t);
+  return columns.map((column) => {
     const even = valuesAt(evenly, into.coefficients(column));
     const c = outOf.coefficients(lowPassed(even, cutoff, rate, padding));
-    return derive[k] ? valuesAt(slopes, outOf.slopeCoefficients(c)) : valuesAt(back, c);
+    return (order) => back.values(c, order);
   });
 }

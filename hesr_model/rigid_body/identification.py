@@ -129,13 +129,23 @@ class RigidBody:
         RobotError
             If `model` is of another robot than the one identified.
         """
+        return model.torque(self.parameters_for(model), motion.q, motion.dq, motion.ddq)
+
+    def parameters_for(self, model: RobotModel) -> Array:
+        """Return the parameters (P,), once they are known to be those of a robot.
+
+        Raises
+        ------
+        RobotError
+            If `model` is of another robot than the one identified.
+        """
         if self.names != model.parameter_names:
             raise RobotError(
                 f"the rigid body of '{self.robot}' with {len(self.names)} parameters does not fit "
                 f"robot '{model.description.name}', which has {len(model.parameter_names)}: "
                 "identify it with the same robot file."
             )
-        return model.torque(self.parameters, motion.q, motion.dq, motion.ddq)
+        return self.parameters
 
     def torque_spread(self, model: RobotModel, motion: Motion) -> Array | None:
         """Return by how much the torque over a motion is off, (N, n, r) [N.m].

@@ -54,6 +54,10 @@ def fmu(model: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def page(open_page: OpenPage, fmu: Path) -> "Page":
+    return opened(open_page, fmu)
+
+
+def opened(open_page: OpenPage, fmu: Path) -> "Page":
     with zipfile.ZipFile(fmu) as archive:
         archive.extractall(fmu.parent)
     page = open_page(fmu.parent / "documentation/index.html")
@@ -144,6 +148,42 @@ def test_numbers_are_those_of_replay(
         assert float(cells(page, k).nth(1).inner_text().split()[0]) == pytest.approx(
             100.0 * scores.laws["law"].rmse[k] / scores.tau_std[k], rel=6e-3
         )
+
+
+@pytest.mark.parametrize("logged", [True, False], ids=["velocity logged", "velocity derived"])
+def test_with_its_body_the_page_finds_the_friction_itself(
+    open_page: OpenPage,
+    model: FrictionModel,
+    measured: RobotLog,
+    arm: RobotDescription,
+    tmp_path: Path,
+    logged: bool,
+) -> None:
+    body = commands.identify(measured, arm)
+    fmu = commands.export(model, tmp_path / "law.fmu", robot=arm, rigid_body=body)
+    page = opened(open_page, fmu)
+    log = measured if logged else replace(measured, dq=None)
+    records = friction_records(log, RobotModel(arm), body)
+    scores = commands.replay(fmu, log, body, arm)
+    named = columns(records, log)
+    drop(page, table({name: c for name, c in named.items() if not name.startswith("tau_load")}))
+    assert wrong(page) == ""
+    assert "Rigid-body torque from the body" in page.locator(".log-notes").inner_text()
+    found = saved(page)
+    for k, record in enumerate(records):
+        size = np.max(np.abs(record.tau_load))
+        within = SAME if logged else 1e-10  # as above, and twice
+        assert np.max(np.abs(found[f"tau_load{k + 1}"] - record.tau_load)) < within * size
+        assert np.max(np.abs(found[f"tau_friction{k + 1}"] - record.tau)) < within * size
+        shown = float(cells(page, k).first.get_attribute("data-value") or "nan")
+        assert shown == pytest.approx(scores.laws["law"].rmse[k], rel=within)
+    # A column of the log goes before the body.
+    drop(page, table({**named, "tau_load1": named["tau_load1"] + 5.0}))
+    assert saved(page)["tau_load1"] == pytest.approx(records[0].tau_load + 5.0, abs=1e-12)
+    # Without positions there is nothing to find it from.
+    drop(page, table({name: c for name, c in named.items() if name[0] != "q" and "_" not in name}))
+    if logged:
+        assert "positions are needed" in page.locator(".log-answer").inner_text()
 
 
 def test_a_log_of_a_stranger(page: "Page", fmu: Path, measured: RobotLog) -> None:

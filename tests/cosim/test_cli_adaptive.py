@@ -25,7 +25,10 @@ def test_an_adaptive_fmu(tmp_path: Path, capsys, monkeypatch) -> None:
     own = FrictionLaw(name="lugre", form=LuGre.form({}), values=values)
     write_model(law, replace(model_of(own), law="lugre"))
     for more, sentence in (
-        (("--power",), "--adaptive goes with none of --power, --band and --properties."),
+        (
+            ("--power",),
+            "--adaptive goes with none of --power, --band, --properties and --rigid-body.",
+        ),
         (("--format", "modelica"), "--adaptive needs --format fmu, but the format is 'modelica'."),
     ):
         answer = hesr("export", law, "--adaptive", *more, "-o", fmu)

@@ -1,9 +1,10 @@
 """The command that writes a friction model for other tools, and what it says when it cannot."""
 
+from dataclasses import replace
 from zipfile import ZipFile
 
 import pytest
-from small_study import Hesr, hesr_here
+from small_study import Hesr, hesr_here, uf850
 
 from cosim.slave import Component
 from cosim.studies.properties.battery import Subject, measure
@@ -121,6 +122,14 @@ def test_properties_stand_in_the_pages_of_the_fmu(hesr, tmp_path):
             ["--format", "modelica", "--properties", "-o", "F.mo"],
             "--properties needs --format fmu, but the format is 'modelica'.",
         ),
+        (
+            ["--robot", "robot.toml", "-o", "F.fmu"],
+            "--robot and --rigid-body go together; only one of them was given.",
+        ),
+        (
+            ["--robot", "robot.toml", "--rigid-body", "body.json", "-o", "F.fmu"],
+            "robot.toml: no such file.",
+        ),
     ],
 )
 def test_what_cannot_be_written(hesr, tmp_path, monkeypatch, arguments, sentence):
@@ -129,6 +138,35 @@ def test_what_cannot_be_written(hesr, tmp_path, monkeypatch, arguments, sentence
     assert answer.code == 2
     assert sentence in answer.err
     assert not list(tmp_path.iterdir())
+
+
+def test_the_body_in_the_page_of_an_fmu(hesr, study_run, tmp_path, monkeypatch):
+    robot, body = uf850("robot.toml"), study_run.rigid_body
+    given = ("--robot", robot, "--rigid-body", body)
+    monkeypatch.chdir(tmp_path)
+    others = replace(read_model(model_file(TABLE_1)), joints=("hip", "knee", "ankle"))
+    write_model(tmp_path / "others.json", others)
+    answer = hesr("export", "others.json", *given, "-o", "F.fmu")
+    assert answer.code == 2
+    assert answer.err == (
+        "hesr: the rigid body has the joints joint1, joint2, joint3, but the friction model has "
+        "hip, knee, ankle: they belong to different robots.\n"
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["others.json"]
+    for arguments, sentence in (
+        (["--format", "drive"], "--rigid-body needs --format fmu, but the format is 'drive'."),
+        (["--adaptive"], "--adaptive goes with none of"),
+    ):
+        answer = hesr("export", TABLE_1, *given, *arguments, "-o", "F.fmu")
+        assert answer.code == 2
+        assert sentence in answer.err
+    sizes = []
+    for more in ((), given):  # the page of one is not taken for that of the other
+        answer = hesr("export", TABLE_1, *more, "-o", "F.fmu")
+        assert answer.code == 0, answer.err
+        with ZipFile("F.fmu") as archive:
+            sizes.append(len(archive.read("documentation/index.html")))
+    assert sizes[1] > sizes[0] + 5_000
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from fmu_src.documentation.live.body import PageBody
 from fmu_src.html import rendered
 from hesr_model.friction.adaptive.tuning import TUNING
 from hesr_model.friction.model import FrictionModel
@@ -14,16 +15,21 @@ _FRICTION = ("friction", "fric")
 """Words of columns that no log of a robot has, but one that was worked on."""
 
 
-def log_section(model: FrictionModel, key: str = "live") -> str:
+def log_section(model: FrictionModel, body: PageBody | None = None, key: str = "live") -> str:
     """Return the section of a page that takes a log.
 
     A live section of the same key, whose module and connectors it uses, must stand before it, and
-    `page.live_assets(log=True)` behind it.
+    `page.live_assets(log=True)` behind it. With a body it finds the rigid-body torque itself.
+
+    Raises
+    ------
+    ExportError
+        If the body is of other joints than the model, or the compiler fails.
     """
-    return rendered("log.html.j2", data=_data(model), key=key)
+    return rendered("log.html.j2", data=_data(model, body), key=key)
 
 
-def _data(model: FrictionModel) -> dict[str, Any]:
+def _data(model: FrictionModel, body: PageBody | None) -> dict[str, Any]:
     # Where motors turn with several joints, ranges and errors are not those of joints.
     own = model.coupling is None
     count = len(model.joints)
@@ -34,7 +40,8 @@ def _data(model: FrictionModel) -> dict[str, Any]:
     return {
         "words": {**vocabulary(), "load": _LOAD, "friction": _FRICTION},
         "units": {"t": OTHERS["t"], **_units(model)},
-        "cutoff": LogFormat().filter_cutoff,
+        "cutoff": body.cutoff if body else LogFormat().filter_cutoff,
+        "body": body.data(model.joints) if body else None,
         "change": TUNING.change,
         "shift": TUNING.change_of_offset,
         "joints": [

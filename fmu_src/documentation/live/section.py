@@ -1,7 +1,5 @@
 """What a page needs to bring a friction model to life: its module, its knobs, its joints."""
 
-import base64
-import zlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import zip_longest
@@ -10,6 +8,7 @@ from typing import Any
 
 import sympy
 
+from fmu_src.documentation.live.wasm import packed
 from fmu_src.documentation.mathml import symbol
 from fmu_src.friction.reference import trained_speed
 from fmu_src.friction.variable_names import exposed, place, scales_of
@@ -74,7 +73,7 @@ def live_data(model: FrictionModel, table: Interface, module: bytes) -> dict[str
     """
     trained = model.trained or (None,) * len(model.joints)
     return {
-        "module": base64.b64encode(zlib.compress(module, 9)).decode(),
+        "module": packed(module),
         "step": model.sample_time,
         "joints": [
             {

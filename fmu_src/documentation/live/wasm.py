@@ -1,5 +1,7 @@
 """An FMU as a module of WebAssembly."""
 
+import base64
+import zlib
 from collections.abc import Mapping
 
 from fmu_src.package import own_source
@@ -27,3 +29,8 @@ def wasm(sources: Mapping[str, str]) -> bytes:
         for name, text in (*sources.items(), ("live.c", own_source("live.c"))):
             (folder / name).write_text(text, encoding="utf-8")
         return build_wasm(folder / "live.c")
+
+
+def packed(module: bytes) -> str:
+    """Return a module as text, as pages carry it."""
+    return base64.b64encode(zlib.compress(module, 9)).decode()
