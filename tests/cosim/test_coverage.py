@@ -153,8 +153,5 @@ def test_intervals_cover_what_they_say(covered: dict[str, float], group: str) ->
 
 
 @pytest.mark.soak
-@pytest.mark.xfail(
-    reason="F_s of J1 covers 175 of 200, the stiffness of J3 177; the others 184 and more"
-)
 def test_each_interval_covers_nine_of_ten(covered: dict[str, float]) -> None:
     assert min(covered.values()) >= 0.90, covered

@@ -5,14 +5,17 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from processes import COMMAND
 from small_fmus import LAGS
 from small_study import Hesr, Run, contents, hesr_here, uf850, write_study
 
 from hesr_model.errors import ArtifactError
+from hesr_model.logs.robot_log import RobotLog
 from hesr_model.support.files import written_whole
 
 FULL = "cannot be written there (No space left on device).\n"
@@ -124,6 +127,12 @@ def test_a_full_disk_for_what_comes_of_logs(
     robot = ("--robot", uf850("robot.toml"))
     known = (*robot, "--rigid-body", study_run.rigid_body)
     law, log = study_run.law("parfam_h"), study_run.log("trial")
+    lugre, warm = tmp_path / "lugre.json", tmp_path / "warm.csv"
+    cold = RobotLog.read(log, uf850("robot.toml"))
+    temperature = np.linspace(20.0, 40.0, len(cold.t))[:, None] * np.ones(cold.q.shape[1])
+    replace(cold, temperature=temperature).write(warm)
+    fitted = hesr("fit", study_run.log("sweep"), *known, "--law", "lugre", "-o", lugre)
+    assert fitted.code == 0, fitted.err
     for name, *arguments in (
         ("body.json", "identify", study_run.log("excitation"), *robot, "-o"),
         ("law.json", "fit", study_run.log("sweep"), *known, "--law", "stribeck", "-o"),
@@ -134,6 +143,8 @@ def test_a_full_disk_for_what_comes_of_logs(
         ("results.md", "results", study_run.results, "-o"),
         ("report.html", "report", study_run.results, "-o"),
         ("motion.csv", "excite", uf850("robot.toml"), "-o"),
+        ("warm.json", "thermal", warm, "--law", lugre, *known, "-o"),
+        ("friction.html", "monitor", log, "--law", lugre, *known, "-o"),
     ):
         refuse(hesr, full, full / str(name), *arguments, full / str(name))
 

@@ -1,6 +1,8 @@
 """Standard errors against what repeated measurements really scatter."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.fitting.separable import Separable
 from hesr_model.friction.fitting.uncertainty import (
     MOST_COEFFICIENTS,
+    wider_side,
     with_pooled_errors,
     with_standard_errors,
 )
@@ -153,17 +156,50 @@ def test_coefficients_at_a_bound_have_no_interval() -> None:
     assert set(found.standard_errors) == {"sigma_0", "sigma_2", "F_c", "v_s", "tau_0"}
     assert found.covariance is not None
     matrix, names = found.covariance.matrix, found.covariance.names
-    # What is searched as a logarithm is stated by the wider side of its interval.
     for name, error in found.standard_errors.items():
         plain = float(np.sqrt(matrix[names.index(name), names.index(name)]))
-        wide = values[name] * np.expm1(1.96 * plain / abs(values[name])) / 1.96
-        assert error == pytest.approx(wide if name in ("sigma_0", "v_s") else plain, rel=1e-9)
+        if name in ("sigma_2", "tau_0"):  # of which the torque is a straight line
+            assert error == pytest.approx(plain, rel=1e-4)
+        else:
+            assert plain <= error < 1.2 * plain
     f_c, f_s = names.index("F_c"), names.index("F_s")
     assert matrix[f_s, f_s] == pytest.approx(ratio**2 * matrix[f_c, f_c], rel=1e-6)
     inside = with_standard_errors(
         replace(truth, values={**values, "F_s": 5.0, "sigma_1": 10.0}), [record], LuGre().space()
     )
     assert set(inside.standard_errors) == set(values)
+
+
+def test_where_the_torque_bends_the_wider_side_is_stated() -> None:
+    """Of log x the upper side, of x^2 the lower one, whatever else is fitted beside it."""
+    rng = np.random.default_rng(4)
+    rows = rng.normal(size=(50, 2)) @ np.array([[1.0, 0.6], [0.0, 1.0]])
+    point, error = np.array([3.0, 0.5]), 0.4
+    covariance = error**2 * np.array([[1.0, -0.3], [-0.3, 2.0]])
+    first = np.array([1.0, 0.0])
+    for bent, slope, wanted in (
+        (np.log, 1.0 / 3.0, 2.0 * error / 3.0 / np.log1p(2.0 * error / 3.0)),
+        (np.square, 6.0, 1.0 / (1.0 - error / 3.0)),
+        (np.asarray, 1.0, 1.0),
+    ):
+
+        def torque(x: np.ndarray, bent: Callable[..., np.ndarray] = bent) -> np.ndarray:
+            return rows @ np.array([float(bent(x[0])), x[1]])
+
+        def moved(step: np.ndarray, f: Callable[..., np.ndarray] = torque) -> tuple[float, Any]:
+            return float(step[0]), f(point + step) - f(point)
+
+        q, r = np.linalg.qr(rows * [slope, 1.0])
+        found = wider_side(first, covariance, q, r, moved)
+        assert found == pytest.approx(wanted, rel=1e-12)
+    # Where the law is not defined on one side, the other counts; nothing is wider than four times.
+    q, r = np.linalg.qr(rows)
+    undefined = wider_side(
+        first, covariance, q, r, lambda x: (x[0], rows @ (np.nan * x if x[0] > 0.0 else x))
+    )
+    assert undefined == pytest.approx(1.0)
+    flat = wider_side(first, covariance, q, r, lambda x: (x[0], 0.01 * rows @ x))
+    assert flat == 4.0
 
 
 def test_a_chosen_structure_has_a_covariance_but_no_intervals() -> None:
@@ -188,18 +224,22 @@ def test_what_the_load_is_off_by_is_carried_on() -> None:
 def test_joints_share_what_logs_differ_by() -> None:
     one = with_standard_errors(TRUTH, [CLEAN, with_tau(CLEAN, CLEAN.tau + noise(0, 0.0))])
     assert one.covariance is not None
+    between = [replace(one.covariance, between=b, degrees=10.0) for b in (1.0, 9.0)]
     alike, unlike = (
-        replace(one, covariance=replace(one.covariance, between=b, degrees=10.0))
-        for b in (1.0, 9.0)
+        replace(
+            one,
+            covariance=c,
+            standard_errors={name: c.factor * e for name, e in one.standard_errors.items()},
+        )
+        for c in between
     )
     whole = with_pooled_errors([alike, replace(one, covariance=None), unlike])
     assert whole[1].covariance is None
     for law_ in (whole[0], whole[2]):
         assert law_.covariance is not None
         assert law_.covariance.factor == pytest.approx(np.sqrt(5.0))
-        plain = np.sqrt(np.diag(one.covariance.within))
-        found = [law_.standard_errors[name] for name in one.covariance.names]
-        np.testing.assert_allclose(found, np.sqrt(5.0) * plain, rtol=1e-12)
+        for name, error in one.standard_errors.items():
+            assert law_.standard_errors[name] == pytest.approx(np.sqrt(5.0) * error, rel=1e-12)
 
 
 def test_single_coefficients_of_networks_mean_nothing() -> None:

@@ -2,13 +2,13 @@
 
 Searched unknowns enter as the solved ones do, by the derivatives of the law's own prediction.
 Coefficients at a bound, or in a structure that the data chose, have a covariance for what is made
-of the law, but no interval: it would be that of a fit that knew what this one had to find. What is
-searched as a logarithm errs further up than down; the wider side is what is stated.
+of the law, but no interval: it would be that of a fit that knew what this one had to find. Where
+the torque bends over a coefficient, the data tell less of one side; stated is the wider one.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 import sympy
@@ -26,10 +26,10 @@ MOST_COEFFICIENTS = 64
 _STEP = 1e-6
 _NONE = 1e-12
 """A derivative below this is rounding."""
-_WIDTH = 1.96
-"""Standard errors of a 95 % interval to either side."""
-_WIDEST = 2.0
-"""Width of a logarithm's interval from which on the coefficient is hardly determined at all."""
+_WIDTH = 2.0
+"""Standard errors to either side at which the bend of the torque is looked at."""
+_FLATTEST = 0.25
+"""Of the torque that a coefficient moves by its slope: below, it is hardly determined at all."""
 _AT_BOUND = 1e-3
 """Of the logarithmic range of a searched number: nearer to an end it is at the bound."""
 
@@ -43,13 +43,11 @@ class Coordinates:
     point : (P,) the numbers, in their units.
     values : all coefficients of the law at a point.
     held : names of the coefficients that a bound holds.
-    scales : names of the coefficients that a fit searches as logarithms.
     """
 
     point: Array
     values: Callable[[Array], dict[str, float]]
     held: frozenset[str]
-    scales: frozenset[str] = frozenset()
 
 
 def with_standard_errors(
@@ -86,7 +84,8 @@ def with_standard_errors(
     jacobian, slope = np.stack(columns, axis=1), np.stack(slopes, axis=1)
     used = np.abs(jacobian).max(axis=0) > _NONE
     jacobian, slope = jacobian[:, used], slope[:, used]
-    residual = np.concatenate([r.tau for r in records]) - _predicted(law, records, starts)
+    torque = _predicted(law, records, starts)
+    residual = np.concatenate([r.tau for r in records]) - torque
     logs = list(dict.fromkeys(r.log for r in records))
     own = np.repeat([logs.index(r.log) for r in records], [len(r.t) for r in records])
     labels = blocks_of_time(own)
@@ -107,8 +106,22 @@ def with_standard_errors(
     moves = np.any(slope != 0.0, axis=1)
     own_names = [name for name, m in zip(names, moves, strict=True) if m]
     whole = found.mapped(own_names, slope[moves])
-    shown = () if law.structure else (name for name in own_names if name not in moved.held)
-    return _stated(replace(law, covariance=whole), {name: name in moved.scales for name in shown})
+    shown = () if law.structure else [name for name in own_names if name not in moved.held]
+    q, r = np.linalg.qr(jacobian)
+
+    def moved_by(name: str, step: Array) -> tuple[float, Array]:
+        point = moved.point.copy()
+        point[used] += step
+        with np.errstate(all="ignore"):  # out there a law need not be defined
+            values = moved.values(point)
+            there = _predicted(replace(law, values=values), records, starts)
+        return values[name] - law.values[name], there - torque
+
+    wider = {
+        name: wider_side(slope[names.index(name)], found.matrix, q, r, partial(moved_by, name))
+        for name in shown
+    }
+    return _stated(replace(law, covariance=whole), wider)
 
 
 def with_pooled_errors(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:
@@ -120,30 +133,56 @@ def with_pooled_errors(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:
             found.append(law)
             continue
         plain = dict(zip(law.covariance.names, law.covariance.standard_errors, strict=True))
-        # Only those of scales are larger than the roots of the covariance's diagonal.
-        shown = {n: e > plain[n] * (1.0 + 1e-12) for n, e in law.standard_errors.items()}
-        found.append(_stated(replace(law, covariance=next(shared)), shown))
+        wider = {n: e / plain[n] if plain[n] else 1.0 for n, e in law.standard_errors.items()}
+        found.append(_stated(replace(law, covariance=next(shared)), wider))
     return found
 
 
-def _stated(law: FrictionLaw, shown: Mapping[str, bool]) -> FrictionLaw:
-    """Return the law with the standard errors of some coefficients, and whether each is a scale."""
+def _stated(law: FrictionLaw, wider: Mapping[str, float]) -> FrictionLaw:
+    """Return the law with the standard errors of some coefficients, each wider by a factor."""
     if law.covariance is None:
         return law
     errors = dict(
         zip(law.covariance.names, map(float, law.covariance.standard_errors), strict=True)
     )
-    stated = {
-        name: _wider(errors[name], law.values[name]) if scale else errors[name]
-        for name, scale in shown.items()
-    }
-    return replace(law, standard_errors=stated)
+    return replace(law, standard_errors={n: errors[n] * factor for n, factor in wider.items()})
 
 
-def _wider(error: float, value: float) -> float:
-    """Return what the upper side of the interval of a logarithm is as a standard error."""
-    share = min(_WIDTH * error / abs(value), _WIDEST) if value else 0.0
-    return error * float(np.expm1(share)) / share if share else error
+def wider_side(
+    slope: Array,
+    covariance: Array,
+    q: Array,
+    r: Array,
+    moved_by: Callable[[Array], tuple[float, Array]],
+) -> float:
+    """Return by what the wider side of a coefficient's interval exceeds its standard error.
+
+    As many standard errors as the coefficient is moved, all else moved along and then fitted again,
+    the torque should have moved. Where it has moved less, the interval reaches further in that
+    ratio: the profile's t of Bates and Watts (1988, ch. 6), at its end.
+
+    Parameters
+    ----------
+    slope : (P,) of the coefficient over the coordinates.
+    covariance : (P, P) of these.
+    q, r : of the QR decomposition of the torque's (N, P) slopes.
+    moved_by : the change of the coefficient, and that of the torque (N,) [N.m], for a step (P,) of
+        the coordinates.
+    """
+    error = float(np.sqrt(slope @ covariance @ slope))
+    # Perpendicular to whatever leaves the coefficient as it is.
+    normal = np.linalg.lstsq(r.T, slope, rcond=None)[0]
+    size = float(np.linalg.norm(normal))
+    if not error or not size:
+        return 1.0
+    ratios = []
+    for sign in (1.0, -1.0):
+        aside, moved = moved_by(sign * _WIDTH * covariance @ slope / error)
+        within = q.T @ moved
+        left = moved @ moved - within @ within + (normal @ within / size) ** 2
+        ratio = np.sqrt(left) * size / abs(aside) if aside and left > 0.0 else 1.0
+        ratios.append(ratio if np.isfinite(ratio) else 1.0)
+    return 1.0 / float(np.clip(min(ratios), _FLATTEST, 1.0))
 
 
 def _every(law: FrictionLaw) -> Coordinates:
@@ -175,14 +214,10 @@ def _searched(law: FrictionLaw, space: SearchSpace) -> Coordinates:
         known |= dict(zip((name for name, _ in space.values), map(float, computed), strict=True))
         return {name: known[name] for name in law.values}
 
-    logarithms = {name for name, (low, _) in space.bounds if low > 0.0}
     return Coordinates(
         point=np.array([numbers[name] for name in names]),
         values=values,
         held=frozenset(held),
-        scales=frozenset(
-            logarithms | {name for name, sources in through if logarithms & set(sources)}
-        ),
     )
 
 
