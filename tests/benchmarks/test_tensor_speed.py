@@ -22,6 +22,7 @@ STEPS = 1000
 RUN = {
     "torch": """
 import time, torch, law
+torch.set_num_threads(2)
 n, dtype = 100002 // 3, torch.{dtype}
 friction = law.Friction(dtype)
 state, dq = friction.start((n,)), torch.linspace(-1, 1, 3 * n, dtype=dtype).reshape(n, 3)

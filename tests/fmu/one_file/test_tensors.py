@@ -158,11 +158,33 @@ assert set(friction.state_dict()) >= {"coefficients.0.alpha", "coefficients.2.be
 """
 
 
-def test_the_module_resets_robots_and_trains(table1, tmp_path) -> None:
+MANY = """
+import torch, law
+n, part = 40000, slice(25000, 25100)
+dq = torch.linspace(-1, 1, 3 * n, dtype=torch.float64).reshape(n, 3)
+assert dq.numel() > 2 * law._AT_ONCE > 2 * dq[part].numel()
+whole = law.coefficients(torch.float64)  # each robot has coefficients of its own
+own = [{k: (v * (1 + torch.arange(n)[:, None] / n)).requires_grad_() for k, v in c.items()}
+       for c in whole]
+state = law.start((n,), torch.float64)
+tau, moved = law.step(own, state, dq, q=3 * dq)
+some = [{k: v[part].detach().requires_grad_() for k, v in c.items()} for c in own]
+tau_some, moved_some = law.step(some, [x[part] for x in state], dq[part], 3 * dq[part])
+def alike(a, b):
+    return torch.allclose(a, b, rtol=1e-14, atol=0.0)
+assert alike(tau[part], tau_some) and all(map(alike, (x[part] for x in moved), moved_some))
+tau.sum().backward(), tau_some.sum().backward()
+for a, b in zip(own, some):
+    assert all(alike(a[k].grad[part], b[k].grad) for k in a if b[k].grad is not None)
+"""
+
+
+@pytest.mark.parametrize("use", [MODULE, MANY], ids=["module", "many robots"])
+def test_what_is_done_with_a_file_for_torch(table1, tmp_path, use) -> None:
     if not _runs(DEBIAN, "-c", "import torch"):
         pytest.skip("Debian's python3-torch is not installed")
     export_torch(table1, tmp_path / "law.py")
-    answer = subprocess.run([DEBIAN, "-c", MODULE], cwd=tmp_path, capture_output=True, text=True,
+    answer = subprocess.run([DEBIAN, "-c", use], cwd=tmp_path, capture_output=True, text=True,
                             check=False)  # fmt: skip
     assert answer.returncode == 0, answer.stderr
 
