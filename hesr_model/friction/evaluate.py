@@ -6,13 +6,12 @@ where they begin: in the steady state of its inputs where these are motion, at t
 rest.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import sympy
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 
@@ -220,8 +219,7 @@ def estimated_start(
         return float(np.sum((predicted - tau[first]) ** 2))
 
     if law.start_samples and law.form.stops:
-        inputs = dict(zip(INPUTS, (dq[0], q[0], tau_load[0]), strict=True))
-        bounds = _bounds(law, inputs)
+        bounds = _bounds(law, dq[0], q[0], tau_load[0])
 
         def deflected(share: float) -> tuple[float, ...]:
             return tuple(
@@ -248,14 +246,17 @@ def estimated_start(
     return (float(best_of_all.x),)
 
 
-def _bounds(law: FrictionLaw, inputs: Mapping[sympy.Symbol, float]) -> list[float | None]:
+def _bounds(law: FrictionLaw, *inputs: float) -> list[float | None]:
     """Return the bound of each stop where a log starts, None for what is no stop."""
-    at = {c.symbol: law.values[c.name] for c in law.form.coefficients}
-    at |= inputs
-    at |= {m.state: x for m, x in zip(law.form.memory, law.start, strict=True)}
-    return [
-        max(float(m.bound.subs(at)), 0.0) if isinstance(m, Stop) else None for m in law.form.memory
-    ]
+    bounds = iter(_bounds_of(law.form)(*numbers(law), *inputs, *law.start))
+    return [max(float(next(bounds)), 0.0) if isinstance(m, Stop) else None for m in law.form.memory]
+
+
+@lru_cache(maxsize=256)
+def _bounds_of(form: LawForm) -> Any:
+    """Return the bounds of all stops as a function of coefficients, inputs and states."""
+    arguments = (*(c.symbol for c in form.coefficients), *INPUTS, *(m.state for m in form.memory))
+    return lowered(arguments, [m.bound for m in form.memory if isinstance(m, Stop)])
 
 
 class Stepper:
