@@ -170,7 +170,8 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
         model_exchange=False,
         directional_derivatives=False,
         inner_steps=True,
-        connected=frozenset({"q_link", "dq_link", "tau_link"}),
+        # FMPy takes inputs of one shape only: none is an array, since those of a flange are none.
+        connected=frozenset({*(name for name, _, _ in _INPUTS), "tau_link"}),
     )
 
 

@@ -291,7 +291,7 @@ def stepper(fmu: Path, folder: Path, *, events: bool, early: bool) -> New:
     """A drive whose first motor turns at 1 rad/s against a torque that turns it back."""
     new = New(fmu, folder, events=events, early=early)
     new.set("dq_start", [1.0, 0.0])
-    new.set("tau_motor", [-20.0, 0.0])
+    new.set("tau_motor[1]", [-20.0])
     new.fmu.exitInitializationMode()
     if events:
         assert new.fmu.updateDiscreteStates()[:5] == (False, False, False, False, False)
@@ -383,7 +383,7 @@ def test_each_joint_of_a_drive_has_a_flange(drive3) -> None:
 def test_messages_name_the_functions_of_fmi_3(drive3, tmp_path) -> None:
     new = stepper(drive3, tmp_path / "new", events=False, early=False)
     with pytest.raises(Exception, match="failed with status 2"):
-        new.set("tau_motor", [float("nan"), 0.0])
+        new.set("tau_motor[1]", [float("nan")])
     assert new.said[-1] == "fmi3SetFloat64: tau_motor[1] is nan; a finite number is needed."
     with pytest.raises(Exception, match="failed with status 3"):
         new.fmu.doStep(0.0, -1.0)

@@ -116,7 +116,7 @@ class Ripple:
         lag, smoothing = times
         angle = self.gear_ratio * (samples.q - lag * samples.dq)
         fast = self.gear_ratio * smoothing * samples.dq
-        turn, waves = np.exp(1j * angle), dict[int, NDArray[np.complex128]]()
+        turn, waves = np.exp(1j * angle), dict[int, NDArray[Any]]()
         rotated = np.ones_like(turn)
         for k in range(1, max(self.orders, default=0) + 1):  # powers take no sines of their own
             rotated *= turn
