@@ -84,6 +84,7 @@ class Kernel:
         firsts: Sequence[int] | NDArray[np.int64],
         *,
         euler: bool = False,
+        start: Sequence[float] = (),
         target: Array | None = None,
         found: Array | None = None,
     ) -> "Rows | None":
@@ -92,7 +93,10 @@ class Kernel:
         if loaded is None:
             return None
         try:
-            return Rows(loaded, self, inputs, dt, firsts, euler=euler, target=target, found=found)
+            return Rows(
+                loaded, self, inputs, dt, firsts,
+                euler=euler, start=start, target=target, found=found,
+            )  # fmt: skip
         except OutsideError:
             return None
 
@@ -118,6 +122,7 @@ class Rows:
     dt : (N,) step that ends at each row [s].
     firsts : rows at which records begin, in rising order, 0 before all.
     euler : whether relaxations move by Euler's step.
+    start : of each state at rest, 0 where not given.
     target : (N,) what results are fitted to.
     found : (N, K) for the results; one of its own where not given.
     """
@@ -131,12 +136,14 @@ class Rows:
         firsts: Sequence[int] | NDArray[np.int64],
         *,
         euler: bool = False,
+        start: Sequence[float] = (),
         target: Array | None = None,
         found: Array | None = None,
     ) -> None:
         # Of the same length, all of them: C does not ask.
         arrays = [_in_numbers(np.broadcast_to(a, np.shape(dt))) for a in (dt, *inputs)]
         firsts, self._states = np.asarray(firsts, dtype=np.int64), len(kernel.memory)
+        self._start = np.array(start or (0.0,) * self._states)
         if kernel.known:
             fixed = Run(loaded, kernel.fixed, arrays, firsts)
             fixed(np.zeros(0))
@@ -157,7 +164,7 @@ class Rows:
         Parameters
         ----------
         numbers : those of the kernel, in their units.
-        start : of each state, from which it begins, (m,) or (m, records); 0 where not given.
+        start : of each state, from which it begins, (m,) or (m, records); where not given, at rest.
         settled : whether states begin at that start itself, wherever their inputs would have them.
 
         Raises
@@ -168,7 +175,7 @@ class Rows:
         if settled and start is not None:
             self._run.starts[:] = start if start.ndim > 1 else start[:, None]
         elif self._states:
-            at_rest = np.zeros(self._states) if start is None else start
+            at_rest = self._start if start is None else start
             self._first(np.concatenate([numbers, at_rest]))
             self._run.starts[:] = self._first.found.T
 

@@ -68,6 +68,7 @@ class Separable:
     space : how its coefficients are searched.
     samples : rows of the joint.
     discretisation : of the states.
+    start : of the states, from which they begin; 0 where not given.
     """
 
     def __init__(
@@ -76,7 +77,9 @@ class Separable:
         space: SearchSpace,
         samples: Samples,
         discretisation: Discretisation = "exact",
+        start: Sequence[float] = (),
     ) -> None:
+        self.start = tuple(start) or (0.0,) * len(form.memory)
         self.discretisation = discretisation
         self.form = form
         self.space = space
@@ -116,14 +119,16 @@ class Separable:
         inputs, euler = (s.dq, s.q, s.tau_load), self.discretisation == "euler"
         if kernel is None:
             return None
-        return kernel.over(inputs, s.dt, np.flatnonzero(s.begins), euler=euler, target=s.tau)
+        return kernel.over(
+            inputs, s.dt, np.flatnonzero(s.begins), euler=euler, start=self.start, target=s.tau
+        )
 
     def _in_numpy(self, point: Array) -> Array:
         RUNS["NumPy"] += 1
         s, (memory, columns_of) = self.samples, self._equations.lowered
         inputs, numbers = (s.dq, s.q, s.tau_load), self.numbers(point)
         values = (*numbers, *inputs)
-        start = np.zeros((len(self.form.memory), len(s.dq)))
+        start = np.repeat(np.array(self.start)[:, None], len(s.dq), axis=1)
         firsts = (u[s.begins] for u in inputs)
         begun = memory.beginning((*numbers, *firsts), list(start[:, s.begins]))
         for of_state, first in zip(start, begun, strict=True):

@@ -13,7 +13,7 @@ from hesr_model.friction.fitting.signed import Normal
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.laws.ripple import LAG
 from hesr_model.friction.laws.stops import passive, waves
-from hesr_model.friction.laws.stops.form import AGE, Structure, viscous_at
+from hesr_model.friction.laws.stops.form import Structure, viscous_at
 from hesr_model.friction.laws.stops.search import Terms, dictionary, search
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.typed_json import to_json
@@ -84,14 +84,12 @@ class _Stops(Estimator):
                 free=free,
             )
         values = {**best.numbers, LAG.name: lag, **dict(zip(names, map(float, x), strict=True))}
-        ages = AGE in form.memory
         return FrictionLaw(
             name=self.name,
             structure=to_json(structure),
             form=form,
             values={c.name: values[c.name] for c in form.coefficients},
-            # At rest before, where contacts have aged.
-            start=tuple(1.0 if m == AGE else 0.0 for m in form.memory) if ages else (),
+            start=structure.start,
             start_samples=self.start_samples,
         )
 

@@ -139,6 +139,12 @@ class Structure:
         """Names of the amplitudes of ripple."""
         return tuple(f"ripple{n}_{part}" for n in self.ripple for part in ("cos", "sin"))
 
+    @property
+    def start(self) -> tuple[float, ...]:
+        """Of the states at rest, where contacts have aged; none given where all are 0."""
+        memory = self.form().memory
+        return tuple(1.0 if m == AGE else 0.0 for m in memory) if AGE in memory else ()
+
     def form(self) -> LawForm:
         """Return the expressions."""
         bounds = {kind: BOUNDS[kind] for kind, _ in self.stops}

@@ -133,9 +133,13 @@ def search(baseline: Terms, *, load: bool) -> Terms:
 
 
 def _thinned(terms: Terms) -> Terms:
-    """Return the terms without bounds, the last one first, that left-out rows do not miss."""
-    for kind in reversed(terms.bounds):
+    """Return the terms without bounds, the last one first, that left-out rows do not miss.
+
+    The first one stays: seconds of fast motion cannot tell Coulomb from viscous friction, and a law
+    without it would let go at speed.
+    """
+    for kind in reversed(terms.bounds[1:]):
         fewer = terms.with_bounds(tuple(k for k in terms.bounds if k != kind))
-        if fewer.bounds and fewer.cost <= terms.cost:
+        if fewer.cost <= terms.cost:
             terms = fewer
     return terms

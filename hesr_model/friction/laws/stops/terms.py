@@ -60,7 +60,7 @@ def columns(structure: Structure, numbers: Mapping[str, float], samples: Samples
     samples : rows of the joint.
     """
     form, space = _posed(structure)
-    problem = Separable(form, space, samples)
+    problem = Separable(form, space, samples, start=structure.start)
     return problem.columns(problem.point({name: numbers[name] for name in space.names}))[:, :-1]
 
 
