@@ -9,6 +9,7 @@ import pytest
 from joint_data import along, law, path, with_tau
 from scipy.signal import lfilter
 
+from hesr_model.errors import SimulationError
 from hesr_model.friction.fitting.fit import fit_joint
 from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.fitting.separable import Separable
@@ -22,6 +23,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.dahl import DahlBasis
 from hesr_model.friction.laws.lugre import STATIC_RATIO_BOUNDS, LuGre
 from hesr_model.friction.laws.strain_wave import StrainWave
+from hesr_model.friction.records import predict_record
 from hesr_model.inference.correlation import correlation_length, standard_errors
 
 TRUTH = law(
@@ -200,6 +202,20 @@ def test_where_the_torque_bends_the_wider_side_is_stated() -> None:
     assert undefined == pytest.approx(1.0)
     flat = wider_side(first, covariance, q, r, lambda x: (x[0], 0.01 * rows @ x))
     assert flat == 4.0
+
+
+def test_an_interval_may_reach_where_eulers_step_is_not_stable() -> None:
+    values = {"sigma_0": 1.0, "sigma_1": 0.0, "sigma_2": 5.0, "F_c": 4.0, "F_s": 4.0, "v_s": 0.05,
+              "tau_0": 0.1}  # fmt: skip
+    quiet = path(0)
+    fastest = np.max(np.abs(quiet.dq)) * np.max(np.diff(quiet.t))
+    values["sigma_0"] = 0.97 * values["F_c"] / fastest
+    own = replace(law("lugre", {}, **values), discretisation="euler")
+    record = along(own, quiet, noise=2.0)
+    found = with_standard_errors(own, [record], LuGre().space())
+    stiffer = values["sigma_0"] + found.standard_errors["sigma_0"]
+    with pytest.raises(SimulationError, match="^Euler needs"):
+        predict_record(replace(own, values={**values, "sigma_0": stiffer}), record)
 
 
 def test_a_chosen_structure_has_a_covariance_but_no_intervals() -> None:

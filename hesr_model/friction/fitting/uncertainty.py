@@ -14,6 +14,7 @@ import numpy as np
 import sympy
 
 from hesr_model.equations.over_log import Array
+from hesr_model.errors import SimulationError
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fitting.separable import LEAST, SearchSpace
 from hesr_model.friction.law import FrictionLaw
@@ -114,7 +115,10 @@ def with_standard_errors(
         point[used] += step
         with np.errstate(all="ignore"):  # out there a law need not be defined
             values = moved.values(point)
-            there = _predicted(replace(law, values=values), records, starts)
+            try:
+                there = _predicted(replace(law, values=values), records, starts)
+            except SimulationError:  # nor Euler's step be stable
+                return 0.0, np.zeros_like(torque)
         return values[name] - law.values[name], there - torque
 
     wider = {
