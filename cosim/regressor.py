@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.given import body_of, logs_of, robot_of
+from cosim.given import body_of, logs_of, page_body, robot_of
 from hesr_model.errors import FitError, TableError
 from hesr_model.friction.equation import equations
 from hesr_model.friction.fitting.fit import fit
@@ -139,6 +139,8 @@ class FrictionRegressor:
             moved = self._motion(values, names)
             load = moved.load if self.target == "torque" else 0.0
             name, records = "table", [moved.records(measured - load)]
+            for known in ("robot_", "rigid_body_"):
+                self.__dict__.pop(known, None)
             self.n_features_in_ = values.shape[1]
             self._flat = np.asarray(y).ndim == 1
         self.model_ = fit(self.law, *records, seed=self.seed, options=self.options, robot=name)
@@ -235,10 +237,15 @@ class FrictionRegressor:
         return drawn(Chart(x="t [s]", rows=tuple(rows)))
 
     def to_fmu(self, path: str | PathLike[str], *, platforms: Sequence[str] = ("linux64",)) -> Path:
-        """Write the fitted law as an FMU; see `fmu_src.export_fmu`."""
+        """Write the fitted law as an FMU; see `fmu_src.export_fmu`.
+
+        After logs, its page holds the rigid body, too.
+        """
         from fmu_src import export_fmu
 
-        return export_fmu(self._fitted(), path_of(path, "an FMU"), platforms=platforms)
+        model, fmu = self._fitted(), path_of(path, "an FMU")
+        body = page_body(self.robot_, self.rigid_body_) if hasattr(self, "robot_") else None
+        return export_fmu(model, fmu, platforms=platforms, body=body)
 
     def to_torch(self, path: str | PathLike[str]) -> Path:
         """Write the fitted law as a module of PyTorch; see `fmu_src.one_file.tensors`."""

@@ -3,6 +3,7 @@
 import pickle
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -114,7 +115,8 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
     figure = regressor.plot(log)
     assert [axis.get_title(loc="left") for axis in figure.axes] == list(arm.joints)
     assert len(figure.axes[0].lines) == 2
-    assert regressor.to_fmu(str(tmp_path / "Friction.fmu")).is_file()
+    with ZipFile(regressor.to_fmu(str(tmp_path / "Friction.fmu"))) as archive:
+        assert b'"ddq"' in archive.read("documentation/index.html")  # of the rigid body
     assert "import torch" in regressor.to_torch(tmp_path / "friction.py").read_text("utf-8")
     whole = hesr.FrictionRegressor("stribeck", target="torque", robot=arm).fit([str(file)])
     assert whole.score(str(file)) > regressor.score(log)
@@ -124,6 +126,7 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
     ]:
         with pytest.raises(TableError, match=sentence):
             call()
+    assert not hasattr(regressor.fit(TABLE, FRICTION), "robot_")
 
 
 @pytest.mark.parametrize(
