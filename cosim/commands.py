@@ -344,10 +344,12 @@ def export(
         raise ConfigError(f"the format is '{format}'; allowed are {', '.join(_WRITERS)}.")
     module, _, name = _WRITERS[format].partition(":")
     path = path_of(output, "an output")
-    if robot is not None and rigid_body is not None:
-        options["body"] = page_body(robot, rigid_body)
-    elif robot is not None or rigid_body is not None:
+    if (robot is None) != (rigid_body is None):
         raise ConfigError("'robot' and 'rigid_body' go together; only one of them was given.")
+    if robot is not None and rigid_body is not None:
+        if format != "fmu":
+            raise ConfigError(f"'rigid_body' is for the page of an FMU, the format is '{format}'.")
+        options["body"] = page_body(robot, rigid_body)
     getattr(import_module(module), name)(model_given(model), path, **options)
     return path
 

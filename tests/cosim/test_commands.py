@@ -83,6 +83,12 @@ def test_what_cannot_be_used_is_refused(
         (lambda: hesr.audit(untrained), ConfigError, "does not say what it was fitted to; an"),
         (lambda: hesr.export(table1, "a", "x"), ConfigError, "the format is 'x'; allowed are fmu"),
         (lambda: hesr.export(table1, tmp_path / "a.txt"), ExportError, "a.txt"),
+        (lambda: hesr.export(table1, "a", robot="r"), ConfigError, "'robot' and 'rigid_body' go"),
+        (
+            lambda: hesr.export(table1, "a", "c", robot="r", rigid_body="b"),
+            ConfigError,
+            "'rigid_body' is for the page of an FMU, the format is 'c'.",
+        ),
         (lambda: hesr.evaluate([table1, table1], [], ""), ConfigError, "2 friction models have 1 "),
         (lambda: hesr.report(3), HesrError, "a folder is given as int; needed is a path"),
     ]:
