@@ -26,40 +26,34 @@ class Fmu {
     return new TextDecoder().decode(bytes.subarray(0, bytes.indexOf(0)));
   }
 
-  /* Torque of a joint at each row of a motion, by the convention of a replayed log: set row k, step
-   * to it, read it. Ends early, with the FMU's own words, where it refuses. */
-  run(joint, values, motion) {
-    const { fmu } = this, { dq, q, tau_load, tau } = joint.references;
-    const torque = [];
-    fmu.live_reset();
-    const put = (k) =>
-      fmu.live_set(dq, motion.dq[k]) || fmu.live_set(q, motion.q[k]) ||
-      fmu.live_set(tau_load, motion.tau_load[k]);
-    let status = 0;
-    for (const c of joint.coefficients) status ||= fmu.live_set(c.reference, values[keyOf(c)]);
-    status ||= put(0) || fmu.live_initialise();
-    for (let k = 1; !status && k <= motion.t.length; k++) {
-      torque.push(fmu.live_get(tau));
-      if (k < motion.t.length) status = put(k) || fmu.live_step(motion.t[k - 1], motion.step);
+  /* By the convention of a replayed log: set row k of the inputs [reference, values], step to it,
+   * read it. Ends where the FMU or what reads refuses, and returns whether one does. */
+  through(t, inputs, read, prepare) {
+    const { fmu } = this;
+    const put = (k) => inputs.some(([reference, values]) => fmu.live_set(reference, values[k]));
+    let failed = fmu.live_reset() || prepare?.() || put(0) || fmu.live_initialise();
+    for (let k = 0; !failed && k < t.length; k++) {
+      failed = k && (put(k) || fmu.live_step(t[k - 1] - t[0], t[k] - t[k - 1])) || read(k);
     }
-    return { torque, refused: status ? this.heard() : "" };
+    return failed;
   }
 
-  /* An output [joint][row] of all joints over a log, as exported, by the same convention: `inputs`
-   * holds [joint][row] of each input. */
+  /* Torque of a joint at each row of a motion, until the FMU refuses it, and its words then. */
+  run({ references, coefficients }, values, motion) {
+    const torque = [], inputs = ["dq", "q", "tau_load"].map((u) => [references[u], motion[u]]);
+    const failed = this.through(motion.t, inputs,
+      () => { torque.push(this.fmu.live_get(references.tau)); },
+      () => coefficients.some((c) => this.fmu.live_set(c.reference, values[keyOf(c)])));
+    return { torque, refused: failed ? this.heard() : "" };
+  }
+
+  /* An output [joint][row] of all joints over a log, as exported; of `inputs` [joint][row] each. */
   replay(joints, t, inputs, output = "tau") {
-    const { fmu } = this, found = joints.map(() => new Float64Array(t.length));
+    const found = joints.map(() => new Float64Array(t.length));
     const connected = joints.flatMap(({ references }, j) =>
       Object.entries(inputs).map(([name, values]) => [references[name], values[j]]));
-    const put = (k) => connected.some(([reference, values]) => fmu.live_set(reference, values[k]));
-    let failed = fmu.live_reset() || put(0) || fmu.live_initialise();
-    for (let k = 0; !failed && k < t.length; k++) {
-      if (k) failed = put(k) || fmu.live_step(t[k - 1] - t[0], t[k] - t[k - 1]);
-      joints.forEach(({ references }, j) => {
-        found[j][k] = fmu.live_get(references[output]);
-        failed ||= !Number.isFinite(found[j][k]);
-      });
-    }
+    const failed = this.through(t, connected, (k) => joints.some(({ references }, j) =>
+      !Number.isFinite(found[j][k] = this.fmu.live_get(references[output]))));
     return { found, refused: failed ? this.heard() || `Its ${output} is not finite.` : "" };
   }
 }

@@ -96,35 +96,16 @@ class Spline {
     return c;
   }
 
-  at(points) {
-    return weightsOf(this.knots, this.k, points);
-  }
 }
 
-/* Values at points of the derivatives of splines of degree k: each is a spline of one degree less
- * on the inner knots. Weights are found once for all splines on the same knots. */
-class Derivatives {
-  constructor({ knots, k }, points) {
-    this.orders = [{ knots, k, weights: weightsOf(knots, k, points) }];
-    this.points = points;
+/* Values at points of a derivative of a spline, which is a spline of one degree less on the inner
+ * knots. */
+function derived({ knots, k }, c, order, points) {
+  for (; order; order--, k--) {
+    c = c.slice(1).map((value, i) => k * (value - c[i]) / (knots[i + k + 1] - knots[i + 1]));
+    knots = knots.subarray(1, knots.length - 1);
   }
-
-  of(order) {
-    if (!this.orders[order]) {
-      const { knots, k } = this.of(order - 1), inner = knots.subarray(1, knots.length - 1);
-      this.orders[order] = { knots: inner, k: k - 1, weights: weightsOf(inner, k - 1, this.points) };
-    }
-    return this.orders[order];
-  }
-
-  values(coefficients, order) {
-    let c = coefficients;
-    for (let d = 0; d < order; d++) {
-      const { knots, k } = this.of(d);
-      c = c.slice(1).map((value, i) => k * (value - c[i]) / (knots[i + k + 1] - knots[i + 1]));
-    }
-    return valuesAt(this.of(order).weights, c);
-  }
+  return valuesAt(weightsOf(knots, k, points), c);
 }
 
 /* Butterworth low pass of second order, forwards and backwards, over ends that are mirrored. */
@@ -134,7 +115,8 @@ function lowPassed(values, cutoff, rate, padding) {
   const n = values.length, x = new Float64Array(n + 2 * padding);
   x.set(values, padding);
   const near = Math.round(2 * padding / PADDING_PERIODS) + 1;
-  let first = 0, last = 0; // where parabolas through the nearest rows begin and end
+  /* Where parabolas through the nearest rows begin and end. */
+  let first = 0, last = 0;
   for (let k = 0; k < near; k++) {
     const weight = (3 * (3 * near * near - 3 * near + 2) - 18 * (2 * near - 1) * k + 30 * k * k) /
       (near * (near + 1) * (near + 2));
@@ -183,10 +165,9 @@ function smoothed(t, columns, cutoff) {
   const grid = Float64Array.from({ length: steps + 1 }, (_, k) => k * step + t[0]);
   grid[steps] = t[t.length - 1];
   const into = new Spline(t, 3), outOf = new Spline(grid, 5), rate = steps / (grid[steps] - grid[0]);
-  const evenly = into.at(grid), back = new Derivatives(outOf, t);
   return columns.map((column) => {
-    const even = valuesAt(evenly, into.coefficients(column));
+    const even = derived(into, into.coefficients(column), 0, grid);
     const c = outOf.coefficients(lowPassed(even, cutoff, rate, padding));
-    return (order) => back.values(c, order);
+    return (order) => derived(outOf, c, order, t);
   });
 }
