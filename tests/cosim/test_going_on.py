@@ -25,6 +25,10 @@ def laws(folder: Path) -> dict[str, object]:
 @pytest.mark.soak
 def test_a_killed_run_goes_on_and_ends_as_if_it_had_not_been(tmp_path: Path) -> None:
     study = write_study(tmp_path)
+    # Fits that take long enough to be told of on their way.
+    text = study.read_text(encoding="utf-8")
+    assert "starts = 4\n" in text
+    study.write_text(text.replace("starts = 4\n", "starts = 60\n"), encoding="utf-8")
     kept = tmp_path / ".results-unfinished" / "laws"
     command = ("run", study, "--quick", "-o", "results", "--verbose")
     with started(*command, folder=tmp_path) as process:
