@@ -239,8 +239,9 @@ def score_study(
     for law, fitted in models.items():
         write_model(folder / "laws" / f"{law}.json", fitted)
     fmus = {law: folder / "fmus" / f"{law}.fmu" for law in models}
-    body = PageBody.of(model, rigid_body)
-    write = partial(export_fmu, body=body) if documented else export_bare
+    write: Callable[..., Path] = export_bare
+    if documented:
+        write = partial(export_fmu, body=PageBody.of(model, rigid_body))
     _write_all(
         [partial(write, models[law], fmu, platforms=platforms) for law, fmu in fmus.items()],
         partial(job.progress, "building FMUs"),

@@ -184,6 +184,8 @@ def test_with_its_body_the_page_finds_the_friction_itself(
     drop(page, table({name: c for name, c in named.items() if name[0] != "q" and "_" not in name}))
     if logged:
         assert "positions are needed" in page.locator(".log-answer").inner_text()
+    else:
+        assert "No columns look like position or velocity" in wrong(page)
 
 
 def test_a_log_of_a_stranger(page: "Page", fmu: Path, measured: RobotLog) -> None:

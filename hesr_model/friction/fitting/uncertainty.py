@@ -107,7 +107,9 @@ def with_standard_errors(
     moves = np.any(slope != 0.0, axis=1)
     own_names = [name for name, m in zip(names, moves, strict=True) if m]
     whole = found.mapped(own_names, slope[moves])
-    shown = () if law.structure else [name for name in own_names if name not in moved.held]
+    whole_law = replace(law, covariance=whole)
+    if law.structure:
+        return _stated(whole_law, {})
     q, r = np.linalg.qr(jacobian)
 
     def moved_by(name: str, step: Array) -> tuple[float, Array]:
@@ -123,9 +125,10 @@ def with_standard_errors(
 
     wider = {
         name: wider_side(slope[names.index(name)], found.matrix, q, r, partial(moved_by, name))
-        for name in shown
+        for name in own_names
+        if name not in moved.held
     }
-    return _stated(replace(law, covariance=whole), wider)
+    return _stated(whole_law, wider)
 
 
 def with_pooled_errors(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:

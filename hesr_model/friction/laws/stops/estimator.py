@@ -13,7 +13,7 @@ from hesr_model.friction.fitting.signed import Normal
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.laws.ripple import LAG
 from hesr_model.friction.laws.stops import passive, waves
-from hesr_model.friction.laws.stops.form import Structure, viscous_at
+from hesr_model.friction.laws.stops.form import Structure, start_at_rest, viscous_at
 from hesr_model.friction.laws.stops.search import Terms, dictionary, search
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.typed_json import to_json
@@ -89,7 +89,7 @@ class _Stops(Estimator):
             structure=to_json(structure),
             form=form,
             values={c.name: values[c.name] for c in form.coefficients},
-            start=structure.start,
+            start=start_at_rest(form),
             start_samples=self.start_samples,
         )
 

@@ -139,12 +139,6 @@ class Structure:
         """Names of the amplitudes of ripple."""
         return tuple(f"ripple{n}_{part}" for n in self.ripple for part in ("cos", "sin"))
 
-    @property
-    def start(self) -> tuple[float, ...]:
-        """Of the states at rest, where contacts have aged; none given where all are 0."""
-        memory = self.form().memory
-        return tuple(1.0 if m == AGE else 0.0 for m in memory) if AGE in memory else ()
-
     def form(self) -> LawForm:
         """Return the expressions."""
         bounds = {kind: BOUNDS[kind] for kind, _ in self.stops}
@@ -202,6 +196,12 @@ class Structure:
 def force(kind: str, node: int) -> str:
     """Return the name of the force of the stop with that bound and deflection."""
     return f"F_{kind}_{node + 1}" if kind != "1" else f"F_{node + 1}"
+
+
+def start_at_rest(form: LawForm) -> tuple[float, ...]:
+    """Return the states of a form at rest, where contacts have aged; none where all are 0."""
+    memory = form.memory
+    return tuple(1.0 if m == AGE else 0.0 for m in memory) if AGE in memory else ()
 
 
 def viscous_at(structure: Structure, numbers: Mapping[str, float], speeds: Array) -> Array:

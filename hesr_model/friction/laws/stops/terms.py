@@ -15,6 +15,7 @@ from hesr_model.friction.laws.stops.form import (
     SHARES,
     THINNING,
     Structure,
+    start_at_rest,
 )
 
 _ANY = (1e-12, 1e12)
@@ -60,7 +61,7 @@ def columns(structure: Structure, numbers: Mapping[str, float], samples: Samples
     samples : rows of the joint.
     """
     form, space = _posed(structure)
-    problem = Separable(form, space, samples, start=structure.start)
+    problem = Separable(form, space, samples, start=start_at_rest(form))
     return problem.columns(problem.point({name: numbers[name] for name in space.names}))[:, :-1]
 
 
