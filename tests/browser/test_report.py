@@ -121,11 +121,26 @@ def test_every_view_zooms(open_page: "OpenPage", report: Path) -> None:
     buttons = page.get_by_role("button", name="Zoom in")
     count = buttons.count()
     assert count == page.locator("script[id^=zoom-]").count() - 1 == 5  # one is the library
-    for _ in range(count):
-        buttons.first.click()
-        page.locator(".bk-Canvas").first.wait_for()
+    page.evaluate("document.querySelectorAll('.to-zoom').forEach(button => button.click())")
     page.get_by_role("button", name="Back to the picture").nth(count - 1).wait_for()
-    assert page.evaluate("Bokeh.documents.flatMap(d => d.roots()).length") == count
+    page.wait_for_function(f"globalThis.Bokeh?.documents.flatMap(d => d.roots()).length === {count}")
+
+
+def test_clicks_while_a_view_opens_are_not_lost(open_page: "OpenPage", report: Path) -> None:
+    page = open_page(report)
+    figure = page.locator("#figure-torque_1")
+    twice = """figure => { const button = figure.querySelector(".to-zoom");
+        button.click(); button.click(); }"""
+    figure.evaluate(twice)
+    figure.get_by_role("button", name="Zoom in").wait_for()
+    page.wait_for_function("globalThis.Bokeh !== undefined")
+    figure.locator(".drawing").wait_for()
+    figure.locator(".zoom").wait_for(state="hidden")
+    zoomed(page, "torque_1")
+    assert figure.locator(".drawing").is_hidden()
+    figure.evaluate(twice)
+    figure.locator(".zoom .bk-Canvas").first.wait_for()
+    assert figure.get_by_role("button", name="Back to the picture").is_visible()
 
 
 def test_a_dark_page_has_dark_views(open_page: "OpenPage", report: Path) -> None:

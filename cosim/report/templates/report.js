@@ -131,24 +131,36 @@
   for (const button of document.querySelectorAll("button.to-zoom")) {
     const box = button.closest("figure").querySelector(".zoom");
     const drawing = button.closest("figure").querySelector(".drawing");
-    button.addEventListener("click", async () => {
-      const open = box.hidden;
+    let wanted = false;
+    let work = Promise.resolve();
+
+    function want(open) {
+      wanted = open;
+      button.textContent = open ? "Back to the picture" : "Zoom in";
+      button.setAttribute("aria-expanded", String(open));
+    }
+
+    async function turn(open) {
       if (open) {
         box.hidden = false;
         try {
           await show(button.dataset.zoom, box);
         } catch (error) {
-          box.hidden = true;
           say(`This browser cannot zoom: ${error.message}`);
-          return;
+          want(false);
+          open = false;
         }
-      } else {
-        hide(box);
-        box.hidden = true;
       }
+      if (!open) hide(box);
+      box.hidden = !open;
       drawing.hidden = open;
-      button.textContent = open ? "Back to the picture" : "Zoom in";
-      button.setAttribute("aria-expanded", String(open));
+    }
+
+    // A click while a view is still being unpacked counts once it is there.
+    button.addEventListener("click", () => {
+      want(!wanted);
+      const open = wanted;
+      work = work.then(() => turn(open));
     });
   }
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
