@@ -123,7 +123,9 @@ def test_every_view_zooms(open_page: "OpenPage", report: Path) -> None:
     assert count == page.locator("script[id^=zoom-]").count() - 1 == 5  # one is the library
     page.evaluate("document.querySelectorAll('.to-zoom').forEach(button => button.click())")
     page.get_by_role("button", name="Back to the picture").nth(count - 1).wait_for()
-    page.wait_for_function(f"globalThis.Bokeh?.documents.flatMap(d => d.roots()).length === {count}")
+    page.wait_for_function(
+        f"globalThis.Bokeh?.documents.flatMap(d => d.roots()).length === {count}"
+    )
 
 
 def test_clicks_while_a_view_opens_are_not_lost(open_page: "OpenPage", report: Path) -> None:

@@ -1,7 +1,7 @@
 """How many small faults in the sources the tests notice: run by `make mutate`.
 
 Random faults are put, one by one, into a copy of the tree without anything beside it, and each is
-shown to the tests that are nearest to it (`nearest.toml`). Faults that change nothing that can be
+shown to the tests that are nearest to it, then to those further off (`nearest.toml`). Faults that change nothing that can be
 observed are listed in `equivalent.toml`, with the reason. C that does not compile is no fault.
 """
 
@@ -44,8 +44,8 @@ SLOW_IMPORTS = (
 )  # fmt: skip
 
 
-def table(name: str) -> list[dict[str, object]]:
-    return tomllib.loads((HERE / name).read_text(encoding="utf-8"))["of"]
+def table(name: str, kind: str = "of") -> list[dict[str, object]]:
+    return tomllib.loads((HERE / name).read_text(encoding="utf-8"))[kind]
 
 
 def copied(folder: Path) -> Path:
@@ -67,7 +67,7 @@ def _run_tests(root: Path, tests: Sequence[str], output: int) -> None:
     os.chdir(root)
     os.environ |= {"PYTHONPATH": str(root), "COLUMNS": "200"}
     sys.path[:1] = [str(root)]
-    options = ["-xq", "-p", "no:cacheprovider", "--hypothesis-profile=ci"]
+    options = ["-xq", "-p", "no:cacheprovider", "--hypothesis-profile=ci", "-m", "not soak"]
     code = pytest.main([*options, *tests])
     sys.stdout.flush()
     os._exit(int(code))
@@ -90,6 +90,12 @@ class Tree:
         named = self.sources(f"tests/**/test_{Path(source).stem}.py")
         others = [t for e in (entry["tests"] if entry else ()) for t in self.sources(f"tests/{e}")]
         return tuple(dict.fromkeys([*(() if entry else named), *others]))
+
+    def beyond(self, source: str) -> tuple[str, ...]:
+        """Tests further off, of every entry that fits."""
+        entries = [e for e in table("nearest.toml", "beyond") if fnmatch(source, str(e["sources"]))]
+        found = [t for e in entries for name in e["tests"] for t in self.sources(f"tests/{name}")]
+        return tuple(t for t in dict.fromkeys(found) if t not in self.nearest(source))
 
     def _pytest(self, tests: Sequence[str], limit: float | None = None) -> tuple[int | None, str]:
         """Exit code of the tests, None if they do not end, and what they say."""
@@ -129,20 +135,20 @@ class Tree:
         if any(fnmatch(source, str(e["source"])) and e["before"] == fault.before
                and e["after"] == fault.after for e in listed):  # fmt: skip
             return "equivalent", ""
-        tests = self.nearest(source)
-        if not tests:
+        if not self.nearest(source):
             return "survived", "no test is near; see nearest.toml"
-        limit = self._limit(tests)
         original = (self.root / source).read_text(encoding="utf-8")
-        self._write(source, fault.text)
-        code, said = self._pytest(tests, limit)
-        self._write(source, original)
-        if "the C compiler failed" in said:
-            return "stillborn", ""
-        if code == 0:
-            return "survived", " ".join(tests)
-        failed = [x for x in said.splitlines() if x.startswith(("FAILED", "ERROR"))]
-        return "killed", failed[0][:150] if failed else said.strip().splitlines()[-1][:150]
+        for tests in filter(None, (self.nearest(source), self.beyond(source))):
+            limit = self._limit(tests)
+            self._write(source, fault.text)
+            code, said = self._pytest(tests, limit)
+            self._write(source, original)
+            if "the C compiler failed" in said:
+                return "stillborn", ""
+            if code != 0:
+                failed = [x for x in said.splitlines() if x.startswith(("FAILED", "ERROR"))]
+                return "killed", failed[0][:150] if failed else said.strip().splitlines()[-1][:150]
+        return "survived", " ".join(self.nearest(source))
 
 
 def faults(tree: Tree, pattern: str, seed: int) -> Iterator[tuple[str, Mutant]]:

@@ -75,9 +75,12 @@ def test_faults_in_c(tmp_path: Path) -> None:
     }
 
 
-@pytest.mark.parametrize("table", ["nearest.toml", "equivalent.toml"])
-def test_tables_name_what_there_is(table: str) -> None:
-    for entry in tomllib.loads((HERE / table).read_text(encoding="utf-8"))["of"]:
+@pytest.mark.parametrize(
+    ("table", "kind"),
+    [("nearest.toml", "of"), ("nearest.toml", "beyond"), ("equivalent.toml", "of")],
+)
+def test_tables_name_what_there_is(table: str, kind: str) -> None:
+    for entry in tomllib.loads((HERE / table).read_text(encoding="utf-8"))[kind]:
         pattern = str(entry.get("sources", entry.get("source")))
         named = [path for path in SOURCES if fnmatch(str(path.relative_to(ROOT)), pattern)]
         assert named, pattern

@@ -1,0 +1,79 @@
+"""What the checks measure in a log, sound and with a mistake, and the figures of their advice."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from unchanged import Unchanged
+
+from hesr_model.health.examine import examine
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import Motion, smooth
+from hesr_model.robots.robot import RobotModel
+
+MakeMotion = Callable[..., Motion]
+
+
+@pytest.fixture
+def log(make_motion: MakeMotion) -> RobotLog:
+    motion = make_motion(name="run", friction=0.8)
+    noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
+    return RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)
+
+
+def late(values: np.ndarray, rows: int) -> np.ndarray:
+    return np.concatenate([np.repeat(values[:1], rows, axis=0), values[:-rows]])
+
+
+def rates(log: RobotLog) -> np.ndarray:
+    assert log.dq is not None
+    return log.dq
+
+
+MISTAKES: dict[str, Callable[[RobotLog], RobotLog]] = {
+    "none": lambda log: log,
+    "degrees": lambda log: replace(log, q=log.q * 57.3),
+    "motor": lambda log: replace(log, q=log.q * [1.0, 100.0, 1.0]),
+    "rpm": lambda log: replace(log, dq=rates(log) * 9.55),
+    "lag": lambda log: replace(log, dq=late(rates(log), 4)),
+    "stamps": lambda log: replace(log, t=log.t * 1.3),
+    "no rates": lambda log: replace(log, dq=None),
+    "sign": lambda log: replace(log, tau=log.tau * [1.0, -1.0, 1.0]),
+    "scale": lambda log: replace(log, tau=log.tau * [0.1, 1.0, 1.0]),
+    "torque lag": lambda log: replace(log, tau=late(log.tau, 5)),
+    "saturation": lambda log: replace(log, tau=np.clip(log.tau, -8.0, 8.0)),
+    "zero": lambda log: replace(log, q=log.q + np.array([0.0, 0.6, 0.0])),
+    "columns": lambda log: replace(log, tau=log.tau[:, [1, 0, 2]]),
+    "joints": lambda log: replace(log, q=log.q[:, [0, 2, 1]], dq=rates(log)[:, [0, 2, 1]]),
+    "held": lambda log: replace(log, tau=np.repeat(log.tau[::4], 4, axis=0)[: len(log.t)]),
+    "coarse": lambda log: replace(log, q=np.round(log.q, 2)),
+    "gap": lambda log: replace(
+        log, t=log.t + 0.5 * (log.t > 5.0)
+    ),
+    "no friction": lambda log: replace(
+        log, tau=log.tau - 0.8 * (np.sign(rates(log)) + 0.5 * rates(log))
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_what_is_found(
+    mistake: str, log: RobotLog, arm_model: RobotModel, unchanged: Unchanged
+) -> None:
+    found = examine([MISTAKES[mistake](log)], arm_model.description, arm_model)
+    about = sum(map(ord, "".join(f.check + "".join(f.joints) for f in found.findings)))
+    unchanged(
+        {
+            "findings": len(found.findings),
+            "about": about,
+            "said": [f.sentence for f in found.findings],
+            "explained": found.explained,
+            "torques": found.torques,
+        },
+        rtol=1e-5,
+    )
+
+
+def test_a_log_made_smooth(log: RobotLog, unchanged: Unchanged) -> None:
+    unchanged({str(cutoff): smooth(log, cutoff) for cutoff in (5.0, 15.0)})

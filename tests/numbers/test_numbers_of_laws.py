@@ -1,0 +1,47 @@
+"""Every law of the registry: what its fit finds, and what is known of it then."""
+
+import pytest
+from joint_data import GEAR_RATIO, along, law, path
+from unchanged import Unchanged
+
+from hesr_model.friction.audit.audit import audit
+from hesr_model.friction.audit.certificate import certify
+from hesr_model.friction.evaluate import predict
+from hesr_model.friction.fitting.fit import fit_models
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import registry
+
+TRUTH = law(
+    "lugre_load", {}, sigma_0=600.0, sigma_1=1.0, sigma_2=4.0, F_c=8.0, F_s=11.0, v_s=0.1,
+    tau_0=0.5, mu=0.02,
+)  # fmt: skip
+
+FLAT = {"parfam_h": 2e-2}
+"""Where its torque hardly tells its coefficients, a fit ends where SciPy's version lets it."""
+
+
+def fitted(name: str) -> FrictionModel:
+    records = [
+        along(TRUTH, path(k, seconds=5.0), noise=0.3, seed=k, log=str(k), gear_ratio=GEAR_RATIO)
+        for k in range(2)
+    ]
+    return fit_models([name], [records], robot="bench", seed=0, workers=1)[name]
+
+
+@pytest.mark.parametrize("name", registry())
+def test_a_fit_finds_what_it_found(name: str, unchanged: Unchanged) -> None:
+    model = fitted(name)
+    own, trained = model.laws[0], model.trained[0]
+    way = path(9, seconds=5.0)
+    predicted = predict(own, t=way.t, dq=way.dq, q=way.q, tau_load=way.load)
+    unchanged(
+        {
+            "predicted": predicted,
+            "rmse": model.training_rmse,
+            "values": own.values,
+            "standard errors": own.standard_errors,
+            "audit": audit(own, trained),
+            "certificate": certify(own, trained),
+        },
+        rtol=FLAT.get(name, 1e-5),
+    )
