@@ -153,6 +153,38 @@ def test_who_gives_nan_is_named_not_who_refuses_it(fakes):
     assert str(run(spec).failure) == "at t = 0.3 s late.y is not a finite number."
 
 
+def test_nan_at_the_start_is_named_with_its_time(fakes):
+    spec = fakes(
+        {"gain": {"fmu": "gain", "start": {"u": 1e308}}, "sum": "fake"},
+        {"sum.u[1]": "gain.y", "sum.u[2]": "gain.y"},
+    )  # fmt: skip
+    assert str(run(spec).failure) == "at t = 0 s gain.y is not a finite number."
+
+
+def test_what_a_study_asks_of_a_system_is_checked_by_name(fakes):
+    asked = Path("study.toml")
+    links = {"sum.u[1]": "clock.y", "sum.u[2]": "clock.y"}
+    spec = fakes({"sum": "fake", "clock": "clock"}, links, observe=["sum.y", "clock.y"])
+    with Master(spec) as master:
+        master.require_start({"sum": {"y0": 1.0}}, asked)
+        for start, said in (
+            ({"sum": {"y[2]": 1.0}}, "'sum.y[2]' cannot be varied: its FMU calculates it."),
+            ({"sum": {"y": [1.0, 2.0]}}, "'sum.y[1]' cannot be varied: its FMU calculates it."),
+            ({"some": {"y0": 1.0}}, "system: start values: there is no component 'some'"),
+        ):
+            with pytest.raises(ConfigError) as error:
+                master.require_start(start, asked)
+            assert str(error.value).startswith(f"study.toml: {said}")
+        master.require_alike("sum.y", "sum.y", asked)
+        for one, other, counts in (("sum.y", "clock.y", (2, 1)), ("clock.y", "sum.y", (1, 2))):
+            with pytest.raises(ConfigError) as error:
+                master.require_alike(one, other, asked)
+            assert str(error.value) == (
+                f"study.toml: '{one}' has {counts[0]} elements and its reference "
+                f"'{other}' {counts[1]}."
+            )
+
+
 def test_limits_end_a_run(fakes):
     spec = fakes(
         {"sum": {"fmu": "fake", "start": {"u": [1.0, -2.0]}}}, observe=["sum.y"],

@@ -50,8 +50,8 @@ def test_noise_is_that_of_python(normal) -> None:
 @pytest.fixture(scope="module")
 def math(tmp_path_factory: pytest.TempPathFactory):
     """Call a function of law_math.h by its name."""
-    one, two, three = ("sgn", "square", "cube", "positive"), ("exceeds", "clip", "decay"), (
-        "share", "share_slope")  # fmt: skip
+    one = ("sgn", "square", "cube", "positive", "cardinal_sine", "cardinal_slope")
+    two, three = ("exceeds", "clip", "decay"), ("share", "share_slope")
     arguments = {n: k for k, names in enumerate((one, two, three), start=1) for n in names}
     text = '#include "law_math.h"\n' + "".join(
         f"EXPORT double the_{name}({', '.join(f'double {x}' for x in 'abc'[:count])}) "
@@ -86,6 +86,17 @@ def test_what_a_relaxation_keeps_and_takes_over_a_step(math, z: float) -> None:
     assert math("share_slope", z, e, 0.0) == pytest.approx(slope, rel=2e-10)
     assert (math("decay", z, 1.0), math("share", z, -z, 1.0)) == (-z, 1.0)
     assert math("share_slope", z, -z, 1.0) == 0.0
+
+
+@pytest.mark.parametrize("x", [0.0, 1e-300, 1e-9, 0.99e-3, 1.01e-3, 0.02, 0.9, 3.0, 7.0, 200.0])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_cardinal_sine_and_its_slope(math, x: float, sign: float) -> None:
+    with mpmath.workdps(700):
+        z = mpmath.mpf(sign * x)
+        sine = mpmath.sin(z) / z if x else mpmath.mpf(1)
+        slope = (mpmath.cos(z) - sine) / z if x else mpmath.mpf(0)
+    assert math("cardinal_sine", sign * x) == pytest.approx(float(sine), rel=1e-15)
+    assert math("cardinal_slope", sign * x) == pytest.approx(float(slope), rel=2e-10)
 
 
 def test_nothing_is_taken_where_no_time_passes(math) -> None:

@@ -1,8 +1,9 @@
 """How many small faults in the sources the tests notice: run by `make mutate`.
 
 Random faults are put, one by one, into a copy of the tree without anything beside it, and each is
-shown to the tests that are nearest to it, then to those further off (`nearest.toml`). Faults that change nothing that can be
-observed are listed in `equivalent.toml`, with the reason. C that does not compile is no fault.
+shown to the tests that are nearest to it, then to those further off (`nearest.toml`). Faults that
+change nothing that can be observed are listed in `equivalent.toml`, with the reason. C that does
+not compile is no fault.
 """
 
 import argparse
@@ -95,7 +96,7 @@ class Tree:
         """Tests further off, of every entry that fits."""
         entries = [e for e in table("nearest.toml", "beyond") if fnmatch(source, str(e["sources"]))]
         found = [t for e in entries for name in e["tests"] for t in self.sources(f"tests/{name}")]
-        return tuple(t for t in dict.fromkeys(found) if t not in self.nearest(source))
+        return tuple(dict.fromkeys(found))
 
     def _pytest(self, tests: Sequence[str], limit: float | None = None) -> tuple[int | None, str]:
         """Exit code of the tests, None if they do not end, and what they say."""
