@@ -22,7 +22,7 @@ from cosim.scoring import (
     rows_of,
     within,
 )
-from cosim.study import Study
+from cosim.study import Part, Study
 from hesr_model.artifacts import write_json
 from hesr_model.equations.over_log import Array
 from hesr_model.errors import ConfigError, FitError, HesrError, LogError
@@ -181,14 +181,27 @@ class Job:
         """
         log = RobotLog.read(file, self.robot)
         part = self.study.logs.parts.get(name)
-        if part is None:
-            return log
+        return log if part is None else self._part(log, name, part)
+
+    def led_up_to(self, name: str, file: Path) -> RobotLog | None:
+        """Read a part of a log with what is before it; None of a whole log, or from its beginning.
+
+        A law that is tested on the part runs through that first: its states are then what the
+        motion has made of them, as in anything that runs the law.
+        """
+        part = self.study.logs.parts.get(name)
+        if part is None or part.start == 0.0:
+            return None
+        whole = part.model_copy(update={"start": 0.0})
+        return self._part(RobotLog.read(file, self.robot), name, whole)
+
+    def _part(self, log: RobotLog, name: str, part: Part) -> RobotLog:
         since = log.t - log.t[0]
         rows = np.flatnonzero((since >= part.start) & (since < part.stop))
         if len(rows) < 2:
             raise LogError(
-                f"{file}: has no rows from {part.start:g} to {part.stop:g} s, the part '{name}' of "
-                f"the study; it is {since[-1]:.4g} s long."
+                f"{log.path}: has no rows from {part.start:g} to {part.stop:g} s, the part "
+                f"'{name}' of the study; it is {since[-1]:.4g} s long."
             )
         return replace(log.rows(rows), name=name)
 
@@ -334,10 +347,12 @@ class Job:
         records: LogRecords,
         files: Mapping[str, Path],
         fmus: Path,
+        led_up: LogRecords,
     ) -> tuple[dict[str, Comparison], Predictions]:
         """Score the FMUs on every test set and on its bands; of a twin the truth as well.
 
         Where logs may differ by day, the same stands there with what is each log's own fitted.
+        FMUs run through all rows of `led_up`, of which the last are those of `records`.
 
         Returns the scores, and the torques on the test sets.
         """
@@ -350,7 +365,7 @@ class Job:
             partial(
                 predict_fmu,
                 fmus / f"{law}.fmu",
-                records_of(tests[name], records),
+                records_of(tests[name], {**records, **led_up}),
                 measured_start=with_start,
             )
             for name, row in cases
@@ -362,7 +377,13 @@ class Job:
                 replayed[name][row] = next(results)
         for name, logs in tests.items():
             tested = records_of(logs, records)
-            predicted = replayed[name]
+            predicted = {
+                row: [
+                    [tau[-len(r.t) :] for tau, r in zip(*of_joint, strict=True)]
+                    for of_joint in zip(torques, tested, strict=True)
+                ]
+                for row, torques in replayed[name].items()
+            }
             if self.study.twin:
                 predicted[ORACLE] = self._true_friction([files[log] for log in logs])
             comparisons[name] = compare(tested, predicted, inputs, models)

@@ -23,7 +23,7 @@ from hesr_model.health.examine import checked
 from hesr_model.health.fitted import check_body, check_laws
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.rigid_body.residual import friction_records
+from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support import parallel
 from hesr_model.support.files import folder_written_whole, models_folder
@@ -228,9 +228,15 @@ def score_study(
     if study.twin is None:  # whose logs are new each time
         source |= {"created": newest([files[name] for name in job.trained_on])}
     write_rigid_body(folder / "rigid_body.json", rigid_body, source)
-    records = {
-        name: [friction_records(part, model, rigid_body) for part in log.parts()]
-        for name, log in logs.items()
+    decouple = partial(friction_records, model=model, rigid_body=rigid_body)
+    records = {name: [decouple(part) for part in log.parts()] for name, log in logs.items()}
+    led_up = _led_up(job, files, logs, decouple)
+    records |= {
+        name: [
+            [whole.rows(slice(-len(own.t), None)) for whole, own in zip(*both, strict=True)]
+            for both in zip(wholes, records[name], strict=True)
+        ]
+        for name, wholes in led_up.items()
     }
     models, left_out = job.fit_all(records, source)
     models |= {law: replace(m, provenance=source) for law, m in refined.items() if law in models}
@@ -246,7 +252,7 @@ def score_study(
         [partial(write, models[law], fmu, platforms=platforms) for law, fmu in fmus.items()],
         partial(job.progress, "building FMUs"),
     )
-    comparisons, predictions = job.compare(models, records, files, folder / "fmus")
+    comparisons, predictions = job.compare(models, records, files, folder / "fmus", led_up)
     write_json(folder / "evaluation.json", {name: to_json(c) for name, c in comparisons.items()})
     return Scored(
         job=job,
@@ -262,6 +268,22 @@ def score_study(
         comparisons=comparisons,
         predictions=predictions,
     )
+
+
+def _led_up(
+    job: Job,
+    files: Mapping[str, Path],
+    logs: Mapping[str, RobotLog],
+    decouple: Callable[[RobotLog], list[FrictionRecord]],
+) -> LogRecords:
+    """Return records of what is tested and is part of a log, with what is before it."""
+    names = dict.fromkeys(name for names in job.study.logs.test.values() for name in names)
+    found = {}
+    for name in names:
+        if (whole := job.led_up_to(name, files[name])) is not None:
+            ends = {part.t[-1]: part for part in whole.parts()}
+            found[name] = [decouple(ends.get(own.t[-1], own)) for own in logs[name].parts()]
+    return found
 
 
 def _write_all(jobs: Sequence[Callable[[], Path]], progress: Progress) -> None:

@@ -306,14 +306,9 @@ def within(
                 f"the band from {start:g} to {stop:g} s holds no rows; the longest log of its test "
                 f"set lasts {longest:.3g} s."
             )
-        kept_records.append([_rows(of_joint[k], rows[k]) for k in kept])
+        kept_records.append([of_joint[k].rows(rows[k]) for k in kept])
         kept_torques.append([predicted[k][rows[k]] for k in kept])
     return kept_records, kept_torques
-
-
-def _rows(record: FrictionRecord, rows: Any) -> FrictionRecord:
-    columns = ("t", "dq", "q", "tau_load", "tau")
-    return replace(record, **{name: getattr(record, name)[rows] for name in columns})
 
 
 def inputs_of(model: FrictionModel) -> str:

@@ -63,6 +63,12 @@ class FrictionRecord:
     temperature: Array | None = None
     coupling: Coupling | None = None
 
+    def rows(self, rows: slice | NDArray[np.bool_]) -> "FrictionRecord":
+        """Return some of the rows."""
+        columns = ("t", "dq", "q", "tau_load", "tau", "tau_load_spread", "temperature")
+        found = {name: getattr(self, name) for name in columns}
+        return replace(self, **{k: v[rows] for k, v in found.items() if v is not None})
+
 
 def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
     """Bring the records of all joints in one log to where friction sits.

@@ -12,15 +12,19 @@ from small_study import Hesr, hesr_here
 from cosim.health import read_findings
 from cosim.pipeline import Job
 from cosim.proposed_study import study_file
+from cosim.run import score_study
 from cosim.study import Study
 from hesr_model.errors import ArtifactError, LogError
+from hesr_model.friction.records import predict_record
 from hesr_model.health.examine import examine
 from hesr_model.health.proposal import Proposal, propose, robot_file
 from hesr_model.logs.guess import guess
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import Motion
 from hesr_model.logs.tables import table_of
+from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import RobotDescription
+from hesr_model.support import parallel
 from hesr_model.support.progress import silent
 
 GAINS = np.array([12.0, 11.0, 9.0])
@@ -217,6 +221,48 @@ def test_a_part_of_a_log_must_hold_rows(messy: Path, arm: RobotDescription) -> N
     job = Job(study=study, path=messy.with_name("study.toml"), progress=silent)
     with pytest.raises(LogError, match=r"no rows from 50 to 1e\+09 s, the part 'a' of"):
         job.read("a", messy)
+
+
+def test_a_part_is_tested_behind_what_is_before_it(messy: Path, arm: RobotDescription) -> None:
+    """The log has a gap at 4 s, which divides the part in two."""
+    robot = messy.with_name("robot.toml")
+    robot.write_text(robot_file(propose([messy], arm, known=True), robot), encoding="utf-8")
+    log = RobotLog.read(messy, RobotDescription.read(robot))
+    assert log.dq is not None
+    since, dq = log.t - log.t[0], log.dq[:, 0]
+    begin = float(since[1:][(since[1:] > 1.0) & (dq[1:] * dq[:-1] < 0.0)][0])  # it reverses
+    logs = {
+        "identification": ["a"],
+        "test": {"b": ["b"]},
+        "parts": {
+            "a": {"log": messy.name, "stop": 9.0},
+            "b": {"log": messy.name, "start": begin},
+        },
+    }
+    study = Study.model_validate(
+        {"name": "cut", "robot": robot, "laws": ["lugre"], "logs": logs},
+        context={"folder": messy.parent},
+    )
+    job = Job(study=study, path=messy.with_name("study.toml"), progress=silent)
+    output = messy.with_name("out")
+    output.mkdir()
+    with parallel.one_pool():
+        run = score_study(job, output)
+    whole = job.led_up_to("b", messy)
+    assert whole is not None
+    assert whole.t[0] == job.read("a", messy).t[0]
+    assert job.led_up_to("a", messy) is None
+    assert len(run.records["b"]) == 2
+    law = run.models["lugre"].laws[0]
+    for k, rows in enumerate(run.logs["b"].parts()):
+        record = friction_records(whole.parts()[k - 2], run.robot, run.rigid_body)[0]
+        expected = predict_record(law, record)[-len(rows.t) :]
+        found = run.predictions["b"]["lugre"][0][k]
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+        np.testing.assert_array_equal(run.records["b"][k][0].t, rows.t)
+        np.testing.assert_array_equal(run.records["b"][k][0].tau, record.tau[-len(rows.t) :])
+    alone = predict_record(law, run.records["b"][0][0])
+    assert np.abs(alone - run.predictions["b"]["lugre"][0][0]).max() > 0.01
 
 
 def test_a_table_without_positions_is_refused(tmp_path: Path, hesr: Hesr) -> None:

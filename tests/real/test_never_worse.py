@@ -23,13 +23,7 @@ LAWS = ("parfam_s_v", "parfam_s_load", "parfam_s")
 @pytest.mark.parametrize(
     ("robot", "mean", "most"),
     [
-        pytest.param(
-            *("tx40", 0.98, 1.0),
-            marks=pytest.mark.xfail(
-                reason="what is tested begins amid the motion, where the age of a contact is not "
-                "known: for .3 s J1 is 3.2 N.m off instead of 1.9, after .6 s 2.1 instead of 2.2"
-            ),
-        ),
+        ("tx40", 0.98, 1.0),
         ("panda", 1.02, 1.08),
     ],
     ids=("tx40", "panda"),
