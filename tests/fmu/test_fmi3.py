@@ -4,7 +4,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable
-from ctypes import c_double, c_uint32
+from ctypes import c_double, c_size_t, c_uint32, c_void_p
 from pathlib import Path
 from xml.etree import ElementTree as ET
 from zipfile import ZipFile
@@ -251,6 +251,35 @@ def test_what_does_not_fit_is_refused(friction3, tmp_path) -> None:
             )
         assert "fmi3GetFloat64: 18446744073709551615 values for variables" in new.said[-1]
     assert new.get("dq") == [0.0, 0.0, 0.0]
+
+
+TYPES = ("Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64", "Boolean",
+         "String", "Binary")  # fmt: skip
+OF_CLOCKS = ("Clock", "IntervalDecimal", "IntervalFraction", "ShiftDecimal", "ShiftFraction")
+NEVER = ("EvaluateDiscreteStates", "EnterConfigurationMode", "ExitConfigurationMode",
+         "GetNumberOfVariableDependencies", "GetVariableDependencies")  # fmt: skip
+
+
+def test_calls_for_what_no_component_has(friction3, tmp_path) -> None:
+    """With nothing they do nothing; with anything, or without an instance, they are errors."""
+    new = New(friction3, tmp_path)
+    functions = [way + kind for kind in (*TYPES, *OF_CLOCKS) for way in ("Get", "Set")]
+    nothing = [c_void_p()] * 5
+
+    def call(name: str, instance: object, n: int) -> int:
+        function = new.fmu.dll[f"fmi3{name}"]  # without what FMPy takes its arguments for
+        return int(function(c_void_p(instance), c_void_p(), c_size_t(n), *nothing))
+
+    for name in functions:
+        said = len(new.said)
+        assert (name, call(name, new.fmu.component, 0)) == (name, 0)
+        assert len(new.said) == said
+        assert (name, call(name, new.fmu.component, 1)) == (name, 3)
+        assert new.said[-1].endswith(f"{name}: this FMU has nothing of the kind.")
+        assert (name, call(name, None, 0)) == (name, 3)
+    for name in NEVER:
+        assert (name, call(name, new.fmu.component, 0)) == (name, 3)
+        assert new.said[-1].endswith(f"{name}: this FMU has nothing of the kind.")
 
 
 @pytest.mark.skipif(not FMI_SIM.exists(), reason="fmi-sim is not there: run `make interop` first")

@@ -217,6 +217,14 @@ def test_states_and_derivatives_come_as_arrays(fmu):
     assert fmu.get(c, "der(z[1])", "der(z[3])") == expected
 
 
+def test_a_host_that_needs_an_indicator_gets_one_that_never_changes(table1, load, tmp_path):
+    fmu = load(export_bare(table1, tmp_path / "F.fmu"))
+    c = instance(fmu, EXCHANGE, "c")
+    for speed in (-1.0, 0.0, 1.0):
+        assert fmu.set_all(c, {"dq[1]": speed}) == OK
+        assert fmu.numbers("GetEventIndicators", c, 1) == [1.0]
+
+
 @pytest.mark.parametrize("function", ["SetContinuousStates", "GetContinuousStates",
                                       "GetDerivatives", "GetNominalsOfContinuousStates",
                                       "GetEventIndicators"])  # fmt: skip

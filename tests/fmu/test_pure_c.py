@@ -172,9 +172,10 @@ def tried(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     )  # fmt: skip
     call = function(library, "tried", None, POINTER(c_double), *[c_double] * 3, POINTER(c_double))
 
-    def tried(v: float, *, euler: bool) -> np.ndarray:
+    def tried(v: float, *, euler: bool, ratio: float = GIVEN["ratio"]) -> np.ndarray:
         last = [2.0 if euler else 1.0, 20.0]
-        values = [*GIVEN.values(), *last, *(SLOPES.get(name, 0.0) for name in GIVEN), 9.0, 9.0]
+        given = GIVEN | {"ratio": ratio}
+        values = [*given.values(), *last, *(SLOPES.get(name, 0.0) for name in GIVEN), 9.0, 9.0]
         found = (c_double * 8)()
         call((c_double * 20)(*values), 0.01, 0.02, v, found)
         return np.array(found)
@@ -183,19 +184,22 @@ def tried(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 @pytest.mark.parametrize("euler", [False, True])
-@pytest.mark.parametrize("v", [-3.0, -0.4, 0.0, 0.6, 5.0])
-def test_the_balance_of_torques_is_its_definition(tried, v: float, euler: bool) -> None:
+@pytest.mark.parametrize("v", [-40.0, -3.0, -0.4, 0.0, 0.6, 5.0])
+@pytest.mark.parametrize("ratio", [2.0, -2.0])
+def test_the_balance_of_torques_is_its_definition(
+    tried, v: float, euler: bool, ratio: float
+) -> None:
     """inertia (v - dq) / h - tau_motor + (tau_f + tau_link) / ratio, all at the end of the step."""
     run, k = tried
     h, time = 0.01, 0.02
-    found = run(v, euler=euler)
+    found = run(v, euler=euler, ratio=ratio)
     at = {name: value + time * SLOPES.get(name, 0.0) for name, value in GIVEN.items()}
-    u, q = v / 2.0, (0.4 + h * v) / 2.0
+    u, q = v / ratio, (0.4 + h * v) / ratio
     dx = k * u * (2.0 if euler else 1.0)
     tau_f = (0.3 + h * dx) ** 2 + u * q + 0.1 * (at["tau_load"] - at["q_link"])
     tau_link = 30.0 * (q - at["q_link"]) + 0.7 * (u - at["dq_link"])
     inert = 0.02 * (v - 1.5) / h
-    residual = inert - at["tau_motor"] + (tau_f + tau_link) / 2.0
+    residual = inert - at["tau_motor"] + (tau_f + tau_link) / ratio
     size = abs(inert) + abs(at["tau_motor"]) + (abs(tau_f) + abs(tau_link)) / 2.0
     expected = [v, residual, found[2], size, tau_f, tau_link, 0.3 + h * dx, dx]
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13)

@@ -35,6 +35,7 @@ MISTAKES: dict[str, Callable[[RobotLog], RobotLog]] = {
     "none": lambda log: log,
     "degrees": lambda log: replace(log, q=log.q * 57.3),
     "motor": lambda log: replace(log, q=log.q * [1.0, 100.0, 1.0]),
+    "motor's rates": lambda log: replace(log, dq=rates(log) * [1.0, 100.0, 50.0]),
     "rpm": lambda log: replace(log, dq=rates(log) * 9.55),
     "lag": lambda log: replace(log, dq=late(rates(log), 4)),
     "stamps": lambda log: replace(log, t=log.t * 1.3),
@@ -61,7 +62,8 @@ MISTAKES: dict[str, Callable[[RobotLog], RobotLog]] = {
 def test_what_is_found(
     mistake: str, log: RobotLog, arm_model: RobotModel, unchanged: Unchanged
 ) -> None:
-    found = examine([MISTAKES[mistake](log)], arm_model.description, arm_model)
+    robot = arm_model.description.model_copy(update={"gear_ratio": (100.0, 100.0, 50.0)})
+    found = examine([MISTAKES[mistake](log)], robot, RobotModel(robot))
     about = sum(map(ord, "".join(f.check + "".join(f.joints) for f in found.findings)))
     unchanged(
         {

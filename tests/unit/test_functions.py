@@ -14,6 +14,7 @@ from hesr_model.equations.functions import (
     cardinal_slope,
     larger,
     lowered,
+    over,
     sgn,
 )
 from hesr_model.friction.inputs import DQ, INPUT_UNITS, INPUTS, TAU_LOAD, Q
@@ -121,3 +122,17 @@ def test_the_larger_of_two_rises_as_it_does_itself(x: float, slope: float) -> No
     for pair in (larger(X**2, X), larger(X, X**2)):
         (found,) = lowered([X], [pair.diff(X)])(x)
         assert found == slope
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "values"),
+    [(3.0, 2.0, (1.5, 0.5, -0.75, 0.0)), (3.0, 0.0, (7.0, 0.0, 0.0, 1.0)),
+     (3.0, -2.0, (7.0, 0.0, 0.0, 1.0))],
+)  # fmt: skip
+def test_a_quotient_and_its_slopes_where_nothing_may_be_divided(
+    a: float, b: float, values: tuple[float, ...]
+) -> None:
+    p, q, r = sympy.symbols("p q r", real=True)
+    whole = over(p, q, r)
+    found = lowered([p, q, r], [whole, *(whole.diff(x) for x in (p, q, r))])(a, b, 7.0)
+    assert tuple(map(float, found)) == values

@@ -175,6 +175,20 @@ def test_what_is_not_a_matlab_file_is_refused(tmp_path: Path, start: bytes) -> N
         RobotLog.read(path, robot())
 
 
+def test_a_file_of_version_4_that_is_cut_is_refused_at_every_byte(tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    savemat(path, {"t": np.arange(3.0), "q": np.ones((3, 2))}, format="4")
+    assert read_matlab(path, time="t").numbers(["t"])[:, 0].tolist() == [0.0, 1.0, 2.0]
+    whole = path.read_bytes()
+    first = 20 + 2 + 3 * 8  # header, name, numbers: what is left is a whole file of its own
+    for length in range(4, len(whole)):
+        path.write_bytes(whole[:length])
+        if length == first:
+            continue
+        with pytest.raises(LogError, match="cannot be read as a MATLAB file"):
+            read_matlab(path, time="t")
+
+
 WRITTEN_BY_MATLAB = Path(scipy.io.__file__).parent / "matlab" / "tests" / "data"
 """SciPy brings files that MATLAB wrote, of all versions, with objects, functions, broken ones."""
 

@@ -21,6 +21,7 @@ from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.lugre import LuGre
+from hesr_model.friction.laws.parfam import trial
 from hesr_model.friction.laws.parfam.extended import ParFamHX
 from hesr_model.friction.records import predict_record
 from hesr_model.rigid_body.residual import FrictionRecord
@@ -259,3 +260,9 @@ def test_a_law_in_time_and_position_holds_at_rest_and_relaxes_while_moving() -> 
 def test_a_structure_outside_the_family_is_refused(structure: dict[str, Any]) -> None:
     with pytest.raises(ArtifactError):
         ParFamHX.form(structure)
+
+
+@pytest.mark.parametrize(("gain", "chosen"), [(0.0, "c"), (0.04, "c"), (0.15, "a")])
+def test_what_is_added_must_gain(monkeypatch: pytest.MonkeyPatch, gain: float, chosen: str) -> None:
+    monkeypatch.setattr(trial, "left_out", {"a": 1.0, "b": 0.95, "c": 0.9}.__getitem__)
+    assert trial.choose(["a", "b", "c"], gain) == chosen
