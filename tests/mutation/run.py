@@ -92,11 +92,13 @@ class Tree:
         others = [t for e in (entry["tests"] if entry else ()) for t in self.sources(f"tests/{e}")]
         return tuple(dict.fromkeys([*(() if entry else named), *others]))
 
-    def beyond(self, source: str) -> tuple[str, ...]:
-        """Tests further off, of every entry that fits."""
+    def beyond(self, source: str) -> list[tuple[str, ...]]:
+        """Tests further off: those of each entry that fits, entry by entry."""
         entries = [e for e in table("nearest.toml", "beyond") if fnmatch(source, str(e["sources"]))]
-        found = [t for e in entries for name in e["tests"] for t in self.sources(f"tests/{name}")]
-        return tuple(dict.fromkeys(found))
+        return [
+            tuple(t for name in entry["tests"] for t in self.sources(f"tests/{name}"))
+            for entry in entries
+        ]
 
     def _pytest(self, tests: Sequence[str], limit: float | None = None) -> tuple[int | None, str]:
         """Exit code of the tests, None if they do not end, and what they say."""
@@ -139,7 +141,7 @@ class Tree:
         if not self.nearest(source):
             return "survived", "no test is near; see nearest.toml"
         original = (self.root / source).read_text(encoding="utf-8")
-        for tests in filter(None, (self.nearest(source), self.beyond(source))):
+        for tests in (self.nearest(source), *self.beyond(source)):
             limit = self._limit(tests)
             self._write(source, fault.text)
             code, said = self._pytest(tests, limit)
