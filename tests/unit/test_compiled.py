@@ -87,6 +87,20 @@ def test_elementary_functions_are_exact_to_the_last_digits(
     assert error.max() < 1e-15
 
 
+@pytest.mark.parametrize("wide", [1, 3])
+def test_results_go_where_they_are_wanted(rng: np.random.Generator, wide: int) -> None:
+    u = rng.normal(size=ROWS)
+    kernel = kernel_of((), (K,), (U, V), [K * U], sympy.S.Zero)
+    assert kernel is not None
+    room = np.full((ROWS + 8, wide), np.nan)
+    rows = kernel.over((u, u), np.full(ROWS, 0.01), [0], euler=False, found=room[4:-4, -1:])
+    assert rows is not None
+    rows.at(np.array([3.0]))
+    np.testing.assert_array_equal(room[4:-4, -1], 3.0 * u)
+    room[4:-4, -1] = np.nan
+    assert np.isnan(room).all()
+
+
 def test_exp_has_the_digits_that_the_smallest_numbers_have() -> None:
     u = np.linspace(-746.0, -700.0, ROWS)
     expected = [float(mpmath.exp(mpmath.mpf(x))) for x in u]
