@@ -81,6 +81,14 @@ def test_a_messy_log_gets_a_robot_file_that_reads_it(
     assert "http://" not in html.replace("http://www.w3.org", "")
 
 
+def test_torques_of_other_names_need_no_constants(messy: Path, arm: RobotDescription) -> None:
+    text = messy.read_text("utf-8").replace("_current", "_torque")
+    messy.write_text(text, encoding="utf-8")
+    log = propose([messy], arm, known=False).robot.log
+    assert log.torque_per_ampere is None
+    assert "torque" in str(log.columns.tau)
+
+
 def test_the_proposed_study_reads_what_was_inspected(
     messy: Path, arm: RobotDescription, hesr: Hesr
 ) -> None:
