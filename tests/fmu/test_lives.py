@@ -23,6 +23,7 @@ from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.package import write_fmu
 from hesr_model.friction.band import Band
 from hesr_model.friction.thermal import Thermal
+from hesr_model.robots.transmission import Coupling
 
 HERE = Path(__file__).parent
 FEW, ALL = 300, 10_000
@@ -35,7 +36,7 @@ pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not 
 LOOP = ("arm", "trajectory", "body", "friction", "controller", "velocity")
 RARE = ("trajectory 3", "velocity 3", "warm 3", "adaptive", "band")
 """In the soak alone."""
-KINDS = (*LOOP, "drive", "warm", "drive 3", "band 3")
+KINDS = (*LOOP, "coupled", "drive", "warm", "drive 3", "band 3")
 """Of FMI 3.0 where a 3 says so. An adaptive one that is warm knows temperature, too."""
 
 GIVEN = {
@@ -70,6 +71,10 @@ def export(loop, table1, make_law, make_model, tmp_path_factory):
             return export_drive(table1, path, inertia=inertia, fmi=fmi, bare=True)
         if name == "band":
             return export_bare(make_model(*laws), path, band=True, fmi=fmi)
+        if name == "coupled":
+            turned = Coupling(((1.0, 0.0, 0.0), (0.25, 1.0, 0.0), (0.0, -0.8, 1.0)))
+            bare = [replace(law, band=None) for law in laws]
+            return export_bare(make_model(*bare, coupling=turned), path)
         if name in ("warm", "adaptive"):
             known = replace(followed, thermal=(WARM,) * 2) if name == "warm" else followed
             return export_fmu(known, path, adaptive=True, fmi=fmi)
