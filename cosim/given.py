@@ -10,7 +10,7 @@ from hesr_model.artifacts import read_model, read_rigid_body
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health.examine import checked
-from hesr_model.logs.robot_log import RobotLog, parts_of
+from hesr_model.logs.robot_log import RobotLog, parts_of, require_different
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.described import RobotLike, model_of
@@ -107,6 +107,7 @@ def records_of(
 
 def examined(logs: Sequence[RobotLog], model: RobotModel, accept: Sequence[str]) -> None:
     """Check logs on their robot; what cannot be right raises, what is odd is logged."""
+    require_different(logs)
     told(checked(logs, model, accept))
 
 

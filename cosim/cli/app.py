@@ -189,7 +189,9 @@ def examined(
     """Check logs, tell what is odd on standard error, and return it."""
     from cosim.health import told
     from hesr_model.health.examine import checked
+    from hesr_model.logs.robot_log import require_different
 
+    require_different(logs)
     return told(checked(logs, model, accepted or ()))
 
 

@@ -273,6 +273,24 @@ def parts_of(logs: Sequence[RobotLog]) -> list[RobotLog]:
     return [part for log in logs for part in log.parts()]
 
 
+def require_different(logs: Sequence[RobotLog]) -> None:
+    """Check that no log is given twice, whose rows would count for more than they are.
+
+    Raises
+    ------
+    LogError
+        Naming both files.
+    """
+    seen: dict[tuple[str, float, float], RobotLog] = {}
+    for log in logs:
+        rows = (log.sha256, float(log.t[0]), float(log.t[-1]))  # parts of a file are several logs
+        if log.sha256 and (first := seen.setdefault(rows, log)) is not log:
+            raise LogError(
+                f"{log.where}: its content is that of {first.where}; a log counts once, leave one "
+                "of them out."
+            )
+
+
 def require_moving(logs: Sequence[RobotLog], joints: Sequence[str]) -> None:
     """Check that every joint moves in at least one of the logs.
 

@@ -260,6 +260,20 @@ def test_a_log_with(
     assert refused(*arguments).startswith(f"{log}: {expected}")
 
 
+@pytest.mark.parametrize("command", ["identify", "fit", "evaluate"])
+@pytest.mark.parametrize("copied", [False, True])
+def test_a_log_that_is_given_twice(
+    command: str, copied: bool, bench: Bench, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    log = spoiled(bench, tmp_path, len)
+    again = tmp_path / "copy.csv" if copied else log
+    again.write_bytes(log.read_bytes())
+    name, first, *more = bench.command(command, output=tmp_path / "output", log=log)
+    assert refused(name, first, again, *more) == (
+        f"{again}: its content is that of {log}; a log counts once, leave one of them out."
+    )
+
+
 @pytest.mark.parametrize("command", READERS)
 @pytest.mark.parametrize(
     ("content", "expected"),

@@ -9,7 +9,7 @@ import pytest
 
 from hesr_model.errors import ArtifactError, LogError
 from hesr_model.logs.log_format import LogColumns, LogFormat, LogUnits
-from hesr_model.logs.robot_log import RobotLog, require_moving
+from hesr_model.logs.robot_log import RobotLog, require_different, require_moving
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.files import sha256
 
@@ -291,3 +291,16 @@ def test_a_joint_that_no_log_moves_is_named(arm_log: RobotLog) -> None:
     require_moving([still, arm_log], ("j1", "j2", "j3"))
     with pytest.raises(LogError, match=r"^still\.csv: the position of joint 'j2' is constant"):
         require_moving([still], ("j1", "j2", "j3"))
+
+
+def test_a_file_counts_once_and_its_parts_are_several_logs(
+    read: Callable[..., RobotLog],
+) -> None:
+    log = read(lines())
+    parts = [log.rows(slice(8)), log.rows(slice(8, None))]
+    require_different(parts)
+    require_different([replace(log, sha256=""), replace(log, sha256="")])  # of no file
+    with pytest.raises(
+        LogError, match=r"run\.csv: its content is that of .*run\.csv; a log counts"
+    ):
+        require_different([*parts, parts[0]])
