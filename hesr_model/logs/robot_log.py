@@ -284,11 +284,12 @@ def require_different(logs: Sequence[RobotLog]) -> None:
     seen: dict[tuple[str, float, float], RobotLog] = {}
     for log in logs:
         rows = (log.sha256, float(log.t[0]), float(log.t[-1]))  # parts of a file are several logs
-        if log.sha256 and (first := seen.setdefault(rows, log)) is not log:
+        if log.sha256 and rows in seen:
             raise LogError(
-                f"{log.where}: its content is that of {first.where}; a log counts once, leave one "
-                "of them out."
+                f"{log.where}: its content is that of {seen[rows].where}; a log counts once, leave "
+                "one of them out."
             )
+        seen[rows] = log
 
 
 def require_moving(logs: Sequence[RobotLog], joints: Sequence[str]) -> None:
