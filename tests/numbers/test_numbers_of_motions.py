@@ -1,0 +1,68 @@
+"""Motions of references and what simulates the robot along them."""
+
+from collections.abc import Callable
+
+import numpy as np
+from unchanged import Unchanged
+
+from hesr_model.forward.output_error import refine
+from hesr_model.forward.simulation import Simulator, position_errors
+from hesr_model.forward.windows import windows_of
+from hesr_model.friction.fitting.fit import fit_models
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import Motion, smooth
+from hesr_model.motions.excitation import ExcitationSettings, random_motions
+from hesr_model.motions.limits import Limits, peak_torque
+from hesr_model.motions.trajectories import Reversed, Sine, chirp
+from hesr_model.rigid_body.identification import identify
+from hesr_model.rigid_body.residual import friction_records
+from hesr_model.robots.robot import RobotModel
+
+MakeMotion = Callable[..., Motion]
+
+
+def test_trajectories(arm_model: RobotModel, unchanged: Unchanged) -> None:
+    start, amplitude = np.array([0.1, -0.2, 0.3]), np.array([0.5, 0.4, 0.3])
+    sweep = chirp(start=start, amplitude=amplitude, first=0.2, last=1.5, length=6.0)
+    sine = Sine(offset=start, amplitude=amplitude, frequency=0.7, periods=3)
+    settings = ExcitationSettings(starts=2, harmonics=3)
+    wild = random_motions(arm_model, settings, 2, 4)
+    motions = {"sweep": sweep, "sine": sine, "back": Reversed(forward=sweep), "wild": wild[1]}
+    limits = Limits.of(arm_model, settings.limits)
+    unchanged(
+        {
+            "samples": {
+                name: each.sample(np.linspace(-0.2, 1.05 * each.duration, 24))
+                for name, each in motions.items()
+            },
+            "limits": limits,
+            "rest": limits.rest(arm_model),
+            "peak": [peak_torque(arm_model, each) for each in wild],
+            "shrunk": limits.shrink(wild[0], arm_model, limits.rest(arm_model)),
+        },
+        rtol=1e-5,
+    )
+
+
+def test_a_simulated_arm(
+    make_motion: MakeMotion, arm_model: RobotModel, unchanged: Unchanged
+) -> None:
+    motion = make_motion(name="run", seconds=4.0, friction=2.0)
+    tau = motion.tau + 0.1 * np.random.default_rng(2).normal(size=motion.tau.shape)
+    log = RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=tau)
+    body = identify([log], arm_model)
+    records = friction_records(log, arm_model, body)
+    model = fit_models(["stribeck"], [[r] for r in records], robot="a", seed=0, workers=1)[
+        "stribeck"
+    ]
+    windows = windows_of([records], 0.4)
+    found = {}
+    for as_plant in (False, True):
+        simulator = Simulator(
+            robot=arm_model, parameters=body.parameters, friction=model, as_plant=as_plant
+        )
+        found[str(as_plant)] = position_errors(simulator.run(windows), windows)
+    refined = refine(
+        arm_model, body, model, [smooth(log, arm_model.description.log.filter_cutoff)], rounds=2
+    )
+    unchanged({"errors": found, "windows": windows, "refined": refined}, rtol=1e-2)
