@@ -16,8 +16,8 @@ TRUTH = law(
     tau_0=0.5, mu=0.02,
 )  # fmt: skip
 
-FLAT = {"parfam_h": 0.2}
-"""Where its torque hardly tells its coefficients, a fit ends where SciPy's version lets it."""
+FLAT = ("parfam_h",)
+"""Where its torque hardly tells its coefficients, a fit ends where rounding lets it."""
 
 
 def fitted(name: str) -> FrictionModel:
@@ -34,16 +34,16 @@ def test_a_fit_finds_what_it_found(name: str, unchanged: Unchanged) -> None:
     own, trained = model.laws[0], model.trained[0]
     way = path(9, seconds=5.0)
     predicted = predict(own, t=way.t, dq=way.dq, q=way.q, tau_load=way.load)
-    unchanged(
-        {
-            "predicted": predicted,
-            "rmse": model.training_rmse,
-            "trained": trained,
-            "values": own.values,
-            "band": own.band,
-            "standard errors": own.standard_errors,
-            "audit": audit(own, trained),
-            "certificate": certify(own, trained),
-        },
-        rtol=FLAT.get(name, 1e-5),
-    )
+    found = {"predicted": predicted, "rmse": model.training_rmse}
+    if name in FLAT:
+        unchanged(found, rtol=0.02)
+        return
+    found |= {
+        "trained": trained,
+        "values": own.values,
+        "band": own.band,
+        "standard errors": own.standard_errors,
+        "audit": audit(own, trained),
+        "certificate": certify(own, trained),
+    }
+    unchanged(found, rtol=1e-3, atol=1e-6)

@@ -40,7 +40,7 @@ def test_trajectories(arm_model: RobotModel, unchanged: Unchanged) -> None:
             "peak": [peak_torque(arm_model, each) for each in wild],
             "shrunk": limits.shrink(wild[0], arm_model, limits.rest(arm_model)),
         },
-        rtol=1e-5,
+        rtol=1e-2,
     )
 
 
