@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from unchanged import Unchanged
 
 from hesr_model.health.examine import examine
+from hesr_model.health.proposal import propose, robot_file, summary_rows
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.robots.robot import RobotModel
@@ -79,3 +81,16 @@ def test_what_is_found(
 
 def test_a_log_made_smooth(log: RobotLog, unchanged: Unchanged) -> None:
     unchanged({str(cutoff): smooth(log, cutoff) for cutoff in (5.0, 15.0)})
+
+
+def test_what_is_proposed(
+    log: RobotLog, arm_model: RobotModel, tmp_path: Path, unchanged: Unchanged
+) -> None:
+    path = tmp_path / "run.csv"
+    names = ["time", *(f"{x}_{k}" for x in ("angle_deg", "speed_degs", "amps") for k in (1, 2, 3))]
+    columns = [log.t[:, None], np.rad2deg(log.q), np.rad2deg(rates(log)), log.tau / [9.0, 8.0, 7.0]]
+    np.savetxt(path, np.hstack(columns), delimiter=",", header=",".join(names), comments="")
+    found = propose([path], arm_model.description, known=False)
+    text = robot_file(found, tmp_path / "robot.toml").replace(str(tmp_path), "")
+    rows = [row[1:] for row in summary_rows(found)]
+    unchanged({"rows": rows, "file": text, "columns": sum(map(ord, "".join(names)))}, rtol=1e-4)
