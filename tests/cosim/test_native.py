@@ -68,8 +68,10 @@ def test_the_orders_differ(lag_fmu):
     assert np.abs(one.signals["b.y"] - other.signals["b.y"]).max() > 1e-3
 
 
-def test_limits(lag_fmu):
-    one, other = both(lags(lag_fmu, limits={"b.y": (0.5, 1.5), "a.y": (0.2, 0.6)}))
+@pytest.mark.parametrize("names", [("a.y", "b.y"), ("b.y", "a.y")])
+def test_limits(lag_fmu, names):
+    limits = {"b.y": (0.5, 1.5), "a.y": (0.2, 0.6)}
+    one, other = both(lags(lag_fmu, limits={name: limits[name] for name in names}))
     assert "a.y is 0." in str(one.failure)
     assert "outside its limits 0.2 to 0.6." in str(one.failure)
     assert_same(one, other)

@@ -90,9 +90,9 @@ _KEPT = re.compile(
 )
 
 
-# What is said to make mistakes of programmers impossible changes nothing in what works, and the
-# star of a signature is no product.
-_NO_FAULT = re.compile(r"\b(frozen|kw_only|eq|strict)=$|_Mul_\w+: (.*[\[({,])? *$")
+# What is said to make mistakes of programmers impossible, or how much is remembered, changes nothing
+# in what works, and the star of a signature is no product.
+_NO_FAULT = re.compile(r"\b(frozen|kw_only|eq|strict|maxsize)=$|_Mul_\w+: (.*[\[({,])? *$")
 
 
 class _OtherNumber(Operator):  # type: ignore[misc]  # untyped
