@@ -90,8 +90,8 @@ _KEPT = re.compile(
 )
 
 
-# What is said to make mistakes of programmers impossible, or how much is remembered, changes nothing
-# in what works, and the star of a signature is no product.
+# What is said to make mistakes of programmers impossible, or how much is remembered, changes
+# nothing in what works, and the star of a signature is no product.
 _NO_FAULT = re.compile(r"\b(frozen|kw_only|eq|strict|maxsize)=$|_Mul_\w+: (.*[\[({,])? *$")
 
 
