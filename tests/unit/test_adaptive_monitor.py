@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from adaptive_models import lugre, model, motion, truth
 
-from hesr_model.friction.adaptive.monitor import watch
+from hesr_model.friction.adaptive.monitor import shared_signs, watch
 from hesr_model.friction.adaptive.tuning import TUNING
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -54,3 +54,10 @@ def test_a_load_is_no_friction() -> None:
     watched = watch(MODEL, [day("one", 4, offset=3.0)])
     assert [(a.joint, a.kind, a.sign) for a in watched.alarms][:1] == [("j1", "shift", 1)]
     assert not any("drift" in a.kind for a in watched.alarms)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_change_is_shared_by_more_than_half_of_the_joints(sign: int) -> None:
+    assert shared_signs([("j1", sign), ("j2", sign), ("j3", -sign)], 3) == [sign]
+    assert shared_signs([("j1", sign), ("j1", sign)], 3) == []
+    assert shared_signs([("j1", sign), ("j2", -sign)], 2) == []
