@@ -46,7 +46,7 @@ MISTAKES: dict[str, Callable[[RobotLog], RobotLog]] = {
     "scale": lambda log: replace(log, tau=log.tau * [0.1, 1.0, 1.0]),
     "motor's torques": lambda log: replace(log, tau=log.tau / [100.0, 100.0, 50.0]),
     "noisy rates": lambda log: replace(
-        log, dq=1.04 * rates(log) + np.random.default_rng(1).normal(0.0, 3.0, log.q.shape)
+        log, dq=1.04 * rates(log) + np.random.default_rng(1).normal(0.0, 0.3, log.q.shape)
     ),
     "dropped rows": lambda log: log.rows(
         np.flatnonzero(np.random.default_rng(2).random(len(log.t)) < 0.7)
