@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -217,6 +218,21 @@ def test_euler_that_is_not_stable_is_discarded(table1, tmp_path: Path, load) -> 
         r"h\[1\]: Euler needs rate \* step < 1 but found 2\.274 at dq\[1\] = \S+; take a smaller "
         r"step or the exact discretisation\.",
     )  # fmt: skip
+
+
+def test_euler_is_judged_at_the_speed_to_which_a_step_leads(make_law, tmp_path: Path, load) -> None:
+    law = replace(make_law("lugre"), discretisation="euler")
+    binary = load(drive({"j1": law}, tmp_path, [3.0]))
+    c = ready(binary, substep=1.0)
+    assert binary.set_all(c, {"tau_motor[1]": 200.0}) == 0
+    assert binary.step(c, 0.0, 0.05) == DISCARD
+    said = re.search(r"but found (\S+) at dq\[1\] = (\S+);", binary.messages[-1].text)
+    assert said
+    found, speed = map(float, said.groups())
+    assert abs(speed) > 0.01
+    k = law.values
+    bound = k["F_c"] + (k["F_s"] - k["F_c"]) * np.exp(-((speed / k["v_s"]) ** 2))
+    assert found == pytest.approx(k["sigma_0"] * abs(speed) / bound * 0.05, rel=1e-4)
 
 
 def test_steps_of_endless_inner_steps_are_discarded(binary: Binary) -> None:
