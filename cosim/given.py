@@ -10,6 +10,7 @@ from hesr_model.artifacts import read_model, read_rigid_body
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health.examine import checked
+from hesr_model.health.findings import Finding
 from hesr_model.logs.robot_log import RobotLog, parts_of, require_different
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
@@ -105,10 +106,10 @@ def records_of(
     return [friction_records(part, model, body) for part in parts_of(read)], model
 
 
-def examined(logs: Sequence[RobotLog], model: RobotModel, accept: Sequence[str]) -> None:
-    """Check logs on their robot; what cannot be right raises, what is odd is logged."""
+def examined(logs: Sequence[RobotLog], model: RobotModel, accept: Sequence[str]) -> list[Finding]:
+    """Check logs on their robot; what cannot be right raises, what is odd is told and returned."""
     require_different(logs)
-    told(checked(logs, model, accept))
+    return told(checked(logs, model, accept))
 
 
 def model_given(model: Model) -> FrictionModel:

@@ -347,12 +347,12 @@ class Job:
         records: LogRecords,
         files: Mapping[str, Path],
         fmus: Path,
-        led_up: LogRecords,
+        runs: LogRecords,
     ) -> tuple[dict[str, Comparison], Predictions]:
         """Score the FMUs on every test set and on its bands; of a twin the truth as well.
 
         Where logs may differ by day, the same stands there with what is each log's own fitted.
-        FMUs run through all rows of `led_up`, of which the last are those of `records`.
+        FMUs go through all rows of `runs`, of which the last are those of `records`.
 
         Returns the scores, and the torques on the test sets.
         """
@@ -365,7 +365,7 @@ class Job:
             partial(
                 predict_fmu,
                 fmus / f"{law}.fmu",
-                records_of(tests[name], {**records, **led_up}),
+                records_of(tests[name], runs),
                 measured_start=with_start,
             )
             for name, row in cases

@@ -229,14 +229,13 @@ def score_study(
         source |= {"created": newest([files[name] for name in job.trained_on])}
     write_rigid_body(folder / "rigid_body.json", rigid_body, source)
     decouple = partial(friction_records, model=model, rigid_body=rigid_body)
-    records = {name: [decouple(part) for part in log.parts()] for name, log in logs.items()}
-    led_up = _led_up(job, files, logs, decouple)
-    records |= {
+    runs = _runs(job, files, logs, decouple)
+    records = {
         name: [
-            [whole.rows(slice(-len(own.t), None)) for whole, own in zip(*both, strict=True)]
-            for both in zip(wholes, records[name], strict=True)
+            [run.rows(slice(-len(part.t), None)) for run in of_joints]
+            for part, of_joints in zip(log.parts(), runs[name], strict=True)
         ]
-        for name, wholes in led_up.items()
+        for name, log in logs.items()
     }
     models, left_out = job.fit_all(records, source)
     models |= {law: replace(m, provenance=source) for law, m in refined.items() if law in models}
@@ -252,7 +251,7 @@ def score_study(
         [partial(write, models[law], fmu, platforms=platforms) for law, fmu in fmus.items()],
         partial(job.progress, "building FMUs"),
     )
-    comparisons, predictions = job.compare(models, records, files, folder / "fmus", led_up)
+    comparisons, predictions = job.compare(models, records, files, folder / "fmus", runs)
     write_json(folder / "evaluation.json", {name: to_json(c) for name, c in comparisons.items()})
     return Scored(
         job=job,
@@ -270,19 +269,19 @@ def score_study(
     )
 
 
-def _led_up(
+def _runs(
     job: Job,
     files: Mapping[str, Path],
     logs: Mapping[str, RobotLog],
     decouple: Callable[[RobotLog], list[FrictionRecord]],
 ) -> LogRecords:
-    """Return records of what is tested and is part of a log, with what is before it."""
-    names = dict.fromkeys(name for names in job.study.logs.test.values() for name in names)
+    """Return records of all logs; what is tested on a part of a log begins with what is before."""
+    tested = {name for names in job.study.logs.test.values() for name in names}
     found = {}
-    for name in names:
-        if (whole := job.led_up_to(name, files[name])) is not None:
-            ends = {part.t[-1]: part for part in whole.parts()}
-            found[name] = [decouple(ends.get(own.t[-1], own)) for own in logs[name].parts()]
+    for name, log in logs.items():
+        whole = job.led_up_to(name, files[name]) if name in tested else None
+        ends = {part.t[-1]: part for part in whole.parts()} if whole else {}
+        found[name] = [decouple(ends.get(part.t[-1], part)) for part in log.parts()]
     return found
 
 

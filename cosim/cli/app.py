@@ -2,7 +2,7 @@
 
 import inspect
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,12 +16,11 @@ from hesr_model.support.progress import Stages, counted
 if TYPE_CHECKING:
     from cosim.scoring import Records
     from hesr_model.health.findings import Finding
-    from hesr_model.logs.robot_log import RobotLog
     from hesr_model.robots.robot import RobotModel
 
 
 __all__ = ["Accept", "Body", "Json", "Logs", "Output", "Platforms", "Robot", "Trust", "app",
-           "examined", "read_records", "trusted"]  # fmt: skip
+           "read_records", "trusted"]  # fmt: skip
 
 _EPILOG = """\b
 Exit codes:
@@ -183,18 +182,6 @@ Platforms = Annotated[
 ]
 
 
-def examined(
-    logs: "Sequence[RobotLog]", model: "RobotModel", accepted: list[str] | None
-) -> "list[Finding]":
-    """Check logs, tell what is odd on standard error, and return it."""
-    from cosim.health import told
-    from hesr_model.health.examine import checked
-    from hesr_model.logs.robot_log import require_different
-
-    require_different(logs)
-    return told(checked(logs, model, accepted or ()))
-
-
 def trusted(fmus: Iterable[Path], *, trust: bool) -> None:
     """Remember FMUs as our own, where their user trusts them."""
     if trust:
@@ -213,6 +200,7 @@ def read_records(
     accepted: list[str] | None = None,
 ) -> "tuple[Records, RobotModel, list[Finding]]":
     """Return the friction records [joint][log], the robot's model, and what is odd in the logs."""
+    from cosim.given import examined
     from cosim.scoring import by_joint
     from hesr_model.artifacts import read_rigid_body
     from hesr_model.logs.robot_log import RobotLog, parts_of
@@ -225,6 +213,6 @@ def read_records(
     read = [
         RobotLog.read(log, description) for log in counted(logs, partial(progress, "reading logs"))
     ]
-    findings = examined(read, model, accepted)
+    findings = examined(read, model, accepted or ())
     records = by_joint([friction_records(log, model, body) for log in parts_of(read)])
     return records, model, findings

@@ -16,7 +16,6 @@ from cosim.cli.app import (
     Robot,
     Trust,
     app,
-    examined,
     read_records,
     trusted,
 )
@@ -77,6 +76,7 @@ def identify(
 
     Example: hesr identify excitation.csv --robot robot.toml -o rigid_body.json
     """
+    from cosim.given import examined
     from cosim.health import told
     from cosim.tables.laws import rigid_body as summary
     from hesr_model.artifacts import provenance, read_model, read_rigid_body, write_rigid_body
@@ -106,7 +106,7 @@ def identify(
             RobotLog.read(log, description)
             for log in counted([*logs, *counterparts], partial(progress, "reading logs"))
         ]
-        findings = examined(read, model, accept)
+        findings = examined(read, model, accept or ())
         forward, backward = read[: len(logs)], read[len(logs) :]
         progress("identifying", 0, 1)
         files = [robot, description.model, *logs, *counterparts]

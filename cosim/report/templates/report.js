@@ -131,11 +131,9 @@
   for (const button of document.querySelectorAll("button.to-zoom")) {
     const box = button.closest("figure").querySelector(".zoom");
     const drawing = button.closest("figure").querySelector(".drawing");
-    let wanted = false;
     let work = Promise.resolve();
 
     function want(open) {
-      wanted = open;
       button.textContent = open ? "Back to the picture" : "Zoom in";
       button.setAttribute("aria-expanded", String(open));
     }
@@ -158,8 +156,8 @@
 
     // A click while a view is still being unpacked counts once it is there.
     button.addEventListener("click", () => {
-      want(!wanted);
-      const open = wanted;
+      const open = button.getAttribute("aria-expanded") !== "true";
+      want(open);
       work = work.then(() => turn(open));
     });
   }
