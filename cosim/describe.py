@@ -63,6 +63,7 @@ def save_run(
             joints=robot.joints,
             gear_ratio=robot.gear_ratio or (),
             twin=study.twin is not None,
+            truth=(study.twin and study.twin.truth) or "",
             quick=quick,
             seed=study.seed,
             logs=tuple(

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.closed_loop import ARM
 from cosim.describe import Predictions
 from cosim.scoring import (
     ORACLE,
     Comparison,
+    Errors,
     by_joint,
     compare,
     input_classes,
@@ -43,7 +43,6 @@ from hesr_model.support.typed_json import to_json
 
 if TYPE_CHECKING:
     from cosim.studies.whole_loop import LoopOutcome
-    from fmu_src.arm.plant import Plant
     from hesr_model.friction.audit.properties import Properties
 
 
@@ -155,12 +154,12 @@ class Job:
         # MuJoCo is loaded for a twin only, not for measured logs.
         from cosim.studies.excite import excite
         from cosim.studies.motions import Motions
-        from fmu_src.arm.plant import Plant
+        from cosim.studies.twin import twins_fmu, twins_plant
 
         self.progress("running the arm", 0, 1)
         motions = self.study.twin.motions
-        plant = Plant.read(self.study.twin.plant)
-        arm = self._arm(plant, folder)
+        plant, signals = twins_plant(self.study.twin, self.path, folder)
+        arm = twins_fmu(plant, signals, folder)
         made = excite(Motions.read(motions), plant, folder / "logs", fmu=arm)
         self.progress("running the arm", 1, 1)
         for name in names:
@@ -205,16 +204,6 @@ class Job:
             )
         return replace(log.rows(rows), name=name)
 
-    def _arm(self, plant: "Plant", folder: Path) -> Path | None:
-        """Write the twin's arm as an FMU, where the study names its signals."""
-        if self.study.twin is None or self.study.twin.signals is None:
-            return None
-        from fmu_src.arm.native import export_mjcf
-
-        path = folder / "fmus" / ARM
-        path.parent.mkdir(exist_ok=True)
-        return export_mjcf(plant.model, path, table=self.study.twin.signals)
-
     def properties(
         self,
         robot: RobotModel,
@@ -250,10 +239,17 @@ class Job:
         """Run the loop of the study."""
         if self.study.tracking is None or self.study.twin is None:
             return None
+        from cosim.studies.twin import twins_plant
         from cosim.studies.whole_loop import run_loop
-        from fmu_src.arm.plant import Plant
+        from fmu_src.arm.truth import true_friction
 
-        plant = Plant.read(self.study.twin.plant)
+        plant, signals = twins_plant(self.study.twin, self.path, folder)
+        truth = true_friction(
+            plant.model,
+            plant.joints,
+            sample_time=1.0 / plant.sample_rate,
+            losses=signals.losses if signals else None,
+        )
         laws = {law: folder / "fmus" / f"{law}.fmu" for law in models}
         outcome = run_loop(
             self.study.tracking,
@@ -261,12 +257,22 @@ class Job:
             robot,
             body,
             folder,
+            truth=truth,
             friction=laws,
             kept=self.kept,
             progress=self.progress,
         )
         write_json(folder / "closed_loop.json", to_json(outcome))
         return outcome
+
+    def other_truths(self, laws: Sequence[str]) -> dict[str, Errors]:
+        """Score laws under the further truths of the twin; empty where the study names none."""
+        if self.study.twin is None or not self.study.twin.truths:
+            return {}
+        from cosim.studies.truths import under_truths
+
+        progress = partial(self.progress, "trying other truths")
+        return under_truths(self.study, self.path, laws, progress=progress)
 
     def rigid_body(
         self, logs: Mapping[str, RobotLog], model: RobotModel

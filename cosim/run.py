@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 from cosim.describe import Predictions, save_run
 from cosim.health import told, write_findings
 from cosim.pipeline import Job, LogRecords, records_of
-from cosim.scoring import Comparison
+from cosim.saved import TRUTHS
+from cosim.scoring import Comparison, Errors
 from cosim.simulated import SIMULATION, simulate_tests
 from cosim.study import Study
 from cosim.verdict import Verdict, verdict, write_verdict
@@ -84,6 +85,8 @@ class Outcome:
     properties : what the property battery found, by law; empty for a quick run.
     verdict : which FMU to take and why, in words.
     loop : what the closed loop gave, None where the study has none.
+    truths : errors of the laws under other truths of a twin, by truth, test set and law.
+    truth : of the twin; empty for the friction of its MJCF.
     """
 
     rigid_body: RigidBody
@@ -94,6 +97,8 @@ class Outcome:
     properties: "Mapping[str, Properties]"
     verdict: Verdict
     loop: "LoopOutcome | None" = None
+    truths: Mapping[str, Errors] = field(default_factory=dict)
+    truth: str = ""
 
 
 def run_study(
@@ -133,6 +138,9 @@ def run_study(
         study = study.model_copy(
             update={"laws": QUICK_LAWS, "variants": {}, "refinement": None, "tracking": None}
         )
+        if study.twin:
+            twin = study.twin.model_copy(update={"truths": ()})
+            study = study.model_copy(update={"twin": twin})
     targets(platforms)
     kept = unfinished(output)
     job = Job(study=study, path=path, progress=progress, kept=kept)
@@ -143,6 +151,9 @@ def run_study(
         tested = {test: records_of(names, records) for test, names in study.logs.test.items()}
         simulated = simulate_tests(models, tested, run.robot, run.rigid_body)
         write_json(folder / SIMULATION, {test: to_json(s) for test, s in simulated.items()})
+        truths = job.other_truths([law for law in models if law not in study.variants])
+        if truths:
+            write_json(folder / TRUTHS, truths)
         loop = job.closed_loop(run.robot, run.rigid_body, folder, models)
         found = {} if quick else job.properties(run.robot, run.rigid_body, models, folder)
         body = PageBody.of(run.robot, run.rigid_body)
@@ -191,6 +202,8 @@ def run_study(
         properties=found,
         verdict=words,
         loop=loop,
+        truths=truths,
+        truth=(study.twin and study.twin.truth) or "",
     )
 
 

@@ -19,7 +19,7 @@ from hesr_model.logs.tables import read_table, write_table
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.typed_json import from_json, to_json
 
-RUN, TRACES = "run.json", "traces"
+RUN, TRACES, TRUTHS = "run.json", "traces", "truths.json"
 RUN_FORMAT = "hesr-run-1"
 MOST_ROWS = 20_000
 """Rows of a trace; what comes later in a longer log is not shown."""
@@ -65,6 +65,7 @@ class SavedRun:
     joints : their names.
     gear_ratio : turns of the motor per turn of each joint; empty where not known.
     twin : whether the logs come from the digital twin.
+    truth : of the twin, in place of the friction of its MJCF; empty for none.
     quick : whether it was a quick run.
     seed : of every fit.
     logs : all logs.
@@ -94,6 +95,7 @@ class SavedRun:
     controller: Mapping[str, Any]
     versions: Mapping[str, str]
     left_out: Mapping[str, str] = field(default_factory=dict)
+    truth: str = ""
 
     @classmethod
     def read(cls, path: Path) -> Self:

@@ -37,6 +37,8 @@ CLASSIC = (
 """Laws of the literature, the strongest of which is the reference of its class of inputs."""
 MEASURED_START = " + start"
 """Behind the name of a law in the row where its start comes from measured torques."""
+Errors = Mapping[str, Mapping[str, Sequence[float]]]
+"""RMSE of each joint [N.m] by test set and law."""
 ORACLE = "true friction"
 """Row of the twin's own friction: what is left is noise and the error of the rigid body."""
 SIGNIFICANCE = 0.05

@@ -24,11 +24,21 @@ class Twin(Config):
     signals : file of the signals of the arm's FMU, which then gives the logs; the arm in Python
         gives them where left out.
     motions : file of the motions; each becomes a log of its name.
+    truth : one of the plant's, in place of the friction of its MJCF.
+    truths : those under which the laws are compared besides.
     """
 
     plant: RelativePath
     signals: RelativePath | None = None
     motions: RelativePath
+    truth: str | None = None
+    truths: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _a_truth_is_run_as_an_fmu(self) -> Self:
+        if (self.truth is not None or self.truths) and self.signals is None:
+            raise ValueError("other truths need the key 'signals'")
+        return self
 
 
 class Part(Config):

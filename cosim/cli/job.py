@@ -51,7 +51,7 @@ def run(
     from cosim.study import Study
     from cosim.tables import loop, properties
     from cosim.tables.laws import rigid_body
-    from cosim.tables.scores import MEASURES, errors
+    from cosim.tables.scores import MEASURES, errors, other_truths
     from cosim.tables.terminal import Drawn
     from hesr_model.artifacts import write_json
     from hesr_model.support.files import models_folder
@@ -91,6 +91,8 @@ def run(
     for name, comparison in outcome.comparisons.items():
         for measure in MEASURES:
             console.print(Drawn(errors(name, comparison, measure, inputs, sliding)))
+    if outcome.truths:
+        console.print(Drawn(other_truths(outcome.comparisons, outcome.truths, outcome.truth)))
     for table in loop.outcome(outcome.loop) if outcome.loop else ():
         console.print(Drawn(table))
     if outcome.properties:

@@ -8,7 +8,7 @@ from cosim.scoring import CLASSIC
 from cosim.tables.loop import outcome
 from cosim.tables.markdown import markdown
 from cosim.tables.properties import legend, properties
-from cosim.tables.scores import MEASURES, bands, errors
+from cosim.tables.scores import MEASURES, bands, errors, other_truths
 from cosim.tables.table import PAPERS, ResultTable, TableRow, named
 from cosim.verdict import read_verdict
 from hesr_model.support.files import written_whole
@@ -60,6 +60,9 @@ def _run(results: Results) -> list[str]:
         ]
         if scores.bands and name == results.tests[0]:
             parts.append(markdown(bands(name, scores)))
+    if results.truths:
+        table = other_truths(results.comparisons, results.truths, run.truth)
+        parts += ["### Under other truths\n", markdown(table)]
     if results.loop:
         parts += ["### In closed loop\n", *map(markdown, outcome(results.loop))]
     if found := results.properties:

@@ -8,8 +8,8 @@ from operator import truediv
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.saved import RUN, TRACES, SavedLog, SavedRun, read_columns
-from cosim.scoring import MEASURED_START, ORACLE, Comparison
+from cosim.saved import RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_columns
+from cosim.scoring import MEASURED_START, ORACLE, Comparison, Errors
 from cosim.simulated import SIMULATION, Simulated
 from cosim.tables.table import PAPERS, joints
 from fmu_src.documentation.datasheet import audits
@@ -44,6 +44,7 @@ class Results:
     comparisons : scores on every test set and band, by name.
     properties : findings of the property battery, by law; empty where it was not run.
     simulated : the laws as simulators, by test set; empty in results of earlier versions.
+    truths : errors under other truths of a twin, by truth, test set and law.
     loop : closed loop; None where there was none.
     paths : of the closed loop, by (scheme, law); empty where they were not saved.
     provenance : of the rigid body and the laws.
@@ -56,6 +57,7 @@ class Results:
     comparisons: Mapping[str, Comparison]
     properties: Mapping[str, Properties] = field(default_factory=dict)
     simulated: Mapping[str, Simulated] = field(default_factory=dict)
+    truths: Mapping[str, Errors] = field(default_factory=dict)
     loop: "LoopOutcome | None" = None
     paths: "Mapping[tuple[Scheme, str], Trace]" = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -144,6 +146,7 @@ class Results:
             comparisons=_comparisons(folder / "evaluation.json"),
             properties=read_properties(battery) if battery.is_file() and not run.quick else {},
             simulated=_simulated(folder / SIMULATION),
+            truths=_truths(folder / TRUTHS),
             provenance=read_json(body_file).get("provenance", {}),
             **(_loop(folder) if run.controller else {}),
         )
@@ -164,6 +167,11 @@ def _simulated(path: Path) -> dict[str, Simulated]:
         name: from_json(Simulated, of_test, path, f"the simulations of a run on {name!r}")
         for name, of_test in (read_json(path) if path.is_file() else {}).items()
     }
+
+
+def _truths(path: Path) -> dict[str, Errors]:
+    found = read_json(path) if path.is_file() else {}
+    return from_json(dict[str, Errors], found, path, "the errors under other truths")
 
 
 def _loop(folder: Path) -> dict[str, Any]:

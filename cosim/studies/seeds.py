@@ -5,7 +5,7 @@ and on each joint true friction of another level and viscosity. The rigid body i
 laws are fitted as in the study; what differs between draws gives the tables intervals.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from cosim.scoring import ORACLE, by_joint, predict_models
+from cosim.scoring import ORACLE, Errors, by_joint, predict_models
 from cosim.studies.excite import record
 from cosim.studies.motions import FourierMotion, Motion, Motions, SweepMotion, names_of
 from cosim.study import Study
@@ -22,6 +22,8 @@ from fmu_src.arm.plant import Arm, Plant
 from hesr_model.errors import ConfigError
 from hesr_model.friction.fitting.fit import fit_models
 from hesr_model.friction.metrics import score
+from hesr_model.friction.model import FrictionModel
+from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import RobotDescription, RobotModel
@@ -29,8 +31,6 @@ from hesr_model.support import parallel
 from hesr_model.support.progress import Progress, counted, silent
 
 Array = NDArray[np.float64]
-Errors = dict[str, dict[str, list[float]]]
-"""RMSE of each joint [N.m] by test set and law."""
 
 LEAST = 2
 """Draws that have a scatter."""
@@ -104,6 +104,10 @@ def run_seeds(
     study = Study.read(path)
     if study.twin is None:
         raise ConfigError(f"{path}: seeds are drawn for a digital twin; this study has logs.")
+    if study.twin.truth is not None:
+        raise ConfigError(
+            f"{path}: seeds are drawn for the friction of the MJCF; key 'twin.truth' names another."
+        )
     if seeds < LEAST:
         raise ConfigError(f"--seeds is {seeds}; needed are at least {LEAST}, which can differ.")
     named = tuple(laws or study.laws)
@@ -140,6 +144,25 @@ def one_draw(study: Study, seed: int, laws: Sequence[str]) -> Errors:
         for name, trajectory in zip(names_of(own), both, strict=False):
             found = record(arm, trajectory, noise, name=name, unlogged=own.unlogged)
             logs[name], truths[name] = found.log, found.truth.tau_f_true
+    return errors_on(study, logs, truths, laws, partial(fit_models, seed=seed, workers=1))
+
+
+def errors_on(
+    study: Study,
+    logs: Mapping[str, RobotLog],
+    truths: Mapping[str, Array],
+    laws: Sequence[str],
+    fit: Callable[..., dict[str, FrictionModel]],
+) -> Errors:
+    """Return the errors of laws on the test sets of a twin's logs, and that of the true friction.
+
+    Parameters
+    ----------
+    study : which logs serve for what.
+    logs, truths : of the twin, by name; truths (N, n) [N.m].
+    laws : names in the registry.
+    fit : `fit_models` with what is particular to the run.
+    """
     robot = RobotModel(RobotDescription.read(study.robot))
     body = identify(
         [logs[name] for name in study.logs.identification],
@@ -151,19 +174,17 @@ def one_draw(study: Study, seed: int, laws: Sequence[str]) -> Errors:
     def of_logs(names: Sequence[str]) -> list[list[FrictionRecord]]:
         return by_joint([friction_records(logs[name], robot, body) for name in names])
 
-    models = fit_models(
+    models = fit(
         laws,
         of_logs(study.logs.training),
         robot=robot.description.name,
-        seed=seed,
         options=study.options,
-        workers=1,
     )
-    errors: Errors = {}
+    errors: dict[str, dict[str, list[float]]] = {}
     for test, names in study.logs.test.items():
         tested = of_logs(names)
         predicted = predict_models(models, tested)
-        predicted[ORACLE] = [[truths[name][:, k] for name in names] for k in range(joints)]
+        predicted[ORACLE] = [[truths[name][:, k] for name in names] for k in range(len(tested))]
         errors[test] = {
             law: [score(r, p).rmse for r, p in zip(tested, of_law, strict=True)]
             for law, of_law in predicted.items()

@@ -17,7 +17,7 @@ from cosim.studies.traces import TRACES, write_traces
 from cosim.studies.tracking import Tracked
 from cosim.system_file import write_system
 from fmu_src.arm.plant import Plant
-from fmu_src.arm.truth import true_friction
+from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support.progress import Stages
@@ -48,6 +48,7 @@ def run_loop(
     body: RigidBody,
     folder: Path,
     *,
+    truth: FrictionModel,
     friction: Mapping[str, Path],
     kept: Path | None,
     progress: Stages,
@@ -62,6 +63,7 @@ def run_loop(
     folder : of the results; the FMUs stand in fmus/ there, that of the arm as Arm.fmu. One loop of
         them is written there as closed_loop.toml, to be run or packaged, and the positions along
         the first motion as `TRACES`.
+    truth : the arm's own friction.
     friction : FMU of each law.
     kept : folder in which finished rows are kept.
     progress : told how far it has come.
@@ -69,7 +71,6 @@ def run_loop(
     require_reachable(tracking, robot)
     progress("building the loop", 0, 1)
     fmus = folder / "fmus"
-    truth = true_friction(plant.model, plant.joints, sample_time=1.0 / plant.sample_rate)
     build(fmus, robot, body, plant, oracle=truth)
     loop = assemble(fmus, tracking=tracking, friction=friction, plant=plant)
     write_system(whole(loop, robot), folder / "closed_loop.toml")

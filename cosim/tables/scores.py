@@ -1,8 +1,9 @@
 """Tables of how well laws predict torque."""
 
+import math
 from collections.abc import Mapping, Sequence
 
-from cosim.scoring import ORACLE, Comparison, Ratio
+from cosim.scoring import ORACLE, REFERENCE, Comparison, Errors, Ratio
 from cosim.simulated import Simulated
 from cosim.tables.table import ResultTable, TableRow, decimals, fixed, joints, named, title
 from hesr_model.units import unit_of_joints
@@ -115,6 +116,68 @@ def bands(name: str, scores: Comparison) -> ResultTable:
         head=("law", *joints(len(scores.joints))),
         rows=rows,
     )
+
+
+def other_truths(
+    comparisons: Mapping[str, Comparison], others: Mapping[str, Errors], own: str = ""
+) -> ResultTable:
+    """Return laws by truths of a twin: their error over the reference's, on all joints and tests.
+
+    The column of the run itself is headed by its truth, by MJCF where that is the model file's.
+
+    Parameters
+    ----------
+    comparisons : of the run itself, by test set.
+    others : RMSE under each other truth, by test set and law.
+    own : truth of the run; empty for the friction of the MJCF.
+    """
+    first = next(iter(others.values()))
+    laws = list(dict.fromkeys(law for of_test in first.values() for law in of_test))
+    scores = {test: comparisons[test].laws for test in first}
+    here = {
+        test: {law: of_test[law].rmse for law in laws if law in of_test}
+        for test, of_test in scores.items()
+    }
+    truths: Mapping[str, Errors] = {own or "MJCF": here, **others}
+    reference = REFERENCE if REFERENCE in laws else laws[0]
+    means = {law: [_mean_ratio(of, law, reference) for of in truths.values()] for law in laws}
+    ranked = sorted(
+        means, key=lambda law: (law == ORACLE, sum(m or float("inf") for m in means[law]))
+    )
+    least = [
+        min((m for law in laws if law != ORACLE and (m := means[law][k]) is not None), default=0.0)
+        for k in range(len(truths))
+    ]
+    return ResultTable(
+        caption=f"Other truths of the twin: RMSE over that of {title(reference)}, geometric mean "
+        "over joints and test sets",
+        head=("law", *truths),
+        rows=[
+            TableRow(
+                head=named(law),
+                cells=[
+                    fixed(m, 3, best=m == best) for m, best in zip(means[law], least, strict=True)
+                ],
+            )
+            for law in ranked
+        ],
+    )
+
+
+def leading(errors: Errors) -> str:
+    """Return the law of the least error on all joints and tests, in geometric mean."""
+    laws = [law for law in next(iter(errors.values())) if law != ORACLE]
+    return min(laws, key=lambda law: _mean_ratio(errors, law, laws[0]) or math.inf)
+
+
+def _mean_ratio(errors: Errors, law: str, reference: str) -> float | None:
+    logs = [
+        math.log(own / other)
+        for row in errors.values()
+        if law in row and reference in row
+        for own, other in zip(row[law], row[reference], strict=True)
+    ]
+    return math.exp(math.fsum(logs) / len(logs)) if logs else None
 
 
 def position_errors(name: str, found: Simulated, sliding: Sequence[bool] = ()) -> ResultTable:

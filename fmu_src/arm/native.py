@@ -14,6 +14,7 @@ from fmu_src.arm.library import library
 from fmu_src.arm.parts import Signals
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.signals_h import to_h
+from fmu_src.arm.table import SignalTable
 from fmu_src.arm.variables import variables
 from fmu_src.description import RELEASED, Description
 from fmu_src.interface import Interface
@@ -23,9 +24,10 @@ from hesr_model.errors import ExportError
 from hesr_model.support.progress import Progress, silent
 
 _SMALL = 0.1  # controls of the reference results
-_OWN = 4  # numbers that mjcf.c remembers besides MuJoCo's state
+_OWN, _OF_LOSS = 4, 2  # numbers that mjcf.c remembers besides MuJoCo's state, and of each loss
 _SOURCES = (
     "mjcf.c",
+    "mjcf_losses.h",
     "mjcf_parameters.h",
     "beside.h",
     "guard.h",
@@ -39,7 +41,7 @@ def export_mjcf(
     model: Path,
     path: Path,
     *,
-    table: Path | None = None,
+    table: Path | SignalTable | None = None,
     platforms: Sequence[str] = ("linux64",),
     progress: Progress = silent,
 ) -> Path:
@@ -49,8 +51,8 @@ def export_mjcf(
     ----------
     model : the MJCF.
     path : the FMU to write, ending in .fmu.
-    table : TOML file that names its signals, see `fmu_src.arm.table`; every control and every
-        sensor where left out.
+    table : names of its signals, or a TOML file that holds them, see `fmu_src.arm.table`; every
+        control and every sensor where left out.
     platforms : names of `toolchain.TARGETS`, or "all"; MuJoCo for others than this machine's comes
         from the package registry.
     progress : told for how many of them it is built.
@@ -116,7 +118,7 @@ def arm(
     state = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
     table = Interface(
         variables=variables(signals),
-        own=_OWN + state,
+        own=_OWN + _OF_LOSS * len(signals.losses) + state,
         model_exchange=False,
         directional_derivatives=False,
     )

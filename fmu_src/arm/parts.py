@@ -18,18 +18,25 @@ class Input:
 
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """One output: addresses in the sensor data with factors, those that follow the scale; noise."""
+    """One output: addresses in the sensor data with factors, those that follow the scale; noise.
+
+    `losses` are places of losses that are added.
+    """
 
     name: str
     unit: str
     reads: tuple[tuple[int, float, bool], ...]
+    losses: tuple[int, ...] = ()
     noise: float | None = None
     stream: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """A start value: address of a position, and of an activation and the joint's force it holds."""
+    """A start value: address of a position, and of an activation and the forces that it holds.
+
+    `held` are their degrees of freedom; `other` is a further position that begins there.
+    """
 
     name: str
     unit: str
@@ -37,7 +44,27 @@ class Start:
     value: float
     activation: int | None = None
     gain: float = 1.0
-    held: int | None = None
+    held: tuple[int, ...] = ()
+    other: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loss:
+    """Dry friction of a degree of freedom, whose level moves; see `fmu_src.arm.table.Losses`.
+
+    `carrier` is the degree of freedom whose springs and gravity compensation are the load.
+    """
+
+    dof: int
+    carrier: int
+    constant: float
+    load: float
+    direct: float
+    speed: float
+    evolution: float
+    age: float
+    slip: float
+    longest: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +96,7 @@ class Signals:
     outputs: tuple[Output, ...]
     starts: tuple[Start, ...] = ()
     friction: tuple[int, ...] = ()
+    losses: tuple[Loss, ...] = ()
     payload: int | None = None
     step: float = 0.0
     seed: int = 0

@@ -1,6 +1,6 @@
 """The arm as MuJoCo simulates it: rigid body, servo and true friction, all from one MJCF."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
 from fmu_src.arm.signals import compiled
+from fmu_src.arm.truths import Truth, TruthName
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.logs.noise import standard_normal
 from hesr_model.support.config import Config, RelativePath
@@ -84,6 +85,8 @@ class Plant(Config):
         From base to tip, in the order of every list here and of every output.
     sample_rate
         Of logs and commands [Hz].
+    truths
+        Other frictions than that of the MJCF, of which a study may take one.
     """
 
     model: RelativePath
@@ -91,6 +94,7 @@ class Plant(Config):
     sample_rate: float = Field(gt=0)
     servo: Servo
     noise: Noise
+    truths: Mapping[TruthName, Truth] = {}
 
     @field_validator("servo", "noise")
     @classmethod

@@ -1,7 +1,7 @@
 """The signals of an MJCF: those that a table names, or every control and every sensor."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,8 +10,8 @@ from xml.etree import ElementTree
 import mujoco
 
 from fmu_src.arm.everything import SINGLE, everything
-from fmu_src.arm.parts import Input, Output, Signals, Start
-from fmu_src.arm.table import OutputTable, SignalTable, StartTable
+from fmu_src.arm.parts import Input, Loss, Output, Signals, Start
+from fmu_src.arm.table import LossTable, OutputTable, SignalTable, StartTable
 from hesr_model.errors import ConfigError
 from hesr_model.support.config import read_toml
 
@@ -63,13 +63,13 @@ def _parts(element: ElementTree.Element) -> int:
     return 1 + copies * sum(map(_parts, element))
 
 
-def signals_of(path: Path, table: Path | None = None) -> Signals:
+def signals_of(path: Path, table: Path | SignalTable | None = None) -> Signals:
     """Return the signals of an MJCF: those of a table, or every control and every sensor.
 
     Parameters
     ----------
     path : the MJCF.
-    table : TOML file, see `SignalTable`.
+    table : names of the signals, or a TOML file that holds them, see `SignalTable`.
 
     Raises
     ------
@@ -78,6 +78,8 @@ def signals_of(path: Path, table: Path | None = None) -> Signals:
         to be seen of the model.
     """
     model = compiled(path)
+    if isinstance(table, SignalTable):
+        return _Lookup(model, path).signals(table)
     if table is not None:
         return _Lookup(model, table).signals(read_toml(table, SignalTable))
     if not model.nsensor:
@@ -86,14 +88,19 @@ def signals_of(path: Path, table: Path | None = None) -> Signals:
 
 
 class _Lookup:
-    """Finds the parts that a table names."""
+    """Finds the parts that a table names; `file` is what errors name."""
 
-    def __init__(self, model: Any, table: Path) -> None:
-        self._model, self._table = model, table
+    def __init__(self, model: Any, file: Path) -> None:
+        self._model, self._file = model, file
 
     def signals(self, table: SignalTable) -> Signals:
         model = self._model
-        outputs = [o for name, vector in table.outputs.items() for o in self._outputs(name, vector)]
+        losing = table.losses.joints if table.losses else ()
+        outputs = [
+            output
+            for name, vector in table.outputs.items()
+            for output in self._outputs(name, vector, losing)
+        ]
         return Signals(
             model=model,
             inputs=tuple(
@@ -114,13 +121,17 @@ class _Lookup:
                 for start in self._starts(name, vector)
             ),
             friction=tuple(self._motor(name) for name in table.friction),
+            losses=tuple(self._losses(table.losses)) if table.losses else (),
             payload=None if table.payload is None else self._find("body", table.payload),
             step=table.step or float(model.opt.timestep),
             seed=table.seed,
         )
 
-    def _outputs(self, name: str, vector: OutputTable) -> Iterator[Output]:
+    def _outputs(self, name: str, vector: OutputTable, losing: Sequence[str]) -> Iterator[Output]:
         for i, sensors in enumerate(vector.sensors):
+            lost = vector.losses[i : i + 1]
+            if lost and lost[0] not in losing:
+                raise self._error(f"joint '{lost[0]}' of 'outputs.{name}.losses' has no losses.")
             yield Output(
                 name=f"{name}[{i + 1}]",
                 unit=vector.unit,
@@ -128,6 +139,7 @@ class _Lookup:
                     (self._sensor(sensor), factor, sensor in vector.scaled)
                     for sensor, factor in sensors.items()
                 ),
+                losses=tuple(losing.index(joint) for joint in lost),
                 noise=vector.noise[i] if vector.noise else None,
                 stream=vector.streams[i] if vector.streams else -1,
             )
@@ -146,10 +158,38 @@ class _Lookup:
             if vector.integrals:
                 activation, gain = self._activation(vector.integrals[i])
                 start = replace(start, activation=activation, gain=gain)
+            together = (joint, *vector.others[i : i + 1])
             if vector.hold:
-                dof = int(self._model.jnt_dofadr[self._find("joint", joint)])
-                start = replace(start, held=dof)
+                start = replace(start, held=tuple(map(self._dof, together)))
+            if vector.others:
+                start = replace(start, other=self._position(together[1]))
             yield start
+
+    def _losses(self, table: LossTable) -> Iterator[Loss]:
+        for i, joint in enumerate(table.joints):
+            dof = self._dof(joint)
+            if not self._model.dof_frictionloss[dof] > 0:
+                raise self._error(f"joint '{joint}' has losses; it needs a frictionloss above 0.")
+
+            def entry(values: Sequence[float], otherwise: float = 0.0, i: int = i) -> float:
+                return values[i] if values else otherwise
+
+            yield Loss(
+                dof=dof,
+                carrier=self._dof(table.carriers[i]) if table.carriers else -1,
+                constant=table.constant[i],
+                load=entry(table.load),
+                direct=entry(table.direct),
+                speed=entry(table.speed, 1.0),
+                evolution=entry(table.evolution),
+                age=entry(table.age, 1.0),
+                slip=entry(table.slip, 1.0),
+                longest=table.longest,
+            )
+
+    def _dof(self, name: str) -> int:
+        self._position(name)  # of one number
+        return int(self._model.jnt_dofadr[self._find("joint", name)])
 
     def _control(self, name: str) -> int:
         actuator = self._find("actuator", name)
@@ -192,4 +232,4 @@ class _Lookup:
             raise self._error(f"the model has no {kind} '{name}'.") from error
 
     def _error(self, reason: str) -> ConfigError:
-        return ConfigError(f"{self._table}: {reason}")
+        return ConfigError(f"{self._file}: {reason}")

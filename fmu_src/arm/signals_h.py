@@ -1,6 +1,7 @@
 """The signals of a model as tables of C."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import astuple
 
 from fmu_src.arm.parts import Signals
 from fmu_src.arm.variables import LATENCY, PAYLOAD, SCALE, SEED, noise_name
@@ -14,6 +15,8 @@ _TABLES = {
     "noises": ("Noise", "NOISY", "{0, 0, 0u}"),
     "starts": ("Start", "STARTS", "{0, 0, 0, -1, 1.0}"),
     "rubbing": ("int", "RUBBING", "0"),
+    "losses": ("Loss", "LOSSES", "{0, -1, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1.0}"),
+    "lost": ("Lost", "LOST", "{0, 0}"),
 }
 
 
@@ -55,10 +58,12 @@ def _rows(signals: Signals, at: Mapping[str, int]) -> dict[str, Sequence[str]]:
     for start in signals.starts:
         starts.append(f"{{{at[start.name]}, 0, {start.position}, -1, 1.0}}")
         if start.activation is not None:
-            held = -1 if start.held is None else start.held
-            starts.append(
+            starts += [
                 f"{{{at[start.name]}, 1, {start.activation}, {held}, {literal(start.gain)}}}"
-            )
+                for held in start.held or (-1,)
+            ]
+        if start.other is not None:
+            starts.append(f"{{{at[start.name]}, 0, {start.other}, -1, 1.0}}")
     return {
         "drives": [
             f"{{{at[one.name]}, {control}}}" for one in signals.inputs for control in one.controls
@@ -71,6 +76,11 @@ def _rows(signals: Signals, at: Mapping[str, int]) -> dict[str, Sequence[str]]:
         "noises": [f"{{{at[o.name]}, {at[noise_name(o)]}, {o.stream}u}}" for o in noisy],
         "starts": starts,
         "rubbing": [str(actuator) for actuator in signals.friction],
+        "losses": [
+            f"{{{loss.dof}, {loss.carrier}, {', '.join(map(literal, astuple(loss)[2:]))}}}"
+            for loss in signals.losses
+        ],
+        "lost": [f"{{{at[o.name]}, {place}}}" for o in signals.outputs for place in o.losses],
     }
 
 
@@ -111,6 +121,17 @@ typedef struct {{
     int parameter, activation, index, held_dof;
     double gain;
 }} Start;
+
+/* Dry friction of a degree of freedom, and whose springs are its load; see mjcf_losses.h. */
+typedef struct {{
+    int dof, carrier;
+    double constant, load, direct, speed, evolution, age, slip, longest;
+}} Loss;
+
+/* A loss that is a summand of an output. */
+typedef struct {{
+    int output, loss;
+}} Lost;
 
 {arrays}
 

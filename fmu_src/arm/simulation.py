@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu_src.arm.losses import LossState
 from fmu_src.arm.parts import Signals
 from fmu_src.arm.variables import LATENCY, PAYLOAD, SCALE, SEED, noise_name, variables
 from hesr_model.errors import SimulationError
@@ -75,11 +76,14 @@ class Simulation:
             data.qpos[start.position] = given[start.name]
             if start.activation is not None:
                 data.act[start.activation] = given[start.name]
+            if start.other is not None:
+                data.qpos[start.other] = given[start.name]
         mujoco.mj_forward(self._model, data)
         acting = data.qfrc_smooth.copy()
         for start in self.signals.starts:
-            if start.activation is not None and start.held is not None:
-                data.act[start.activation] -= acting[start.held] / start.gain
+            if start.activation is not None:
+                data.act[start.activation] -= acting[list(start.held)].sum() / start.gain
+        self._losses.begin(self._model, data)
         return self.outputs()
 
     def step(self, inputs: ArrayLike, dt: float) -> Array:
@@ -104,7 +108,7 @@ class Simulation:
             raise SimulationError(
                 f"the step is {dt:g} s; a multiple of the simulation's own, {own:g} s, is needed."
             )
-        before = self._state()
+        before, losses = self._state(), (self._losses.levels, self._losses.ages)
         data = self._data
         values = np.atleast_1d(np.asarray(inputs, dtype=float))
         for one, value in zip(self.signals.inputs, values.tolist(), strict=True):
@@ -112,13 +116,21 @@ class Simulation:
                 raise SimulationError(f"{one.name} is {value:g}; the largest is {_MAX:g}.")
         data.ctrl[self._controls] = values[self._driven]
         with _quiet():
-            mujoco.mj_step(self._model, data, nstep=count)
+            self._advance(count)
         if self._diverged():
             self._data = mujoco.MjData(self._model)
-            self._restore(before)
+            self._restore(before, *losses)
             raise SimulationError(f"the simulation has diverged within {dt:g} s.")
         self.samples += 1
         return self.outputs()
+
+    def _advance(self, count: int) -> None:
+        if not self.signals.losses:
+            mujoco.mj_step(self._model, self._data, nstep=count)
+            return
+        for _ in range(count):
+            mujoco.mj_step(self._model, self._data)
+            self._losses.advance(self._model, self._data)
 
     def outputs(self) -> Array:
         """Return the outputs (outputs,) at this instant, in the signals' order and units."""
@@ -129,6 +141,8 @@ class Simulation:
         mujoco.mj_forward(self._model, data)
         data.qacc_warmstart[:] = guess
         found: Array = self._weights @ data.sensordata
+        if self.signals.losses:
+            found += self._lost @ self._losses.torque(self._model, data)
         if self._noisy:
             found[self._noisy] += self._sigma * self._noise(self.samples)
         return found
@@ -149,6 +163,8 @@ class Simulation:
             "parameters": self.parameters,
             "samples": self.samples,
             "state": self._state().tolist(),
+            "levels": self._losses.levels.tolist(),
+            "ages": self._losses.ages.tolist(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -157,15 +173,17 @@ class Simulation:
             self.parameters = dict(state["parameters"])
             self._adapt()
         self.samples = int(state["samples"])
-        self._restore(np.array(state["state"]))
+        self._restore(*(np.array(state[key]) for key in ("state", "levels", "ages")))
 
     def _state(self) -> Array:
         state = np.empty(self._state_size)
         mujoco.mj_getState(self._model, self._data, state, _STATE)
         return state
 
-    def _restore(self, state: Array) -> None:
+    def _restore(self, state: Array, levels: Array, ages: Array) -> None:
         mujoco.mj_setState(self._model, self._data, state, _STATE)
+        self._losses.levels, self._losses.ages = levels, ages
+        self._losses.give(self._model)
 
     def _check(self, given: Mapping[str, float]) -> None:
         for name, value in given.items():
@@ -197,6 +215,8 @@ class Simulation:
             model.actuator_dynprm[actuator, [5, 6]] *= least
             model.actuator_damping[actuator] *= least
             model.actuator_dampingpoly[actuator] *= least
+        model.dof_damping[[loss.dof for loss in signals.losses]] *= scale
+        self._losses = LossState(signals.losses, scale)
         for actuator in signals.delay.actuators if signals.delay else ():
             model.actuator_delay[actuator] = _delay(model, actuator, given[LATENCY])
         self._data = mujoco.MjData(model)
@@ -208,6 +228,9 @@ class Simulation:
         for row, output in zip(self._weights, signals.outputs, strict=True):
             for address, factor, scaled in output.reads:
                 row[address] += factor * (scale if scaled else 1.0)
+        self._lost = np.zeros((len(signals.outputs), len(signals.losses)))
+        for row, output in zip(self._lost, signals.outputs, strict=True):
+            row[list(output.losses)] = 1.0
         self._sigma = np.array([given[noise_name(signals.outputs[k])] for k in self._noisy])
         self._drawn, self._drawn_from = np.empty((0, len(self._noisy))), 0
         self._seed = int(given.get(f"{SEED}[1]", 0)) | int(given.get(f"{SEED}[2]", 0)) << 32

@@ -21,6 +21,9 @@ from hesr_model.errors import HesrError
 _ROUNDING = 1e-6
 """By how much of the simulation's step times may be off."""
 
+_REFUSED: list["PythonArm"] = []
+"""Instances that have raised: PythonFMU lets go of them, but reads their messages once more."""
+
 
 class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
     """Adapter of `Simulation`: value references are places in its table of variables."""
@@ -98,7 +101,12 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
 
     def _begin(self) -> None:
         given = {self._variables[k].name: self._values[k] for k in self._parameters}
-        self._show(self._simulation.reset(given).tolist())
+        try:
+            outputs = self._simulation.reset(given)
+        except HesrError:
+            _REFUSED.append(self)
+            raise
+        self._show(outputs.tolist())
         self._stale = False
 
     def _show(self, outputs: Sequence[float]) -> None:

@@ -1,12 +1,14 @@
 """The file that names the signals of an MJCF."""
 
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
 from hesr_model.support.config import Config
 
 Names = tuple[str, ...]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
 Element = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")]
 
 
@@ -30,6 +32,7 @@ class OutputTable(Config):
     ----------
     unit : of every element.
     sensors : for each element the sensors that are summed, with their factors.
+    losses : for each element the joint whose losses are added, as torque that opposes its motion.
     scaled : sensors whose factor follows the friction scale.
     noise : standard deviation of each element's noise; none where left out.
     streams : of the noise, one for each element; their places among all outputs where left out.
@@ -37,13 +40,14 @@ class OutputTable(Config):
 
     unit: str
     sensors: tuple[dict[str, float], ...] = Field(min_length=1)
+    losses: Names = ()
     scaled: Names = ()
-    noise: tuple[Annotated[float, Field(ge=0)], ...] = ()
+    noise: tuple[NotNegative, ...] = ()
     streams: tuple[Annotated[int, Field(ge=0)], ...] = ()
 
     @model_validator(mode="after")
     def _one_entry_per_element(self) -> "OutputTable":
-        for key in ("noise", "streams"):
+        for key in ("losses", "noise", "streams"):
             entries = getattr(self, key)
             if entries and len(entries) != len(self.sensors):
                 raise ValueError(
@@ -59,21 +63,85 @@ class StartTable(Config):
     ----------
     unit : of every element.
     joints : the joint whose position each element is.
+    others : a further joint that has the same position, for each element.
     integrals : the actuator whose activation each element is as well.
     hold : whether the integrals hold what else acts on the joints at rest, so that these stay.
     """
 
     unit: str
     joints: Names = Field(min_length=1)
+    others: Names = ()
     integrals: Names = ()
     hold: bool = False
 
     @model_validator(mode="after")
-    def _one_integral_per_joint(self) -> "StartTable":
-        if self.integrals and len(self.integrals) != len(self.joints):
-            raise ValueError(
-                f"integrals has {len(self.integrals)} entries for {len(self.joints)} joints"
-            )
+    def _one_entry_per_joint(self) -> "StartTable":
+        for key in ("others", "integrals"):
+            entries = getattr(self, key)
+            if entries and len(entries) != len(self.joints):
+                raise ValueError(f"{key} has {len(entries)} entries for {len(self.joints)} joints")
+        return self
+
+
+class Losses(Config):
+    """Dry friction whose level moves, in place of a constant `frictionloss` of joints.
+
+        level = constant + load |torque| + direct ln(1 + |v| / speed) + evolution ln(1 + s / age)
+        s' = 1 - (|v| / slip + 1 / longest) s
+
+    The last two terms are those of rate and state, with the ageing law of Dieterich and Ruina: what
+    rests grows stronger with the logarithm of time, what slides is renewed over a distance. Lists
+    have one entry per joint; what is left out is nothing.
+
+    Attributes
+    ----------
+    constant : [N.m].
+    load : share of the torque that is transmitted.
+    direct, speed : rise with speed [N.m], and from which speed on [rad/s].
+    evolution, age, slip : rise with age [N.m], from which age on [s], and over which way a contact
+        is renewed [rad].
+    longest : age that nothing exceeds [s].
+    """
+
+    constant: tuple[NotNegative, ...] = Field(min_length=1)
+    load: tuple[NotNegative, ...] = ()
+    direct: tuple[NotNegative, ...] = ()
+    speed: tuple[Positive, ...] = ()
+    evolution: tuple[NotNegative, ...] = ()
+    age: tuple[Positive, ...] = ()
+    slip: tuple[Positive, ...] = ()
+    longest: Positive = 1e4
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        given = {key: value for key, value in self if isinstance(value, tuple) and value}
+        for key, entries in given.items():
+            if len(entries) != len(self.constant):
+                raise ValueError(f"{key} has {len(entries)} entries, constant {len(self.constant)}")
+        for key, needs in (("direct", ("speed",)), ("evolution", ("age", "slip"))):
+            for need in needs:
+                if key in given and need not in given:
+                    raise ValueError(f"{key} needs {need}")
+        return self
+
+
+class LossTable(Losses):
+    """Losses of joints of an MJCF, each with a `frictionloss` there.
+
+    Attributes
+    ----------
+    joints : that lose.
+    carriers : for each the joint whose springs and gravity compensation are the torque that is
+        transmitted; needed where there is a share of the load.
+    """
+
+    joints: Names = Field(min_length=1)
+    carriers: Names = ()
+
+    @model_validator(mode="after")
+    def _load_has_carriers(self) -> Self:
+        if any(self.load) and not self.carriers:
+            raise ValueError("load needs carriers")
         return self
 
 
@@ -84,6 +152,7 @@ class SignalTable(Config):
     ----------
     inputs, outputs, start : by the name of the vector.
     friction : dcmotor actuators that the friction scale applies to.
+    losses : of joints, to which it applies, too.
     payload : body that a payload's mass is added to, as a point at its centre of mass.
     step : preferred communication step [s]; the simulation's own where left out.
     seed : of the noise.
@@ -93,6 +162,7 @@ class SignalTable(Config):
     outputs: dict[Element, OutputTable] = Field(min_length=1)
     start: dict[Element, StartTable] = Field(default_factory=dict)
     friction: Names = ()
+    losses: LossTable | None = None
     payload: str | None = None
     step: float | None = Field(default=None, gt=0)
     seed: int = Field(default=0, ge=0, lt=2**64)

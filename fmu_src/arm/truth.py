@@ -9,9 +9,10 @@ import numpy as np
 import sympy
 
 from fmu_src.arm.signals import compiled
-from hesr_model.equations.functions import absolute
+from fmu_src.arm.table import LossTable
+from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Relaxation
-from hesr_model.friction.inputs import DQ, Q
+from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 
@@ -27,7 +28,22 @@ _COEFFICIENTS = (
 )
 
 
-def true_friction(mjcf: Path, joints: Sequence[str], *, sample_time: float) -> FrictionModel:
+_OF_LOSSES = (
+    ("constant", "N.m", "dry friction"),
+    ("load", "1", "share of the load"),
+    ("direct", "N.m", "direct effect of speed"),
+    ("speed", "rad/s", "from which speed on"),
+    ("evolution", "N.m", "effect of age"),
+    ("age", "s", "from which age on"),
+    ("slip", "rad", "way on which contacts are renewed"),
+    ("longest", "s", "age that nothing exceeds"),
+    ("viscous", "N.m.s/rad", "viscous friction"),
+)
+
+
+def true_friction(
+    mjcf: Path, joints: Sequence[str], *, sample_time: float, losses: LossTable | None = None
+) -> FrictionModel:
     """Return the friction of an MJCF's passive dcmotor actuators as one law for each joint.
 
     Each actuator is a LuGre element without micro-damping, with viscous friction and cogging:
@@ -35,11 +51,14 @@ def true_friction(mjcf: Path, joints: Sequence[str], *, sample_time: float) -> F
         z' = v - stiffness |v| / g(v) z,  g = coulomb + (static - coulomb) exp(-(v / stribeck)^2)
         tau = stiffness z + damping v - cogging sin(poles q + phase)
 
+    Where there are losses, these and the damping of the joints are the friction instead.
+
     Parameters
     ----------
     mjcf : the model.
     joints : names of its joints, in order.
     sample_time : at which the laws are run [s].
+    losses : of the joints.
     """
     model = compiled(mjcf)
     elements: dict[str, list[int]] = {joint: [] for joint in joints}
@@ -51,12 +70,47 @@ def true_friction(mjcf: Path, joints: Sequence[str], *, sample_time: float) -> F
         law="true_friction",
         robot=mjcf.stem,
         joints=tuple(joints),
-        laws=tuple(_law(model, elements[joint]) for joint in joints),
+        laws=tuple(
+            _of_losses(losses, i, float(model.joint(joint).damping[0]))
+            if losses
+            else _law(model, elements[joint])
+            for i, joint in enumerate(joints)
+        ),
         sliding=tuple(
             bool(model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE) for joint in joints
         ),
         sample_time=sample_time,
     )
+
+
+def _of_losses(losses: LossTable, i: int, viscous: float) -> FrictionLaw:
+    coefficients = [Coefficient(name=n, unit=u, description=d) for n, u, d in _OF_LOSSES]
+    symbols = {c.name: c.symbol for c in coefficients}
+    given = losses.model_dump() | {"viscous": viscous}
+    values = {}
+    for name in symbols:
+        entries = given[name]
+        whole = not isinstance(entries, tuple)
+        absent = 1.0 if name in ("speed", "age", "slip") else 0.0
+        values[name] = entries if whole else entries[i] if entries else absent
+    age = Relaxation(
+        name="s",
+        unit="s",
+        drive=sympy.Integer(1),
+        rate=absolute(DQ) / symbols["slip"] + 1 / symbols["longest"],
+    )
+    level = (
+        symbols["constant"]
+        + symbols["load"] * absolute(TAU_LOAD)
+        + symbols["direct"] * sympy.log(1 + absolute(DQ) / symbols["speed"])
+        + symbols["evolution"] * sympy.log(1 + age.state / symbols["age"])
+    )
+    form = LawForm(
+        coefficients=tuple(coefficients),
+        memory=(age,),
+        output=sgn(DQ) * level + symbols["viscous"] * DQ,
+    )
+    return FrictionLaw(name="true_friction", form=form, values=values)
 
 
 def _law(model: Any, actuators: Sequence[int]) -> FrictionLaw:

@@ -34,7 +34,8 @@ def _connectors(signals: Signals, parameters: tuple[str, ...]) -> Iterator[Varia
 
 
 def _parameters(signals: Signals) -> Iterator[Variable]:
-    if signals.friction or any(scaled for o in signals.outputs for _, _, scaled in o.reads):
+    scaled = any(scaled for o in signals.outputs for _, _, scaled in o.reads)
+    if signals.friction or signals.losses or scaled:
         yield _fixed(
             SCALE, "1", 1.0, "factor on the friction of the elements that are named for it"
         )

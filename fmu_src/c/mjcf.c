@@ -11,6 +11,7 @@
 
 #include "component_plain.h"
 #include "guard.h"
+#include "mjcf_losses.h"
 #include "mjcf_parameters.h"
 #include "mujoco_library.h"
 #include "noise.h"
@@ -18,8 +19,10 @@
 #include "signals.h"
 
 /* What is remembered: whether the initialisation has ended, samples of noise that were drawn, the
- * time of the start [s], steps of MuJoCo made since, and MuJoCo's state. */
-enum { STARTED = 0, SAMPLES = 1, ORIGIN = 2, MADE = 3, MUJOCO_STATE = 4 };
+ * time of the start [s], steps of MuJoCo made since, levels [N.m] and ages [s] of losses, and
+ * MuJoCo's state. */
+enum { STARTED = 0, SAMPLES = 1, ORIGIN = 2, MADE = 3, LEVELS = 4 };
+enum { AGES = LEVELS + LOSSES, MUJOCO_STATE = AGES + LOSSES };
 
 /* By how much of MuJoCo's step times may be off by rounding, and the most of its steps in one. */
 static const double ROUNDING = 1e-6, MOST_STEPS = 1e6;
@@ -95,6 +98,9 @@ static void change(Workspace *w, Changes changes) {
     for (int i = 0; i < RUBBING; i++) {
         scale_friction(m, rubbing[i], changes.scale);
     }
+    for (int i = 0; i < LOSSES; i++) {
+        m->dof_damping[losses[i].dof] *= changes.scale;
+    }
     for (int i = 0; i < m->nactuator && LATENCY >= 0; i++) {
         if (m->actuator_delay[i] > 0.0) {
             m->actuator_delay[i] = delay_of(m, i, changes.latency);
@@ -115,17 +121,24 @@ static void save(Component *component, const Workspace *w) {
 /* Put the model and the scratch memory where the component is. */
 static void restore(const Component *component, Workspace *w) {
     change(w, changes_of(component->v));
+    set_levels(w->model, &component->own[LEVELS], w->changes.scale);
     memset(w->data->warning, 0, sizeof w->data->warning); /* those of a future that is not to be */
     mj_setState(w->model, w->data, &component->own[MUJOCO_STATE], mjSTATE_INTEGRATION);
 }
 
-static double without_noise(const Component *component, const mjData *data, int output) {
+static double without_noise(const Component *component, const Workspace *w, int output) {
+    const mjData *data = w->data;
     const double scale = value_or(component->v, FRICTION_SCALE, 1.0);
     double sum = 0.0;
     for (int i = 0; i < READS; i++) {
         if (reads[i].output == output) {
             const double factor = (reads[i].scaled ? scale : 1.0) * reads[i].factor;
             sum += factor * data->sensordata[reads[i].sensor];
+        }
+    }
+    for (int i = 0; i < LOST; i++) {
+        if (lost[i].output == output) {
+            sum += lost_torque(&losses[lost[i].loss], w->model, data);
         }
     }
     return sum;
@@ -137,7 +150,7 @@ static void read_sensors(Component *component, Workspace *w) {
     const uint64_t seed = (uint64_t)seed_half(v, 0) | (uint64_t)seed_half(v, 1) << 32;
     mj_forward(w->model, w->data);
     for (int i = 0; i < OUTPUTS; i++) {
-        v[FIRST_OUTPUT + i] = without_noise(component, w->data, FIRST_OUTPUT + i);
+        v[FIRST_OUTPUT + i] = without_noise(component, w, FIRST_OUTPUT + i);
     }
     for (int i = 0; i < NOISY; i++) {
         const uint64_t counter = (uint64_t)component->own[SAMPLES];
@@ -151,6 +164,7 @@ static bool begin(void *argument) {
     const Call *call = argument;
     Workspace *w = call->workspace;
     const double *v = call->component->v;
+    double *own = call->component->own;
     if (!parameters_are_usable(v, call->why)) {
         return false;
     }
@@ -167,6 +181,10 @@ static bool begin(void *argument) {
             w->data->act[starts[i].index] -=
                 w->data->qfrc_smooth[starts[i].held_dof] / starts[i].gain;
         }
+    }
+    for (int i = 0; i < LOSSES; i++) {
+        own[AGES + i] = 0.0;
+        own[LEVELS + i] = level_of(&losses[i], w->data, 0.0);
     }
     save(call->component, w);
     return true;
@@ -238,6 +256,16 @@ static bool out_of_bounds(const mjModel *m, const mjData *data) {
     return bad;
 }
 
+/* Give the losses the levels that the step just made leads to. */
+static void age(Component *component, Workspace *w) {
+    double *levels = &component->own[LEVELS], *ages = &component->own[AGES];
+    for (int i = 0; i < LOSSES; i++) {
+        ages[i] = age_after(&losses[i], w->data, ages[i], w->model->opt.timestep);
+        levels[i] = level_of(&losses[i], w->data, ages[i]);
+    }
+    set_levels(w->model, levels, w->changes.scale);
+}
+
 static bool advance(void *argument) {
     const Call *call = argument;
     Workspace *w = call->workspace;
@@ -250,6 +278,7 @@ static bool advance(void *argument) {
         if (given_up(w->data, call->why)) {
             return false;
         }
+        age(call->component, w);
     }
     if (out_of_bounds(w->model, w->data)) {
         snprintf(call->why->text, sizeof call->why->text, "The simulation has diverged.");

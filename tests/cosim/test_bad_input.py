@@ -521,7 +521,7 @@ STUDY_FAULTS = {
     "an unknown key in a table": (
         "[twin]",
         "[twin]\nplan = 1",
-        "unknown key 'twin.plan'; allowed here: motions, plant, signals.",
+        "unknown key 'twin.plan'; allowed here: motions, plant, signals, truth, truths.",
     ),
     "no logs": ("[logs]", "[log]", "unknown key 'log'; allowed here: "),
     "an unknown law": (

@@ -14,6 +14,8 @@ from hesr_model.support.files import models_folder
 UF850 = models_folder() / "uf850"
 HOME = {"q0[1]": 0.0, "q0[2]": 0.3, "q0[3]": -1.9}
 STEP = 0.005
+OUTPUTS = ("q", "tau_meas", "q_true", "dq_true", "tau_true", "tau_f_true")
+"""Of the twin's arm, one for each joint."""
 
 PENDULUM = """\
 <mujoco model="pendulum">
@@ -162,3 +164,45 @@ def assert_sampled_within_steps(fmu: Path) -> None:
             changed += bool((now != before).any())
             before = now
     assert changed > 50
+
+
+def steps(binary: Binary, c: Any, first: int, last: int) -> list[list[float]]:
+    """Outputs after each of some steps of the twin's arm."""
+    rows = []
+    for k in range(first, last):
+        inputs = {f"dq_cmd[{i}]": x for i, x in enumerate(command(k), start=1)}
+        assert binary.set_all(c, inputs) == 0
+        assert binary.step(c, STEP * k, STEP) == 0
+        rows.append(binary.get(c, *(f"{name}[{i}]" for name in OUTPUTS for i in (1, 2, 3))))
+    return rows
+
+
+def started(binary: Binary, start: dict[str, float]) -> Any:
+    """Make an instance and initialise it."""
+    c = binary.instantiate()
+    assert binary.set_all(c, start) == 0
+    assert binary("SetupExperiment", c, 0, 0.0, 0.0, 0, 0.0) == 0
+    assert binary("EnterInitializationMode", c) == 0
+    assert binary("ExitInitializationMode", c) == 0
+    return c
+
+
+def assert_goes_on(binary: Binary, start: dict[str, float]) -> None:
+    """What is saved goes on bit for bit, here and in a fresh instance."""
+    c, state = started(binary, start), ctypes.c_void_p()
+    steps(binary, c, 0, 50)
+    assert binary("GetFMUstate", c, ctypes.byref(state)) == 0
+    size = ctypes.c_size_t()
+    assert binary("SerializedFMUstateSize", c, state, ctypes.byref(size)) == 0
+    data = ctypes.create_string_buffer(size.value)
+    assert binary("SerializeFMUstate", c, state, data, size) == 0
+    first = steps(binary, c, 50, 150)
+    assert binary("SetFMUstate", c, state) == 0
+    assert steps(binary, c, 50, 150) == first
+    other, copy = binary.instantiate(), ctypes.c_void_p()
+    assert binary("DeSerializeFMUstate", other, data.raw, size, ctypes.byref(copy)) == 0
+    assert binary("SetFMUstate", other, copy) == 0
+    assert steps(binary, other, 50, 150) == first
+    for instance, saved in ((c, state), (other, copy)):
+        assert binary("FreeFMUstate", instance, ctypes.byref(saved)) == 0
+        binary("FreeInstance", instance)

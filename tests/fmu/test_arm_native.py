@@ -1,6 +1,5 @@
 """The native arm: equal to the arm in Python, honest with its states, at home in any host."""
 
-import ctypes
 import re
 import subprocess
 import sys
@@ -13,13 +12,17 @@ import pytest
 from fmpy.validation import validate_fmu
 from mjcf_models import (
     HOME,
+    OUTPUTS,
     STEP,
     UF850,
     Unpacked,
+    assert_goes_on,
     assert_sampled_within_steps,
     command,
     names,
     run,
+    started,
+    steps,
 )
 
 from cosim.slave import Component
@@ -30,7 +33,6 @@ from hesr_model.robots.robot import RobotDescription, RobotModel
 
 MJCF, TABLE = UF850 / "uf850.xml", UF850 / "arm.toml"
 HOST = Path(__file__).with_name("mjcf_host.c")
-OUTPUTS = ("q", "tau_meas", "q_true", "dq_true", "tau_true", "tau_f_true")
 QUIET = {f"{name}_noise[{i}]": 0.0 for name in ("q", "tau_meas") for i in (1, 2, 3)}
 
 
@@ -260,25 +262,6 @@ def test_an_input_that_mujoco_would_take_for_zero_is_refused(fmu):
 # --- states -----------------------------------------------------------------------------------
 
 
-def steps(binary, c, first, last):
-    rows = []
-    for k in range(first, last):
-        inputs = {f"dq_cmd[{i}]": x for i, x in enumerate(command(k), start=1)}
-        assert binary.set_all(c, inputs) == 0
-        assert binary.step(c, STEP * k, STEP) == 0
-        rows.append(binary.get(c, *(f"{name}[{i}]" for name in OUTPUTS for i in (1, 2, 3))))
-    return rows
-
-
-def started(binary, start):
-    c = binary.instantiate()
-    assert binary.set_all(c, start) == 0
-    assert binary("SetupExperiment", c, 0, 0.0, 0.0, 0, 0.0) == 0
-    assert binary("EnterInitializationMode", c) == 0
-    assert binary("ExitInitializationMode", c) == 0
-    return c
-
-
 PARAMETERS = [
     {"payload": 1.5, "friction_scale": 0.8, "latency": 0.02},
     {"payload": 0.0, "friction_scale": 0.0, "latency": 0.0},
@@ -287,30 +270,14 @@ PARAMETERS = [
 
 @pytest.mark.parametrize("parameters", PARAMETERS)
 def test_a_saved_state_goes_on_bit_for_bit_here_and_in_a_fresh_instance(parameters, unpacked):
-    c, state = started(unpacked, HOME | parameters), ctypes.c_void_p()
-    steps(unpacked, c, 0, 50)
-    assert unpacked("GetFMUstate", c, ctypes.byref(state)) == 0
-    size = ctypes.c_size_t()
-    assert unpacked("SerializedFMUstateSize", c, state, ctypes.byref(size)) == 0
-    data = ctypes.create_string_buffer(size.value)
-    assert unpacked("SerializeFMUstate", c, state, data, size) == 0
-    first = steps(unpacked, c, 50, 150)
-    assert unpacked("SetFMUstate", c, state) == 0
-    assert steps(unpacked, c, 50, 150) == first
-    other, copy = unpacked.instantiate(), ctypes.c_void_p()
-    assert unpacked("DeSerializeFMUstate", other, data.raw, size, ctypes.byref(copy)) == 0
-    assert unpacked("SetFMUstate", other, copy) == 0
-    assert steps(unpacked, other, 50, 150) == first
-    for instance, saved in ((c, state), (other, copy)):
-        assert unpacked("FreeFMUstate", instance, ctypes.byref(saved)) == 0
-        unpacked("FreeInstance", instance)
+    assert_goes_on(unpacked, HOME | parameters)
 
 
 def test_a_state_goes_on_in_another_process(fmu, tmp_path):
     script = """
 import ctypes, sys
 from pathlib import Path
-import test_arm_native as t
+import mjcf_models as t
 from mjcf_models import HOME, Unpacked
 fmu, folder, file, todo = (Path(a) for a in sys.argv[1:])
 binary, state = Unpacked(fmu, folder), ctypes.c_void_p()

@@ -8,7 +8,7 @@ from cosim.report.results import Results
 from cosim.report.sections.traces import WINDOW as MOVING
 from cosim.report.sections.traces import torque_chart
 from cosim.scoring import input_classes
-from cosim.tables.scores import MEASURES, errors, position_errors
+from cosim.tables.scores import MEASURES, errors, other_truths, position_errors
 from cosim.tables.scores import bands as band_table
 from cosim.tables.table import PAPERS, ResultTable, TableRow, named, number, title
 
@@ -27,6 +27,15 @@ def section(results: Results, pictures: Pictures) -> Section:
     ]
     for k, test in enumerate(results.tests):
         parts += [heading(f"Test set ‘{test}’"), *_of_test(results, pictures, test, first=k == 0)]
+    if results.truths:
+        parts += [
+            heading("Under other truths of the twin"),
+            paragraph(
+                "The same motions with other friction in the arm: body and laws are found anew "
+                "there. What wins under one truth only is at home there, and may be nowhere else."
+            ),
+            table(other_truths(results.comparisons, results.truths, results.run.truth)),
+        ]
     if results.run.robot == paper.ROBOT:
         parts.append(details("Table II of the paper, for the same robot", _paper(results)))
     return Section(key="prediction", title="Prediction on unseen motions", html=joined(*parts))

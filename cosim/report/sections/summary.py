@@ -15,6 +15,7 @@ from cosim.report.results import Results
 from cosim.report.sections.audit import passive
 from cosim.report.sections.tracking import of_scheme, outer
 from cosim.scoring import ORACLE
+from cosim.tables.scores import leading
 from cosim.tables.table import PAPERS, decimals, title
 from cosim.verdict import VERDICT, read_verdict
 from hesr_model.friction.audit.expectations import EXPECTATIONS
@@ -193,15 +194,26 @@ def _picture(results: Results, pictures: Pictures) -> Markup:
     )
 
 
+def _truth(results: Results) -> str:
+    """Say what the true friction of a twin is, and who wins where it is another one."""
+    rank = "measured robots may rank the laws otherwise."
+    if results.run.truth:
+        return f"Its friction is the truth ‘{results.run.truth}’ of its plant; {rank}"
+    text = (
+        "Its friction is of no law’s form, but it is bristle-like, so laws of that kind are at "
+        f"home on it; {rank}"
+    )
+    winners = [
+        f"{title(leading(errors))} under ‘{truth}’" for truth, errors in results.truths.items()
+    ]
+    return f"{text} Least error under other truths: {', '.join(winners)}." if winners else text
+
+
 def _honest(results: Results) -> list[str]:
     said = []
     scores = results.comparisons[results.tests[0]]
     if results.run.twin:
-        said.append(
-            "The robot is a simulated one. Its friction is of no law’s form, but it is "
-            "bristle-like, "
-            "so laws of that kind are at home on it; measured robots may rank the laws otherwise."
-        )
+        said.append(f"The robot is a simulated one. {_truth(results)}")
     if ORACLE in scores.laws:
         floor = scores.laws[ORACLE].rmse
         best = scores.laws[results.best].rmse

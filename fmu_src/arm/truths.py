@@ -1,0 +1,251 @@
+"""Other truths for a digital twin: its arm with another friction than that of its MJCF.
+
+The bristles of an MJCF favour laws that are bristles. Whatever it holds as passive dcmotor elements
+is taken out here, and dry friction whose level moves comes in its place, and where wanted a
+transmission that gives way:
+
+    rotor  --elastic, with a dead band, beside elements that yield-->  link
+    I r'' = servo - level(load) sgn(r') - damping r' - torsion         (dry friction holds at rest)
+
+The rotor takes the joint's name, so that servo, encoder and measured torque sit on its side, as in
+most arms; what is rigid-body motion, and the gravity compensation, is that of the link. The torque
+that the gear transmits is that of torsion and gravity compensation together.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Self
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import mujoco
+import numpy as np
+from pydantic import Field, model_validator
+
+from fmu_src.arm.signals import compiled
+from fmu_src.arm.table import Losses, LossTable, NotNegative, OutputTable, Positive, SignalTable
+from hesr_model.errors import ConfigError
+from hesr_model.support.config import Config
+from hesr_model.support.files import written_whole
+
+_FIRM = "0.9999 0.9999 0.001 0.5 2"
+"""Impedance of dry friction: the highest, else it creeps under load by milliradians a second."""
+
+_LIGHT = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-6 1e-6 1e-6"}
+"""Of a rotor's body [kg; kg m2], whose inertia is the armature of its joint."""
+
+
+class Yielding(Config):
+    """Elastic elements that yield, one for each joint: hysteresis of the torsion.
+
+    Attributes
+    ----------
+    stiffness : [N.m/rad].
+    limit : torque at which they yield [N.m].
+    """
+
+    stiffness: tuple[Positive, ...]
+    limit: tuple[Positive, ...]
+
+
+class Transmission(Config):
+    """What is between the rotors and the links, one entry per joint.
+
+    Attributes
+    ----------
+    stiffness : of the elastic element [N.m/rad].
+    damping : of it [N.m s/rad].
+    backlash : dead band of it [rad].
+    hysteresis : elements beside it.
+    """
+
+    stiffness: tuple[Positive, ...]
+    damping: tuple[NotNegative, ...]
+    backlash: tuple[NotNegative, ...]
+    hysteresis: tuple[Yielding, ...] = ()
+
+
+class Truth(Config):
+    """Friction of the arm in place of that of its MJCF.
+
+    Attributes
+    ----------
+    losses : dry friction at the joints, at the rotors where there is a transmission.
+    viscous : at the same place [N.m s/rad].
+    transmission : None for stiff joints.
+    """
+
+    losses: Losses
+    viscous: tuple[NotNegative, ...]
+    transmission: Transmission | None = None
+
+    @model_validator(mode="after")
+    def _one_entry_per_joint(self) -> Self:
+        count = len(self.losses.constant)
+        tables: list[Config] = [self]
+        if self.transmission:
+            tables += [self.transmission, *self.transmission.hysteresis]
+        for table in tables:
+            for key, entries in table:
+                if isinstance(entries, tuple) and key != "hysteresis" and len(entries) != count:
+                    raise ValueError(f"{key} has {len(entries)} entries, losses.constant {count}")
+        return self
+
+
+TruthName = Annotated[str, Field(pattern=r"^[A-Za-z]\w*$")]
+
+
+def write_truth(
+    truth: Truth, model: Path, joints: tuple[str, ...], table: SignalTable, path: Path
+) -> SignalTable:
+    """Write the MJCF of an arm with another truth and return the names of its signals.
+
+    Parameters
+    ----------
+    truth : in place of the passive dcmotor elements of the arm.
+    model : MJCF of the arm.
+    joints : of the arm, in order.
+    table : of the arm's signals: `q`, the position that is measured; `tau_meas` and `tau_true`, the
+        torque that drives; `tau_f_true`, its friction; `q_true` and `dq_true`, the motion.
+    path : of the MJCF that is written.
+
+    Raises
+    ------
+    ConfigError
+        If the truth is of another number of joints, or there is no such joint.
+    ArtifactError
+        If the file cannot be written.
+    """
+    if len(truth.viscous) != len(joints):
+        raise ConfigError(
+            f"{model}: the truth is of {len(truth.viscous)} joints; {len(joints)} are needed."
+        )
+    compiled_model = compiled(model)
+    tree = ElementTree.parse(model)
+    root = tree.getroot()
+    gone = _without_elements(root, compiled_model)
+    for i, name in enumerate(joints):
+        joint = root.find(f".//worldbody//joint[@name='{name}']")
+        if joint is None:
+            raise ConfigError(f"{model}: has no joint '{name}', or another file has it.")
+        if truth.transmission:
+            joint = _divided(root, joint, compiled_model.joint(name), i, truth.transmission)
+        joint.attrib |= {
+            "damping": repr(truth.viscous[i]),
+            "frictionloss": repr(truth.losses.constant[i]),
+            "solreffriction": f"{2.0 * compiled_model.opt.timestep!r} 1",
+            "solimpfriction": _FIRM,
+        }
+    with written_whole(path) as temporary:
+        tree.write(temporary, encoding="utf-8")
+    return _signals(table, joints, gone, truth)
+
+
+def _without_elements(root: Element, model: Any) -> set[str]:
+    """Take the passive dcmotors out; return the names of the sensors that go with them."""
+    passive = (model.actuator_dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR) & (
+        np.asarray(model.actuator_ctrlnum) == 0
+    )
+    elements = {model.actuator(int(i)).name for i in np.flatnonzero(passive)}
+    gone = set()
+    for section in (*root.iterfind("actuator"), *root.iterfind("sensor")):
+        for part in list(section):
+            if part.tag == "dcmotor" and part.get("name") in elements:
+                section.remove(part)
+            elif part.get("actuator") in elements:
+                section.remove(part)
+                gone.add(part.get("name", ""))
+    return gone
+
+
+def _link(joint: str) -> str:
+    return f"{joint}_link"
+
+
+def _divided(
+    root: Element, joint: Element, known: Any, i: int, transmission: Transmission
+) -> Element:
+    """Divide a joint into rotor and link; return the rotor's, which takes its name.
+
+    The rotor turns about an axis of its own: in coordinates of the link it reacts on what carries
+    it as the gear does, but for one part in the gear ratio.
+    """
+    name, link = known.name, _link(known.name)
+    joint.attrib |= {"name": link, "armature": "0"}
+    body = SubElement(_section(root, "worldbody"), "body", name=f"{name}_rotor")
+    SubElement(body, "inertial", _LIGHT)
+    rotor = SubElement(
+        body, "joint", name=name, type=joint.get("type", "hinge"), axis="0 0 1",
+        armature=repr(float(known.armature[0])), range=_numbers(known.range),
+    )  # fmt: skip
+    half = transmission.backlash[i] / 2.0
+    springs = [
+        {
+            "name": f"{name}_torsion",
+            "stiffness": repr(transmission.stiffness[i]),
+            "damping": repr(transmission.damping[i]),
+            "springlength": _numbers((-half, half)),
+        }
+    ]
+    springs += [
+        {
+            "name": f"{name}_hysteresis{k}",
+            "stiffness": repr(element.stiffness[i]),
+            "springyield": repr(element.limit[i] / element.stiffness[i]),  # a deflection
+        }
+        for k, element in enumerate(transmission.hysteresis, start=1)
+    ]
+    for spring in springs:
+        tendon = SubElement(_section(root, "tendon"), "fixed", spring)
+        SubElement(tendon, "joint", joint=name, coef="1")
+        SubElement(tendon, "joint", joint=link, coef="-1")
+    for suffix, kind in (("q", "jointpos"), ("dq", "jointvel"), ("torque", "jointactuatorfrc")):
+        SubElement(_section(root, "sensor"), kind, name=f"{link}_{suffix}", joint=link)
+    return rotor
+
+
+def _section(root: Element, name: str) -> Element:
+    found = root.find(name)
+    return SubElement(root, name) if found is None else found
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _signals(
+    table: SignalTable, joints: tuple[str, ...], gone: set[str], truth: Truth
+) -> SignalTable:
+    """Return the names of the signals once the friction elements are gone."""
+
+    def output(name: str) -> OutputTable:
+        vector = table.outputs[name]
+        if name == "tau_f_true":
+            return vector.model_copy(
+                update={"sensors": ({},) * len(joints), "losses": joints, "scaled": ()}
+            )
+        sensors = tuple({s: k for s, k in row.items() if s not in gone} for row in vector.sensors)
+        if truth.transmission and name in ("q_true", "dq_true"):
+            suffix = name.partition("_")[0]
+            sensors = tuple({f"{_link(joint)}_{suffix}": 1.0} for joint in joints)
+        elif truth.transmission and name in ("tau_meas", "tau_true"):
+            sensors = tuple(
+                {**row, f"{_link(joint)}_torque": 1.0}
+                for row, joint in zip(sensors, joints, strict=True)
+            )
+        return vector.model_copy(update={"sensors": sensors})
+
+    links = tuple(map(_link, joints)) if truth.transmission else ()
+    starts = {
+        name: vector.model_copy(update={"others": tuple(map(_link, vector.joints))})
+        for name, vector in table.start.items()
+        if truth.transmission
+    }
+    return table.model_copy(
+        update={
+            "outputs": {name: output(name) for name in table.outputs},
+            "start": {**table.start, **starts},
+            "friction": (),
+            "losses": LossTable(**truth.losses.model_dump(), joints=joints, carriers=links),
+        }
+    )

@@ -1,0 +1,158 @@
+"""Laws under other truths of a twin: what a run says of them, and mistakes in asking for them."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from significance import against
+from small_study import hesr_here, uf850, write_study
+
+from cosim.pipeline import Job
+from cosim.report.results import Results
+from cosim.run import score_study
+from cosim.scoring import ORACLE
+from cosim.studies.twin import twins_plant
+from cosim.study import Study
+from cosim.tables.markdown import markdown
+from cosim.tables.scores import leading, other_truths
+from hesr_model.errors import ConfigError
+from hesr_model.support import parallel
+from hesr_model.support.files import models_folder
+from hesr_model.support.progress import silent
+
+NAMES = ("strain_wave", "rate_and_state")
+SIGNALS = 'motions = "motions.toml"\n'
+
+
+def study_with(folder: Path, keys: str, laws: str = '"stribeck", "lugre"') -> Path:
+    """Write the small study with further keys of its twin."""
+    path = write_study(folder)
+    text = path.read_text(encoding="utf-8").replace(SIGNALS, SIGNALS + keys)
+    path.write_text(text.replace('"stribeck", "parfam_h"', laws), encoding="utf-8")
+    return path
+
+
+def signals(keys: str) -> str:
+    return f'signals = "{uf850("arm.toml")}"\n{keys}\n'
+
+
+def test_a_run_scores_its_laws_under_the_further_truths(tmp_path: Path, capsys, monkeypatch):
+    path = study_with(tmp_path, signals('truths = ["strain_wave"]'))
+    answer = hesr_here(capsys, monkeypatch)("run", path, "-o", tmp_path / "out", "--json", "-")
+    assert answer.code == 0, answer.err
+    results = Results.read(tmp_path / "out")
+    found = results.truths
+    assert list(found) == ["strain_wave"]
+    assert set(found["strain_wave"]["unseen"]) == {"stribeck", "lugre", ORACLE}
+    for of_test in found["strain_wave"].values():
+        for law in ("stribeck", "lugre"):
+            pairs = zip(of_test[law], of_test[ORACLE], strict=True)
+            assert all(own > 0.8 * truth for own, truth in pairs)
+    assert (
+        found["strain_wave"]["unseen"]["lugre"] != results.comparisons["unseen"].laws["lugre"].rmse
+    )
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Under other truths of the twin" in page
+    best = {"stribeck": "Stribeck", "lugre": "LuGre"}[leading(found["strain_wave"])]
+    assert f"{best} under ‘strain_wave’" in page
+
+
+def test_a_run_under_another_truth_says_so(tmp_path: Path, capsys, monkeypatch):
+    path = study_with(tmp_path, signals('truth = "rate_and_state"'))
+    answer = hesr_here(capsys, monkeypatch)("run", path, "--quick", "-o", tmp_path / "out")
+    assert answer.code == 0, answer.err
+    results = Results.read(tmp_path / "out")
+    assert results.run.truth == "rate_and_state"
+    assert "the truth ‘rate_and_state’ of its plant" in (tmp_path / "out/report.html").read_text(
+        encoding="utf-8"
+    )
+    # Viscous friction is what the arm has there, and dry friction stands in the written MJCF.
+    text = (tmp_path / "out" / "arm.xml").read_text(encoding="utf-8")
+    assert "lugre=" not in text.partition("<worldbody>")[2]
+    assert 'frictionloss="6.0"' in text
+
+
+def test_the_table_of_truths():
+    errors = {
+        "gear": {"a": {"stribeck": [2.0, 2.0], "lugre": [1.0, 4.0], ORACLE: [0.5, 0.5]}},
+        "age": {"a": {"stribeck": [1.0, 8.0], "lugre": [2.0, 2.0], ORACLE: [0.5, 0.5]}},
+    }
+
+    rmse = {"stribeck": [3.0, 3.0], "lugre": [1.0, 1.0]}
+    scores = {"a": SimpleNamespace(laws={k: SimpleNamespace(rmse=v) for k, v in rmse.items()})}
+    table = other_truths(scores, errors)
+    assert table.head == ("law", "MJCF", "gear", "age")
+    rows = {row.head: [cell.value for cell in row.cells] for row in table.rows}
+    assert rows["LuGre"] == [1.0, 1.0, 1.0]
+    assert rows["Stribeck"] == pytest.approx([3.0, 1.0, 2.0**0.5])
+    assert rows[ORACLE] == [None, 0.25, 0.25]
+    assert [row.head for row in table.rows] == ["LuGre", "Stribeck", ORACLE]
+    assert "| LuGre | **1.000** | **1.000** | **1.000** |" in markdown(table)
+    assert "| Stribeck | 3.000 | **1.000** | 1.414 |" in markdown(table)
+    assert leading(errors["age"]) == "lugre"
+    assert other_truths(scores, errors, "own").head[1] == "own"
+
+
+@pytest.mark.parametrize(
+    ("keys", "sentence"),
+    [
+        ('truths = ["strain_wave"]\n', "other truths need the key 'signals'"),
+        ('truth = "strain_wave"\n', "other truths need the key 'signals'"),
+    ],
+)
+def test_other_truths_need_an_fmu(keys, sentence, tmp_path: Path, capsys, monkeypatch):
+    answer = hesr_here(capsys, monkeypatch)("run", study_with(tmp_path, keys))
+    assert answer.code == 2
+    assert sentence in answer.err
+
+
+@pytest.mark.parametrize("keys", ['truth = "cheese"', 'truths = ["cheese"]'])
+def test_an_unknown_truth_is_named_with_those_that_are_known(keys, tmp_path: Path):
+    path = study_with(tmp_path, signals(keys))
+    study = Study.read(path)
+    assert study.twin is not None
+    twin = study.twin.model_copy(update={"truth": "cheese"})
+    with pytest.raises(
+        ConfigError, match=r"truth 'cheese' is unknown; those of .* are: strain_wave,"
+    ):
+        twins_plant(twin, path, tmp_path)
+
+
+def test_seeds_are_not_drawn_for_another_truth(tmp_path: Path, capsys, monkeypatch):
+    path = study_with(tmp_path, signals('truth = "strain_wave"'))
+    answer = hesr_here(capsys, monkeypatch)("run", path, "--seeds", "2")
+    assert answer.code == 2
+    assert (
+        "seeds are drawn for the friction of the MJCF; key 'twin.truth' names another" in answer.err
+    )
+
+
+def test_the_default_study_shows_both():
+    twin = Study.read(models_folder() / "studies" / "default.toml").twin
+    assert twin is not None
+    assert twin.truths == NAMES
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("truth", [None, *NAMES])
+def test_stops_are_never_significantly_worse_than_lugre(truth, tmp_path: Path):
+    """On the test motions of the default study, 45 s: by blocks, Holm over laws and joints."""
+    laws = ("parfam_s_v", "parfam_s_load", "parfam_s")
+    path = models_folder() / "studies" / "default.toml"
+    study = Study.read(path)
+    assert study.twin is not None
+    tests = {"all": ("fourier_test", "chirp", "chirp_20s")}
+    study = study.model_copy(
+        update={
+            "laws": ("lugre", *laws),
+            "bands": (),
+            "tracking": None,
+            "twin": study.twin.model_copy(update={"truth": truth, "truths": ()}),
+            "logs": study.logs.model_copy(update={"test": tests}),
+        }
+    )
+    with parallel.one_pool():
+        run = score_study(Job(study=study, path=path, progress=silent), tmp_path)
+    found = against(run, "all", laws)
+    assert not found.worse, str(found)
+    assert max(map(found.mean, laws)) < 1.06, str(found)
