@@ -202,6 +202,31 @@ def test_the_latency_is_the_time_until_a_command_acts(milliseconds, fmu):
     assert first == max(milliseconds, 1)
 
 
+@pytest.mark.parametrize("milliseconds", [0, 1, 7])
+def test_the_latency_is_the_same_at_any_time(milliseconds, fmu):
+    """Times are sums of steps: one more or less by their rounding would show sooner or later."""
+    start = HOME | QUIET | {"latency": milliseconds * 1e-3}
+    late = []
+    with Component(fmu) as still, Component(fmu, name="other") as other:
+        still.initialise(start=start)
+        before = [still.get(["tau_true[1]"])[0]]
+        for k in range(400):
+            still.step(k * 1e-3, 1e-3)
+            before.append(still.get(["tau_true[1]"])[0])
+        for given in range(3, 400, 37):
+            if other.used:
+                other.reset()
+            other.initialise(start=start)
+            for k in range(given + 20):
+                if k == given:
+                    other.set({"dq_cmd[1]": 0.1})
+                other.step(k * 1e-3, 1e-3)
+                if other.get(["tau_true[1]"])[0] != before[min(k + 1, 400)]:
+                    late.append(k - given + 1)
+                    break
+    assert late == [max(milliseconds, 1)] * len(range(3, 400, 37))
+
+
 def test_seed_and_levels_of_the_noise(fmu):
     plain = by_name(simulated(fmu, 20, HOME))
     other = by_name(simulated(fmu, 20, HOME | {"noise_seed[2]": 1.0}))

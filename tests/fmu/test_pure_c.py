@@ -313,6 +313,20 @@ def test_of_several_roots_it_is_the_first_on_the_way(find) -> None:
         assert low < v < high
 
 
+def test_between_two_pieces_it_is_tried_where_the_slope_must_vanish(find) -> None:
+    """A notch that is narrower than a piece: only where both tangents meet is it below zero."""
+
+    def notch(v):
+        return min(1.0, 5.0 * abs(v - 0.53) - 0.02)
+
+    def slope(v):
+        return -5.0 * np.sign(v - 0.53) if notch(v) < 1.0 else 0.0
+
+    v, _, _, _, seen = find(lambda v: -notch(v), slope, 0.0, h=2.0)
+    assert v == pytest.approx(0.526, abs=1e-9)
+    assert 0.53125 in seen
+
+
 def test_a_stride_that_passes_two_roots_is_traced_again(find) -> None:
     """The residual dips below zero in a valley that one long stride leaps over."""
 
