@@ -145,3 +145,14 @@ def test_a_fit(law: str, aim: float | None, joint: Sequence[FrictionRecord], tel
     goal = f" (aim: {aim} s)" if aim else ""
     rows = sum(len(record.t) for record in joint)
     tell(f"fit of {law}, {rows} rows: {in_c:.2f} s{goal}, in NumPy {by_numpy / in_c:.1f} times")
+
+
+@pytest.mark.parametrize(("law", "aim"), [("parfam_s", 1.5), ("parfam_s_load", None)])
+def test_a_fit_of_stops_beside_lugres(
+    law: str, aim: float | None, joint: Sequence[FrictionRecord], tell: Tell
+) -> None:
+    own, lugres = seconds(
+        lambda: fit_joint(law, joint, seed=0), lambda: fit_joint("lugre", joint, seed=0)
+    )
+    goal = f" (aim: {aim})" if aim else ""
+    tell(f"fit of {law}: {own / lugres:.2f} of LuGre's{goal}")

@@ -1,7 +1,8 @@
 """Least squares with signs on normal equations: on all rows, and with folds left out in turn."""
 
 from collections.abc import Sequence
-from typing import Any
+from itertools import pairwise
+from typing import Any, Self
 
 import numpy as np
 from scipy.optimize import nnls
@@ -26,11 +27,29 @@ class Normal:
     def __init__(
         self, columns: Array, tau: Array, folds: Sequence[Rows], weights: Array, *, free: int
     ) -> None:
-        self._columns, self._tau, self._folds = weights[:, None] * columns, weights * tau, folds
-        self._free = free
-        self._parts = [_products(self._columns[fold], self._tau[fold]) for fold in folds]
-        self.gram = np.sum([gram for gram, _ in self._parts], axis=0)
-        self.moment = np.sum([moment for _, moment in self._parts], axis=0)
+        self._of([weights[:, None] * columns], Products(tau, folds, weights), free)
+
+    @classmethod
+    def of(cls, blocks: Sequence[Array], products: "Products", *, free: int) -> Self:
+        """Return the equations of blocks of columns (N, k), which are weighted already."""
+        made = cls.__new__(cls)
+        made._of(blocks, products, free)
+        return made
+
+    def _of(self, blocks: Sequence[Array], products: "Products", free: int) -> None:
+        self._blocks, self._products, self._free = blocks, products, free
+        places = np.cumsum([0, *(block.shape[1] for block in blocks)])
+        self._places = [slice(a, b) for a, b in pairwise(places)]
+        folds = len(products.folds)
+        self._grams, self._moments = (
+            np.empty((folds, places[-1], *more)) for more in ((places[-1],), ())
+        )
+        for i, a in enumerate(self._places):
+            self._moments[:, a] = products.of(blocks[i], products.tau)[:, :, 0]
+            for j, b in enumerate(self._places[: i + 1]):
+                found = products.of(blocks[i], blocks[j])
+                self._grams[:, a, b], self._grams[:, b, a] = found, found.swapaxes(1, 2)
+        self.gram, self.moment = self._grams.sum(axis=0), self._moments.sum(axis=0)
 
     def solve(self) -> Array:
         """Return the (K,) coefficients that explain all rows best."""
@@ -38,15 +57,44 @@ class Normal:
 
     def left_out(self) -> Array:
         """Return the (N,) errors on each fold of coefficients solved on the other rows."""
-        errors = np.empty_like(self._tau)
-        for fold, (gram, moment) in zip(self._folds, self._parts, strict=True):
-            x = signed_least_squares(self.gram - gram, self.moment - moment, self._free)
-            errors[fold] = self._columns[fold] @ x - self._tau[fold]
+        errors = -self._products.tau[:, 0]
+        rest = zip(self.gram - self._grams, self.moment - self._moments, strict=True)
+        for fold, (gram, moment) in zip(self._products.folds, rest, strict=True):
+            x = signed_least_squares(gram, moment, self._free)
+            for block, place in zip(self._blocks, self._places, strict=True):
+                errors[fold] += block[fold] @ x[place]
         return errors
 
 
-def _products(columns: Array, tau: Array) -> tuple[Array, Array]:
-    return columns.T @ columns, columns.T @ tau
+class Products:
+    """Products of columns with each other over each fold, computed once for each pair.
+
+    Parameters
+    ----------
+    tau : (N,) in any unit.
+    folds : (N,) masks of the rows that are left out in turn.
+    weights : (N,) 1 for rows that count, 0 for others.
+    """
+
+    def __init__(self, tau: Array, folds: Sequence[Rows], weights: Array) -> None:
+        self.tau: Array = (weights * tau)[:, None]
+        self.folds = [_part(fold) for fold in folds]
+        # Arrays are known by their identity: they are kept, so that no other can have it.
+        self._known: dict[tuple[int, int], tuple[Array, Array, Array]] = {}
+
+    def of(self, a: Array, b: Array) -> Array:
+        """Return (folds, k, l) products of two blocks (N, k) and (N, l)."""
+        key = id(a), id(b)
+        if key not in self._known:
+            found = np.array([a[fold].T @ b[fold] for fold in self.folds])
+            self._known[key] = a, b, found
+        return self._known[key][2]
+
+
+def _part(fold: Rows) -> Rows | slice:
+    """Return the rows of a mask without a copy of them where they stand together, as they do."""
+    first, count = int(np.argmax(fold)), int(np.count_nonzero(fold))
+    return slice(first, first + count) if fold[first : first + count].all() else fold
 
 
 def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:

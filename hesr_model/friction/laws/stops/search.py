@@ -8,7 +8,7 @@ import numpy as np
 
 from hesr_model.equations.over_log import Array
 from hesr_model.friction.fitting.samples import Samples
-from hesr_model.friction.fitting.signed import Normal, blocks_of, pays
+from hesr_model.friction.fitting.signed import Normal, Products, blocks_of, pays
 from hesr_model.friction.laws.stops.form import Structure
 from hesr_model.friction.laws.stops.terms import VISCOUS, columns, every, fixed, weights
 
@@ -32,14 +32,16 @@ class Terms:
     numbers : of the coefficients that are not solved for, in their units.
     samples : rows of the joint.
     weights : (N,) 1 for rows that count.
-    kept : columns of each bound that were computed already.
+    products : of columns, which trials share.
+    kept : weighted columns of each bound that were computed already.
     """
 
     bounds: tuple[str, ...]
     numbers: dict[str, float]
     samples: Samples
-    kept: dict[str, Array] = field(default_factory=dict)
     weights: Array
+    products: Products
+    kept: dict[str, Array] = field(default_factory=dict)
 
     @property
     def structure(self) -> Structure:
@@ -50,19 +52,20 @@ class Terms:
     def _of(self, kind: str) -> Array:
         if kind not in self.kept:
             own = Structure(viscous=VISCOUS) if kind == "viscous" else every(kind)
-            self.kept[kind] = columns(own, self.numbers, self.samples)
+            found = columns(own, self.numbers, self.samples)
+            self.kept[kind] = self.weights[:, None] * found
         return self.kept[kind]
 
-    @cached_property
-    def columns(self) -> Array:
-        """(N, K + 1) columns of the forces, and the offset's."""
-        parts = [self._of(kind) for kind in (*self.bounds, "viscous")]
-        return np.hstack([*parts, np.ones((len(self.samples.tau), 1))])
+    @property
+    def blocks(self) -> list[Array]:
+        """Columns of the forces, and the offset's, all weighted."""
+        self.kept.setdefault("offset", self.weights[:, None])
+        return [self._of(kind) for kind in (*self.bounds, "viscous", "offset")]
 
     @cached_property
     def normal(self) -> Normal:
         """The least-squares problem."""
-        return Normal(self.columns, self.samples.tau, self.samples.folds, self.weights, free=1)
+        return Normal.of(self.blocks, self.products, free=1)
 
     @cached_property
     def errors(self) -> Array:
@@ -85,7 +88,7 @@ class Terms:
         return replace(self, numbers=numbers, kept=still)
 
     def active(self) -> tuple[Structure, Array]:
-        """Return the terms that carry something, and their columns (N, K + 1) with the offset's."""
+        """Return the terms that carry something, and their weighted columns, the offset's last."""
         x = self.normal.solve()[:-1]
         whole = self.structure
         carried = x[: len(whole.stops)]
@@ -95,7 +98,7 @@ class Terms:
             stops=tuple(s for s, yes in zip(whole.stops, enough, strict=True) if yes),
             viscous=tuple(v for v, yes in zip(VISCOUS, flows, strict=True) if yes),
         )
-        return chosen, self.columns[:, np.concatenate([enough, flows, [True]])]
+        return chosen, np.hstack(self.blocks)[:, np.concatenate([enough, flows, [True]])]
 
 
 def dictionary(samples: Samples, *, load: bool) -> Terms:
@@ -108,7 +111,14 @@ def dictionary(samples: Samples, *, load: bool) -> Terms:
     """
     speed = float(np.max(np.abs(samples.dq)))
     bounds = ("1", "p", "load") if load else ("1", "p")
-    first = Terms(bounds=bounds, numbers=fixed(samples), samples=samples, weights=weights(samples))
+    counted = weights(samples)
+    first = Terms(
+        bounds=bounds,
+        numbers=fixed(samples),
+        samples=samples,
+        weights=counted,
+        products=Products(samples.tau, samples.folds, counted),
+    )
     trials = []
     for share, time in product(SPEEDS, TIMES):
         trials.append(first.at(share * speed, time))
