@@ -120,11 +120,11 @@ def sign_change(
     whose = "" if j is None else " of it"
     if position:
         changes: dict[str, object] = {f"log.units.{k}": turned(k) for k in ("q", "dq")}
-        return f"[log.units] q and dq{whose} with a '-', as '{turned('q')[first]}'", changes
+        return f"[log.units] q and dq{whose} with a '-', as {turned('q')[first]!r}", changes
     gains = robot.log.torque_per_ampere
     if gains is None:
         units = turned("tau")
-        return f"[log.units] tau{whose} to '{units[first]}'", {"log.units.tau": units}
+        return f"[log.units] tau{whose} to {units[first]!r}", {"log.units.tau": units}
     mended = tuple(-gain if j in (k, None) else gain for k, gain in enumerate(gains))
     told = f"{mended[j]:g}" if j is not None else f"[{', '.join(f'{gain:g}' for gain in mended)}]"
     owner = "its " if j is not None else ""

@@ -243,5 +243,5 @@ def _turned(unit: str | float) -> str | float:
 
 def _listed(units: Sequence[str | float]) -> str:
     if len(set(units)) == 1:
-        return f"'{units[0]}'"
+        return repr(units[0])
     return f"[{', '.join(repr(unit) for unit in units)}]"

@@ -1,0 +1,65 @@
+"""Where checks begin to speak: found by halving, and told in all their words."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hesr_model.health.evidence import Motionwise
+from hesr_model.health.findings import Finding
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.robots.robot import RobotDescription
+
+TWO = RobotDescription(name="two", model=Path("two.urdf"), joints=("a", "b"))
+"""Two joints that no test needs a model of."""
+
+
+def edge(speaks: Callable[[float], object], low: float, high: float, steps: int = 24) -> float:
+    """Return where between two numbers a check begins to speak, or to be silent."""
+    at_low = bool(speaks(low))
+    assert at_low != bool(speaks(high)), "it says the same at both ends"
+    for _ in range(steps):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if bool(speaks(middle)) == at_low else (low, middle)
+    return 0.5 * (low + high)
+
+
+def said(findings: Iterable[Finding], check: str = "") -> list[str]:
+    """All that findings hold, a line each."""
+    return [
+        f"{f.check}, {f.severity}, {list(f.joints)}, {list(f.logs)}: {f.found} | {f.cause} | "
+        + ", ".join(f"{key} = {_short(value)}" for key, value in f.changes.items())
+        for f in findings
+        if check in ("", f.check)
+    ]
+
+
+def _short(value: object) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_short, value))}]"
+    return f"{value:.4g}" if isinstance(value, float) else repr(value)
+
+
+def two_joints(rows: int = 1000, period: float = 0.01) -> RobotLog:
+    """Two joints on sines, with torques of which no two are equal."""
+    t = period * np.arange(rows)
+    q = np.column_stack([np.sin(t), 0.5 * np.cos(0.7 * t)])
+    dq = np.column_stack([np.cos(t), -0.35 * np.sin(0.7 * t)])
+    tau = np.random.default_rng(0).normal(size=q.shape)
+    return RobotLog(name="run", t=t, q=q, dq=dq, tau=tau)
+
+
+def at(values: np.ndarray | None, rows: object, joint: int, value: object) -> np.ndarray:
+    """Values with others in some rows of one joint."""
+    assert values is not None
+    changed = values.copy()
+    changed[rows, joint] = value  # type: ignore[index]
+    return changed
+
+
+def as_part(log: RobotLog, **more: np.ndarray | None) -> Motionwise:
+    """A log as a part that is ready for its checks, without a low pass."""
+    assert log.dq is not None
+    own = Motionwise(log=log, t=log.t, q=log.q, v=log.dq, a=0.0 * log.q, dq=log.dq, tau=log.tau)
+    return replace(own, **more)  # type: ignore[arg-type]
