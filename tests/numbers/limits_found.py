@@ -15,14 +15,16 @@ TWO = RobotDescription(name="two", model=Path("two.urdf"), joints=("a", "b"))
 """Two joints that no test needs a model of."""
 
 
-def edge(speaks: Callable[[float], object], low: float, high: float, steps: int = 24) -> float:
-    """Return where between two numbers a check begins to speak, or to be silent."""
+def edge(
+    speaks: Callable[[float], object], low: float, high: float, steps: int = 24
+) -> list[float]:
+    """Return where between two numbers a check begins to speak, or falls silent, and whether."""
     at_low = bool(speaks(low))
     assert at_low != bool(speaks(high)), "it says the same at both ends"
     for _ in range(steps):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if bool(speaks(middle)) == at_low else (low, middle)
-    return 0.5 * (low + high)
+    return [0.5 * (low + high), 0.0 if at_low else 1.0]
 
 
 def said(findings: Iterable[Finding], check: str = "") -> list[str]:

@@ -172,6 +172,7 @@ def test_velocities_of_another_signal(
             "constant, one": told(V * [1.0, 0.0]),
             "almost constant": told(1e-10 * V),
             "backwards": told(-V),
+            "one backwards, one another": told(np.column_stack([-V[:, 0], V[:, 0]])),
             "one backwards": told(V * [1.0, -1.0]),
             "one backwards, as said": told(V * [1.0, -1.0], own=turned),
             "both backwards, one said": told(-V, own=turned),

@@ -1,0 +1,117 @@
+"""Whose clock is late: delays of torques, rates of stamps."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from limits_found import said
+from pytest_regressions.data_regression import DataRegressionFixture
+from unchanged import Unchanged
+
+from hesr_model.health.clocks import (
+    Rows,
+    _beside,
+    _rubs,
+    _wrong_rate,
+    check_clocks,
+    delay,
+    stamps_rate,
+)
+from hesr_model.health.evidence import (
+    Motionwise,
+    motionwise,
+)
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import Motion
+from hesr_model.rigid_body.base_parameters import base_columns
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.transmission import Transmission
+
+MakeMotion = Callable[..., Motion]
+COUPLED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.5, 1.0))
+
+
+@pytest.fixture
+def log(make_motion: MakeMotion) -> RobotLog:
+    motion = make_motion(name="run", friction=0.8)
+    noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
+    return RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)
+
+
+def late(values: np.ndarray, rows: int) -> np.ndarray:
+    """Values that come so many rows later, or earlier."""
+    return values[np.clip(np.arange(len(values)) - rows, 0, len(values) - 1)]
+
+
+def part_of(log: RobotLog) -> Motionwise:
+    (part,) = motionwise(log, 15.0)
+    return part
+
+
+def test_clocks(
+    log: RobotLog, arm: RobotDescription, arm_model: RobotModel, unchanged: Unchanged,
+    data_regression: DataRegressionFixture,
+) -> None:  # fmt: skip
+    base = base_columns(arm_model)
+    part = part_of(log)
+    rows = Rows.of(part, arm_model, base)
+    coupled = RobotModel(RobotDescription(**{**dict(arm), "transmission": Transmission(
+        matrix=COUPLED, logs="motor")}))  # fmt: skip
+    every = [0, 1, 2]
+
+    def moved(*shifts: int) -> Motionwise:
+        tau = np.column_stack([late(part.tau[:, j], k) for j, k in enumerate(shifts)])
+        return replace(part, tau=tau)
+
+    def told(own: Motionwise, joints: list[int] = every) -> list[str]:
+        return said(check_clocks(own, own, joints, arm_model))
+
+    def slowed(rate: float) -> Motionwise:
+        own = replace(log, t=rate * log.t, dq=None)
+        return part_of(own)
+
+    short = part_of(log.rows(slice(0, 300)))
+    noisy = replace(part, tau=part.tau + 5.0 * np.random.default_rng(1).normal(size=part.tau.shape))
+    unchanged(
+        {
+            "rows": rows,
+            "coupled": Rows.of(part, coupled, base),
+            "delays": [
+                [delay(rows, j, part.t, late(part.tau[:, j], k)) for k in (-12, 0, 9, 20)]
+                for j in every
+            ],
+            "rates": [stamps_rate(Rows.of(x, arm_model, base), every, x.t, x.tau)
+                      for x in (part, slowed(1.5), slowed(0.6), noisy)],
+            "rate of one": stamps_rate(rows, [1], part.t, part.tau),
+            "short": stamps_rate(Rows.of(short, arm_model, base), every, short.t, short.tau),
+            "rubs": _rubs(part.q[:, 0], part.v[:, 0]),
+            "rubs backwards": _rubs(-part.q[:, 0], -part.v[:, 0])[:3],
+            "beside": _beside(np.column_stack([part.q, part.q[:, :1], 1e-12 * part.v]), part.tau),
+            "beside nothing": _beside(0.0 * part.q, part.tau)[:5],
+        },
+        rtol=1e-3,
+    )  # fmt: skip
+    ms = RobotDescription.model_validate(
+        arm.model_dump() | {"log": {"units": {"t": "ms"}, "sample_rate": 200.0}}
+    )
+    data_regression.check(
+        {
+            "sound": told(part),
+            **{
+                f"late by {', '.join(map(str, x))}": told(moved(*x))
+                for x in ((18, 18, 18), (6, 6, 6), (-18, -18, -18), (0, 18, 0),
+                          (0, 30, 0), (0, 49, 0), (30, 30, 0), (0, 60, 0))
+            },
+            "one joint alone": told(moved(0, 30, 0), [1]),
+            "not that joint": told(moved(0, 30, 0), [0]),
+            "no joint": told(moved(0, 30, 0), []),
+            "too short": told(part_of(log.rows(slice(0, 400)))),
+            "long enough": told(part_of(replace(log.rows(slice(0, 402)), tau=moved(
+                30, 30, 30).tau[:402]))),
+            "slowed": told(slowed(1.5)),
+            "hurried": told(slowed(0.6)),
+            "hardly slowed": told(slowed(1.2)),
+            "rates": said(_wrong_rate(x, r, ("run",)) for x in (0.5, 1.7) for r in (arm, ms)),
+        }
+    )  # fmt: skip

@@ -1,0 +1,150 @@
+"""What explains torques, and what lost rows cost."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from limits_found import at, edge, said, two_joints
+from pytest_regressions.data_regression import DataRegressionFixture
+from unchanged import Unchanged
+
+from hesr_model.health.evidence import (
+    Estimate,
+    Motionwise,
+    Torques,
+    as_logged,
+    explain,
+    motionwise,
+    rubbing,
+)
+from hesr_model.health.loss import _sliding, check_loss
+from hesr_model.health.torque import explained
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import Motion
+from hesr_model.robots.robot import RobotModel
+from hesr_model.robots.transmission import Coupling
+
+MakeMotion = Callable[..., Motion]
+COUPLED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.5, 1.0))
+
+
+@pytest.fixture
+def log(make_motion: MakeMotion) -> RobotLog:
+    motion = make_motion(name="run", friction=0.8)
+    noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
+    return RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)
+
+
+def part_of(log: RobotLog) -> Motionwise:
+    (part,) = motionwise(log, 15.0)
+    return part
+
+
+def test_what_explains_a_torque(unchanged: Unchanged) -> None:
+    t = np.linspace(0.0, 9.0, 800)
+    v, gravity, inertial = np.cos(t) + 0.4 * np.sin(2.7 * t), np.sin(t), np.sin(3.1 * t + 0.4)
+    noise = 0.2 * np.random.default_rng(1).normal(size=len(t))
+    tau = 2.0 * gravity + 0.7 * inertial + 0.3 * rubbing(v) + 1.5 + noise
+    nothing = 0.0 * t
+    unchanged(
+        {
+            "whole": (whole := explain(tau, gravity, inertial, v)),
+            "r2": whole.r2,
+            "bears": [
+                edge(lambda x: replace(whole, residual=x).bears_gravity, 0.01, 9.0),
+                edge(lambda x: replace(whole, gravity_size=x).bears_gravity, 0.0, 9.0),
+                edge(
+                    lambda x: (
+                        replace(
+                            whole, gravity=Estimate(value=0.5, error=0.01), residual=x
+                        ).bears_gravity
+                    ),
+                    0.01,
+                    9.0,
+                ),
+                edge(
+                    lambda x: replace(whole, gravity_size=x, residual=1e-9).bears_gravity, 0, 1e-4
+                ),
+            ],
+            "no gravity": explain(tau, nothing, inertial, v).friction,
+            "no model": explain(tau, nothing, nothing, v).r2,
+            "tiny gravity": [
+                float(explain(tau, x * gravity, inertial, v).gravity.value)
+                for x in (1e-13, 1e-12, 1e-11, 2e-9, 1e-8)
+            ],
+            "tiny all": [
+                float(explain(1e-5 * tau, x * gravity, x * inertial, 1e-9 * v).gravity.value)
+                for x in (1e-13, 3e-12, 1e-9)
+            ],
+            "slow": rubbing(0.01 * v),
+            "at rest": rubbing(nothing),
+            "fast": rubbing(5.0 * v),
+            "knee": rubbing(0.3 * v),
+            "of one": Estimate(value=2.0, error=0.0).t / 1e300,
+            "constant torque": explain(nothing, gravity, inertial, v).r2,
+        },
+        rtol=1e-5,
+    )
+
+
+def test_parts_made_ready(log: RobotLog, arm_model: RobotModel, unchanged: Unchanged) -> None:
+    part = part_of(log)
+    long = two_joints(9000)
+    coupling = Coupling(COUPLED)
+    torques = Torques.of(arm_model, part.q, part.v, part.a)
+    resting = replace(part, q=part.q * [1.0, 1e-3, 1.0], v=part.v * [1.0, 1.0, 0.0])
+    constant = replace(part, tau=at(part.tau, slice(None), 2, 1.0))
+    flat = replace(part, tau=1e-3 * part.tau)
+    gap = replace(log, t=log.t + 5.0 * (log.t > 2.0) + 5.0 * (log.t > 2.05))
+    unchanged(
+        {
+            "part": part,
+            "thinned": [len(part.thinned(n).t) for n in (1, 999, 1000, 1001, 1999, 2000, 2001)],
+            "long": [len(x.t) for x in motionwise(long, 15.0)],
+            "parts": [len(x.t) for x in motionwise(gap, 5.0)],
+            "moves": [part.moves, resting.moves, constant.moves],
+            "least travel": edge(lambda x: replace(part, q=x * part.q).moves[0], 1e-4, 0.1),
+            "least speed": edge(lambda x: replace(part, v=x * part.v).moves[0], 1e-4, 0.1),
+            "torques": torques,
+            "as logged": as_logged(part, torques, coupling),
+            "explained": [list(explained(x, torques)) for x in (part, resting, constant, flat)],
+            "fits": explained(part, torques),
+        },
+        rtol=1e-5,
+    )
+
+
+def test_what_lost_rows_cost(
+    log: RobotLog, arm_model: RobotModel, unchanged: Unchanged,
+    data_regression: DataRegressionFixture,
+) -> None:  # fmt: skip
+    def lost(share: float, noise: float = 0.0) -> RobotLog:
+        rng = np.random.default_rng(2)
+        kept = log.rows(np.flatnonzero(rng.random(len(log.t)) >= share))
+        return replace(kept, tau=kept.tau + noise * rng.normal(size=kept.tau.shape))
+
+    def told(own: RobotLog) -> list[str]:
+        part = part_of(own)
+        return said(check_loss(part, Torques.of(arm_model, part.q, part.v, part.a), arm_model))
+
+    part = part_of(lost(0.3, 1.0))
+    torques = Torques.of(arm_model, part.q, part.v, part.a)
+    unchanged(
+        {
+            "sliding": [_sliding(part, torques, j) for j in range(3)],
+            "noise": edge(lambda x: told(lost(0.3, x)), 0.0, 2.0, steps=12),
+        },
+        rtol=1e-4,
+    )
+    resting = replace(lost(0.3, 1.0), q=log.q[: len(lost(0.3).t)] * [1e-4, 1.0, 1e-4])
+    nothing = replace(lost(0.3, 1.0), tau=at(lost(0.3, 1.0).tau, slice(None), 1, 2.0))
+    data_regression.check(
+        {
+            "lost": told(lost(0.3, 1.0)),
+            "much": told(lost(0.5, 30.0)),
+            "none lost": told(replace(log, tau=log.tau + lost(0.0, 1.0).tau)),
+            "two at rest": told(resting),
+            "a constant torque": told(nothing),
+        }
+    )
