@@ -1,0 +1,185 @@
+"""Motions to the last digit, what a search for them is given, and how settings are refused."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from pytest_regressions.data_regression import DataRegressionFixture
+from unchanged import Unchanged
+
+from hesr_model.errors import ConfigError, FitError, RobotError
+from hesr_model.motions import excitation
+from hesr_model.motions.excitation import ExcitationSettings, condition, design, random_motions
+from hesr_model.motions.excitation_search import Search, _null_space
+from hesr_model.motions.limits import Limits, MotionLimits, one_period
+from hesr_model.motions.trajectories import Fourier, Reversed, Sine, Sweep, chirp, random_fourier
+from hesr_model.robots.robot import RobotDescription, RobotModel
+
+START, AMPLITUDE = np.array([0.1, -0.2]), np.array([0.5, 0.4])
+SWEEP = Sweep(
+    start=START, amplitude=AMPLITUDE, swing=np.array([0.2, -0.1]), phase=np.array([0.3, 1.2]),
+    swing_period=2.7, first=0.3, last=1.4, length=5.0,
+)  # fmt: skip
+DRAWN = random_fourier(
+    seed=7, harmonics=4, period=3.0, peak_velocity=np.array([1.0, 0.5]), offset=START, periods=2
+)
+
+
+def refusal(make: Callable[[], object]) -> str:
+    try:
+        make()
+    except ValidationError as error:
+        return error.errors()[0]["msg"]
+    except (ConfigError, FitError, RobotError) as error:
+        return str(error)
+    return "none"
+
+
+def test_motions_to_the_last_digit(unchanged: Unchanged) -> None:
+    motions = {
+        "sweep": SWEEP,
+        "chirp": chirp(start=START, amplitude=AMPLITUDE, first=0.2, last=1.5, length=6.0),
+        "sine": Sine(offset=START, amplitude=AMPLITUDE, frequency=0.7, periods=3),
+        "drawn": DRAWN,
+        "back": Reversed(forward=SWEEP),
+        "drawn back": DRAWN.time_reversed(),
+        "twice back": SWEEP.time_reversed().time_reversed(),
+    }
+    ends = np.array([-1e-8, -5e-10, 0.0, 5.0, 5.0 + 5e-10, 5.0 + 1e-8, 7.0])
+    unchanged(
+        {
+            **{
+                name: [motion.duration, *motion.sample(np.linspace(-0.3, 7.0, 24))]
+                for name, motion in motions.items()
+            },
+            "ends": SWEEP.sample(ends),
+            "coefficients": [DRAWN.a, DRAWN.b],
+            "one period": one_period(DRAWN),
+            "one period's rows": len(one_period(DRAWN)[0]),
+        },
+        rtol=1e-8,
+        atol=1e-11,
+    )
+
+
+def test_how_motions_are_refused(
+    arm_model: RobotModel, data_regression: DataRegressionFixture
+) -> None:
+    def fourier(*a: float, b: tuple[float, ...] = (0.0, 0.0)) -> Callable[[], object]:
+        own = np.array([[1.0, -1.0], a])
+        return lambda: Fourier(offset=START, a=own, b=np.array([[0.0, 0.0], b]), period=1.0)
+
+    def drawn(harmonics: int) -> Callable[[], object]:
+        return lambda: random_fourier(
+            seed=0, harmonics=harmonics, period=1.0, peak_velocity=AMPLITUDE, offset=START
+        )
+
+    def limits(**given: object) -> Callable[[], object]:
+        return lambda: Limits.of(arm_model, MotionLimits.model_validate(given))
+
+    def settings(**given: object) -> Callable[[], object]:
+        return lambda: ExcitationSettings.model_validate(given)
+
+    inside = ((-1.0, 1.0), (-1.0, 1.0))
+    data_regression.check(
+        {
+            "not at rest": refusal(fourier(0.5, -0.25)),
+            "nor in b": refusal(fourier(0.5, -0.5, b=(0.2, 0.1))),
+            "rest": refusal(fourier(0.5, -0.5, b=(0.2, -0.1))),
+            "almost": refusal(fourier(0.5, -0.5 + 9e-10)),
+            "not quite": refusal(fourier(0.5, -0.5 + 1.1e-9)),
+            "of b": refusal(fourier(0.5, -0.5 + 1.9e-9, b=(2.0, -1.0))),
+            "of b, more": refusal(fourier(0.5, -0.5 + 2.1e-9, b=(2.0, -1.0))),
+            "harmonics": [refusal(drawn(k)) for k in (0, 1, 2)],
+            "sweeps": [refusal(lambda k=k: replace(SWEEP, last=k)) for k in (0.2, 0.3, 0.31)],
+            "range": refusal(limits(position=((-1.0, 1.0), (1.0, -1.0), (0.0, 1.0)))),
+            "no range": refusal(limits(position=((1.0, 1.0), (-1.0, 1.0), (0.0, 1.0)))),
+            "below": refusal(limits(position=(*inside, (-2.5, 1.0)))),
+            "above": refusal(limits(position=(*inside, (-1.0, 2.5)))),
+            "at the ends": refusal(limits(position=(*inside, (-2.0, 2.0)))),
+            "two speeds": refusal(limits(velocity=(1.0, 1.0))),
+            "two ranges": refusal(limits(position=inside)),
+            "no speed": refusal(limits(velocity=(1.0, 0.0, 1.0))),
+            "settings": [
+                refusal(settings(**{key: value}))
+                for key, values in {
+                    "harmonics": (1, 2), "periods": (0, 1), "starts": (0, 1), "seed": (-1, 0),
+                    "sample_rate": (0.0, 1e-3), "period": ((2.0, 1.0), (2.0, 2.0), (0.0, 1.0)),
+                }.items()
+                for value in values
+            ],
+            "defaults": str(ExcitationSettings()),
+        }
+    )  # fmt: skip
+
+
+def test_limits_of_a_model(tmp_path: Path, unchanged: Unchanged, arm_model: RobotModel) -> None:
+    path = tmp_path / "odd.urdf"
+    joint = '<joint name="j{k}" type="revolute"><parent link="l{k}"/><child link="l{n}"/>'
+    joint += (
+        '<axis xyz="0 0 1"/><limit lower="-1" upper="{u}" effort="{e}" velocity="{v}"/></joint>'
+    )
+    odd = ((1.0, 30.0, 0.5), (3.0, 0.0, 2.5), (2.0, 0.5, 0.0))
+    parts = ['<link name="l0"/>']
+    for k, (u, e, v) in enumerate(odd):
+        parts += [joint.format(k=k, n=k + 1, u=u, e=e, v=v), f'<link name="l{k + 1}"/>']
+    path.write_text(f'<robot name="odd">{"".join(parts)}</robot>', encoding="utf-8")
+    model = RobotModel(RobotDescription(name="odd", model=path, joints=("j0", "j1", "j2")))
+    given = MotionLimits(position=((-0.4, 0.6), (-1.0, 0.3), (-0.2, 1.0)), velocity=(9.0, 0.5, 1.0))
+    narrow = replace(Limits.of(arm_model, given), torque=np.array([1.0, 40.0, 9.0]))
+    unchanged(
+        {
+            "of the model": Limits.of(model, MotionLimits()),
+            "finite": np.isfinite(Limits.of(model, MotionLimits()).torque),
+            "given": Limits.of(arm_model, given),
+            "rest": narrow.rest(arm_model),
+        },
+        rtol=1e-4,
+    )
+
+
+def test_what_a_search_is_given(
+    arm_model: RobotModel, unchanged: Unchanged, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limits = replace(Limits.of(arm_model, MotionLimits()), torque=np.array([3.0, 8.0, 1.0]))
+    search = Search.of(arm_model, limits, harmonics=3, period=(3.0, 9.0))
+    x = np.random.default_rng(3).normal(0.0, 0.5, 16)
+    x[-1] = np.log(4.0)
+    unpacked = search.unpack(x)
+    given: list[list[float]] = []
+
+    def minimize(objective: object, x0: np.ndarray, **more: object) -> SimpleNamespace:
+        """Search for nothing."""
+        bounds = [y for pair in more["bounds"] for y in pair if y is not None]  # type: ignore[attr-defined]
+        given.append([*more["args"], more["options"]["maxiter"], more["jac"], *x0, *bounds])  # type: ignore[index,misc]
+        return SimpleNamespace(x=x0)
+
+    monkeypatch.setattr(excitation, "minimize", minimize)
+    settings = ExcitationSettings(harmonics=3, period=(2.0, 6.0), periods=2, starts=3, seed=4)
+    found = design(arm_model, settings)
+    slow = design(arm_model, settings.model_copy(update={"sample_rate": 0.7}))
+    unchanged(
+        {
+            "objective": [search.value_and_gradient(x, weight) for weight in (0.0, 7.0)],
+            "unpacked": unpacked,
+            "packed": search.pack(unpacked) - x,
+            "spaces": [
+                space @ space.T for space in (_null_space(np.arange(1.0, 5.0)), search._at_rest[1])
+            ],
+            "drawn": random_motions(arm_model, settings, 2, 5),
+            "given": given,
+            "found": found.motion,
+            "condition": found.condition,
+            "of another": condition(arm_model, search.base[:4], found.motion),
+            "rate": [found.sample_rate, slow.sample_rate, slow.motion.period],
+            "peak": found.peak_torque,
+            "setpoints": found.setpoints(),
+            "rows": len(found.setpoints()[0]),
+        },
+        rtol=1e-4,
+        atol=1e-7,
+    )
