@@ -131,12 +131,14 @@ def test_limits_of_a_model(tmp_path: Path, unchanged: Unchanged, arm_model: Robo
     model = RobotModel(RobotDescription(name="odd", model=path, joints=("j0", "j1", "j2")))
     given = MotionLimits(position=((-0.4, 0.6), (-1.0, 0.3), (-0.2, 1.0)), velocity=(9.0, 0.5, 1.0))
     narrow = replace(Limits.of(arm_model, given), torque=np.array([1.0, 40.0, 9.0]))
+    rest, still = narrow.rest(arm_model)[None, :], np.zeros((1, 3))
+    held = arm_model.torque(arm_model.nominal_parameters, rest, still, still)
     unchanged(
         {
             "of the model": Limits.of(model, MotionLimits()),
             "finite": np.isfinite(Limits.of(model, MotionLimits()).torque),
             "given": Limits.of(arm_model, given),
-            "rest": narrow.rest(arm_model),
+            "rest": np.max(np.abs(held) / narrow.torque),
         },
         rtol=1e-4,
     )
