@@ -56,7 +56,7 @@ def at(values: np.ndarray | None, rows: object, joint: int, value: object) -> np
     """Values with others in some rows of one joint."""
     assert values is not None
     changed = values.copy()
-    changed[rows, joint] = value  # type: ignore[index]
+    changed[rows, joint] = value
     return changed
 
 
@@ -64,4 +64,4 @@ def as_part(log: RobotLog, **more: np.ndarray | None) -> Motionwise:
     """A log as a part that is ready for its checks, without a low pass."""
     assert log.dq is not None
     own = Motionwise(log=log, t=log.t, q=log.q, v=log.dq, a=0.0 * log.q, dq=log.dq, tau=log.tau)
-    return replace(own, **more)  # type: ignore[arg-type]
+    return replace(own, **more)

@@ -35,7 +35,7 @@ def part(make_motion: MakeMotion) -> Motionwise:
 
 def described(arm: RobotDescription, **more: object) -> RobotModel:
     data = arm.model_dump()
-    data["log"] |= more.pop("log", {})  # type: ignore[operator]
+    data["log"] |= more.pop("log", {})
     return RobotModel(RobotDescription.model_validate(data | more))
 
 
@@ -164,7 +164,7 @@ def test_causes(
 def finding(check: str, joint: str = "", severity: str = "warning", log: str = "one",
             cause: str = "c", **changes: object) -> Finding:  # fmt: skip
     return Finding(
-        check=check, severity=severity, joints=(joint,) if joint else (),  # type: ignore[arg-type]
+        check=check, severity=severity, joints=(joint,) if joint else (),
         logs=(log,), found=f"{check} of {joint}", cause=cause,
         changes={key.replace("_", "."): value for key, value in changes.items()},
     )  # fmt: skip

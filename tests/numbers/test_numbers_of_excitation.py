@@ -156,8 +156,8 @@ def test_what_a_search_is_given(
 
     def minimize(objective: object, x0: np.ndarray, **more: object) -> SimpleNamespace:
         """Search for nothing."""
-        bounds = [y for pair in more["bounds"] for y in pair if y is not None]  # type: ignore[attr-defined]
-        given.append([*more["args"], more["options"]["maxiter"], more["jac"], *x0, *bounds])  # type: ignore[index,misc]
+        bounds = [y for pair in more["bounds"] for y in pair if y is not None]
+        given.append([*more["args"], more["options"]["maxiter"], more["jac"], *x0, *bounds])
         return SimpleNamespace(x=x0)
 
     monkeypatch.setattr(excitation, "minimize", minimize)

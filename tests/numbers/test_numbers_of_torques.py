@@ -73,11 +73,11 @@ def test_signs_of_torques(
     robot: RobotDescription, unchanged: Unchanged, data_regression: DataRegressionFixture
 ) -> None:
     def sign(j: int = 0, **changes: object) -> list[str]:
-        fit = replace(SOUND, **({"friction": of(-0.5)} | changes))  # type: ignore[arg-type]
+        fit = replace(SOUND, **({"friction": of(-0.5)} | changes))
         return told(robot, {j: fit}, "torque-sign")
 
     def turned(**changes: object) -> list[str]:
-        fit = replace(SOUND, gravity=of(-1.0), **changes)  # type: ignore[arg-type]
+        fit = replace(SOUND, gravity=of(-1.0), **changes)
         return told(robot, {0: fit}, "gravity-sign")
 
     def follows(error: float) -> bool:
@@ -136,7 +136,7 @@ def test_sizes_of_torques(
     robot: RobotDescription, unchanged: Unchanged, data_regression: DataRegressionFixture
 ) -> None:
     def scale(own: RobotDescription = robot, j: int = 0, **changes: object) -> list[str]:
-        return told(own, {j: replace(SOUND, **changes)}, "torque-scale")  # type: ignore[arg-type]
+        return told(own, {j: replace(SOUND, **changes)}, "torque-scale")
 
     def gone(x: float) -> bool:
         return any("taken out" in t for t in scale(gravity=of(x, 1e-4)))
@@ -230,13 +230,13 @@ def test_torques_without_signal_or_friction(
         return told(robot, {0: replace(SOUND, residual=residual)}, "torque-signal")
 
     def alone(other: JointTorque = LIGHT, **changes: object) -> list[str]:
-        fit = replace(exact_one, **changes)  # type: ignore[arg-type]
+        fit = replace(exact_one, **changes)
         found = {0: fit} if other is LIGHT else {0: fit, 1: other}
         return told(robot, found, "no-friction")
 
     def exact(**changes: object) -> list[str]:
         own = {"friction": of(0.01), "residual": 0.1} | changes
-        return told(robot, {0: replace(SOUND, **own), 1: LIGHT}, "no-friction")  # type: ignore[arg-type]
+        return told(robot, {0: replace(SOUND, **own), 1: LIGHT}, "no-friction")
 
     exact_one = replace(SOUND, friction=of(0.01), residual=0.1)
     other = replace(exact_one, deviation=0.11)

@@ -65,8 +65,8 @@ def test_velocities_of_a_wrong_scale(
         return any("warning" in x for x in told(scale * V, "velocity-scale"))
 
     def says(words: str, scale: float, **more: object) -> bool:
-        dq = V * more.pop("by", 1.0) * scale  # type: ignore[operator]
-        return any(words in x for x in told(dq, "velocity-scale", **more))  # type: ignore[arg-type]
+        dq = V * more.pop("by", 1.0) * scale
+        return any(words in x for x in told(dq, "velocity-scale", **more))
 
     one = np.array([1.0, 0.0]) + 1e-9
     geared, turns = robot(gear_ratio=(7.0, 11.0)), robot(q="deg", dq="rev/s")

@@ -165,7 +165,7 @@ def test_what_is_kept_is_found_by_all_its_inputs(
     made: list[int] = []
 
     def kept(*inputs: str | bytes, kind: str = "kind") -> bytes:
-        return cache.kept(kind, inputs, lambda: made.append(1) or json.dumps(len(made)).encode())  # type: ignore[func-returns-value]
+        return cache.kept(kind, inputs, lambda: made.append(1) or json.dumps(len(made)).encode())
 
     assert (kept("ab", "c"), kept("a", "bc"), kept("ab", "c")) == (b"1", b"2", b"1")
     assert (kept(b"ab", b"c"), kept("ab", "c", kind="other")) == (b"1", b"3")

@@ -154,9 +154,9 @@ def test_matrices_of_version_4_are_as_long_as_they_say(tmp_path: Path, order: st
 def test_what_matrices_of_version_4_cannot_be(tmp_path: Path) -> None:
     wrong = "a matrix is not as it must be"
     for changes in ({"kind": 6}, {"rows": -1}, {"columns": -1}, {"imaginary": 2}, {"name": b""}):
-        assert of_4(tmp_path, version_4(**changes)) == wrong, changes  # type: ignore[arg-type]
+        assert of_4(tmp_path, version_4(**changes)) == wrong, changes
     for changes in ({"rows": 0}, {"columns": 0}, {"imaginary": 1}, {"name": b"q"}):
-        assert of_4(tmp_path, version_4(**changes)) == "", changes  # type: ignore[arg-type]
+        assert of_4(tmp_path, version_4(**changes)) == "", changes
     assert of_4(tmp_path, version_4(rows=-1, columns=-1)) == wrong
     for rest in (1, 19):
         assert of_4(tmp_path, version_4()[:rest]) == "a matrix is cut off"
