@@ -166,7 +166,7 @@ def test_what_is_sampled(unchanged: Unchanged) -> None:
             sample.add(motion(k))
         kept = sample.motions()
         found[f"kept {most}"] = [[len(m.t), m.t[0], m.t[-1], int(m.name[1])] for m in kept]
-    (window, rows), *others = _cut(motion(3))
+    (window, rows), *others = _cut(motion(4))
     found["rows"] = sorted(rows.values())
     found["strata"] = [[j, code, len(what)] for j, what, code in sorted(rows)]
     found["windows"] = [len(window.t), *(len(w.t) for w, _ in others)]
@@ -233,8 +233,11 @@ def test_what_columns_are_guessed(tmp_path: Path, data_regression: DataRegressio
 def test_names_that_are_listed(tmp_path: Path, data_regression: DataRegressionFixture) -> None:
     path = tmp_path / "of.csv"
     path.write_bytes(b"x" * 17)
+    counts = tmp_path / "counts.csv"
+    counts.write_text(f"t,q\n0,{2**53 + 1}\n1,7\n", encoding="utf-8")
     data_regression.check(
         {
+            "counts of more digits than a float has": read_table(counts).numbers(["q"]).tolist(),
             "short": listed(["a" * 60, "b" * 61]),
             "many": [listed([f"c{k}" for k in range(n)]) for n in (29, 30, 31, 32)],
             "bytes": most_bytes(path),
