@@ -1,9 +1,19 @@
-"""The fixture of all tests of this folder."""
+"""Fixtures of all tests of this folder."""
 
 import numpy as np
 import pytest
+from joint_data import along, law, path
 from pytest_regressions.num_regression import NumericRegressionFixture
 from unchanged import Unchanged, leaves
+
+from hesr_model.friction.fitting.samples import Samples
+from hesr_model.friction.laws.parfam.features import HysteresisFeatures
+from hesr_model.rigid_body.residual import FrictionRecord
+
+TRUTH = law(
+    "lugre_load", {}, sigma_0=600.0, sigma_1=1.0, sigma_2=4.0, F_c=8.0, F_s=11.0, v_s=0.1,
+    tau_0=0.5, mu=0.02,
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -15,3 +25,18 @@ def unchanged(num_regression: NumericRegressionFixture) -> Unchanged:
         num_regression.check(found, default_tolerance={"rtol": rtol, "atol": atol})
 
     return check
+
+
+@pytest.fixture(scope="session")
+def records() -> list[FrictionRecord]:
+    """Two logs of a law of LuGre with a load, and noise."""
+    return [
+        along(TRUTH, path(k, seconds=5.0 + k), noise=0.3, seed=k, log=str(k), gear_ratio=101.0)
+        for k in range(2)
+    ]
+
+
+@pytest.fixture(scope="session")
+def exact(records: list[FrictionRecord]) -> HysteresisFeatures:
+    """Features of these, of the exact discretisation."""
+    return HysteresisFeatures(samples=Samples.of(records, coefficients=11), discretisation="exact")
