@@ -116,16 +116,17 @@ class ParFamH(Estimator):
         rng: np.random.Generator,
     ) -> FrictionLaw:
         """Add a second unit and a denominator where that is wanted and left-out logs gain."""
-        if self.units < 2 and not self.denominator:
+        # A law from which pruning has taken the state has no (alpha, beta) to build on.
+        if (self.units < 2 and not self.denominator) or "alpha" not in law.values:
             return law
         problem = pose(law.structure, features.samples, self.discretisation)
         point = problem.point({name: law.values[name] for name in problem.space.names})
         best = Trial(structure=law.structure, problem=problem, point=point)
-        if self.units > 1 and "alpha" in law.values:
+        if self.units > 1:
             columns = features.columns(law.values["alpha"], law.values["beta"])
             more = with_unit(best, columns, self.functions, self.starts, rng)
             best = extended(best, more, trained)
-        if self.denominator and "alpha" in law.values:
+        if self.denominator:
             rational = best.changed({**best.structure, "denominator": list(family.DIVISORS)}, {})
             best = extended(best, [rational], trained)
         return law if best.structure == law.structure else replace(best.law(), name=self.name)

@@ -1,0 +1,217 @@
+"""ParFam at its edges: scales, bounds, short courses, what is not tried, and how it goes on."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from joint_data import along, law, path
+
+from hesr_model.friction.fitting.samples import Samples
+from hesr_model.friction.laws.networks.inputs import Inputs
+from hesr_model.friction.laws.parfam import calibrate, estimator, evolve, paper, refine, velocity
+from hesr_model.friction.laws.parfam.calibrate import Cell
+from hesr_model.friction.laws.parfam.candidate import Candidate
+from hesr_model.friction.laws.parfam.estimator import ParFamH
+from hesr_model.friction.laws.parfam.features import HysteresisFeatures
+from hesr_model.friction.laws.parfam.trial import Trial
+from hesr_model.friction.trained import TrainedRange
+from hesr_model.rigid_body.residual import FrictionRecord
+
+TRUTH = law(
+    "lugre", {}, sigma_0=600.0, sigma_1=1.0, sigma_2=4.0, F_c=8.0, F_s=11.0, v_s=0.1, tau_0=0.5
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def records() -> list[FrictionRecord]:
+    return [along(TRUTH, path(k, seconds=4.0), noise=0.3, seed=k, log=str(k)) for k in range(2)]
+
+
+@pytest.fixture(scope="module")
+def features(records: list[FrictionRecord]) -> HysteresisFeatures:
+    return HysteresisFeatures(samples=Samples.of(records, coefficients=11), discretisation="exact")
+
+
+def candidate(**more: Any) -> Candidate:
+    everything = {
+        "g": "tanh", "alpha": 12.0, "beta": 25.0, "c": np.array([0.4, 2.0, 6.0, 0.1]),
+        "theta": np.array([0.1, 0.8, -1.4, 0.05]), "gain": 5.0, "c_active": np.ones(4, bool),
+        "theta_active": np.ones(4, bool), "cost": 1.0,
+    }  # fmt: skip
+    return Candidate(**(everything | more))
+
+
+# --- scales -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1e-3, 1e3])
+def test_the_geometric_guess_knows_no_unit(features: HysteresisFeatures, size: float) -> None:
+    samples = features.samples
+    small = replace(features, samples=replace(samples, tau=size * samples.tau))
+    assert calibrate.geometric(small) == pytest.approx(calibrate.geometric(features), rel=1e-9)
+
+
+def test_arguments_of_tiny_features_are_those_of_large_ones(features: HysteresisFeatures) -> None:
+    """Down to a spread of 1e-12, below which a feature counts as constant."""
+    x, tau = features.columns(12.0, 25.0)[::4], features.samples.tau[::4]
+    small = x * [1.0, 1e-9, 1e-9, 1e-9]
+    starts = evolve.starting_points(np.random.default_rng(0), 4, 4)
+    [one] = evolve.arguments("tanh", x, x, tau, starts, 1)
+    [other] = evolve.arguments("tanh", small, x, tau, starts, 1)
+    np.testing.assert_allclose(other * [1.0, 1e-9, 1e-9, 1e-9], one, rtol=1e-5)
+    np.testing.assert_allclose(calibrate._cubic(small), calibrate._cubic(x), rtol=1e-9)
+
+
+def test_inputs_of_networks_have_the_spread_of_their_features(
+    features: HysteresisFeatures,
+) -> None:
+    slow = replace(features, samples=replace(features.samples, dq=1e-9 * features.samples.dq))
+    found = Inputs.of(slow, Cell(alpha=12.0, beta=25.0, cost=0.0))
+    np.testing.assert_allclose(found.z.std(axis=0), 1.0, rtol=1e-9)
+
+
+def test_the_search_of_the_paper_knows_no_unit(
+    features: HysteresisFeatures, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(paper, "HOPS", 0)
+    x, tau = features.columns(12.0, 25.0)[::8], features.samples.tau[::8]
+    cell = Cell(alpha=12.0, beta=25.0, cost=0.0)
+    one = paper.search(cell, "tanh", x, tau, np.random.default_rng(1))
+    small = x * [1.0, 1e-9, 1e-9, 1e-9]
+    two = paper.search(cell, "tanh", small, 1e-9 * tau, np.random.default_rng(1))
+    assert two.cost == pytest.approx(1e-18 * one.cost, rel=1e-3)
+
+
+# --- bounds and short courses -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("low", [False, True])
+def test_a_start_at_a_bound_has_a_way_inside(features: HysteresisFeatures, low: bool) -> None:
+    bounds = calibrate.bounds(features)
+    alpha, beta = (b[0 if low else 1] for b in bounds)
+    place = refine.Refinement(features, candidate(alpha=alpha, beta=beta)).pack()[:2]
+    np.testing.assert_allclose(place, np.full(2, (-1.0 if low else 1.0) * 13.815509557935), 1e-9)
+
+
+def test_a_course_of_ten_rows_tells_how_quickly_friction_settles(
+    features: HysteresisFeatures,
+) -> None:
+    course = np.exp(-np.arange(12.0))
+    assert calibrate._settling_rate(features, [course[:9]]) == 0.0
+    assert calibrate._settling_rate(features, [course[:10]]) > 0.0
+    assert calibrate._settling_rate(features, []) == 0.0
+    assert calibrate._settling_rate(features, [np.ones(12)]) == 0.0
+
+
+def test_a_mean_course_goes_as_far_as_half_of_the_reversals(
+    features: HysteresisFeatures,
+) -> None:
+    long, short = np.linspace(0.0, 3.0, 40), np.linspace(0.0, 3.0, 40)[:20]
+    rate = calibrate._settling_rate
+    assert rate(features, [long, short]) == pytest.approx(rate(features, [long]))
+    assert rate(features, [long, short, short]) == pytest.approx(rate(features, [short]))
+
+
+def test_a_steep_unit_comes_from_all_rows_of_a_short_log(
+    records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = []
+    arguments = evolve.arguments
+
+    def told(g: str, features: np.ndarray, *more: Any, **also: Any) -> list[np.ndarray]:
+        seen.append((g, len(features), also["limit"], also["keep"], len(more[2])))
+        return arguments(g, features, *more, **also)
+
+    monkeypatch.setattr(evolve, "arguments", told)
+    velocity.ParFamV(starts=2).fit(records, np.random.default_rng(0))
+    rows = sum(len(r.t) for r in records)
+    assert seen == [("tanh", rows, 2000.0, 3, 4), ("sin", rows, 12.0, 3, 4)]
+
+
+# --- what an estimator tries ------------------------------------------------------------------
+
+
+def test_no_function_is_needed_but_by_the_paper() -> None:
+    assert ParFamH(functions=()).functions == ()
+
+
+@pytest.mark.parametrize("search", ["projection", "paper"])
+def test_the_search_that_is_named_is_done(
+    search: Any, records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done = []
+    for name in ("_evolve", "_paper"):
+        monkeypatch.setattr(
+            ParFamH, name, lambda *_, own=name: done.append(own) or [candidate(g=None, gain=0.0)]
+        )
+    ParFamH(search=search).fit(records, np.random.default_rng(0))
+    assert done == ["_paper" if search == "paper" else "_evolve"]
+
+
+@pytest.mark.parametrize(
+    ("options", "memory", "tried"),
+    [
+        ({}, True, []),
+        ({"units": 2}, True, ["unit"]),
+        ({"denominator": True}, True, ["denominator"]),
+        ({"units": 2, "denominator": True}, True, ["unit", "denominator"]),
+        ({"units": 2, "denominator": True}, False, []),
+    ],
+)
+def test_what_enlarges_a_law_is_tried_where_it_is_asked_for(
+    options: dict[str, Any],
+    memory: bool,
+    tried: list[str],
+    features: HysteresisFeatures,
+    records: list[FrictionRecord],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    active = np.array([True, True, memory, memory])
+    of = candidate(g=None, gain=0.0, c_active=active, theta_active=np.zeros(4, bool)).law(
+        "parfam_h", "exact"
+    )
+    seen: list[str] = []
+
+    def with_unit(base: Trial, *_: object) -> list[Trial]:
+        seen.append("unit")
+        return [base]
+
+    def changed(self: Trial, *_: object) -> Trial:
+        seen.append("denominator")
+        return self
+
+    monkeypatch.setattr(estimator, "with_unit", with_unit)
+    monkeypatch.setattr(Trial, "changed", changed)
+    found = ParFamH(**options)._enlarged(
+        of, features, TrainedRange.of(records), np.random.default_rng(0)
+    )
+    assert seen == tried
+    assert found is of
+
+
+def test_a_law_that_is_enlarged_is_another_one(
+    features: HysteresisFeatures, records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of = candidate(g=None, gain=0.0).law("parfam_h", "exact")
+    monkeypatch.setattr(estimator, "extended", lambda _, more, __: more[0])
+    few = ParFamH(denominator=True)
+    found = few._enlarged(of, features, TrainedRange.of(records), np.random.default_rng(0))
+    assert found.structure["denominator"] == ["dq", "h"]
+    assert found.name == "parfam_h"
+
+
+def test_steps_that_are_told(
+    records: list[FrictionRecord], features: HysteresisFeatures, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first half is the search, the second one the rounds of the refinement."""
+    told: list[float] = []
+    for module in (estimator, refine):
+        monkeypatch.setattr(module, "step", lambda done, of: told.append(done / of))
+    few = ParFamH(cells=2, starts=2, candidates=1, functions=("tanh", "sin"))
+    found = few._evolve(features, np.random.default_rng(0))
+    assert told == [0.0, 0.125, 0.25, 0.375]
+    told.clear()
+    monkeypatch.setattr(refine, "ROUNDS", ((2, 2), (2, 1)))
+    refine.select(features, found, features.samples.folds, TrainedRange.of(records))
+    assert told == [0.5, 0.5 + round(1000 / 6) / 2000, 0.5 + round(2000 / 6) / 2000, 0.75, 0.875]
