@@ -1,0 +1,277 @@
+"""Steps of fits of bodies, constants and payloads, and of the simulation of what they describe."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from joint_data import law as made
+from unchanged import Unchanged
+
+from hesr_model.errors import FitError
+from hesr_model.forward import output_error
+from hesr_model.forward.simulation import Simulator, position_errors
+from hesr_model.forward.stepping import LawSteps
+from hesr_model.forward.windows import whole, windows_of
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.trained import TrainedRange
+from hesr_model.logs.signals import Motion
+from hesr_model.rigid_body import physical, torque_constants
+from hesr_model.rigid_body.forward_reverse import matched
+from hesr_model.rigid_body.identification import RigidBody, identify_motions
+from hesr_model.rigid_body.least_squares import Block, covariance_of, solve
+from hesr_model.rigid_body.residual import motion_records
+from hesr_model.robots.robot import RobotModel
+
+MakeMotion = Callable[..., Motion]
+
+LAW = made(
+    "lugre", {}, sigma_0=600.0, sigma_1=0.5, sigma_2=1.0, F_c=1.0, F_s=1.6, v_s=0.15, tau_0=0.05
+)
+
+
+# --- least squares ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("condition", [100.0, 990.0, 1010.0, 1e5])
+def test_least_squares_with_a_ridge_where_it_is_needed(
+    condition: float, unchanged: Unchanged
+) -> None:
+    rng = np.random.default_rng(1)
+    blocks = []
+    for k, size in enumerate((0.3, 2.0)):
+        q = np.linalg.qr(rng.normal(size=(60, 3)))[0] * [1.0, 0.3, 1.0 / condition]
+        target = q @ [1.0, -2.0, 40.0] + 0.02 * size * rng.normal(size=60)
+        blocks.append(Block(matrix=q, target=target, samples=np.arange(60) + 30 * k))
+    found = solve(blocks, scale=np.ones(3), weighted=True)
+    labels = np.repeat(np.arange(3), 30)
+    assert (found.ridge > 0.0) == (condition > 1000.0)
+    unchanged({
+        "found": found, "plain": solve(blocks, scale=np.array([1.0, 2.0, 0.1]), weighted=False),
+        "covariance": covariance_of("abc", blocks, found, labels).matrix,
+    }, rtol=1e-5)  # fmt: skip
+
+
+# --- bodies that can exist --------------------------------------------------------------------
+
+LINKS = {
+    "plain": [2.0, 0.2, -0.1, 0.3, 0.2, 0.01, 0.25, -0.02, 0.005, 0.15],
+    "point": [2.0, 0.2, -0.1, 0.3, 0.05, 0.01, 0.065, -0.03, 0.015, 0.025],
+    "none": [0.0] * 10,
+    "impossible": [1.0, 0.0, 0.0, 0.0, 0.3, 0.0, 0.01, 0.0, 0.0, 0.01],
+}
+
+
+@pytest.mark.parametrize("name", LINKS)
+def test_where_the_search_of_a_link_starts(name: str, unchanged: Unchanged) -> None:
+    start = physical._start(np.array(LINKS[name]))
+    unchanged({"start": start, "factor": physical._upper_factor(start)})
+    assert np.linalg.eigvalsh(start).min() > 0.0
+
+
+def test_coordinates_of_bodies(arm_model: RobotModel, unchanged: Unchanged) -> None:
+    chart = physical._Chart.of(arm_model)
+    x = chart.start + 0.3 * np.random.default_rng(0).normal(size=len(chart.start))
+    slopes = chart.slopes(x)
+    unchanged({"start": chart.start, "pull": chart.pull, "rotors": chart.rotors,
+               "parameters": chart.parameters(x), "slopes": slopes[::3].tolist()})  # fmt: skip
+    for k in range(len(x)):
+        step = 1e-6 * np.eye(len(x))[k]
+        difference = (chart.parameters(x + step) - chart.parameters(x - step)) / 2e-6
+        np.testing.assert_allclose(slopes[:, k], difference, atol=1e-7)
+    unknown = SimpleNamespace(
+        nominal_parameters=np.array([*LINKS["plain"], 0.0]), n=1, parameter_names=("",) * 11
+    )
+    of = physical._Chart.of(unknown)  # type: ignore[arg-type]
+    assert of.start.tolist() == [0.0] * 10 + [1.0]
+    assert of.pull.tolist() == [0.2] * 10 + [1e-4]
+
+
+def test_weights_of_joints() -> None:
+    blocks = [Block(matrix=np.ones((n, 1)), target=np.ones(n)) for n in (10, 30)]
+    found = physical._weights(blocks, np.array([2.0, 1e-9]), True)
+    np.testing.assert_allclose(found, [0.5, 1.0 / 2e-6])
+    found = physical._weights(blocks, np.array([2.0, 1.0]), False)
+    np.testing.assert_allclose(found, 1.0 / np.sqrt(70.0 / 40.0))
+
+
+# --- constants of torque ----------------------------------------------------------------------
+
+
+def test_how_far_a_model_file_is_in_doubt() -> None:
+    links = [
+        [4.0, 0.8, 0.0, 0.0, 0.5, 0.0, -0.7, 0.0, 0.0, 0.1],  # its arm is 0.2 m
+        [2.0, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],  # at the least arm of 0.05 m
+        [0.001, 0.0, 0.0, 4e-4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],  # a thousandth of the heaviest
+    ]
+    model = SimpleNamespace(nominal_parameters=np.array([*np.ravel(links), 0.1, 0.2, 0.3]), n=3)
+    found = torque_constants._spread(model, 0.1)  # type: ignore[arg-type]
+    expected = [
+        [0.4, *[0.08] * 3, *[2.1] * 6],
+        [0.2, *[0.01] * 3, *[0.015] * 6],
+        [4e-4, *[4e-5] * 3, *[1.2e-4] * 6],
+    ]
+    np.testing.assert_allclose(found[:30].reshape(3, 10), expected, rtol=1e-12)
+    assert found[30:].tolist() == [3.0] * 3
+    empty = SimpleNamespace(nominal_parameters=np.zeros(11), n=1)
+    light = torque_constants._spread(empty, 0.1)  # type: ignore[arg-type]
+    np.testing.assert_allclose(light[[0, 1, 4]], [1e-7, 5e-9, 7.5e-9], rtol=1e-12)
+
+
+@pytest.mark.parametrize("error", [0.0, 1.0, -0.1])
+def test_a_declared_error_is_a_share(error: float, arm_model: RobotModel) -> None:
+    with pytest.raises(FitError, match="needed is a share"):
+        torque_constants.torque_constants([], arm_model, [1.0] * 3, mass_error=error)
+
+
+def test_a_constant_is_determined_up_to_a_fifth() -> None:
+    one = torque_constants.Constant(joint="j1", value=12.345678, error=1.2345, determined=True)
+    assert one.sentence == "joint 'j1': 12.35 +- 1.2 N.m/A."
+    assert torque_constants._DETERMINED == 0.2
+
+
+def test_a_point_has_the_inertia_of_its_place() -> None:
+    found = torque_constants.point_payload(2.0, (0.1, 0.2, 0.3))
+    expected = [2.0, 0.2, 0.4, 0.6, 0.26, -0.04, 0.2, -0.06, -0.12, 0.1]
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_steps_of_a_constant(
+    arm_model: RobotModel, make_motion: MakeMotion, unchanged: Unchanged
+) -> None:
+    """Of a joint with two kinds of logs, whose starts, residuals and slopes are kept."""
+    motion = make_motion(seconds=4.0, friction=0.5)
+    noise = 0.2 * np.random.default_rng(0).normal(size=motion.tau.shape)
+    logs = [replace(motion, tau=motion.tau * 1.2 + noise)]
+    every = tuple(range(len(arm_model.parameter_names)))
+    columns = torque_constants.friction_columns(arm_model, torque_constants.base_columns(arm_model))
+    blocks = torque_constants.stacked(logs, arm_model, every, columns)
+    payload = torque_constants.point_payload(2.0, (0.05, 0.0, 0.1))
+    weight = np.zeros(len(every))
+    weight[[k for k in range(30) if k % 10 < 4]] = 1.0
+    found = {}
+    for name, kinds in (("one", [np.zeros(10)]), ("two", [np.zeros(10), payload])):
+        problem = torque_constants._Problem.of(
+            [(blocks[1], carried) for carried in kinds], arm_model, weight,
+            torque_constants._spread(arm_model, 0.1),
+        )  # fmt: skip
+        start = problem._start()
+        scales = [2.0, 3.0][: len(kinds)]
+        left = problem._residuals(start + 0.01, scales)
+        slopes = problem._slopes(start + 0.01, scales)
+        found[name] = {
+            "known": problem.known, "start": start, "solved": problem.solve(),
+            # Rows of a factor are not unique, but their products are.
+            "gram": (slopes.T @ slopes)[::5].tolist(), "moment": slopes.T @ left,
+            "left": float(left @ left),
+            "lengths": [rows.length for rows in problem.kinds],
+            "counts": [rows.count for rows in problem.kinds],
+        }  # fmt: skip
+    unchanged(found, rtol=1e-4, atol=1e-6)
+
+
+# --- a motion and its reverse -----------------------------------------------------------------
+
+
+def test_a_motion_is_matched_with_its_reverse(
+    make_motion: MakeMotion, unchanged: Unchanged
+) -> None:
+    forward, backward = (make_motion(seconds=4.0, reverse=way, friction=1.0) for way in (0, 1))
+    late = replace(backward, t=backward.t[:-20], **{
+        name: getattr(backward, name)[20:] for name in ("q", "dq", "ddq", "tau", "q_raw")
+    })  # fmt: skip
+    unchanged({"pair": matched(forward, late), "whole": matched(forward, backward)})
+
+
+# --- simulation -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def friction(arm_model: RobotModel) -> FrictionModel:
+    seen = TrainedRange(
+        sample_time=0.005, dq=(-2, 2), q=(-2, 2), tau_load=(-30, 30), tau=(-5, 5)
+    )  # fmt: skip
+    laws = tuple(
+        replace(LAW, values=LAW.values | {"F_c": f, "tau_0": 0.0 if f > 1.0 else 0.05})
+        for f in (1.0, 1.2, 0.4)
+    )
+    return FrictionModel(
+        law="lugre", robot="arm", joints=arm_model.description.joints, laws=laws,
+        sample_time=0.005, trained=(seen,) * 3, training_rmse=(0.1,) * 3,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def motion(make_motion: MakeMotion) -> Motion:
+    made = make_motion(name="run", seconds=3.0, friction=1.0)
+    noise = np.random.default_rng(2).normal(size=made.tau.shape)
+    return replace(made, tau=made.tau + 0.1 * noise)
+
+
+@pytest.fixture
+def body(motion: Motion, arm_model: RobotModel) -> RigidBody:
+    return identify_motions([motion], arm_model)
+
+
+@pytest.mark.parametrize("as_plant", [False, True])
+def test_a_simulation(
+    as_plant: bool, motion: Motion, arm_model: RobotModel, friction: FrictionModel,
+    body: RigidBody, unchanged: Unchanged,
+) -> None:  # fmt: skip
+    records = motion_records(motion, arm_model, body)
+    windows = windows_of([records], 0.3)
+    simulator = Simulator(
+        robot=arm_model, parameters=body.parameters, friction=friction, as_plant=as_plant
+    )
+    found = simulator.run(windows)
+    unchanged({
+        "found": found[:, ::7].tolist(), "errors": position_errors(found, windows),
+        "places": [row for _, row in windows.places], "states": windows.states(friction, delay=3),
+        "whole": len(whole(records).t[0]),
+    }, rtol=1e-5)  # fmt: skip
+    lost = found.copy()
+    lost[0, -1, 1] = np.nan
+    assert [e is None for e in position_errors(lost, windows)] == [False, True, False]
+
+
+def test_costs_of_an_output_error(
+    motion: Motion, arm_model: RobotModel, friction: FrictionModel, body: RigidBody,
+    unchanged: Unchanged,
+) -> None:  # fmt: skip
+    problem = output_error._Problem(arm_model, body, friction, [motion])
+    theta = 0.05 * np.random.default_rng(0).normal(size=(3, problem.size))
+    residuals, slopes = problem.linearised(theta[0])
+    # Coefficients of 0 have no relative change.
+    assert problem.size == len(problem.columns) + sum(
+        value != 0.0 for law in friction.laws for value in law.values.values()
+    )
+    away = problem.accepted(np.full(problem.size, 0.6))
+    assert away.ratio <= 1.0
+    unchanged({
+        "size": problem.size, "costs": problem.costs(theta),
+        "residuals": residuals, "slopes": slopes[::211].tolist(),
+        "position": problem._position_sizes, "torque": problem._torque_sizes,
+        "moved": [law.values for law in problem._moved(theta[1]).laws],
+        "body": problem._moved_body(theta[1]).parameters, "away": away.ratio,
+    }, rtol=1e-3, atol=1e-6)  # fmt: skip
+
+
+def test_what_an_output_error_tries() -> None:
+    of = output_error
+    assert (of.WINDOW, of.MOST_TORQUE, of._STEP, of._TORQUE) == (0.5, 1.02, 1e-3, 0.5)
+    assert (of._MOST, of._SPREAD, of._LEAST) == (0.7, 0.15, 1e-3)
+    assert of._DAMPING == (1e-3, 1e-2, 1e-1, 1.0, 1e1)
+    assert of._SHARES == (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)
+
+
+@pytest.mark.parametrize("how", ["exact", "euler"])
+def test_steps_of_many_motions(how: str, unchanged: Unchanged) -> None:
+    of = replace(LAW, discretisation=how)
+    rng = np.random.default_rng(0)
+    dt, dq, q, load = np.full(6, 1e-3), *rng.normal(size=(3, 6))
+    x = 0.001 * rng.normal(size=(1, 6))
+    alone, after = LawSteps(of)(dt, dq, q, load, x)
+    values = np.repeat(np.array(list(of.values.values()))[:, None], 6, axis=1) * (1 + 0.1 * dq)
+    each, states = LawSteps(of, values)(dt, dq, q, load, x)
+    unchanged({"alone": alone, "after": after, "each": each, "states": states})
