@@ -1,0 +1,156 @@
+"""What searches may try: bounds, grids and limits of every law; motor ripple; scores."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import sympy
+from joint_data import law
+from unchanged import Unchanged
+
+from hesr_model.equations.functions import absolute, sgn
+from hesr_model.equations.program import Jumps
+from hesr_model.friction import metrics
+from hesr_model.friction.audit import expectations
+from hesr_model.friction.fitting import calibration, uncertainty
+from hesr_model.friction.fitting.declarative import OneForm
+from hesr_model.friction.fitting.samples import Samples
+from hesr_model.friction.inputs import DQ, Q
+from hesr_model.friction.law import Coefficient, LawForm
+from hesr_model.friction.laws import ripple
+from hesr_model.friction.laws.parfam import trial
+from hesr_model.friction.laws.stops import search
+from hesr_model.friction.registry import estimator, registry
+from hesr_model.inference import paired
+from hesr_model.rigid_body import forward_reverse, identification, payload
+from hesr_model.rigid_body.residual import FrictionRecord
+
+
+def test_search_spaces_of_all_laws(unchanged: Unchanged) -> None:
+    found = {}
+    for name in registry():
+        of = estimator(name)()
+        if isinstance(of, OneForm):
+            space = of.space()
+            symbols = sorted({s for _, e in space.values for s in e.free_symbols}, key=str)
+            at = {s: 0.3 + 0.1 * k for k, s in enumerate(symbols)}
+            found[name] = {
+                "bounds": [list(limits) for _, limits in space.bounds],
+                "signed": [len(space.linear), space.non_negative],
+                "values": [float(e.subs(at)) for _, e in space.values],
+                "start": of.start_samples,
+            }
+    assert len(found) > 10
+    unchanged(found)
+
+
+def test_limits_of_searches() -> None:
+    assert (trial.MEMORY_BOUNDS, trial.REST_SPEED) == ((0.05, 2000.0), 1e-3)
+    assert (trial.DIVISOR_LIMIT, trial.UNIT_GAIN, trial._ROWS) == (0.9, 0.05, 3000)
+    assert (search.SPEEDS, search.TIMES) == ((0.05, 0.1, 0.2, 0.4),) * 2
+    assert search.LEAST == 2e-3
+    assert (calibration.RESTS, calibration._LONG, calibration._ENOUGH) == (10, 0.5, 4000)
+    assert calibration._TAIL == (0.4, 1.2)
+    assert calibration.SLOW_SPEEDS == (0.01, 0.02, 0.04, 0.08, 0.16)
+    assert (uncertainty.MOST_COEFFICIENTS, uncertainty._WIDTH, uncertainty._FLATTEST) == (
+        64, 2.0, 0.25,
+    )  # fmt: skip
+    assert (paired.ENOUGH, paired.SHORTEST, paired._MOST_UNITS) == (8, 8.0, 256)
+    assert (payload._SEGMENT, payload._LEAST_SEGMENTS, payload._SIGNIFICANT) == (1.0, 10, 4.0)
+    assert (forward_reverse._LONGEST_SHIFT, forward_reverse._LARGEST_MISMATCH) == (0.5, 0.1)
+    assert (identification.LEAST_PEAK, identification._MATTERS) == (0.02, 1e-2)
+    assert (ripple.MOST, ripple.GAIN, ripple.CHANCE, ripple._ATTEMPTS) == (6, 0.002, 18.0, 3)
+    assert list(ripple.ORDERS) == list(range(1, 17))
+    lags, smoothings = (sorted(set(times)) for times in zip(*ripple._TIMES, strict=True))
+    np.testing.assert_allclose(lags, np.linspace(0.0, 0.012, 25))
+    assert smoothings == [0.0, 1e-3, 2e-3, 4e-3, 8e-3]
+    assert len(ripple._TIMES) == 125
+
+
+def test_what_is_expected_of_laws(unchanged: Unchanged) -> None:
+    own = {
+        name: value
+        for name, value in vars(expectations).items()
+        if name.isupper() and not name.startswith("_")
+    }
+    unchanged(own)
+
+
+# --- motor ripple -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def samples(records: list[FrictionRecord]) -> Samples:
+    made = Samples.of(records, coefficients=5)
+    turn = 101.0 * (made.q - 0.0032 * made.dq)
+    small = 1.0 / (1.0 + (2 * 101.0 * 0.0015 * made.dq) ** 2)
+    tau = made.tau + 2.0 * np.cos(2.0 * turn) * small + 1.2 * np.sin(5.0 * turn)
+    return replace(made, tau=tau)
+
+
+def test_ripple_of_a_motor(samples: Samples, unchanged: Unchanged) -> None:
+    base = np.stack([np.sign(samples.dq), samples.dq, np.ones_like(samples.dq)], axis=1)
+    chosen = ripple.select(base, samples, 101.0, samples.folds)
+    assert chosen is not None
+    two = ripple.Ripple(gear_ratio=101.0, orders=(2, 5))
+    times = ripple._TIMES[::9]
+    ranked = ripple._ranking(samples, samples.tau - 8.0 * np.sign(samples.dq), two, times)
+    smoothings, plain, square = ripple._weights(samples, 101.0, 3, times)
+    unchanged({
+        "orders": chosen[0].orders, "times": chosen[1],
+        "columns": two.columns(samples, (0.003, 0.002))[::61].T.tolist(),
+        "ranked": [[order, *at] for order, at in ranked[:6]], "count": len(ranked),
+        "smoothings": smoothings, "plain": plain, "square": square,
+        "bounds": [ripple.LAG_BOUNDS, ripple.SMOOTHING_BOUNDS],
+    }, rtol=1e-6)  # fmt: skip
+
+
+def test_no_ripple_where_there_is_none(records: list[FrictionRecord]) -> None:
+    rng = np.random.default_rng(0)
+    made = Samples.of(records, coefficients=5)
+    made = replace(made, tau=np.sign(made.dq) + rng.normal(size=len(made.dq)))
+    base = np.stack([np.sign(made.dq), np.ones_like(made.dq)], axis=1)
+    assert ripple.select(base, made, 101.0, made.folds) is None
+
+
+# --- scores -----------------------------------------------------------------------------------
+
+
+def test_scores(records: list[FrictionRecord], unchanged: Unchanged) -> None:
+    rng = np.random.default_rng(1)
+    predicted = [0.9 * r.tau + 0.3 * rng.normal(size=len(r.tau)) for r in records]
+    bands = [(p - 1.0 - 0.1 * np.abs(p), p + 0.8) for p in predicted]
+    errors = [r.tau - p for r, p in zip(records, predicted, strict=True)]
+    other = [1.1 * e + 0.1 * rng.normal(size=len(e)) for e in errors]
+    still = [replace(r, dq=0.0 * r.dq, tau=0.0 * r.tau + 1.0) for r in records]
+    unchanged({
+        "score": metrics.score(records, predicted),
+        "band": metrics.score_band(records, predicted, bands),
+        "ratio": metrics.rmse_ratio_interval(
+            errors, other, block=50, rng=np.random.default_rng(2), resamples=200
+        ),
+        "wide": metrics.rmse_ratio_interval(
+            errors, other, block=10_000, rng=np.random.default_rng(2), resamples=100, level=0.5
+        ),
+        "sums": metrics._block_sums(errors[0], 7),
+        "rows": metrics.time_band(np.arange(5.0), 1.0, 3.0),
+    })  # fmt: skip
+    none = metrics.score(still, [np.ones(len(r.t)) for r in records])
+    assert (none.r2, none.rmse, none.rmse_moving) == (None, 0.0, None)
+    exact = metrics.score_band(still, [r.tau for r in still], [(r.tau, r.tau) for r in still])
+    assert (exact.held, exact.held_moving, exact.width) == (1.0, None, None)
+
+
+# --- where a solver has to stop ---------------------------------------------------------------
+
+
+def test_signs_of_coefficients_alone_never_change() -> None:
+    k = Coefficient(name="k", unit="N.m", description="any")
+    output = sgn(DQ) * absolute(k.symbol) + sgn(k.symbol - 1) * DQ + 0.1 * absolute(Q) * DQ
+    form = LawForm(coefficients=(k,), output=output)
+    assert Jumps(form.component).expressions == (DQ,)
+    assert set(Jumps(form.component, every=True).expressions) == {DQ, Q}
+    assert Jumps(form.component).signs == (sympy.Symbol("s_1", real=True),)
+    stops = law("parfam_s_v", {"stops": [["1", 0]], "viscous": ["v"]}, F_1=1.0, sigma_3=2.0,
+                tau_0=0.0)  # fmt: skip
+    assert Jumps(stops.form.component).expressions == (DQ,)
