@@ -3,6 +3,7 @@
 An FMU carries this file; everything else comes from HESR as the host's Python has it.
 """
 
+import ctypes
 import json
 import math
 from collections.abc import Sequence
@@ -20,9 +21,6 @@ from hesr_model.errors import HesrError
 
 _ROUNDING = 1e-6
 """By how much of the simulation's step times may be off."""
-
-_REFUSED: list["PythonArm"] = []
-"""Instances that have raised: PythonFMU lets go of them, but reads their messages once more."""
 
 
 class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
@@ -104,10 +102,15 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
         try:
             outputs = self._simulation.reset(given)
         except HesrError:
-            _REFUSED.append(self)
+            self._stay()
             raise
         self._show(outputs.tolist())
         self._stale = False
+
+    def _stay(self) -> None:
+        """Count what PythonFMU lets go of when a call raises: it does so again in the end."""
+        for held in (self, type(self), self.log_queue):
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(held))
 
     def _show(self, outputs: Sequence[float]) -> None:
         for k, value in zip(self._outputs, outputs, strict=True):

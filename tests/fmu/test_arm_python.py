@@ -1,6 +1,9 @@
 """The arm as an FMU in Python: the same variables and the same results as the native one."""
 
 import ctypes
+import gc
+import sys
+from contextlib import ExitStack, nullcontext
 
 import numpy as np
 import pytest
@@ -187,6 +190,19 @@ def test_a_step_that_is_refused_says_why_and_can_be_done_again(python):
 def test_a_parameter_that_means_nothing_says_why(python):
     with Component(python) as arm, pytest.raises(SimulationError, match="buffers hold"):
         listening(arm).initialise(start={"latency": 1.0})
+
+
+@pytest.mark.parametrize("latency", [0.01, 1.0])
+def test_what_an_instance_held_is_let_go_of_once(latency, python):
+    """PythonFMU lets go of an instance that raises, and again when it is freed."""
+    with ExitStack() as cleanup:
+        arm = cleanup.enter_context(Component(python))
+        [slave] = [one for one in gc.get_objects() if type(one).__name__ == "PythonArm"]
+        held = [slave, type(slave), slave.log_queue]
+        counts = [sys.getrefcount(one) for one in held]
+        with pytest.raises(SimulationError) if latency > 0.05 else nullcontext():
+            listening(arm).initialise(start={"latency": latency})
+    assert [sys.getrefcount(one) for one in held] == [count - 1 for count in counts]
 
 
 def test_instances_and_a_saved_state(python):
