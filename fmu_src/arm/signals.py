@@ -170,22 +170,8 @@ class _Lookup:
             dof = self._dof(joint)
             if not self._model.dof_frictionloss[dof] > 0:
                 raise self._error(f"joint '{joint}' has losses; it needs a frictionloss above 0.")
-
-            def entry(values: Sequence[float], otherwise: float = 0.0, i: int = i) -> float:
-                return values[i] if values else otherwise
-
-            yield Loss(
-                dof=dof,
-                carrier=self._dof(table.carriers[i]) if table.carriers else -1,
-                constant=table.constant[i],
-                load=entry(table.load),
-                direct=entry(table.direct),
-                speed=entry(table.speed, 1.0),
-                evolution=entry(table.evolution),
-                age=entry(table.age, 1.0),
-                slip=entry(table.slip, 1.0),
-                longest=table.longest,
-            )
+            carrier = self._dof(table.carriers[i]) if table.carriers else -1
+            yield Loss(dof=dof, carrier=carrier, **table.of_joint(i))
 
     def _dof(self, name: str) -> int:
         self._position(name)  # of one number

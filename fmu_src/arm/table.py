@@ -112,6 +112,13 @@ class Losses(Config):
     slip: tuple[Positive, ...] = ()
     longest: Positive = 1e4
 
+    def of_joint(self, i: int) -> dict[str, float]:
+        """Return the numbers of a joint by key; for what is left out such as make it nothing."""
+        scales = ("speed", "age", "slip")
+        lists = ("constant", "load", "direct", "evolution", *scales)
+        found = {key: (getattr(self, key) or (float(key in scales),) * (i + 1))[i] for key in lists}
+        return found | {"longest": self.longest}
+
     @model_validator(mode="after")
     def _complete(self) -> Self:
         given = {key: value for key, value in self if isinstance(value, tuple) and value}

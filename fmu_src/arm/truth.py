@@ -86,13 +86,7 @@ def true_friction(
 def _of_losses(losses: LossTable, i: int, viscous: float) -> FrictionLaw:
     coefficients = [Coefficient(name=n, unit=u, description=d) for n, u, d in _OF_LOSSES]
     symbols = {c.name: c.symbol for c in coefficients}
-    given = losses.model_dump() | {"viscous": viscous}
-    values = {}
-    for name in symbols:
-        entries = given[name]
-        whole = not isinstance(entries, tuple)
-        absent = 1.0 if name in ("speed", "age", "slip") else 0.0
-        values[name] = entries if whole else entries[i] if entries else absent
+    values = losses.of_joint(i) | {"viscous": viscous}
     age = Relaxation(
         name="s",
         unit="s",

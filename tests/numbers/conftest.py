@@ -1,5 +1,7 @@
 """Fixtures of all tests of this folder."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from joint_data import along, law, path
@@ -8,6 +10,8 @@ from unchanged import Unchanged, leaves
 
 from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.laws.parfam.features import HysteresisFeatures
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.residual import FrictionRecord
 
 TRUTH = law(
@@ -40,3 +44,11 @@ def records() -> list[FrictionRecord]:
 def exact(records: list[FrictionRecord]) -> HysteresisFeatures:
     """Features of these, of the exact discretisation."""
     return HysteresisFeatures(samples=Samples.of(records, coefficients=11), discretisation="exact")
+
+
+@pytest.fixture
+def log(make_motion: Callable[..., Motion]) -> RobotLog:
+    """A log of three joints with friction and noisy torques."""
+    motion = make_motion(name="run", friction=0.8)
+    noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
+    return RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)

@@ -36,7 +36,7 @@ WAVES = {"ripple200_cos": 0.3, "ripple200_sin": -0.4, "lag": 0.004}
 
 def own(output: sympy.Expr, *memory: Relaxation, how: str = "exact") -> FrictionLaw:
     form = LawForm(coefficients=(), memory=memory, output=output)
-    return FrictionLaw(name="own", form=form, values={}, discretisation=how)  # type: ignore[arg-type]
+    return FrictionLaw(name="own", form=form, values={}, discretisation=how)
 
 
 def laws() -> dict[str, FrictionLaw]:

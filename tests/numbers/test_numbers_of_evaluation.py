@@ -99,7 +99,7 @@ def test_columns_of_logs_from_rest(
     records = [along(of, path(k, seconds=3.0, from_rest=k > 0), log=str(k)) for k in range(2)]
     samples = Samples.of(records, coefficients=6)
     structure = {"linear": ["1", "dq", "h", "dh"], "units": [], "state": state}
-    problem = trial.pose(structure, samples, how)  # type: ignore[arg-type]
+    problem = trial.pose(structure, samples, how)
     low, high = problem.bounds.T
     point = low + (0.2 if how == "euler" else 0.4) * (high - low)
     weights = (samples.record == 0).astype(float)

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from limits_found import at, edge, said, two_joints
 from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
@@ -27,13 +26,6 @@ from hesr_model.robots.transmission import Coupling
 
 MakeMotion = Callable[..., Motion]
 COUPLED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.5, 1.0))
-
-
-@pytest.fixture
-def log(make_motion: MakeMotion) -> RobotLog:
-    motion = make_motion(name="run", friction=0.8)
-    noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
-    return RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)
 
 
 def part_of(log: RobotLog) -> Motionwise:

@@ -17,13 +17,6 @@ from hesr_model.robots.robot import RobotModel
 MakeMotion = Callable[..., Motion]
 
 
-@pytest.fixture
-def log(make_motion: MakeMotion) -> RobotLog:
-    motion = make_motion(name="run", friction=0.8)
-    noise = np.random.default_rng(0).normal(0.0, 0.05, motion.tau.shape)
-    return RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau + noise)
-
-
 def late(values: np.ndarray, rows: int) -> np.ndarray:
     return np.concatenate([np.repeat(values[:1], rows, axis=0), values[:-rows]])
 

@@ -83,7 +83,7 @@ def test_coordinates_of_bodies(arm_model: RobotModel, unchanged: Unchanged) -> N
     unknown = SimpleNamespace(
         nominal_parameters=np.array([*LINKS["plain"], 0.0]), n=1, parameter_names=("",) * 11
     )
-    of = physical._Chart.of(unknown)  # type: ignore[arg-type]
+    of = physical._Chart.of(unknown)
     assert of.start.tolist() == [0.0] * 10 + [1.0]
     assert of.pull.tolist() == [0.2] * 10 + [1e-4]
 
@@ -106,7 +106,7 @@ def test_how_far_a_model_file_is_in_doubt() -> None:
         [0.001, 0.0, 0.0, 4e-4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],  # a thousandth of the heaviest
     ]
     model = SimpleNamespace(nominal_parameters=np.array([*np.ravel(links), 0.1, 0.2, 0.3]), n=3)
-    found = torque_constants._spread(model, 0.1)  # type: ignore[arg-type]
+    found = torque_constants._spread(model, 0.1)
     expected = [
         [0.4, *[0.08] * 3, *[2.1] * 6],
         [0.2, *[0.01] * 3, *[0.015] * 6],
@@ -115,7 +115,7 @@ def test_how_far_a_model_file_is_in_doubt() -> None:
     np.testing.assert_allclose(found[:30].reshape(3, 10), expected, rtol=1e-12)
     assert found[30:].tolist() == [3.0] * 3
     empty = SimpleNamespace(nominal_parameters=np.zeros(11), n=1)
-    light = torque_constants._spread(empty, 0.1)  # type: ignore[arg-type]
+    light = torque_constants._spread(empty, 0.1)
     np.testing.assert_allclose(light[[0, 1, 4]], [1e-7, 5e-9, 7.5e-9], rtol=1e-12)
 
 

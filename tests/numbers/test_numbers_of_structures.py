@@ -63,7 +63,7 @@ def test_a_unit_more(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
 
 def test_what_comes_later_has_to_gain(monkeypatch: pytest.MonkeyPatch) -> None:
     costs = {"base": 1.0, "barely": 0.96, "enough": 0.94}
-    trials = [trial.Trial(structure={"is": n}, problem=None, point=np.zeros(0)) for n in costs]  # type: ignore[arg-type]
+    trials = [trial.Trial(structure={"is": n}, problem=None, point=np.zeros(0)) for n in costs]
     monkeypatch.setattr(trial, "left_out", lambda t: costs[t.structure["is"]])
     assert trial.choose(trials[:2], 0.05) is trials[0]
     assert trial.choose(trials, 0.05) is trials[2]
