@@ -233,14 +233,13 @@ def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) 
         )
         start = literal(variable.start)
         counts = int(variable.role != "input" or variable.name in used)
-        rows.append(
-            f'    {{"{variable.name}", {start}, {variable.role.upper()}, {kind}, {counts}}},'
-        )
+        role = "DERIVATIVE" if variable.derivative_of else variable.role.upper()
+        rows.append(f'    {{"{variable.name}", {start}, {role}, {kind}, {counts}}},')
     derivatives = interface.derivatives
     states = [interface.places[v.derivative_of or ""] for v in derivatives]
     nominals = [literal(interface.variables[i].nominal) for i in states]
     watched = [i for i, v in enumerate(interface.variables)
-               if v.role in ("output", "local", "state")]  # fmt: skip
+               if v.role in ("output", "local", "state") and not v.derivative_of]  # fmt: skip
     return _INTERFACE.format(
         guid=guid,
         step=literal(step),

@@ -14,7 +14,7 @@
 typedef struct {
     double q, dq; /* of the motor */
     double ddq, tau_f, tau_link;
-    double x[MAX_STATES], dx[MAX_STATES];
+    double x[MAX_STATES];
 } Motion;
 
 /* What does not change in a step. */
@@ -33,7 +33,7 @@ typedef struct {
     double v, residual, slope;
     double size; /* of what the residual is the sum of */
     double tau_f, tau_link;
-    double x[MAX_STATES], dx[MAX_STATES];
+    double x[MAX_STATES];
 } Trial;
 
 /* An input at a time [s] after the beginning of the glue's step; parameters stay. */
@@ -79,17 +79,20 @@ static Step step_of(const Component *component, int i, double h, double time) {
     return step;
 }
 
+/* What the law sees of a motor, at its joint. */
+static void see(const Step *step, double q, double dq, double *u) {
+    memcpy(u, step->u, sizeof step->u);
+    u[0] = step->gear * dq;
+    u[1] = step->gear * q;
+}
+
 /* Friction and flexspline at a speed v of the motor that is held over the step; h = 0 leaves the
  * states where they are. The slopes are those over v, torques and speeds those of the joint. */
 static void attempt(const Step *step, const Motion *from, double v, Trial *trial) {
-    const double q = from->q + step->h * v;
     const double du[MAX_INPUTS] = {step->gear, step->gear * step->h};
     double u[MAX_INPUTS], slope[MAX_OUTPUTS], torque[MAX_OUTPUTS];
-    memcpy(u, step->u, sizeof u);
-    u[0] = step->gear * v;
-    u[1] = step->gear * q;
-    step->joint->attempt(step->k, u, from->x, step->h, step->euler, du, trial->x, trial->dx, torque,
-                         slope);
+    see(step, from->q + step->h * v, v, u);
+    step->joint->attempt(step->k, u, from->x, step->h, step->euler, du, trial->x, torque, slope);
     trial->v = v;
     trial->tau_f = torque[0];
     trial->tau_link =

@@ -45,8 +45,8 @@ static void component_close(void *workspace);
 /* Once, when all start values are known, after the first event and before the first output. */
 static bool component_initialise(Component *component, void *workspace, Message *why);
 
-/* Compute outputs, local variables and derivatives from inputs, states, parameters and what was
- * held at the last event; nothing of these moves. */
+/* Compute outputs and local variables from inputs, states, parameters and what was held at the last
+ * event; nothing of these moves. */
 static bool component_output(Component *component, void *workspace, Message *why);
 
 /* Move the states by `step` > 0 [s] with the inputs held, and compute as component_output does for
@@ -55,6 +55,9 @@ static bool component_output(Component *component, void *workspace, Message *why
  * step, and where it may, ends the step at the first one and says how much is done. The glue
  * advances the time afterwards. */
 static bool component_step(Component *component, void *workspace, double step, Message *why);
+
+/* Compute the derivatives of states, as component_output does outputs: steps do without. */
+static void component_derivatives(Component *component);
 
 /* Compute the variables that are marked as on demand. */
 static void component_demand(Component *component);

@@ -39,9 +39,7 @@ enum { STARTED = 0 /* whether the initialisation has ended */ };
 /* Whether Euler's step was short enough for the rates of the law's states at a speed. */
 static bool can_relax(const Step *step, int i, const Motion *from, const Trial *at, Message *why) {
     double u[MAX_INPUTS], rate[MAX_STATES];
-    memcpy(u, step->u, sizeof u);
-    u[0] = step->gear * at->v;
-    u[1] = step->gear * (from->q + step->h * at->v);
+    see(step, from->q + step->h * at->v, at->v, u);
     step->joint->rates(step->k, u, from->x, rate);
     for (int j = 0; j < step->joint->states; j++) {
         if (!(rate[j] * step->h < 1.0)) {
@@ -64,10 +62,7 @@ static bool advance(const Step *step, int i, Motion *motion, Message *why) {
         (step->euler > 0.0 && !can_relax(step, i, motion, &trial, why))) {
         return false;
     }
-    for (int j = 0; j < joint->states; j++) {
-        motion->x[j] = trial.x[j];
-        motion->dx[j] = trial.dx[j];
-    }
+    memcpy(motion->x, trial.x, (size_t)joint->states * sizeof motion->x[0]);
     motion->ddq = (trial.v - motion->dq) / step->h;
     motion->q += step->h * trial.v;
     motion->dq = trial.v;
@@ -89,18 +84,17 @@ static void clear_links(Component *component) {
     memset(&component->v[TAU_LINK], 0, JOINTS * sizeof component->v[0]);
 }
 
-static void put(Component *component, int i, const Motion *motion) {
-    const Joint *joint = &joints[i];
-    double *v = component->v, *x = &v[joint->first_state];
+static void put(Component *component, int i, const Step *step, const Motion *motion) {
+    const Joint *joint = step->joint;
+    double *v = component->v, *x = &v[joint->first_state], u[MAX_INPUTS];
     v[Q + i] = motion->q;
     v[DQ + i] = motion->dq;
     v[DDQ + i] = motion->ddq;
     v[TAU_F + i] = motion->tau_f;
     add_torque(v, TAU_LINK, i, motion->tau_link);
-    for (int j = 0; j < joint->states; j++) {
-        x[j] = motion->x[j];
-        x[joint->states + j] = motion->dx[j];
-    }
+    memcpy(x, motion->x, (size_t)joint->states * sizeof *x);
+    see(step, motion->q, motion->dq, u);
+    joint->solved_derivatives(step->k, u, x, x + joint->states);
 }
 
 /* Put the states of the friction where they begin at the motor's first speed and angle. */
@@ -110,9 +104,7 @@ static void begin(const Component *component, const Step *step, Motion *motion) 
     memcpy(motion->x, &component->v[joint->first_start],
            (size_t)joint->states * sizeof motion->x[0]);
     if (joint->states > 0 && component->v[START_MODE] == STEADY) {
-        memcpy(u, step->u, sizeof u);
-        u[0] = step->gear * motion->dq;
-        u[1] = step->gear * motion->q;
+        see(step, motion->q, motion->dq, u);
         joint->begin(step->k, u, motion->x);
     }
 }
@@ -160,10 +152,9 @@ static bool component_output(Component *component, void *workspace, Message *why
         Motion motion = motion_of(component, i);
         begin(component, &step, &motion);
         attempt(&step, &motion, motion.dq, &trial);
-        memcpy(motion.dx, trial.dx, sizeof motion.dx);
         motion.tau_f = trial.tau_f;
         motion.tau_link = trial.tau_link;
-        put(component, i, &motion);
+        put(component, i, &step, &motion);
     }
     return true;
 }
@@ -201,7 +192,8 @@ static bool component_step(Component *component, void *workspace, double step, M
     component->done = n < parts ? step * (n / parts) : step;
     clear_links(component);
     for (int i = 0; i < JOINTS; i++) {
-        put(component, i, &motion[i]);
+        const Step last = step_of(component, i, step / parts, component->done);
+        put(component, i, &last, &motion[i]);
     }
     return true;
 }

@@ -78,24 +78,41 @@ static bool begins_steady(const Component *component, const Joint *joint) {
 static void start(Component *component, int i) {
     const Place at = place_of(component, i);
     const Joint *joint = at.joint;
-    double y[MAX_OUTPUTS], *x = states_of(component, i), *dx = x + joint->states;
+    double y[MAX_OUTPUTS], *x = states_of(component, i);
     memcpy(x, &component->v[joint->first_start], (size_t)joint->states * sizeof *x);
     if (begins_steady(component, joint)) {
         joint->begin(at.k, at.u, x);
     }
     if (joint->start) {
-        joint->start(at.k, at.u, at.s, x, previous_of(component, i), dx, y,
-                     latest_of(component, i));
+        joint->start(at.k, at.u, at.s, x, previous_of(component, i), y, latest_of(component, i));
     } else {
-        joint->read(at.k, at.u, at.s, x, NULL, 0.0, dx, y, NULL);
+        joint->read(at.k, at.u, at.s, x, NULL, 0.0, y, NULL);
     }
     put_outputs(component->v, i, y);
+}
+
+/* Whether nothing but a sample moves what is computed. */
+static bool holds(const Component *component) {
+    return component->own[STARTED] > 0.0 && (HOLDS || component->own[TICKS] < 0.0);
+}
+
+static void derive(Component *component, int i) {
+    const Place at = place_of(component, i);
+    double *x = states_of(component, i);
+    at.joint->derivatives(at.k, at.u, at.s, x, previous_of(component, i), component->own[LAST_STEP],
+                          x + at.joint->states);
+}
+
+static void component_derivatives(Component *component) {
+    for (int i = 0; i < JOINTS && !holds(component); i++) {
+        derive(component, i);
+    }
 }
 
 static bool component_output(Component *component, void *workspace, Message *why) {
     (void)workspace, (void)why; /* the glue itself looks for infinite outputs */
     const bool started = component->own[STARTED] > 0.0;
-    if (started && (HOLDS || component->own[TICKS] < 0.0)) {
+    if (holds(component)) {
         return true;
     }
     clear_torques(component->v);
@@ -105,9 +122,9 @@ static bool component_output(Component *component, void *workspace, Message *why
             continue;
         }
         const Place at = place_of(component, i);
-        double y[MAX_OUTPUTS], r[MAX_REMEMBERED + 1], *x = states_of(component, i);
-        at.joint->read(at.k, at.u, at.s, x, previous_of(component, i), component->own[LAST_STEP],
-                       x + at.joint->states, y, r);
+        double y[MAX_OUTPUTS], r[MAX_REMEMBERED + 1];
+        at.joint->read(at.k, at.u, at.s, states_of(component, i), previous_of(component, i),
+                       component->own[LAST_STEP], y, r);
         put_outputs(component->v, i, y);
     }
     return true;
@@ -165,9 +182,12 @@ static void sample(Component *component, double step) {
         memcpy(&component->own[USED + i * MAX_INPUTS], at.u,
                (size_t)joint->inputs * sizeof at.u[0]);
         memcpy(&component->own[BEFORE + i * MAX_STATES], x, (size_t)joint->states * sizeof *x);
-        joint->step(at.k, at.u, at.s, previous_of(component, i), step, euler, x, x + joint->states,
-                    y, latest_of(component, i));
+        joint->step(at.k, at.u, at.s, previous_of(component, i), step, euler, x, y,
+                    latest_of(component, i));
         put_outputs(component->v, i, y);
+        if (HOLDS || SAMPLED) {
+            derive(component, i); /* nobody can later */
+        }
     }
 }
 

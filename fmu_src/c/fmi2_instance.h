@@ -113,6 +113,13 @@ static fmi2Status refuse(const Instance *instance, const char *format, ...) {
     return fmi2Discard;
 }
 
+/* Refuse to give a number that is none. */
+static fmi2Status refuse_result(const Instance *instance, int variable) {
+    const Component *component = &instance->memory.component;
+    return refuse(instance, "%s became %g at time %.9g.", variables[variable].name,
+                  component->v[variable], component->time);
+}
+
 /* Say what happened, if the host wants to know. */
 static void report(const Instance *instance, const char *format, ...) {
     va_list arguments;

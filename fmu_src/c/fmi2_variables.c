@@ -70,15 +70,24 @@ static fmi2Status refuse_number(const Instance *instance, const char *function,
                   variable_of(vr)->name, value);
 }
 
-/* What is computed on demand alone may still not be finite. After a failure or the end, it is what
+/* Whether one of the variables has a role. */
+static bool any_is(Role role, const fmi2ValueReference vr[], size_t n) {
+    size_t i = 0;
+    while (i < n && variable_of(vr[i])->role != role) {
+        i++;
+    }
+    return i < n;
+}
+
+/* What is computed when it is read may still not be finite. After a failure or the end, it is what
  * there is. */
 static fmi2Status demanded_are_finite(const Instance *instance, const fmi2ValueReference vr[],
                                       size_t n) {
     const Component *component = &instance->memory.component;
     for (size_t i = 0; (instance->memory.mode & RUNNING) && i < n; i++) {
-        if (variable_of(vr[i])->role == ON_DEMAND && !isfinite(component->v[first_of(vr[i])])) {
-            return refuse(instance, "%s became %g at time %.9g.", variable_of(vr[i])->name,
-                          component->v[first_of(vr[i])], component->time);
+        const Role role = variable_of(vr[i])->role;
+        if ((role == ON_DEMAND || role == DERIVATIVE) && !isfinite(component->v[first_of(vr[i])])) {
+            return refuse_result(instance, first_of(vr[i]));
         }
     }
     return fmi2OK;
@@ -88,7 +97,6 @@ static fmi2Status demanded_are_finite(const Instance *instance, const fmi2ValueR
 static fmi2Status read(fmi2Component c, const char *function, Type type,
                        const fmi2ValueReference vr[], size_t n, const void *value) {
     Instance *instance = entered(c, MAY_GET, function);
-    bool demanded = false;
     if (!instance) {
         return fmi2Error;
     }
@@ -98,13 +106,16 @@ static fmi2Status read(fmi2Component c, const char *function, Type type,
     const fmi2Status status = refreshed(instance);
     const bool discrete = instance->memory.type == fmi2CoSimulation ||
                           (instance->memory.mode & (INITIALISING | AT_EVENT));
-    for (size_t i = 0; discrete && i < n; i++) {
-        demanded = demanded || variable_of(vr[i])->role == ON_DEMAND;
+    if (status != fmi2OK) {
+        return status;
     }
-    if (demanded && status == fmi2OK) {
+    if (discrete && any_is(ON_DEMAND, vr, n)) {
         component_demand(&instance->memory.component);
     }
-    return status == fmi2OK ? demanded_are_finite(instance, vr, n) : status;
+    if (any_is(DERIVATIVE, vr, n)) {
+        component_derivatives(&instance->memory.component);
+    }
+    return demanded_are_finite(instance, vr, n);
 }
 
 FMI2_STATUS(fmi2GetReal)
@@ -254,7 +265,8 @@ static bool differentiable(const Instance *instance, const char *function,
     const bool initialising = instance->memory.mode == INITIALISING;
     for (size_t i = 0; i < n_unknown; i++) {
         const Role role = variable_of(unknowns[i])->role;
-        if (role != OUTPUT && role != LOCAL && !(role == STATE && initialising)) {
+        if (role != OUTPUT && role != LOCAL && role != DERIVATIVE &&
+            !(role == STATE && initialising)) {
             complain(instance, "%s: %s is no continuous output and no state derivative.", function,
                      variable_of(unknowns[i])->name);
             return false;

@@ -4,13 +4,14 @@
 #define VARIABLE_H
 
 typedef enum {
-    INPUT,     /* set at any time */
-    OUTPUT,    /* computed */
-    ON_DEMAND, /* computed when somebody reads it */
-    LOCAL,     /* computed, not for connection */
-    STATE,     /* set before the initialisation ends, then moved by steps or by a solver */
-    FIXED,     /* parameter, set before the initialisation ends */
-    TUNABLE,   /* parameter, set between steps or at events */
+    INPUT,      /* set at any time */
+    OUTPUT,     /* computed */
+    ON_DEMAND,  /* computed when somebody reads it */
+    LOCAL,      /* computed, not for connection */
+    DERIVATIVE, /* of a state, computed when somebody reads it */
+    STATE,      /* set before the initialisation ends, then moved by steps or by a solver */
+    FIXED,      /* parameter, set before the initialisation ends */
+    TUNABLE,    /* parameter, set between steps or at events */
 } Role;
 
 typedef enum {

@@ -24,6 +24,7 @@ from hesr_model.equations.program import (
     beginning,
     begun,
     change_of,
+    derivatives,
     moved,
     readings,
     sampled,
@@ -162,9 +163,12 @@ class Functions:
     @property
     def _reading_targets(self) -> dict[str, sympy.Symbol]:
         component = self.component
-        targets = {f"dx[{i}]": m.derivative for i, m in enumerate(component.memory)}
-        targets |= {f"y[{i}]": s for i, s in enumerate(self._outputs)}
+        targets = {f"y[{i}]": s for i, s in enumerate(self._outputs)}
         return targets | {f"r[{i}]": e.symbol for i, e in enumerate(component.remembered)}
+
+    @property
+    def _derivative_targets(self) -> dict[str, sympy.Symbol]:
+        return {f"dx[{i}]": m.derivative for i, m in enumerate(self.component.memory)}
 
     def switches(self) -> str:
         """Write into z the arguments of the held signs."""
@@ -174,12 +178,24 @@ class Functions:
         return self._written(False, own, targets, "switches(IN(k), IN(u), OUT(z))")
 
     def read(self) -> str:
-        """Write derivatives of the states dx, outputs y and what will be remembered r."""
+        """Write outputs y and what will be remembered r."""
         own = readings(self.component)
         return self._written(
             True, own, self._reading_targets,
-            "read(IN(k), IN(u), IN(s), IN(x), IN(p), double dt, OUT(dx), OUT(y), OUT(r))",
+            "read(IN(k), IN(u), IN(s), IN(x), IN(p), double dt, OUT(y), OUT(r))",
         )  # fmt: skip
+
+    def derivatives(self) -> str:
+        """Write derivatives of the states dx, which steps do without."""
+        own = derivatives(self.component.memory)
+        signature = "derivatives(IN(k), IN(u), IN(s), IN(x), IN(p), double dt, OUT(dx))"
+        return self._written(True, own, self._derivative_targets, signature)
+
+    def solved_derivatives(self) -> str:
+        """Write the same where nothing is held, as `attempt` does."""
+        own = derivatives(self.component.memory)
+        signature = "solved_derivatives(IN(k), IN(u), IN(x), OUT(dx))"
+        return self._written(False, own, self._derivative_targets, signature)
 
     def start(self) -> str:
         """Write the same as they are before the first step, and previous values p for it."""
@@ -191,7 +207,7 @@ class Functions:
         targets |= {f"p[{i}]": s for i, s in enumerate(starts)}
         places = {s: place for s, place in self._arguments.places.items() if s not in starts}
         return _function(
-            f"{self.name}_start(IN(k), IN(u), IN(s), IN(x), OUT(p), OUT(dx), OUT(y), OUT(r))",
+            f"{self.name}_start(IN(k), IN(u), IN(s), IN(x), OUT(p), OUT(y), OUT(r))",
             self.jumps.held(own), targets, places,
         )  # fmt: skip
 
@@ -222,8 +238,7 @@ class Functions:
         own = sampled(self.component)
         return self._written(
             True, own, {**self._moved_targets, **self._reading_targets},
-            "step(IN(k), IN(u), IN(s), IN(p), double dt, double euler, double *x, OUT(dx), "
-            "OUT(y), OUT(r))",
+            "step(IN(k), IN(u), IN(s), IN(p), double dt, double euler, double *x, OUT(y), OUT(r))",
         )  # fmt: skip
 
     def rates(self) -> str:
@@ -262,9 +277,7 @@ class Functions:
         """Write the change of dx and y along dk, du and tx."""
         own = self.jumps.held(readings(self.component))
         changes = Tangent(self._seeds).of(own)
-        targets = {
-            f"tdx[{i}]": change_of(m.derivative) for i, m in enumerate(self.component.memory)
-        }
+        targets = {f"t{to}": change_of(s) for to, s in self._derivative_targets.items()}
         targets |= {f"ty[{i}]": change_of(s) for i, s in enumerate(self._outputs)}
         return self._written(
             True, own | changes, targets,
@@ -285,18 +298,17 @@ class Functions:
         return self._written(True, own | changes, targets, signature, seeds=True)
 
     def attempt(self) -> str:
-        """Write the states after a step from x, dx and y there, and the change of y along du.
+        """Write the states after a step from x, y there, and the change of y along du.
 
         Nothing is held: a solver inside an FMU tries inputs of its own.
         """
         own = sampled(self.component)
         changes = Tangent({s: self._seeds[s] for s in self._inputs}).of(own)
         targets = {f"moved[{i}]": moved(m) for i, m in enumerate(self.component.memory)}
-        targets |= {f"dx[{i}]": m.derivative for i, m in enumerate(self.component.memory)}
         targets |= {f"y[{i}]": s for i, s in enumerate(self._outputs)}
         targets |= {f"slope[{i}]": change_of(s) for i, s in enumerate(self._outputs)}
         signature = (
-            "attempt(IN(k), IN(u), IN(x), double dt, double euler, IN(du), OUT(moved), OUT(dx), "
+            "attempt(IN(k), IN(u), IN(x), double dt, double euler, IN(du), OUT(moved), "
             "OUT(y), OUT(slope))"
         )
         return self._written(False, own | changes, targets, signature, seeds=True)

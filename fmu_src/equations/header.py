@@ -76,17 +76,22 @@ FRICTION: Mapping[str, tuple[Writer, str]] = {
     "read": (
         Functions.read,
         _pointer("read", f"{_K}, const double *s, const double *x, const double *p, double dt, "
-                 "double *dx, double *y, double *r"),
+                 "double *y, double *r"),
+    ),
+    "derivatives": (
+        Functions.derivatives,
+        _pointer("derivatives", f"{_K}, const double *s, const double *x, const double *p, "
+                 "double dt, double *dx"),
     ),
     "step": (
         Functions.step,
         _pointer("step", f"{_K}, const double *s, const double *p, double dt, double euler, "
-                 "double *x, double *dx, double *y, double *r"),
+                 "double *x, double *y, double *r"),
     ),
     "start": (
         Functions.start,
-        _pointer("start", f"{_K}, const double *s, const double *x, double *p, double *dx, "
-                 "double *y, double *r"),
+        _pointer("start", f"{_K}, const double *s, const double *x, double *p, double *y, "
+                 "double *r"),
     ),
     "begin": (
         Functions.begin,
@@ -116,7 +121,11 @@ SOLVER: Mapping[str, tuple[Writer, str]] = {
     "attempt": (
         Functions.attempt,
         _pointer("attempt", f"{_K}, const double *x, double dt, double euler, const double *du, "
-                 "double *moved, double *dx, double *y, double *slope"),
+                 "double *moved, double *y, double *slope"),
+    ),
+    "solved_derivatives": (
+        Functions.solved_derivatives,
+        _pointer("solved_derivatives", f"{_K}, const double *x, double *dx"),
     ),
 }  # fmt: skip
 """What a solver inside an FMU calls."""
