@@ -260,7 +260,7 @@ def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) 
         state_list=_list(states),
         derivative_list=_list([interface.places[v.name] for v in derivatives]),
         nominal_list=_list(nominals),
-        watched_list=_list(watched),
+        watched_list=_list([*watched, *(interface.places[v.name] for v in derivatives)]),
     )
 
 
@@ -290,8 +290,8 @@ static const Variable variables[VARIABLES] = {{
 
 static const Reference references[REFERENCES] = {{{reference_rows}}};
 
-/* Continuous states, their derivatives and nominal values; what must stay finite. An array has one
- * element where the list is empty. */
+/* Continuous states, their derivatives and nominal values; what must stay finite, derivatives,
+ * left out by steps, behind WATCHED others. An array has one element where the list is empty. */
 static const int states{state_list};
 static const int derivatives{derivative_list};
 static const double nominals{nominal_list};

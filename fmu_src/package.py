@@ -29,7 +29,6 @@ _C = _HERE / "c"
 _GLUE = (
     "component.h",
     "component_alone.h",
-    "component_plain.h",
     "fmi2.c",
     "fmi2.h",
     "fmi2_continuous.c",

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.slave import Component
 from cosim.system import SystemSpec
+from cosim.wiring import Wiring
 
 Array = NDArray[np.float64]
 
@@ -80,6 +82,14 @@ class Together:
     signals: Sequence[str]
 
     tolerance = TOGETHER
+
+    def wiring(self) -> Wiring:
+        """Return how its FMUs are connected."""
+        variables = {}
+        for component in self.spec.components:
+            with Component(component.fmu) as slave:
+                variables[component.name] = slave.variables
+        return Wiring(self.spec, variables, Path(self.spec.name))
 
 
 Case = Alone | Together

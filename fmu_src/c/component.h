@@ -45,19 +45,16 @@ static void component_close(void *workspace);
 /* Once, when all start values are known, after the first event and before the first output. */
 static bool component_initialise(Component *component, void *workspace, Message *why);
 
-/* Compute outputs and local variables from inputs, states, parameters and what was held at the last
- * event; nothing of these moves. */
+/* Compute outputs, local variables and derivatives from inputs, states, parameters and what was
+ * held at the last event; nothing of these moves. */
 static bool component_output(Component *component, void *workspace, Message *why);
 
 /* Move the states by `step` > 0 [s] with the inputs held, and compute as component_output does for
- * the end of the step. With INNER_STEPS the inputs are those of the step's beginning, from which
- * they follow their slopes; such a component says whether there was an event at the end of the
- * step, and where it may, ends the step at the first one and says how much is done. The glue
- * advances the time afterwards. */
+ * the end of the step; it may leave out derivatives. With INNER_STEPS the inputs are those of the
+ * step's beginning, from which they follow their slopes; such a component says whether there was an
+ * event at the end of the step, and where it may, ends the step at the first one and says how much
+ * is done. The glue advances the time afterwards. */
 static bool component_step(Component *component, void *workspace, double step, Message *why);
-
-/* Compute the derivatives of states, as component_output does outputs: steps do without. */
-static void component_derivatives(Component *component);
 
 /* Compute the variables that are marked as on demand. */
 static void component_demand(Component *component);

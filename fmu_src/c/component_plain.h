@@ -1,13 +1,9 @@
-/* What a component includes that has no events, no variables on demand, no directional derivatives
- * and none of states that its steps have not computed. */
+/* What a component includes that has no events, no variables on demand and no derivatives of its
+ * own to give. */
 #ifndef COMPONENT_PLAIN_H
 #define COMPONENT_PLAIN_H
 
 #include "component.h"
-
-static void component_derivatives(Component *component) {
-    (void)component;
-}
 
 static void component_demand(Component *component) {
     (void)component;

@@ -86,33 +86,15 @@ static void start(Component *component, int i) {
     if (joint->start) {
         joint->start(at.k, at.u, at.s, x, previous_of(component, i), y, latest_of(component, i));
     } else {
-        joint->read(at.k, at.u, at.s, x, NULL, 0.0, y, NULL);
+        joint->read(at.k, at.u, at.s, x, NULL, 0.0, x + joint->states, y, NULL);
     }
     put_outputs(component->v, i, y);
-}
-
-/* Whether nothing but a sample moves what is computed. */
-static bool holds(const Component *component) {
-    return component->own[STARTED] > 0.0 && (HOLDS || component->own[TICKS] < 0.0);
-}
-
-static void derive(Component *component, int i) {
-    const Place at = place_of(component, i);
-    double *x = states_of(component, i);
-    at.joint->derivatives(at.k, at.u, at.s, x, previous_of(component, i), component->own[LAST_STEP],
-                          x + at.joint->states);
-}
-
-static void component_derivatives(Component *component) {
-    for (int i = 0; i < JOINTS && !holds(component); i++) {
-        derive(component, i);
-    }
 }
 
 static bool component_output(Component *component, void *workspace, Message *why) {
     (void)workspace, (void)why; /* the glue itself looks for infinite outputs */
     const bool started = component->own[STARTED] > 0.0;
-    if (holds(component)) {
+    if (started && (HOLDS || component->own[TICKS] < 0.0)) {
         return true;
     }
     clear_torques(component->v);
@@ -122,9 +104,9 @@ static bool component_output(Component *component, void *workspace, Message *why
             continue;
         }
         const Place at = place_of(component, i);
-        double y[MAX_OUTPUTS], r[MAX_REMEMBERED + 1];
-        at.joint->read(at.k, at.u, at.s, states_of(component, i), previous_of(component, i),
-                       component->own[LAST_STEP], y, r);
+        double y[MAX_OUTPUTS], r[MAX_REMEMBERED + 1], *x = states_of(component, i);
+        at.joint->read(at.k, at.u, at.s, x, previous_of(component, i), component->own[LAST_STEP],
+                       x + at.joint->states, y, r);
         put_outputs(component->v, i, y);
     }
     return true;
@@ -185,8 +167,10 @@ static void sample(Component *component, double step) {
         joint->step(at.k, at.u, at.s, previous_of(component, i), step, euler, x, y,
                     latest_of(component, i));
         put_outputs(component->v, i, y);
-        if (HOLDS || SAMPLED) {
-            derive(component, i); /* nobody can later */
+        if (HOLDS || SAMPLED) { /* component_output does not write derivatives later */
+            double r[MAX_REMEMBERED + 1];
+            joint->read(at.k, at.u, at.s, x, previous_of(component, i), step, x + joint->states, y,
+                        r);
         }
     }
 }

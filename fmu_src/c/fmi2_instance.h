@@ -113,13 +113,6 @@ static fmi2Status refuse(const Instance *instance, const char *format, ...) {
     return fmi2Discard;
 }
 
-/* Refuse to give a number that is none. */
-static fmi2Status refuse_result(const Instance *instance, int variable) {
-    const Component *component = &instance->memory.component;
-    return refuse(instance, "%s became %g at time %.9g.", variables[variable].name,
-                  component->v[variable], component->time);
-}
-
 /* Say what happened, if the host wants to know. */
 static void report(const Instance *instance, const char *format, ...) {
     va_list arguments;
@@ -164,7 +157,8 @@ static fmi2Status failed(Instance *instance) {
 
 /* Whether all that is computed is finite. */
 static bool all_finite(const Memory *memory, Message *why) {
-    for (int i = 0; i < WATCHED; i++) {
+    const bool derived = memory->type == fmi2ModelExchange;
+    for (int i = 0; i < WATCHED + (derived ? STATES : 0); i++) {
         const double value = memory->component.v[watched[i]];
         if (!isfinite(value)) {
             snprintf(why->text, sizeof why->text, "%s became %g at time %.9g.",

@@ -70,16 +70,7 @@ static fmi2Status refuse_number(const Instance *instance, const char *function,
                   variable_of(vr)->name, value);
 }
 
-/* Whether one of the variables has a role. */
-static bool any_is(Role role, const fmi2ValueReference vr[], size_t n) {
-    size_t i = 0;
-    while (i < n && variable_of(vr[i])->role != role) {
-        i++;
-    }
-    return i < n;
-}
-
-/* What is computed when it is read may still not be finite. After a failure or the end, it is what
+/* What is computed on demand alone may still not be finite. After a failure or the end, it is what
  * there is. */
 static fmi2Status demanded_are_finite(const Instance *instance, const fmi2ValueReference vr[],
                                       size_t n) {
@@ -87,16 +78,29 @@ static fmi2Status demanded_are_finite(const Instance *instance, const fmi2ValueR
     for (size_t i = 0; (instance->memory.mode & RUNNING) && i < n; i++) {
         const Role role = variable_of(vr[i])->role;
         if ((role == ON_DEMAND || role == DERIVATIVE) && !isfinite(component->v[first_of(vr[i])])) {
-            return refuse_result(instance, first_of(vr[i]));
+            return refuse(instance, "%s became %g at time %.9g.", variable_of(vr[i])->name,
+                          component->v[first_of(vr[i])], component->time);
         }
     }
     return fmi2OK;
+}
+
+/* Compute the derivatives of states, which steps may leave out; outputs keep every bit. */
+static void derive(Instance *instance) {
+    Component *component = &instance->memory.component;
+    Component other = *component;
+    Message why;
+    component_output(&other, instance->workspace, &why);
+    for (int i = 0; i < STATES; i++) {
+        component->v[derivatives[i]] = other.v[derivatives[i]];
+    }
 }
 
 /* Common part of the getters. */
 static fmi2Status read(fmi2Component c, const char *function, Type type,
                        const fmi2ValueReference vr[], size_t n, const void *value) {
     Instance *instance = entered(c, MAY_GET, function);
+    bool demanded = false, derived = false;
     if (!instance) {
         return fmi2Error;
     }
@@ -106,16 +110,17 @@ static fmi2Status read(fmi2Component c, const char *function, Type type,
     const fmi2Status status = refreshed(instance);
     const bool discrete = instance->memory.type == fmi2CoSimulation ||
                           (instance->memory.mode & (INITIALISING | AT_EVENT));
-    if (status != fmi2OK) {
-        return status;
+    for (size_t i = 0; discrete && i < n; i++) {
+        demanded = demanded || variable_of(vr[i])->role == ON_DEMAND;
+        derived = derived || variable_of(vr[i])->role == DERIVATIVE;
     }
-    if (discrete && any_is(ON_DEMAND, vr, n)) {
+    if (demanded && status == fmi2OK) {
         component_demand(&instance->memory.component);
     }
-    if (any_is(DERIVATIVE, vr, n)) {
-        component_derivatives(&instance->memory.component);
+    if (derived && status == fmi2OK) {
+        derive(instance);
     }
-    return demanded_are_finite(instance, vr, n);
+    return status == fmi2OK ? demanded_are_finite(instance, vr, n) : status;
 }
 
 FMI2_STATUS(fmi2GetReal)

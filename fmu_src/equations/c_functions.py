@@ -178,21 +178,15 @@ class Functions:
         return self._written(False, own, targets, "switches(IN(k), IN(u), OUT(z))")
 
     def read(self) -> str:
-        """Write outputs y and what will be remembered r."""
+        """Write derivatives of the states dx, outputs y and what will be remembered r."""
         own = readings(self.component)
         return self._written(
-            True, own, self._reading_targets,
-            "read(IN(k), IN(u), IN(s), IN(x), IN(p), double dt, OUT(y), OUT(r))",
+            True, own, {**self._derivative_targets, **self._reading_targets},
+            "read(IN(k), IN(u), IN(s), IN(x), IN(p), double dt, OUT(dx), OUT(y), OUT(r))",
         )  # fmt: skip
 
-    def derivatives(self) -> str:
-        """Write derivatives of the states dx, which steps do without."""
-        own = derivatives(self.component.memory)
-        signature = "derivatives(IN(k), IN(u), IN(s), IN(x), IN(p), double dt, OUT(dx))"
-        return self._written(True, own, self._derivative_targets, signature)
-
     def solved_derivatives(self) -> str:
-        """Write the same where nothing is held, as `attempt` does."""
+        """Write derivatives of the states dx where nothing is held, as in `attempt`."""
         own = derivatives(self.component.memory)
         signature = "solved_derivatives(IN(k), IN(u), IN(x), OUT(dx))"
         return self._written(False, own, self._derivative_targets, signature)

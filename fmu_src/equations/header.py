@@ -76,12 +76,7 @@ FRICTION: Mapping[str, tuple[Writer, str]] = {
     "read": (
         Functions.read,
         _pointer("read", f"{_K}, const double *s, const double *x, const double *p, double dt, "
-                 "double *y, double *r"),
-    ),
-    "derivatives": (
-        Functions.derivatives,
-        _pointer("derivatives", f"{_K}, const double *s, const double *x, const double *p, "
-                 "double dt, double *dx"),
+                 "double *dx, double *y, double *r"),
     ),
     "step": (
         Functions.step,

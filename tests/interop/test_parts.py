@@ -161,7 +161,7 @@ def test_what_is_missing_is_no_number_in_json(small: Alone) -> None:
 
 def test_engines_that_are_not_there_say_so(small: Alone, tmp_path: Path) -> None:
     tools = Tools(folder=tmp_path / "none")
-    chosen = [e for e in ENGINES if e.name in ("FMI4j", "Maestro", "OMSimulator")]
+    chosen = [e for e in ENGINES if e.name in ("FMI4j", "Maestro", "OMSimulator", "PyFMI")]
     matrix = compare([small], tools, engines=chosen)
     assert not matrix.failing
     assert list(notes(matrix)) == [
@@ -170,6 +170,7 @@ def test_engines_that_are_not_there_say_so(small: Alone, tmp_path: Path) -> None
         "Java.",
         "OMSimulator: not run: there is no library OMSimulator: build it from its project's "
         "sources; its library belongs into FOLDER/lib, or to where the system's loader looks.",
+        "PyFMI: not run: there is no Python package pyfmi: conda install -c conda-forge pyfmi.",
     ]
 
 

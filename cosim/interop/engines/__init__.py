@@ -9,5 +9,6 @@ from cosim.interop.engines.fmpy import FMPY
 from cosim.interop.engines.libcosim import LIBCOSIM
 from cosim.interop.engines.maestro import MAESTRO
 from cosim.interop.engines.omsimulator import OMSIMULATOR
+from cosim.interop.engines.pyfmi import PYFMI
 
-ENGINES = (FMPY, FMI_SIM, FMI_RS, FMI4J, CASADI, LIBCOSIM, ECOS, MAESTRO, OMSIMULATOR)
+ENGINES = (FMPY, FMI_SIM, FMI_RS, FMI4J, CASADI, LIBCOSIM, ECOS, MAESTRO, OMSIMULATOR, PYFMI)

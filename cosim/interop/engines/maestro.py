@@ -8,8 +8,7 @@ from typing import Any
 
 from cosim.interop.case import Run, Together
 from cosim.interop.engine import Engine, Tools, read_signals, require_success
-from cosim.slave import Component
-from cosim.wiring import Element, Wiring
+from cosim.wiring import Element
 
 _NANOSECONDS = re.compile(r"Interpretation time: (\d+)")
 
@@ -33,12 +32,7 @@ def _together(tools: Tools, case: Together, folder: Path) -> Run:
 
 def _multi_model(case: Together) -> dict[str, Any]:
     """Return a system as Maestro reads it."""
-    spec = case.spec
-    variables = {}
-    for component in spec.components:
-        with Component(component.fmu) as slave:
-            variables[component.name] = slave.variables
-    wiring = Wiring(spec, variables, Path(spec.name))
+    spec, wiring = case.spec, case.wiring()
     connections: dict[str, list[str]] = {}
     for into, out in wiring.sources.items():
         connections.setdefault(_name(out), []).append(_name(into))
