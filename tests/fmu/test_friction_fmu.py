@@ -117,6 +117,27 @@ def test_state_and_derivative_can_be_read(table1, binary):
     assert dh == pytest.approx(alpha * (np.tanh(beta * 0.01) - h), rel=1e-12)
 
 
+def test_derivatives_are_those_of_model_exchange_and_reading_them_moves_nothing(
+    any_law, every_law, make_model, load, tmp_path
+):
+    """A co-simulation computes them when they are read; one that nobody asks gives the same."""
+    fmu = load(export_bare(make_model(every_law[any_law]), tmp_path / "F.fmu"))
+    read, left, continuous = fmu.ready(), fmu.ready(), fmu.continuous()
+    states = [u.variable.derivative.name for u in fmu.about.derivatives]
+    rates = [f"der({state})" for state in states]
+    for k, dq in enumerate((0.3, -0.01, -0.2, 0.0, 0.02)):
+        inputs = {"dq[1]": dq, "q[1]": 0.1 * k, "tau_load[1]": 3.0 * k}
+        for c in (read, left):
+            assert fmu.set_all(c, inputs) == 0
+            assert fmu.step(c, 0.002 * k, 0.002) == 0
+        found = fmu.get(read, *rates)
+        after = fmu.get(left, "tau[1]", *states)
+        assert fmu.get(read, "tau[1]", *states) == after
+        fmu.event(continuous, inputs)
+        assert fmu.set_all(continuous, dict(zip(states, after[1:], strict=True))) == 0
+        assert fmu.get(continuous, *rates) == found
+
+
 def test_outputs_can_be_read_before_the_initialisation_ends(table1, binary):
     c = binary.instantiate()
     assert binary("EnterInitializationMode", c) == 0
