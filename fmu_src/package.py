@@ -29,6 +29,7 @@ _C = _HERE / "c"
 _GLUE = (
     "component.h",
     "component_alone.h",
+    "component_plain.h",
     "fmi2.c",
     "fmi2.h",
     "fmi2_continuous.c",
@@ -38,6 +39,7 @@ _GLUE = (
     "fmi2_variables.c",
     "variable.h",
 )
+_OPTIONAL = ("component_plain.h",)  # only with components that include it
 
 _GLUE_3 = (
     "fmi3.c",
@@ -247,7 +249,8 @@ def _built(source: Path, identifier: str, target: Target, own: Binary | None) ->
 
 def _sources(own: Mapping[str, str], fmi: Version) -> dict[str, str]:
     glue = (*_GLUE, *_GLUE_3) if fmi == 3 else _GLUE
-    files = {name: own_source(name) for name in glue} | dict(own)
+    text = "".join(own.values())
+    files = {n: own_source(n) for n in glue if n not in _OPTIONAL or f'"{n}"' in text} | dict(own)
     parts = [name for name in files if name.endswith(".c")]
     files["all.c"] = (
         (_INSIDE if fmi == 3 else "") + _ALL_C + "".join(f'#include "{name}"\n' for name in parts)

@@ -30,7 +30,6 @@ _SOURCES = (
     "mjcf_losses.h",
     "mjcf_parameters.h",
     "beside.h",
-    "component_plain.h",
     "guard.h",
     "mujoco_library.h",
     "noise.h",

@@ -77,8 +77,7 @@ def content(
     example : parameters of its reference results that are not at their start values.
     owner : ours where it holds nothing of a robot.
     """
-    own = {name: own_source(name) for name in (source, "component_plain.h")}
-    sources = own | dict(headers)
+    sources = {source: own_source(source)} | dict(headers)
     about = block_description(name=name, text=text, step=step, owner=owner)
     inputs = waves({v.name: 1.0 for v in table.variables if v.role == "input"})
     stimuli = Stimuli(step=step, inputs=inputs, parameters=example or {})

@@ -113,7 +113,7 @@ def content(
         sources=("all.c",),
         owner=Owner.of(model.provenance),
     )
-    names = ("balance.h", "component_plain.h", "coupling.h", "drive.c", "law_math.h", "root.h")
+    names = ("balance.h", "coupling.h", "drive.c", "law_math.h", "root.h")
     sources = {name: own_source(name) for name in names}
     members = (
         {}
