@@ -130,14 +130,8 @@ def test_no_module_imports_one_that_imports_it() -> None:
 @pytest.mark.parametrize("module", HOSTS, ids=str)
 def test_a_host_of_an_engine_needs_nothing_of_ours(module: Path) -> None:
     known = {*sys.stdlib_module_names, "files", "numpy"}
-    own = {
-        "fmpy",
-        "casadi",
-        "ecospy",
-        "libcosimpy",
-        "pyfmi",
-        "ctypes",
-    }  # the last for a plain library
+    # The last for a plain library.
+    own = {"fmpy", "casadi", "ecospy", "libcosimpy", "pyfmi", "ctypes"}
     found = set(map(top, imports(module)))
     assert found <= known | own
     assert len(found & own) == (module.stem != "files")
