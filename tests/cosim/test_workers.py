@@ -160,7 +160,7 @@ def test_a_worker_that_crashes_says_nothing_itself(crash: str, tmp_path: Path) -
 
 @pytest.mark.parametrize(
     ("number", "seconds"),
-    [(signal.SIGINT, 0.0), (signal.SIGINT, 0.5), (signal.SIGINT, 2.0), (signal.SIGTERM, 0.5)],
+    [(signal.SIGINT, 0.0), (signal.SIGINT, 0.5), (signal.SIGINT, 1.0), (signal.SIGTERM, 0.5)],
 )
 def test_signals_to_the_group_are_answered_once(
     number: signal.Signals, seconds: float, tmp_path: Path
