@@ -192,7 +192,7 @@ class Functions:
         return self._written(False, own, self._derivative_targets, signature)
 
     def start(self) -> str:
-        """Write the same as they are before the first step, and previous values p for it."""
+        """Write y and r as they are before the first step, and previous values p for it."""
         component = self.component
         own = readings(component, starting=True)
         starts = component.starts

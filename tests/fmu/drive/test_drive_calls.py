@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy
 from binary import Binary
 from c_hosts import LINUX
 from drive_runs import drive, model_of
@@ -19,6 +20,7 @@ from drive_runs import drive, model_of
 from cosim.slave import Component
 from fmu_src.drive.drive_fmu import export_drive
 from hesr_model.errors import ExportError, SimulationError
+from hesr_model.friction.inputs import DQ
 from hesr_model.support.compiler import compile_c
 
 DISCARD = 2
@@ -77,6 +79,26 @@ def test_inputs_have_no_effect_before_the_next_step(binary: Binary) -> None:
     assert binary.get(c, *outputs) == before
     assert binary.step(c, 0.01, 0.01) == 0
     assert binary.get(c, *outputs) != before
+
+
+def test_derivatives_are_those_at_the_end_of_the_step(binary: Binary, make_law) -> None:
+    """At the joint's speed and the states there, before the first step and after each."""
+    law = make_law("lugre")
+    [element] = law.form.memory
+    known = {c.symbol: law.values[c.name] for c in law.form.coefficients}
+    c = binary.instantiate()
+    assert binary("EnterInitializationMode", c) == 0
+    assert binary.set_all(c, {"ratio[2]": 2.0, "dq_start[2]": 0.1}) == 0
+    assert binary("ExitInitializationMode", c) == 0
+    for k in range(3):
+        dq, z, found = binary.get(c, "dq[2]", "z[2]", "der(z[2])")
+        numbers = {s: sympy.Float(v) for s, v in {**known, DQ: 0.5 * dq, element.state: z}.items()}
+        expected = float(element.continuous().xreplace(numbers))
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)
+        assert binary.set_all(c, {"tau_motor[2]": 40.0}) == 0
+        assert binary.step(c, 1e-3 * k, 1e-3) == 0
+    assert dq != 0.1
+    assert expected != 0.0
 
 
 def test_a_long_step_is_its_inner_steps(binary: Binary) -> None:
