@@ -42,6 +42,14 @@ def candidate(**more: Any) -> Candidate:
     return Candidate(**(everything | more))
 
 
+LINEAR = {"g": None, "gain": 0.0, "theta_active": np.zeros(4, bool)}
+
+
+def test_a_candidate_without_a_unit_has_no_arguments_of_one() -> None:
+    with pytest.raises(ValueError, match="a candidate without a unit has no arguments of one"):
+        candidate(g=None, gain=0.0)
+
+
 # --- scales -----------------------------------------------------------------------------------
 
 
@@ -143,7 +151,7 @@ def test_the_search_that_is_named_is_done(
     done = []
     for name in ("_evolve", "_paper"):
         monkeypatch.setattr(
-            ParFamH, name, lambda *_, own=name: done.append(own) or [candidate(g=None, gain=0.0)]
+            ParFamH, name, lambda *_, own=name: done.append(own) or [candidate(**LINEAR)]
         )
     ParFamH(search=search).fit(records, np.random.default_rng(0))
     assert done == ["_paper" if search == "paper" else "_evolve"]
@@ -168,9 +176,7 @@ def test_what_enlarges_a_law_is_tried_where_it_is_asked_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     active = np.array([True, True, memory, memory])
-    of = candidate(g=None, gain=0.0, c_active=active, theta_active=np.zeros(4, bool)).law(
-        "parfam_h", "exact"
-    )
+    of = candidate(**LINEAR, c_active=active).law("parfam_h", "exact")
     seen: list[str] = []
 
     def with_unit(base: Trial, *_: object) -> list[Trial]:
@@ -193,7 +199,7 @@ def test_what_enlarges_a_law_is_tried_where_it_is_asked_for(
 def test_a_law_that_is_enlarged_is_another_one(
     features: HysteresisFeatures, records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    of = candidate(g=None, gain=0.0).law("parfam_h", "exact")
+    of = candidate(**LINEAR).law("parfam_h", "exact")
     monkeypatch.setattr(estimator, "extended", lambda _, more, __: more[0])
     few = ParFamH(denominator=True)
     found = few._enlarged(of, features, TrainedRange.of(records), np.random.default_rng(0))

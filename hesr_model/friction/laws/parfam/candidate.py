@@ -30,6 +30,10 @@ class Candidate:
     gain : factor of the unit [N.m].
     c_active, theta_active : (4,) which coefficients are in the structure.
     cost : mean squared residual on the rows it was found with [N^2.m^2].
+
+    Raises
+    ------
+    ValueError : a candidate without a unit has arguments of one.
     """
 
     g: str | None
@@ -41,6 +45,11 @@ class Candidate:
     c_active: Array
     theta_active: Array
     cost: float
+
+    def __post_init__(self) -> None:
+        # Their columns of the Jacobian would never be written.
+        if self.g is None and self.theta_active.any():
+            raise ValueError("a candidate without a unit has no arguments of one")
 
     def canonical(self) -> "Candidate":
         """Return the same law in the one form in which it is printed.
