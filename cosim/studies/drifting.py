@@ -24,6 +24,7 @@ from fmu_src.friction.friction_fmu import adaptive_content, export_bare
 from fmu_src.package import write_fmu
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.thermal import Thermal
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import RobotModel
@@ -88,6 +89,15 @@ def wear(at: float, joint: int, share: float = 0.25) -> Drift:
         return factors
 
     return Drift(coulomb=course, viscous=course)
+
+
+def heated(thermal: Thermal, temperature: Callable[[float], float]) -> Drift:
+    """Return a drift by temperature [degC], the same in all joints, over time [s]."""
+
+    def factor(which: int) -> Course:
+        return lambda t, n: np.repeat(thermal.factors(np.array([temperature(t)]))[which], n)
+
+    return Drift(coulomb=factor(0), viscous=factor(1))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -352,5 +362,5 @@ def _numbers(values: Array) -> tuple[float, ...]:
     return tuple(float(x) for x in values)
 
 
-__all__ = ["Drift", "DriftScore", "Drifted", "DriftingLoop", "run_drifting", "score",
+__all__ = ["Drift", "DriftScore", "Drifted", "DriftingLoop", "heated", "run_drifting", "score",
            "warm_up", "wear"]  # fmt: skip

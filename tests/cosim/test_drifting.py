@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from cosim.studies.drifting import (
     Drift,
     Drifted,
     DriftingLoop,
+    heated,
     run_drifting,
     score,
     warm_up,
@@ -23,11 +25,17 @@ from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr_model.artifacts import read_rigid_body
 from hesr_model.errors import ConfigError
+from hesr_model.friction.adaptive.thermal_fit import fit_thermal
+from hesr_model.friction.fitting.fit import fit
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.lugre import LuGre
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.thermal import Thermal
 from hesr_model.friction.trained import TrainedRange
-from hesr_model.motions.trajectories import random_fourier
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.motions.trajectories import Fourier, random_fourier
+from hesr_model.rigid_body.identification import identify
+from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.typed_json import to_json
 
@@ -135,19 +143,79 @@ def first(run: Drifted, alarm: str) -> list[float]:
     return [float(run.t[own[0]]) if len(own) else np.inf for own in rows]
 
 
-@pytest.mark.soak
-def test_the_drift_of_a_warm_up_is_cut_within_a_minute(fitted: DriftingLoop) -> None:
-    # The end of the 20 minutes, on a motion that does not come back: nobody has seen what is next.
-    motion = random_fourier(
-        seed=11, harmonics=60, period=120.0, peak_velocity=np.array([1.0, 0.9, 1.0]),
+def long_motion(seed: int) -> Fourier:
+    """A motion of two minutes that does not come back: nobody has seen what is next."""
+    return random_fourier(
+        seed=seed, harmonics=60, period=120.0, peak_velocity=np.array([1.0, 0.9, 1.0]),
         offset=np.array([0.0, 0.3, -1.9]),
     )  # fmt: skip
-    fitted, drift, seconds = replace(fitted, motion=motion), warm_up(1020.0), 120.0
+
+
+def log_of(run: Drifted, rows: slice = slice(None), *, name: str = "loop") -> RobotLog:
+    """What the twin's encoders and torque sensors have recorded."""
+    q = run.q + PLANT.noise.encoder_error(np.arange(len(run.t)))
+    return RobotLog(name=name, t=run.t[rows], q=q[rows], dq=None, tau=run.tau_meas[rows])
+
+
+@pytest.fixture(scope="module")
+def cold(simple: DriftingLoop) -> RobotLog:
+    return log_of(run_drifting(replace(simple, motion=long_motion(3)), Drift(), 120.0))
+
+
+@pytest.mark.soak
+def test_the_drift_of_a_warm_up_is_cut_within_a_minute(fitted: DriftingLoop) -> None:
+    # The end of the 20 minutes.
+    fitted, drift, seconds = replace(fitted, motion=long_motion(11)), warm_up(1020.0), 120.0
     followed = run_drifting(fitted, drift, seconds)
     fixed = run_drifting(fitted, drift, seconds, adapt=False)
     undrifted = run_drifting(fitted, Drift(), seconds, adapt=False)
     found = score(fitted.model, followed, fixed, undrifted, 60.0)
     assert min(found.cut) >= 0.7
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("law", ["parfam_s_load", "lugre_load"])
+def test_a_law_that_is_followed_tracks_like_one_fitted_anew_every_minute(
+    law: str, cold: RobotLog, tmp_path: Path
+) -> None:
+    robot = RobotModel(RobotDescription.read(UF850 / "robot.toml"))
+    body = identify([cold], robot)
+    model = fit(law, friction_records(cold, robot, body))
+    loop = replace(loop_of(tmp_path, model, np.array(body.parameters)), motion=long_motion(11))
+    minute = round(60.0 / loop.step)
+
+    def anew(so_far: Drifted, k: int) -> FrictionModel:
+        if k == 0:
+            return model
+        last = log_of(so_far, slice(k - minute, k))
+        return fit(law, friction_records(last, robot, body))
+
+    def tracking(run: Drifted) -> np.ndarray:
+        return np.sqrt(np.mean((run.q - run.q_d)[run.t >= 60.0] ** 2, axis=0))
+
+    drift, seconds = warm_up(1020.0), 180.0
+    followed = tracking(run_drifting(loop, drift, seconds))
+    refitted = tracking(run_drifting(loop, drift, seconds, refitted=anew))
+    assert np.all(followed <= 1.15 * refitted)
+    assert np.all(followed < 0.5 * tracking(run_drifting(loop, drift, seconds, adapt=False)))
+
+
+@pytest.mark.soak
+def test_what_temperature_does_to_the_twin_is_found(simple: DriftingLoop, cold: RobotLog) -> None:
+    known = Thermal(coulomb=0.006, viscous=0.02, reference=30.0)
+
+    def course(t: Any) -> Any:
+        return 20.0 + 25.0 * t / 1200.0
+
+    run = run_drifting(replace(simple, motion=long_motion(11)), heated(known, course), 1200.0)
+    warm = replace(
+        log_of(run, name="warm"), temperature=np.repeat(course(run.t)[:, None], 3, axis=1)
+    )
+    body = identify([cold], simple.robot)
+    _, found = fit_thermal(truth(), [friction_records(warm, simple.robot, body)])
+    for joint in found:
+        assert joint.thermal.coulomb == pytest.approx(known.coulomb, rel=0.05)
+        assert joint.thermal.viscous == pytest.approx(known.viscous, rel=0.05)
 
 
 @pytest.mark.soak
