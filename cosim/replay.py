@@ -12,6 +12,7 @@ from cosim.slave import Component
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import TORQUE
+from hesr_model.friction.thermal import TEMPERATURE, THERMOMETER
 
 
 def replay(
@@ -22,6 +23,7 @@ def replay(
     tau_load: ArrayLike | None = None,
     start: Mapping[str, float] | None = None,
     *,
+    temperature: ArrayLike | None = None,
     output: str = TORQUE,
 ) -> Array:
     """Return the friction torque that an FMU computes for a log.
@@ -37,6 +39,8 @@ def replay(
     q : (N, n) joint position [rad]; zero where not given.
     tau_load : (N, n) load torque [N.m]; zero where not given.
     start : parameters by name, as {"start_mode": 2, "h_start[1]": 0.2}.
+    temperature : (N, n) of the joints [degC], of an FMU that follows it; where it is not given
+        friction heats.
     output : what is read of each joint, as `tau_lower` of an FMU with a band.
 
     Returns
@@ -49,7 +53,9 @@ def replay(
         If the log does not fit the FMU, or the FMU fails.
     """
     with Component(fmu) as component:
-        return replayed(component, t, dq, q, tau_load, start, output=output)
+        return replayed(
+            component, t, dq, q, tau_load, start, temperature=temperature, output=output
+        )
 
 
 def replayed(
@@ -60,26 +66,33 @@ def replayed(
     tau_load: ArrayLike | None = None,
     start: Mapping[str, float] | None = None,
     *,
+    temperature: ArrayLike | None = None,
     output: str = TORQUE,
 ) -> Array:
     """Do what `replay` does with an FMU that is loaded, and reset it where it has been used."""
     fmu, time = component.fmu, np.asarray(t, dtype=float)
     if not len(time):
         raise SimulationError(f"{fmu}: the log to be replayed has no samples.")
-    joints = sum(v.name.startswith("tau[") for v in component.description.modelVariables)
-    zero = np.zeros((len(time), joints))
-    parts = [zero if part is None else np.asarray(part, dtype=float) for part in (dq, q, tau_load)]
-    for symbol, part in zip(INPUTS, parts, strict=True):
+    names = {v.name for v in component.description.modelVariables}
+    joints = sum(name.startswith("tau[") for name in names)
+    zero, indices = np.zeros((len(time), joints)), range(1, joints + 1)
+    given = dict(zip([symbol.name for symbol in INPUTS], (dq, q, tau_load), strict=True))
+    if f"{TEMPERATURE.name}[1]" in names:
+        if temperature is None:
+            start = {f"joint[{i}].{THERMOMETER}": 0.0 for i in indices} | dict(start or {})
+        else:
+            given[TEMPERATURE.name] = temperature
+    parts = [zero if part is None else np.asarray(part, dtype=float) for part in given.values()]
+    for name, part in zip(given, parts, strict=True):
         if part.shape != zero.shape:
             raise SimulationError(
-                f"{fmu}: '{symbol}' has the shape {part.shape}; needed is {zero.shape}, "
+                f"{fmu}: '{name}' has the shape {part.shape}; needed is {zero.shape}, "
                 f"{len(time)} samples of {joints} joints."
             )
     if np.any(np.diff(time) <= 0.0):
         row = int(np.argmax(np.diff(time) <= 0.0)) + 1
         raise SimulationError(f"{fmu}: time does not increase at row {row} of the log.")
-    indices = range(1, joints + 1)
-    inputs = component.batch([f"{symbol}[{i}]" for symbol in INPUTS for i in indices])
+    inputs = component.batch([f"{name}[{i}]" for name in given for i in indices])
     outputs = component.batch([f"{output}[{i}]" for i in indices])
     rows = np.hstack(parts)
     torque = np.empty_like(zero)

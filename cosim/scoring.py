@@ -423,5 +423,7 @@ def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) ->
         dq, q, tau_load = (
             np.column_stack([getattr(r, u) for r in log]) for u in ("dq", "q", "tau_load")
         )
-        torques.append(replay(fmu, log[0].t, dq, q, tau_load, start=start))
+        warm = [r.temperature for r in log if r.temperature is not None]
+        temperature = np.column_stack(warm) if len(warm) == len(log) else None
+        torques.append(replay(fmu, log[0].t, dq, q, tau_load, start=start, temperature=temperature))
     return [[torque[:, joint] for torque in torques] for joint in range(len(records))]

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from xml.etree import ElementTree as ET
 
-from fmu_src.interface import ATTRIBUTES, Enumeration, Interface, Variable
+from fmu_src.interface import Enumeration, Interface, Variable
 from hesr_model.errors import ExportError
 from hesr_model.robots.owner import Owner
 
@@ -232,7 +232,7 @@ def _types(root: ET.Element, table: Interface) -> None:
 
 
 def _scalar(variable: Variable, reference: int, table: Interface) -> ET.Element:
-    causality, variability, initial = ATTRIBUTES[variable.role]
+    causality, variability, initial = variable.attributes
     attributes = {
         "name": variable.name,
         "valueReference": str(reference),

@@ -13,7 +13,7 @@ from fmu_src.description import (
     base_unit,
     shown_as,
 )
-from fmu_src.interface import ATTRIBUTES, Array, Interface, Role
+from fmu_src.interface import Array, Interface, Role
 
 _INDICATORS = "event_indicator"
 
@@ -136,7 +136,7 @@ def _type_of(unit: str, nominal: float) -> str:
 
 def _variable(array: Array, arrays: Arrays) -> ET.Element:
     first = array.elements[0]
-    causality, variability, initial = ATTRIBUTES[first.role]
+    causality, variability, initial = first.attributes
     attributes = {
         "name": array.name,
         "valueReference": str(array.place),

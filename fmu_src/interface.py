@@ -17,7 +17,7 @@ from hesr_model.errors import ExportError
 Role = Literal["input", "output", "on_demand", "local", "state", "fixed", "tunable"]
 
 # FMI's attributes of each role: causality, variability and, where it must be written, initial.
-ATTRIBUTES: dict[Role, tuple[str, str, str | None]] = {
+_ATTRIBUTES: dict[Role, tuple[str, str, str | None]] = {
     "input": ("input", "continuous", None),
     "output": ("output", "continuous", "calculated"),
     "on_demand": ("output", "discrete", "calculated"),
@@ -48,13 +48,14 @@ class Variable:
     Attributes
     ----------
     name : structured name, as `dq[1]` or `joint[1].alpha`.
-    role : what it is to FMI; see `ATTRIBUTES`.
+    role : what it is to FMI.
     description : for the user.
     unit : SI unit in FMI's spelling; None only for an enumeration.
     enumeration : its choices, if it is one; a Real otherwise.
     start : start value; for a computed variable or a state it is not shown.
     nominal : usual size; solvers scale their tolerances of a state by it.
     least, greatest : what a user should not leave; None where nothing says so.
+    switch : whether it is an input that hosts must not draw a line between the values of.
     derivative_of : name of the state whose time derivative this is.
     dependencies : for a computed variable, the names of all variables in its expression.
     initial_dependencies : names of further variables that count until the initialisation ends; of
@@ -70,9 +71,16 @@ class Variable:
     nominal: float = 1.0
     least: float | None = None
     greatest: float | None = None
+    switch: bool = False
     derivative_of: str | None = None
     dependencies: tuple[str, ...] = ()
     initial_dependencies: tuple[str, ...] = ()
+
+    @property
+    def attributes(self) -> tuple[str, str, str | None]:
+        """Causality, variability and initial, which is None where it is not written."""
+        causality, variability, initial = _ATTRIBUTES[self.role]
+        return causality, "discrete" if self.switch else variability, initial
 
     @property
     def computed(self) -> bool:

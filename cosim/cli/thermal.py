@@ -24,7 +24,7 @@ def thermal(
     """Find what temperature does to friction.
 
     From logs that hold temperatures; or from long ones that begin cold, by the heat of friction.
-    The model that is written has both in its adaptive FMU.
+    FMUs of the model that is written have both, adaptive ones too.
 
     Example: hesr thermal cold.csv warm.csv --law law.json --robot robot.toml
     --rigid-body rigid_body.json -o warm_law.json

@@ -13,7 +13,7 @@ from fmu_src.documentation.drive_page import to_html
 from fmu_src.drive.drive_component import SUBSTEP, Motors, equations_to_c, interface, motors
 from fmu_src.friction.embedded_model import EMBEDDED_MODEL
 from fmu_src.friction.friction_fmu import date_of
-from fmu_src.friction.validity import require_numbers
+from fmu_src.friction.validity import require_no_temperature, require_numbers
 from fmu_src.package import Content, Version, check_request, own_source, write_fmu
 from fmu_src.recorded import ROWS, Stimuli, waves
 from fmu_src.terminals import Terminal
@@ -97,6 +97,7 @@ def content(
     bare: bool = False,
 ) -> Content:
     """Return the FMU of a drive, before it is compiled; arguments are those of `export_drive`."""
+    require_no_temperature(model, "a drive")
     require_numbers(model)
     own = motors(
         len(model.laws), inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio

@@ -19,10 +19,10 @@ from fmu_src.documentation.live.section import live_data
 from fmu_src.documentation.live.wasm import wasm
 from fmu_src.documentation.picture import model_png
 from fmu_src.documentation.properties_sheet import section
-from fmu_src.friction.adaptive import adaptive_equations
 from fmu_src.friction.embedded_model import EMBEDDED_MODEL
 from fmu_src.friction.friction_component import POWER, equations_to_c, interface
 from fmu_src.friction.reference import reference_files
+from fmu_src.friction.sampled import adaptive_equations, thermal_equations
 from fmu_src.friction.validity import require_numbers
 from fmu_src.interface import Interface
 from fmu_src.package import Content, Version, check_request, own_source, translation_unit, write_fmu
@@ -53,8 +53,9 @@ def export_fmu(
 ) -> Path:
     """Write a friction model as an FMU of FMI 2.0, or 3.0, for co-simulation and model exchange.
 
-    The same model gives the same bytes. The date in it is that of SOURCE_DATE_EPOCH, else that of
-    the model's provenance ("created"), else a fixed one.
+    Adaptive ones, and those of models that follow temperature, are for co-simulation only, and have
+    no pages. The same model gives the same bytes. The date in it is that of SOURCE_DATE_EPOCH, else
+    that of the model's provenance ("created"), else a fixed one.
 
     Parameters
     ----------
@@ -65,8 +66,8 @@ def export_fmu(
     power : whether the power that the friction takes is an output, too.
     band : whether `tau_lower[i]` and `tau_upper[i]`, between which measured friction lies, are
         outputs, too.
-    adaptive : whether the FMU follows friction, from measured torques; for co-simulation only, and
-        without the pages, the battery's table, the power and the band.
+    adaptive : whether the FMU follows friction, from measured torques; without the battery's table,
+        the power and the band.
     body : the rigid body of the robot, for the FMU's page: it then finds the friction in a log of
         measured torques itself.
     progress : told for how many platforms it is built.
@@ -79,18 +80,20 @@ def export_fmu(
     Raises
     ------
     ExportError
-        If the model cannot be expressed in C or FMI, or a binary cannot be built.
+        If the model cannot be expressed in C or FMI, or a binary cannot be built; or it follows
+        temperature, and properties, power, band or body are given.
     ArtifactError
         If `path` cannot be written.
     SimulationError
         If the model has no band.
     """
     check_request(path, platforms)
-    whole = (
-        adaptive_content(model)
-        if adaptive
-        else content(model, properties, power=power, band=band, body=body)
-    )
+    if adaptive:
+        whole = adaptive_content(model)
+    elif model.thermal:
+        whole = thermal_content(model, beside=bool(power or band or properties or body))
+    else:
+        whole = content(model, properties, power=power, band=band, body=body)
     return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
@@ -106,6 +109,9 @@ def export_bare(
 
     Arguments and errors are those of `export_fmu`.
     """
+    if model.thermal:
+        whole = thermal_content(model, beside=band)
+        return write_fmu(whole, path, platforms=platforms, fmi=fmi)
     table, about, sources = _component(model, band=band)
     members = {EMBEDDED_MODEL: _embedded(model)}  # of which measured torques find the start
     bare = Content(table=table, about=about, sources=sources, members=members)
@@ -176,11 +182,32 @@ def adaptive_content(model: FrictionModel) -> Content:
     HesrError
         If the model is none that can follow friction.
     """
+    about = _about(model, "adaptive", "that follow what is measured")
+    return _sampled(model, about, *adaptive_equations(model))
+
+
+def thermal_content(model: FrictionModel, *, beside: bool = False) -> Content:
+    """Return the FMU of a model that follows temperature, before it is compiled.
+
+    Raises
+    ------
+    HesrError
+        If a law has nothing that temperature could scale, or there is to be something `beside`.
+    """
+    if beside:
+        raise ExportError(
+            f"friction model '{model.law}' follows temperature, and its FMU goes with none of "
+            "power, band, properties and rigid body; the model that 'hesr thermal' was given does."
+        )
+    about = _about(model, "friction", "from their motion and temperature")
+    return _sampled(model, about, *thermal_equations(model))
+
+
+def _sampled(model: FrictionModel, about: Description, table: Interface, header: str) -> Content:
     require_numbers(model)
-    table, header = adaptive_equations(model)
     return Content(
         table=table,
-        about=_about(model, "adaptive", "that follow what is measured"),
+        about=about,
         sources=_sources(header),
         members={EMBEDDED_MODEL: _embedded(model)},
     )

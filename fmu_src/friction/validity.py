@@ -51,6 +51,21 @@ def require_uncoupled(model: FrictionModel, form: str) -> None:
         )
 
 
+def require_no_temperature(model: FrictionModel, form: str) -> None:
+    """Refuse a model that follows temperature.
+
+    Raises
+    ------
+    ExportError
+        Naming the law, and `form`, in which friction stays as it is.
+    """
+    if model.thermal:
+        raise ExportError(
+            f"law '{model.law}' follows temperature, which {form} cannot; export it as an FMU "
+            "(--format fmu), or the model that 'hesr thermal' was given."
+        )
+
+
 def shown(expression: sympy.Expr) -> str:
     """Return an expression for people, cut where it is long."""
     text = str(sympy.sstr(expression)).replace("absolute(", "abs(")

@@ -12,7 +12,7 @@ import sympy
 from fmu_src.documentation import datasheet
 from fmu_src.friction.friction_component import nominal
 from fmu_src.friction.reference import reference_motion
-from fmu_src.friction.validity import require_numbers, require_uncoupled
+from fmu_src.friction.validity import require_no_temperature, require_numbers, require_uncoupled
 from fmu_src.modelica.annotations import TEMPLATES, joint_html, law_title, package_html
 from fmu_src.modelica.printer import FUNCTIONS, Equations, equations, start_of
 from hesr_model.equations.functions import sgn
@@ -85,6 +85,7 @@ def package(model: FrictionModel, name: str) -> str:
                 "its law as a friction FMU (--format fmu), which Modelica tools import."
             )
     require_uncoupled(model, "a Modelica package")
+    require_no_temperature(model, "a Modelica package")
     require_numbers(model)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),

@@ -11,7 +11,7 @@ import jinja2
 from fmu_src.equations.c_functions import Functions
 from fmu_src.equations.header import Joint
 from fmu_src.friction.friction_component import joints_of
-from fmu_src.friction.validity import require_numbers, require_uncoupled
+from fmu_src.friction.validity import require_no_temperature, require_numbers, require_uncoupled
 from fmu_src.interface import literal
 from fmu_src.one_file.reference import write_beside
 from fmu_src.package import own_source
@@ -60,6 +60,7 @@ def export_c(model: FrictionModel, path: Path) -> Path:
 def header(model: FrictionModel, name: str) -> str:
     """Return the text of the header, whose names begin with `name`."""
     require_uncoupled(model, "one C header")
+    require_no_temperature(model, "one C header")
     require_numbers(model)
     joints = joints_of(model)
     distinct = list(dict.fromkeys(j.component for j in joints))

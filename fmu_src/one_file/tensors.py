@@ -5,7 +5,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-from fmu_src.friction.validity import require_numbers
+from fmu_src.friction.validity import require_no_temperature, require_numbers
 from fmu_src.one_file.c_header import templates
 from fmu_src.one_file.reference import write_beside
 from fmu_src.one_file.tensor_printer import begin_function, law_function
@@ -57,6 +57,7 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
         If the model has no finite numbers, or a law a function that there is none of for tensors,
         or its joints use both exact and Euler integration.
     """
+    require_no_temperature(model, "a file of tensors")
     require_numbers(model)
     used = {law.discretisation for law in model.laws if law.form.relaxations}
     if len(used) > 1:

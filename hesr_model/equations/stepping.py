@@ -13,6 +13,7 @@ import sympy
 from hesr_model.equations.component import Component, previous
 from hesr_model.equations.functions import NUMPY, SCALAR
 from hesr_model.equations.memory import DT, EULER
+from hesr_model.equations.over_log import Array
 from hesr_model.equations.program import (
     Assignments,
     beginning,
@@ -79,6 +80,30 @@ class Steps:
         inputs : names of those that are handed over with each step, in this order.
         """
         return Run(self._settle, self._start, self._step, self.component, values, start, inputs)
+
+    def over(
+        self, t: Array, columns: Mapping[str, Array], values: Mapping[str, float],
+        start: Sequence[float], *, settled: bool = True,
+    ) -> Array:  # fmt: skip
+        """Return what is observed at each row of a log, (observed, N).
+
+        Parameters
+        ----------
+        t : (N,) [s], increasing.
+        columns : (N,) each, by the input's name; what is no input of the component is left out.
+        values : as for `run`.
+        start : of each state.
+        settled : whether states begin where the first row takes them.
+        """
+        used = {q.name: columns[q.name] for q in self.component.inputs if q.name in columns}
+        run = self.run(values, start, list(used))
+        first = [float(c[0]) for c in used.values()]
+        if settled:
+            run.settle(*first)
+        rows = zip(np.diff(t).tolist(), *(c[1:].tolist() for c in used.values()), strict=True)
+        found = [run.begin(*first)]
+        found += [run.step(dt, *row) for dt, *row in rows]
+        return np.array(found).T
 
 
 class Run:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import repeat
 from math import inf
 from typing import Any, overload
 
@@ -95,6 +96,11 @@ class FrictionModel:
                 f"friction model '{self.law}': {len(self.thermal)} thermal models for "
                 f"{len(self.joints)} joints."
             )
+        if self.thermal and self.coupling:
+            raise ArtifactError(
+                f"friction model '{self.law}': its motors turn with several joints; temperature is "
+                "followed joint by joint only."
+            )
         if self.coupling and len(self.coupling.matrix) != len(self.joints):
             raise ArtifactError(
                 f"friction model '{self.law}': a coupling of {len(self.coupling.matrix)} joints "
@@ -159,7 +165,8 @@ class FrictionModel:
         """Return the friction torque of all joints, (N, n) [N.m].
 
         Of a log, or of a motion given by its arrays. In motion at the start, states begin in the
-        steady state.
+        steady state. A model that follows temperature takes that of the records, and without one
+        what friction heats; of arrays it takes that at which its laws are as they were fitted.
 
         Parameters
         ----------
@@ -180,8 +187,10 @@ class FrictionModel:
             self._require_joints(records)
             moved = at_friction([replace(r, coupling=self.coupling) for r in records])
             columns = [
-                predict_record(law, r, measured_start=measured_start)
-                for law, r in zip(self.laws, moved, strict=True)
+                predict_record(law, r, measured_start=measured_start, thermal=thermal)
+                for law, r, thermal in zip(
+                    self.laws, moved, self.thermal or repeat(None, len(moved)), strict=True
+                )
             ]
             return self._at_joints(np.column_stack(columns))
         if t is None or dq is None:

@@ -8,6 +8,7 @@ from hesr_model.equations.over_log import Array
 from hesr_model.friction.evaluate import estimated_start, predict
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
+from hesr_model.friction.thermal import Thermal
 from hesr_model.rigid_body.residual import FrictionRecord
 
 
@@ -24,20 +25,27 @@ def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
 
 
 def predict_record(
-    law: FrictionLaw, record: FrictionRecord, *, measured_start: bool = False
-) -> Array:
+    law: FrictionLaw, record: FrictionRecord, *, measured_start: bool = False,
+    thermal: Thermal | None = None,
+) -> Array:  # fmt: skip
     """Return the (N,) torque [N.m] of a law for a record.
 
     With `measured_start` a law that can takes its start from the first measured torques, which
-    nobody has who simulates.
+    nobody has who simulates. With `thermal` it follows the record's temperature.
     """
+    start = record_start(law, record) if measured_start and law.start_samples else None
+    if thermal:
+        # Its certificate needs SciPy's searches, which most who predict can do without.
+        from hesr_model.friction.thermal_law import predict_thermal
+
+        return predict_thermal(law, thermal, record, start)
     return predict(
         law,
         t=record.t,
         dq=record.dq,
         q=record.q,
         tau_load=record.tau_load,
-        start=record_start(law, record) if measured_start and law.start_samples else None,
+        start=start,
     )
 
 

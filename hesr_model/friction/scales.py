@@ -32,7 +32,7 @@ VISCOUS = Coefficient(
 SCALES = (COULOMB, VISCOUS)
 """1 for the law as it is, 0 for none of the part."""
 
-_LEAST = 1e-9
+LEAST = 1e-9
 """Of the factor where it divides: 0 would leave a bristle without a place."""
 
 
@@ -40,7 +40,7 @@ def scaled(form: LawForm) -> LawForm:
     """Return a form with `SCALES` as its last coefficients, the same where both are 1."""
     level: sympy.Expr = COULOMB.symbol
     if any(isinstance(m, Relaxation) and is_bristle(m) for m in form.memory):
-        level = larger(level, _LEAST)
+        level = larger(level, LEAST)
     memory = tuple(scaled_bound(m, level) for m in form.memory)
     carrying = [m for m, own in zip(form.memory, memory, strict=True) if m != own]
     normed = {s: s / level for m in carrying for s in (m.state, m.derivative)}

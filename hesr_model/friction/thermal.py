@@ -111,6 +111,9 @@ _UNITS = {
 RISE = "rise"
 """Name of the state."""
 
+THERMOMETER = "thermometer"
+"""Name of the parameter that says whether the temperature is read."""
+
 
 def thermal_parameters(thermal: Thermal) -> tuple[Parameter, ...]:
     """Return the parameters of a joint's thermal model, and whether its thermometer is read."""
@@ -121,7 +124,7 @@ def thermal_parameters(thermal: Thermal) -> tuple[Parameter, ...]:
         for name, (unit, text) in _UNITS.items()
     )
     read = Parameter(
-        name="thermometer", unit="1", start=float(thermal.measured),
+        name=THERMOMETER, unit="1", start=float(thermal.measured),
         description="1 where the input temperature is read, 0 where friction power gives it",
     )  # fmt: skip
     return (*own, read)
@@ -150,7 +153,7 @@ def warmth(torque: sympy.Expr) -> Warmth:
     torque : of friction [N.m], which heats.
     """
     k = {name: sympy.Symbol(f"thermal_{name}", real=True) for name in _UNITS}
-    read = clip(sympy.Symbol("thermometer", real=True), 1)
+    read = clip(sympy.Symbol(THERMOMETER, real=True), 1)
     rate = 1 / larger(k["time_constant"], _LEAST_TIME)
     heat = Slow(
         name=RISE, unit="K", drive=rate * k["resistance"] * absolute(torque * DQ), rate=rate

@@ -59,6 +59,33 @@ def test_temperature_is_found_in_logs(study_run: Run, tmp_path: Path, capsys, mo
         assert abs(thermal["viscous"]) < 0.005 + 4.0 * joint["viscous_error"]
     assert len(read_model(out).thermal) == 3
     assert "Coulomb friction falls by" in answer.out
+    the_law_and_its_fmu_follow_the_thermometer(hesr, law, out, log, body)
+
+
+def the_law_and_its_fmu_follow_the_thermometer(
+    hesr, law: Path, warm: Path, log: Path, body: Path
+) -> None:
+    fmu = warm.with_suffix(".fmu")
+    options = ("--robot", uf850("robot.toml"), "--rigid-body", body)
+    answer = hesr("export", warm, "-o", fmu)
+    assert answer.code == 0, answer.err
+    assert "temperature[3]" in {v.name for v in read_model_description(fmu).modelVariables}
+    errors = {}
+    for name, command in (("cold", ("evaluate", law)), ("warm", ("evaluate", warm)),
+                          ("fmu", ("replay", fmu))):  # fmt: skip
+        found = warm.parent / f"errors_{name}.json"
+        answer = hesr(*command, log, *options, "--json", found)
+        assert answer.code == 0, answer.err
+        [errors[name]] = [
+            one["rmse"] for one in json.loads(found.read_text(encoding="utf-8"))["laws"].values()
+        ]
+    np.testing.assert_allclose(errors["fmu"], errors["warm"], rtol=1e-9)
+    assert np.all(np.array(errors["warm"]) <= np.array(errors["cold"]) + 1e-9)
+    assert errors["warm"] != errors["cold"]
+    refused = warm.with_suffix(".drive.fmu")
+    answer = hesr("export", warm, "--format", "drive", "--inertia", "1", "-o", refused)
+    assert answer.code == 2
+    assert "follows temperature, which a drive cannot; export it as an FMU" in answer.err
 
 
 def test_friction_is_monitored_over_logs(

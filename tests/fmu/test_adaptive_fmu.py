@@ -116,6 +116,8 @@ def test_it_is_valid(fmu: Path) -> None:
     assert check(fmu).problems == ()
     description = read_model_description(fmu)
     assert description.modelExchange is None
+    # A switch: no host is to draw a line between its values.
+    assert [v.variability for v in description.modelVariables if v.name == "adapt"] == ["discrete"]
     assert {v.name for v in description.modelVariables if v.causality == "input"} == {
         "adapt", *(f"{n}[{i}]" for n in ("dq", "q", "tau_load", "tau_meas", "tau_rigid",
                                          "temperature")

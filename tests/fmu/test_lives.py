@@ -34,10 +34,11 @@ WRAPPED = ("-DWRAPPED", "-Wl,--wrap=malloc,--wrap=calloc")
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 
 LOOP = ("arm", "trajectory", "body", "friction", "controller", "velocity")
-RARE = ("trajectory 3", "velocity 3", "warm 3", "adaptive", "band")
+RARE = ("trajectory 3", "velocity 3", "warm 3", "adaptive", "thermal", "band")
 """In the soak alone."""
 KINDS = (*LOOP, "coupled", "drive", "warm", "drive 3", "band 3")
-"""Of FMI 3.0 where a 3 says so. An adaptive one that is warm knows temperature, too."""
+"""Of FMI 3.0 where a 3 says so. One that is warm adapts and follows temperature, thermal ones do not
+adapt."""
 
 GIVEN = {
     "controller": ("sample_time=0.001", "Kv=90", "Ki=900"),
@@ -75,9 +76,9 @@ def export(loop, table1, make_law, make_model, tmp_path_factory):
             turned = Coupling(((1.0, 0.0, 0.0), (0.25, 1.0, 0.0), (0.0, -0.8, 1.0)))
             bare = [replace(law, band=None) for law in laws]
             return export_bare(make_model(*bare, coupling=turned), path)
-        if name in ("warm", "adaptive"):
-            known = replace(followed, thermal=(WARM,) * 2) if name == "warm" else followed
-            return export_fmu(known, path, adaptive=True, fmi=fmi)
+        if name in ("warm", "adaptive", "thermal"):
+            known = followed if name == "adaptive" else replace(followed, thermal=(WARM,) * 2)
+            return export_fmu(known, path, adaptive=name != "thermal", fmi=fmi)
         return write_fmu({"trajectory": trajectory, "velocity": velocity}[name](3), path, fmi=fmi)
 
     return write

@@ -15,7 +15,7 @@ from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import start_values, trajectory
 from fmu_src.blocks.velocity import velocity
 from fmu_src.drive.drive_fmu import content as drive
-from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.friction.friction_fmu import adaptive_content, export_bare
 from fmu_src.package import Version, write_fmu
 from hesr_model.artifacts import read_model
 from hesr_model.friction.law import FrictionLaw
@@ -31,7 +31,10 @@ NAMES = (
     "closed",
 )  # fmt: skip
 
-OF_FMI_3 = ("friction", "exact", "lugre", "drive", "trajectory", "body", "controller", "velocity")
+OF_FMI_3 = (
+    "friction", "exact", "lugre", "adaptive", "drive", "trajectory", "body", "controller",
+    "velocity",
+)  # fmt: skip
 """FMUs that are also run in FMI 3.0."""
 
 # States at their start attributes: CasADi, which evaluates the equations only, begins there.
@@ -75,6 +78,7 @@ def of_both_versions(folder: Path) -> dict[str, tuple[Alone, Alone]]:
     robot = RobotModel(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
     joints = len(table1.joints)
     contents = {
+        "adaptive": adaptive_content(followed()),
         "drive": drive(table1, inertia=(3.0, 3.0, 0.6), stiffness=(1e4, 2e4, 1e4)),
         "trajectory": trajectory(joints),
         "body": inverse_dynamics(robot, robot.nominal_parameters),

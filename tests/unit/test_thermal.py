@@ -20,6 +20,7 @@ from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.thermal import COULOMB_RANGE, VISCOUS_RANGE, Thermal
+from hesr_model.friction.thermal_law import thermal_component
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.transmission import Coupling
 
@@ -115,6 +116,7 @@ def test_a_law_that_knows_temperature_predicts_a_warm_day(fitted) -> None:
         ("heat", known, replace(log(stops(), 60.0, 7), temperature=None)),
     ):
         [one] = Follower(own).follow([record], adapt=False)
+        np.testing.assert_allclose(own.predict([record])[:, 0], one.outputs["tau"], atol=1e-9)
         errors[name] = rmse(one.outputs["tau"] - record.tau)
     assert errors["thermometer"] < 1.02 * WHITE < 0.5 * errors["fixed"]
     # The ambient is known from what short logs cool to.
@@ -138,14 +140,22 @@ def test_factors_stay_within_their_limits() -> None:
 
 
 @pytest.mark.parametrize("ripple", [(), (200,)])
-def test_no_energy_is_given_whatever_a_thermometer_says(ripple: tuple[int, ...]) -> None:
+@pytest.mark.parametrize("adapts", [True, False])
+def test_no_energy_is_given_whatever_a_thermometer_says(
+    ripple: tuple[int, ...], adapts: bool
+) -> None:
     law = stops(ripple=ripple)
     least = least_viscosity(law)
-    own = adaptive_component(
-        law, TUNING, noise=NOISE, speed=SPEED, viscosity_least=least, thermal=TRUE
+    own = (
+        adaptive_component(
+            law, TUNING, noise=NOISE, speed=SPEED, viscosity_least=least, thermal=TRUE
+        )
+        if adapts
+        else thermal_component(law, TRUE)
     )
-    names = ["tau", "offset", "level", "viscosity"]
+    names = ["tau", "offset", "level", "viscosity"] if adapts else ["tau"]
     values = law.values | {p.name: p.start for p in own.parameters if hasattr(p, "start")}
+    values |= {scale.name: 1.0 for scale in own.shared}
     steps = Steps(own, names)
     run = steps.run(values, (0.0, *law.start), [q.name for q in own.inputs])
     factors = storage(law)
@@ -158,16 +168,15 @@ def test_no_energy_is_given_whatever_a_thermometer_says(ripple: tuple[int, ...])
         dq, q, load = rng.normal(size=3) * (10.0 ** rng.uniform(-4, 1), 3.0, 30.0)
         dt, warm = 10.0 ** rng.uniform(-6, 1), rng.normal() * 10.0 ** rng.uniform(0, 5)
         adapt = float(rng.random() < 0.9)
-        seen = run.step(
-            dt, dq, q, load, 14.0 * np.sign(dq) + rng.normal() + load, load, adapt, warm
-        )
+        measured = 14.0 * np.sign(dq) + rng.normal() + load
+        seen = run.step(dt, dq, q, load, *((measured, load, adapt) if adapts else ()), warm)
         after = float(k @ np.square(run.states))
         torque = seen[0] - offset - law.values["tau_0"]
         given = torque * dq * dt - (after - stored)
         # Of ripple no more than its amplitude for one step.
         most = float(np.hypot(*ripples)) * abs(dq) * dt if ripple else 0.0
         assert given >= -1e-9 * max(1.0, abs(torque * dq * dt)) - most
-        offset, stored = seen[1], after
+        offset, stored = seen[1] if adapts else 0.0, after
         assert np.all(np.isfinite(seen))
 
 
@@ -186,6 +195,8 @@ def test_what_is_refused(logs) -> None:
     with pytest.raises(FitError, match="its friction does not change with the heat of the logs"):
         fit_thermal(model(lugre()), cold)
     coupled = replace(model(stops()), coupling=Coupling(((2.0,),)))
+    with pytest.raises(ArtifactError, match="its motors turn with several joints; temperature is"):
+        replace(coupled, thermal=(TRUE,))
     with pytest.raises(FitError, match="its motors turn with several joints; temperature is"):
         fit_thermal(coupled, logs)
     with pytest.raises(ArtifactError, match=r"thermal model: 'time_constant' is 0\.0; needed is a"):

@@ -14,7 +14,7 @@ from hesr_model.friction.adaptive.tuning import TUNING, Tuning
 from hesr_model.friction.audit.certificate import least_viscosity
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record
-from hesr_model.friction.thermal import TEMPERATURE
+from hesr_model.friction.thermal_law import inputs_over
 from hesr_model.rigid_body.residual import FrictionRecord
 
 
@@ -114,26 +114,15 @@ class Follower:
 
     def _of_joint(self, j: int, record: FrictionRecord, adapt: bool) -> Followed:
         law, steps = self._model.laws[j], self._steps[j]
-        columns = {
-            "dq": record.dq, "q": record.q, "tau_load": record.tau_load,
+        columns, more = inputs_over(record)
+        columns |= {
             "tau_meas": record.tau + record.tau_load, "tau_rigid": record.tau_load,
             "adapt": np.full_like(record.t, float(adapt)),
         }  # fmt: skip
-        own = self._values[j]
-        if record.temperature is not None:
-            columns[TEMPERATURE.name] = record.temperature
-        elif "thermometer" in own:
-            own = own | {"thermometer": 0.0}
-        handed = [q.name for q in steps.component.inputs if q.name in columns]
-        used = [columns[name] for name in handed]
         slow = len(steps.component.memory) - len(law.start)
-        run = steps.run(own, (*(0.0,) * slow, *law.start), handed)
-        first = [float(c[0]) for c in used]
-        run.settle(*first)
-        rows = zip(np.diff(record.t).tolist(), *(c[1:].tolist() for c in used), strict=True)
-        values = [run.begin(*first)]
-        values += [run.step(dt, *row) for dt, *row in rows]
-        outputs = dict(zip(steps.observed, np.array(values).T, strict=True))
+        start = (*(0.0,) * slow, *law.start)
+        values = steps.over(record.t, columns, self._values[j] | more, start)
+        outputs = dict(zip(steps.observed, values, strict=True))
         for name, known in (("level", 1.0), ("viscosity", 1.0), ("offset", 0.0)):
             learned = self._tuning.carried * (float(outputs[name][-1]) - known)
             self._values[j][f"{name}_start"] = known + learned

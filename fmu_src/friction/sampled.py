@@ -1,8 +1,9 @@
-"""The adaptive friction FMU: connectors of every friction FMU, and what is measured.
+"""Friction FMUs that move by steps: those that follow friction, and those that follow temperature.
 
-`dq[i]`, `q[i]`, `tau_load[i]`, `tau_meas[i]`, `tau_rigid[i]`, `adapt` -> `tau[i]`, factors with
-standard deviations, alarms and health. The equations are those of `friction.adaptive`; all that
-they remember is state of the FMU.
+`dq[i]`, `q[i]`, `tau_load[i]` -> `tau[i]` as of every friction FMU. One that follows temperature
+has the input `temperature[i]` beside them. An adaptive one has `tau_meas[i]`, `tau_rigid[i]`,
+`adapt` -> factors with standard deviations, alarms and health, too. What they remember of the last
+sample is state of the FMU.
 """
 
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from dataclasses import replace
 import sympy
 
 from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, indicators, own_size
-from fmu_src.friction.friction_component import START_MODE, law_variables, start_mode
+from fmu_src.friction.friction_component import START_MODE, law_variables, scales, start_mode
 from fmu_src.friction.variable_names import place
 from fmu_src.interface import Interface, Variable
 from hesr_model.equations.component import Component, Parameter
@@ -20,6 +21,7 @@ from hesr_model.friction.adaptive.component import ADAPT
 from hesr_model.friction.adaptive.follow import adaptive_components
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.thermal import TEMPERATURE
+from hesr_model.friction.thermal_law import thermal_component
 from hesr_model.units import unit_of_joint
 
 
@@ -32,15 +34,34 @@ def adaptive_equations(model: FrictionModel) -> tuple[Interface, str]:
         If the model does not say how well it fitted, its motors are coupled, or a law has nothing
         that a level could scale.
     """
-    components = adaptive_components(model)
+    return _equations(model, adaptive_components(model))
+
+
+def thermal_equations(model: FrictionModel) -> tuple[Interface, str]:
+    """Return the same of the FMU of a model that follows temperature.
+
+    Raises
+    ------
+    HesrError
+        If a law has nothing that temperature could scale.
+    """
+    rows = zip(model.laws, model.thermal, strict=True)
+    return _equations(model, tuple(thermal_component(law, thermal) for law, thermal in rows))
+
+
+def _equations(model: FrictionModel, components: tuple[Component, ...]) -> tuple[Interface, str]:
     joints = [_joint(model, i, own) for i, own in enumerate(components, start=1)]
     table = Interface(
-        variables=(*_signals(model, joints), start_mode(), *_own(model, components, joints)),
+        variables=(
+            *_signals(model, joints), start_mode(),
+            *(scales(model) if components[0].shared else ()),
+            *_own(model, components, joints),
+        ),
         indicators=indicators(joints),
         own=own_size(joints),
         model_exchange=False,
         directional_derivatives=False,
-    )
+    )  # fmt: skip
     return table, equations_header(
         joints, table, Needs(functions=FRICTION, places={"START_MODE": START_MODE})
     )
@@ -49,7 +70,7 @@ def adaptive_equations(model: FrictionModel) -> tuple[Interface, str]:
 def _joint(model: FrictionModel, i: int, own: Component) -> Joint:
     at = place(model.laws[i - 1], i)
     slow = tuple(m.name for m in own.memory if isinstance(m, Slow))
-    names = {q.name: f"{q.name}[{i}]" for q in (*own.inputs, *own.outputs)}
+    names = {q.name: f"{q.name}[{i}]" for q in (*own.inputs, *own.shared, *own.outputs)}
     return Joint(
         # Starts are no part of the equations: joints that differ in them alone share their C.
         component=replace(own, parameters=tuple(
@@ -71,7 +92,7 @@ def _signals(model: FrictionModel, joints: list[Joint]) -> Iterator[Variable]:
         for i, (joint, name, slides) in numbered:
             if quantity == ADAPT:
                 if i == 1:
-                    yield Variable(name=ADAPT.name, role="input", unit="1", start=1.0,
+                    yield Variable(name=ADAPT.name, role="input", unit="1", start=1.0, switch=True,
                                    description=ADAPT.description)  # fmt: skip
                 continue
             output = quantity in own.outputs
@@ -99,7 +120,7 @@ def _initial(joint: Joint, symbol: sympy.Symbol) -> tuple[str, ...]:
     """
     own = joint.component
     used = own.sources(symbol, starting=True)
-    variables = [joint.names[q.name] for q in own.inputs if q.symbol in used]
+    variables = [joint.names[q.name] for q in (*own.inputs, *own.shared) if q.symbol in used]
     variables += [name for m, name in zip(own.memory, joint.states, strict=True) if m.state in used]
     parameters = zip(own.parameters, joint.parameters, strict=True)
     return (*variables, *(name for p, name in parameters if p.symbol in used))

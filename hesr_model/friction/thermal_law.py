@@ -1,0 +1,89 @@
+"""A law that follows temperature, as equations: what its FMU steps, and what logs are run through.
+
+    stop, bristle    bounds times c(T)
+    torque           tau = hysteresis + n(T) v f(v) + ripple + tau_0
+    heat             x' = (R |tau dq| - x) / T_th, of the torque at the last sample
+
+Factors on Coulomb and viscous friction that every law has (`SCALES`) stand beside those of
+temperature.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import sympy
+
+from hesr_model.equations.component import Component, previous
+from hesr_model.equations.functions import larger
+from hesr_model.equations.over_log import Array
+from hesr_model.equations.stepping import Steps
+from hesr_model.friction.adaptive.factors import parts
+from hesr_model.friction.audit.certificate import least_viscosity
+from hesr_model.friction.law import TORQUE, FrictionLaw
+from hesr_model.friction.scales import COULOMB, LEAST, SCALES, VISCOUS
+from hesr_model.friction.thermal import (
+    TEMPERATURE,
+    THERMOMETER,
+    Thermal,
+    thermal_parameters,
+    warmth,
+)
+from hesr_model.rigid_body.residual import FrictionRecord
+
+
+def thermal_component(law: FrictionLaw, thermal: Thermal) -> Component:
+    """Return the equations of a joint whose law follows temperature.
+
+    Raises
+    ------
+    ExportError
+        If the law has nothing that temperature could scale.
+    """
+    warm = warmth(previous(TORQUE))
+    own = parts(law, larger(COULOMB.symbol, LEAST), warm.coulomb)
+    # What temperature leaves is still what ripple needs.
+    viscous = VISCOUS.symbol * larger(warm.viscous, least_viscosity(law))
+    torque = own.hysteresis + viscous * own.viscous + own.rest
+    base = law.form.component
+    [known] = base.equations
+    return replace(
+        base,
+        inputs=(*base.inputs, TEMPERATURE),
+        parameters=(*base.parameters, *thermal_parameters(thermal)),
+        shared=SCALES,
+        memory=(warm.memory, *own.memory),
+        equations=(replace(known, expression=torque, start=sympy.S.Zero),),
+    )
+
+
+def inputs_over(record: FrictionRecord) -> tuple[dict[str, Array], dict[str, float]]:
+    """Return the inputs of every law over a record, and parameters that go with them.
+
+    Where no temperature was measured it is friction that heats.
+    """
+    columns = {"dq": record.dq, "q": record.q, "tau_load": record.tau_load}
+    if record.temperature is None:
+        return columns, {THERMOMETER: 0.0}
+    return columns | {TEMPERATURE.name: record.temperature}, {}
+
+
+def predict_thermal(
+    law: FrictionLaw, thermal: Thermal, record: FrictionRecord, start: tuple[float, ...] | None
+) -> Array:
+    """Return the (N,) torque [N.m] of a law that follows temperature, for a record.
+
+    Its states begin at `start`, or in the steady state of the first row where it is None.
+    """
+    component = thermal_component(law, thermal)
+    columns, more = inputs_over(record)
+    values: Mapping[str, float] = {
+        **law.values, **{p.name: p.start for p in thermal_parameters(thermal)},
+        **{scale.name: 1.0 for scale in SCALES}, **more,
+    }  # fmt: skip
+    first = (0.0, *(law.start if start is None else start))
+    steps = Steps(component, [TORQUE])
+    return np.asarray(steps.over(record.t, columns, values, first, settled=start is None)[0])
+
+
+__all__ = ["inputs_over", "predict_thermal", "thermal_component"]
