@@ -37,8 +37,8 @@ LOOP = ("arm", "trajectory", "body", "friction", "controller", "velocity")
 RARE = ("trajectory 3", "velocity 3", "warm 3", "adaptive", "thermal", "band")
 """In the soak alone."""
 KINDS = (*LOOP, "coupled", "drive", "warm", "drive 3", "band 3")
-"""Of FMI 3.0 where a 3 says so. One that is warm adapts and follows temperature, thermal ones do not
-adapt."""
+"""Of FMI 3.0 where a 3 says so. One that is warm adapts and follows temperature, a thermal one only
+the latter."""
 
 GIVEN = {
     "controller": ("sample_time=0.001", "Kv=90", "Ki=900"),
