@@ -15,6 +15,7 @@ from cosim.slave import Component
 from cosim.stepping import Layout, Readable, Station
 from cosim.system import SystemSpec, Value
 from cosim.wiring import Element, Wiring
+from fmu_src.arm.clock import untimed
 from hesr_model.errors import ConfigError, HesrError, SimulationError
 from hesr_model.logs.tables import write_table
 from hesr_model.support.files import written_whole
@@ -183,11 +184,12 @@ class Master:
         stepper.begin(kept)
         try:
             self._initialise(start or {})
-            for k in range(0, steps + 1, _TELL_EVERY):
-                progress(k, steps)
-                stepper.advance(stop := min(k + _TELL_EVERY, steps + 1))
-                if stepper.done < stop:
-                    break
+            with untimed():
+                for k in range(0, steps + 1, _TELL_EVERY):
+                    progress(k, steps)
+                    stepper.advance(stop := min(k + _TELL_EVERY, steps + 1))
+                    if stepper.done < stop:
+                        break
         except SimulationError as error:
             failure = error
         done = stepper.done

@@ -71,18 +71,27 @@ def library(platform: str) -> Binary:
         If the package registry cannot be asked, or has no such wheel.
     """
     wheel = _WHEELS[platform]
-    own = Path(mujoco.__file__).parent
-    installed = sorted(own.glob(wheel.pattern)) if platform == _own_platform() else []
-    if installed:
-        name, content = installed[-1].name, installed[-1].read_bytes()
+    own = installed() if platform == _own_platform() else []
+    if own:
+        name, content = own[-1].name, own[-1].read_bytes()
     else:
         name, content = _downloaded(platform, wheel)
     return Binary(
         name=wheel.place + name,
         content=content,
-        flags=(f"-isystem{own / 'include'}",),
+        flags=(f"-isystem{_package() / 'include'}",),
         link=wheel.flags,
     )
+
+
+def installed() -> list[Path]:
+    """Return the files of this machine's library in MuJoCo's package; normally one."""
+    platform = _own_platform()
+    return sorted(_package().glob(_WHEELS[platform].pattern)) if platform else []
+
+
+def _package() -> Path:
+    return Path(mujoco.__file__).parent
 
 
 def _own_platform() -> str:
