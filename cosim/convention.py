@@ -19,6 +19,7 @@ from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, errors, torques
 from hesr_model.errors import SimulationError
+from hesr_model.friction.adaptive.component import ADAPT
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.model import FrictionModel
 
@@ -92,7 +93,8 @@ def judge(fmu: Path) -> FrictionModel:
     ArtifactError
         If the FMU cannot be read, or the model in it is damaged.
     SimulationError
-        If it carries no friction model, or has other connectors than a friction FMU.
+        If it carries no friction model, has other connectors than a friction FMU, or follows
+        friction or temperature.
     """
     model = embedded_model(fmu)
     if model is None:
@@ -112,6 +114,11 @@ def judge(fmu: Path) -> FrictionModel:
                 f"{fmu}: --convention needs a friction FMU (velocity in, torque out), and this one "
                 f"has no {kind} '{name}'."
             )
+    if model.thermal or (ADAPT.name, "input") in has:
+        raise SimulationError(
+            f"{fmu}: --convention needs a friction FMU that follows neither friction nor "
+            "temperature, and this one does."
+        )
     return model
 
 

@@ -11,13 +11,15 @@ from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
 from cosim.commands import export
+from cosim.convention import judge
 from cosim.replay import replay
 from cosim.scoring import predict_fmu
 from cosim.slave import Component
+from cosim.studies.properties.battery import Subject, measure
 from fmu_src.check import check
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.package import Version
-from hesr_model.errors import ExportError
+from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.audit.properties import Properties
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.stribeck import Stribeck
@@ -147,3 +149,21 @@ def test_forms_without_temperature_say_so(form: Any, name: str, tmp_path: Path) 
     with pytest.raises(ExportError, match="law 'tried' follows temperature, which"):
         export(MODEL, tmp_path / name, form, **options)
     assert not list(tmp_path.iterdir())
+
+
+def test_what_measures_an_fmu_against_its_law_needs_a_law_that_stays(
+    fmu: Path, tmp_path: Path
+) -> None:
+    adaptive = export(replace(MODEL, thermal=()), tmp_path / "Adaptive.fmu", adaptive=True)
+    for path in (fmu, adaptive):
+        with pytest.raises(SimulationError, match="follows neither friction nor temperature"):
+            judge(path)
+
+
+def test_the_battery_tries_laws_as_they_were_fitted() -> None:
+    own = model(lugre())
+    found = [
+        measure(Subject(name="law", model=tried, inertia=(1.0,)))
+        for tried in (own, replace(own, thermal=(WARM,)))
+    ]
+    assert found[0] == found[1]

@@ -131,9 +131,10 @@ def _measured(subject: Subject, *, load: float, kept: Path | None) -> Properties
 def measure(subject: Subject, *, load: float = 0.0) -> Properties:
     """Put one model or FMU to the test; arguments and errors are those of `run_battery`.
 
-    Of robots with coupled joints, the coordinates on which friction sits move one at a time.
+    Of robots with coupled joints, the coordinates on which friction sits move one at a time. Laws
+    that follow temperature are at that at which they were fitted.
     """
-    model = subject.model and replace(subject.model, coupling=None)
+    model = subject.model and replace(subject.model, coupling=None, thermal=())
     with TemporaryDirectory(prefix="hesr-") as folder:
         fmu = subject.fmu
         if fmu is None:
