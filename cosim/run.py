@@ -144,55 +144,56 @@ def run_study(
     targets(platforms)
     kept = unfinished(output)
     job = Job(study=study, path=path, progress=progress, kept=kept)
-    with parallel.one_pool(), folder_written_whole(output) as folder:
-        # The battery tells what stands in the documentation, and comes last.
-        run = score_study(job, folder, documented=quick, platforms=platforms, accepted=accepted)
-        models, records = run.models, run.records
-        tested = {test: records_of(names, records) for test, names in study.logs.test.items()}
-        simulated = simulate_tests(models, tested, run.robot, run.rigid_body)
-        write_json(folder / SIMULATION, {test: to_json(s) for test, s in simulated.items()})
-        truths = job.other_truths([law for law in models if law not in study.variants])
-        if truths:
-            write_json(folder / TRUTHS, truths)
-        loop = job.closed_loop(run.robot, run.rigid_body, folder, models)
-        found = {} if quick else job.properties(run.robot, run.rigid_body, models, folder)
-        body = PageBody.of(run.robot, run.rigid_body)
-        _write_all(
-            [
-                partial(export_fmu, models[law], run.fmus[law], platforms=platforms,
-                        properties=properties, body=body)
-                for law, properties in found.items()
-            ],
-            partial(job.progress, "documenting FMUs"),
-        )  # fmt: skip
-        first_test = next(iter(study.logs.test.values()))
-        words = verdict(
-            run.comparisons,
-            models,
-            records_of(study.logs.training, records),
-            records_of(first_test, records),
-            found,
-            gear_ratio=job.robot.gear_ratio is not None,
-        )
-        write_verdict(folder, words)
-        save_run(
-            folder,
-            study=study,
-            command=_command(path, platforms, quick=quick),
-            quick=quick,
-            robot=job.robot,
-            files=run.files,
-            logs=run.logs,
-            records=records,
-            predictions=run.predictions,
-            models=models,
-            left_out=run.left_out,
-            source=run.source,
-        )
-    shutil.rmtree(kept, ignore_errors=True)
-    from cosim.report import write_report  # draws, which takes long to load
+    with parallel.one_pool():
+        with folder_written_whole(output) as folder:
+            # The battery tells what stands in the documentation, and comes last.
+            run = score_study(job, folder, documented=quick, platforms=platforms, accepted=accepted)
+            models, records = run.models, run.records
+            tested = {test: records_of(names, records) for test, names in study.logs.test.items()}
+            simulated = simulate_tests(models, tested, run.robot, run.rigid_body)
+            write_json(folder / SIMULATION, {test: to_json(s) for test, s in simulated.items()})
+            truths = job.other_truths([law for law in models if law not in study.variants])
+            if truths:
+                write_json(folder / TRUTHS, truths)
+            loop = job.closed_loop(run.robot, run.rigid_body, folder, models)
+            found = {} if quick else job.properties(run.robot, run.rigid_body, models, folder)
+            body = PageBody.of(run.robot, run.rigid_body)
+            _write_all(
+                [
+                    partial(export_fmu, models[law], run.fmus[law], platforms=platforms,
+                            properties=properties, body=body)
+                    for law, properties in found.items()
+                ],
+                partial(job.progress, "documenting FMUs"),
+            )  # fmt: skip
+            first_test = next(iter(study.logs.test.values()))
+            words = verdict(
+                run.comparisons,
+                models,
+                records_of(study.logs.training, records),
+                records_of(first_test, records),
+                found,
+                gear_ratio=job.robot.gear_ratio is not None,
+            )
+            write_verdict(folder, words)
+            save_run(
+                folder,
+                study=study,
+                command=_command(path, platforms, quick=quick),
+                quick=quick,
+                robot=job.robot,
+                files=run.files,
+                logs=run.logs,
+                records=records,
+                predictions=run.predictions,
+                models=models,
+                left_out=run.left_out,
+                source=run.source,
+            )
+        shutil.rmtree(kept, ignore_errors=True)
+        from cosim.report import write_report  # draws, which takes long to load
 
-    write_report(output, progress=job.progress)
+        write_report(output, progress=job.progress)
     return Outcome(
         rigid_body=run.rigid_body,
         comparisons=run.comparisons,

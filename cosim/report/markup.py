@@ -1,7 +1,9 @@
 """Parts of the page: sections, tables, figures and numbers."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +23,9 @@ _FOLDERS = (
     TEMPLATES,  # the style of an FMU's pages is ours as well
 )
 
+_NUMBER = "\ue000"
+"""Where the number of a figure comes, a character of private use: sections may be made anywhere."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
@@ -33,7 +38,7 @@ class Section:
 
 @dataclass
 class Pictures:
-    """Draws the figures of a page, numbers them, and writes them as PDF and PNG.
+    """Draws figures of a page, and writes them as PDF and PNG; the page numbers them.
 
     Attributes
     ----------
@@ -43,7 +48,6 @@ class Pictures:
 
     folder: Path
     zooms: dict[str, str] = field(default_factory=dict)
-    _count: int = 0
 
     def figure(self, key: str, picture: "Figure", caption: str, *, alt: str) -> Markup:
         """Return a figure.
@@ -69,9 +73,8 @@ class Pictures:
 
     def drawing(self, key: str, svg: Markup, caption: str, *, alt: str) -> Markup:
         """Return a figure that is SVG already."""
-        self._count += 1
         return render(
-            "figure.html.j2", key=key, svg=svg, caption=caption, alt=alt, number=self._count,
+            "figure.html.j2", key=key, svg=svg, caption=caption, alt=alt, number=_NUMBER,
             zoom=key in self.zooms,
         )  # fmt: skip
 
@@ -110,8 +113,10 @@ def write_sections(
         library=library,
         palette=VARIABLES,
     )
+    numbers = count(1)
+    numbered = re.sub(_NUMBER, lambda _: str(next(numbers)), page)
     with written_whole(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+        temporary.write_text(numbered, encoding="utf-8")
 
 
 def table(what: ResultTable) -> Markup:

@@ -23,6 +23,7 @@ from cosim.report.sections import (
 )
 from cosim.report.sections.summary import summary
 from cosim.report.zoom import library
+from hesr_model.support import parallel
 from hesr_model.support.progress import Stages, counted, silent
 
 REPORT, FIGURES = "report.html", "figures"
@@ -72,13 +73,16 @@ def write_report(
     """
     results = Results.read(folder)
     path = output or folder / REPORT
+    jobs = [partial(_made, section, results, folder / FIGURES) for section in SECTIONS]
+    sections: list[Section] = []
     pictures = Pictures(folder=folder / FIGURES)
-    head = summary(results, pictures)
-    sections = [
-        made
-        for section in counted(SECTIONS, partial(progress, "writing the report"))
-        if (made := section(results, pictures)) is not None
-    ]
+    # Processes that would have to be started for it cost more than they save.
+    with parallel.results_of(jobs, None if parallel.shared() else 1) as made:
+        head = summary(results, pictures)
+        for _ in counted(jobs, partial(progress, "writing the report")):
+            section, more = next(made)
+            sections += [section] if section else []
+            pictures.zooms |= more
     write_sections(
         path,
         title=f"HESR report: {results.run.study}",
@@ -89,3 +93,11 @@ def write_report(
         library=library() if pictures.zooms else "",
     )
     return path
+
+
+def _made(
+    section: Callable[[Results, Pictures], Section | None], results: Results, figures: Path
+) -> tuple[Section | None, dict[str, str]]:
+    """Return a section, if it has data, and the data of its views that zoom."""
+    pictures = Pictures(folder=figures)
+    return section(results, pictures), pictures.zooms

@@ -107,6 +107,11 @@ def one_pool() -> Iterator[None]:
             _sharing = None
 
 
+def shared() -> bool:
+    """Whether blocks share processes here."""
+    return _sharing is not None
+
+
 class _Pool:
     """Processes, and the folder from which they read their jobs; a context manager.
 
