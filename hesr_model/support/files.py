@@ -214,14 +214,15 @@ def written_whole(path: Path) -> Iterator[Path]:
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
             if path.exists() and not path.is_file():  # which a file would take the place of
                 raise ArtifactError(f"{path}: is a pipe or a device; give the name of a file.")
-            handle, name = tempfile.mkstemp(
-                dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix
-            )
+            with interrupts.deferred():  # or a file would stay that nobody knows of
+                handle, name = tempfile.mkstemp(
+                    dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix
+                )
+                temporary = Path(name)
+                cleanup.callback(temporary.unlink, missing_ok=True)
             os.close(handle)
         except OSError as error:
             raise _unwritable(path, error) from error
-        temporary = Path(name)
-        cleanup.callback(temporary.unlink, missing_ok=True)
         yield temporary
         # mkstemp makes files private; a result has the mode that any new file would have.
         umask = os.umask(0)

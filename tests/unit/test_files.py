@@ -2,9 +2,11 @@
 
 import hashlib
 import os
+import signal
 import stat
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -83,6 +85,22 @@ def test_nothing_is_left_of_a_file_that_was_not_finished(
     with pytest.raises(error):
         interrupted()
     assert everything_in(tmp_path) == {"law.json": "old"}
+
+
+def test_nothing_is_left_of_a_file_whose_making_was_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make = tempfile.mkstemp
+
+    def interrupted(**where: Any) -> tuple[int, str]:
+        made = make(**where)
+        signal.raise_signal(signal.SIGINT)
+        return made
+
+    monkeypatch.setattr(tempfile, "mkstemp", interrupted)
+    with pytest.raises(KeyboardInterrupt), written_whole(tmp_path / "law.json"):
+        raise AssertionError("not reached")
+    assert everything_in(tmp_path) == {}
 
 
 def refused(path: Path) -> str:
