@@ -1,5 +1,6 @@
 """What commands print: tables, progress, logs, answers for programs, and what Ctrl-C ends with."""
 
+import _thread
 import logging
 import os
 import signal
@@ -25,6 +26,7 @@ INTERRUPTED = 130
 
 _STANDARD_OUTPUT = Path("-")
 _AGAIN = 2.0  # [s] a second Ctrl-C sooner than that does not disturb the tidying after the first
+_LATER = 0.05  # [s] an interrupt that Python has dropped is raised again
 _PACKAGES = ("hesr_model", "fmu_src", "cosim")
 _log = logging.getLogger(__name__)
 
@@ -125,7 +127,10 @@ def _logging(*, quiet: bool, verbose: bool) -> Iterator[None]:
 
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """Raise KeyboardInterrupt on Ctrl-C, and on SIGTERM too, so that temporary files go."""
+    """Raise KeyboardInterrupt on Ctrl-C, and on SIGTERM too, so that temporary files go.
+
+    Python drops what is raised where something is just being freed; it is then raised once more.
+    """
     wanted = [signal.SIGINT, signal.SIGTERM]
     if threading.current_thread() is not threading.main_thread():
         wanted = []
@@ -137,14 +142,39 @@ def ended_by_signals() -> Iterator[None]:
             last = now
             raise KeyboardInterrupt if number == signal.SIGINT else _Ended
 
+    def dropped(what: "sys.UnraisableHookArgs") -> None:
+        nonlocal last
+        if not isinstance(what.exc_value, KeyboardInterrupt):
+            show(what)
+            return
+        last = -_AGAIN
+        number = signal.SIGTERM if isinstance(what.exc_value, _Ended) else signal.SIGINT
+        again.append(threading.Timer(_LATER, _raise_in_main_thread, (number,)))
+        again[-1].start()
+
     # A command that a script starts in the background may have to ignore Ctrl-C.
     heeded = [s for s in wanted if signal.getsignal(s) is not signal.SIG_IGN]
     before = {s: signal.signal(s, end) for s in heeded}
+    again: list[threading.Timer] = []
+    show = sys.unraisablehook
+    if heeded:
+        sys.unraisablehook = dropped
     try:
         yield
     finally:
+        if heeded:
+            sys.unraisablehook = show
+        for timer in again:
+            timer.cancel()
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _raise_in_main_thread(number: int) -> None:
+    if hasattr(signal, "pthread_kill") and (ident := threading.main_thread().ident):
+        signal.pthread_kill(ident, number)  # which ends its waiting, too
+    else:
+        _thread.interrupt_main(signal.Signals(number))
 
 
 @contextmanager
