@@ -39,6 +39,10 @@ QUICK_LAWS = ("stribeck", "lugre", "parfam_h")
 """Laws of a quick run: the paper's law and its classic baselines."""
 
 
+_WORK = ("cosim.scoring", "hesr_model.friction.fitting.fit")
+"""Modules that the first work of a run needs."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Scored:
     """What a run makes until its laws are scored on the test logs.
@@ -144,7 +148,7 @@ def run_study(
     targets(platforms)
     kept = unfinished(output)
     job = Job(study=study, path=path, progress=progress, kept=kept)
-    with parallel.one_pool():
+    with parallel.one_pool(*_WORK):
         with folder_written_whole(output) as folder:
             # The battery tells what stands in the documentation, and comes last.
             run = score_study(job, folder, documented=quick, platforms=platforms, accepted=accepted)

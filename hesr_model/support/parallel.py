@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
+from importlib import import_module
 from multiprocessing import resource_tracker
 from pathlib import Path
 from queue import Empty
@@ -90,10 +91,15 @@ def results_of(
 
 
 @contextmanager
-def one_pool() -> Iterator[None]:
+def one_pool(*modules: str) -> Iterator[None]:
     """Let all blocks of `results_of` within share processes, but for those that name a number.
 
     They stay as long as this block, or until a block within fails; the next one has fresh ones.
+
+    Parameters
+    ----------
+    modules : what the processes import while this one gets its first jobs together, which is when
+        they start.
     """
     global _sharing
     if _sharing is not None:
@@ -101,6 +107,9 @@ def one_pool() -> Iterator[None]:
         return
     with _Shared() as shared:
         _sharing = shared
+        if modules and (count := os.cpu_count() or 1) > 1:
+            with interrupts.deferred():
+                shared.pool().submit([partial(_imported, modules)] * count)
         try:
             yield
         finally:
@@ -250,6 +259,11 @@ def _end_with(parent: int, folder: Path) -> None:
         time.sleep(_ORPHANED)
     shutil.rmtree(folder, ignore_errors=True)
     os._exit(1)
+
+
+def _imported(modules: Sequence[str]) -> None:
+    for name in modules:
+        import_module(name)
 
 
 def _run(batch: int, k: int) -> Any:

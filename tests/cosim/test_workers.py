@@ -128,6 +128,20 @@ def test_blocks_share_processes_until_one_fails(tmp_path: Path) -> None:
     assert_nothing_left(process.pid, tmp_path)
 
 
+def test_processes_import_while_their_parent_works(tmp_path: Path) -> None:
+    text = JOBS + (
+        "import sys\n"
+        "from hesr_model.support.parallel import one_pool\n"
+        "def loaded(): return 'wave' in sys.modules\n"
+        "with one_pool('colorsys', 'wave'):\n"
+        "    with results_of([loaded] * 4) as results:\n"
+        "        print(list(results), loaded())\n"
+    )
+    with started(folder=tmp_path, program=script(tmp_path, text)) as process:
+        out, err = process.communicate(timeout=120)
+    assert (process.returncode, out, err) == (0, "[True, True, True, True] False\n", "")
+
+
 def test_a_killed_worker_is_one_sentence(tmp_path: Path) -> None:
     answer = tmp_path / "answer.json"
     command = ("properties", "uf850-table1", TABLE_1, "--json", answer)
