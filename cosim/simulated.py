@@ -2,15 +2,16 @@
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 
 import numpy as np
 
 from cosim.scoring import Records, by_joint
 from hesr_model.errors import SimulationError
-from hesr_model.forward.simulation import Simulator, position_errors
-from hesr_model.forward.windows import Logs, Windows, whole, windows_of
+from hesr_model.forward.simulation import Simulator, inner_steps, position_errors
+from hesr_model.forward.windows import Logs, Windows, joined, whole, windows_of
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotModel
@@ -66,39 +67,40 @@ def simulate_tests(
     body: RigidBody,
 ) -> dict[str, Simulated]:
     """Score laws as simulators on test sets, by name; those that cannot be simulated are absent."""
-    cut: dict[str, tuple[list[Windows], list[Windows]]] = {}
+    windows: dict[str, list[Windows]] = {}
+    logs: dict[str, list[Windows]] = {}
     for test, records in tests.items():
-        logs = by_joint(records)
+        of_joints = by_joint(records)
         try:
-            windows = [windows_of(logs, length) for length in LENGTHS]
+            windows[test] = [windows_of(of_joints, length) for length in LENGTHS]
         except SimulationError as error:
             _unscored(error)
             continue
-        cut[test] = windows, list(map(whole, logs)) if _weightless(logs, robot, body) else []
-    jobs = [
-        partial(_simulated, model, *of_test, robot, body)
-        for of_test in cut.values()
-        for model in models.values()
-    ]
-    found: dict[str, Simulated] = {}
+        if _weightless(of_joints, robot, body):
+            logs[test] = list(map(whole, of_joints))
+    cut = [w for of_test in (*windows.values(), *logs.values()) for w in of_test]
+    jobs = [partial(_simulated, model, cut, robot, body) for model in models.values()]
     with parallel.results_of(jobs) as results:
-        for test in cut:
-            of_laws, reason = {}, None
-            for law in models:
-                part = next(results)
-                if isinstance(part, SimulationError):
-                    reason = reason or part
-                else:
-                    of_laws[law] = part
-            if reason:
-                _unscored(reason)
-                continue
-            found[test] = Simulated(
-                joints=tuple(robot.description.joints),
-                lengths=LENGTHS,
-                windows={law: windows for law, (windows, _) in of_laws.items()},
-                open_loop={law: free for law, (_, free) in of_laws.items() if free},
-            )
+        of_laws = list(results)
+    parts = {}
+    for law, errors in zip(models, of_laws, strict=True):
+        if isinstance(errors, SimulationError):
+            _unscored(errors)
+            return {}
+        parts[law] = iter(errors)
+    found = {
+        test: Simulated(
+            joints=tuple(robot.description.joints),
+            lengths=LENGTHS,
+            windows={law: tuple(islice(part, len(LENGTHS))) for law, part in parts.items()},
+            open_loop={},
+        )
+        for test in windows
+    }
+    for test, of_test in logs.items():
+        rows = [w.t.shape[1] for w in of_test]
+        free = {law: _over_all(list(islice(p, len(rows))), rows) for law, p in parts.items()}
+        found[test] = replace(found[test], open_loop=free)
     return found
 
 
@@ -107,19 +109,26 @@ def _unscored(reason: SimulationError) -> None:
 
 
 def _simulated(
-    model: FrictionModel,
-    cut: Sequence[Windows],
-    free: Sequence[Windows],
-    robot: RobotModel,
-    body: RigidBody,
-) -> tuple[tuple[_Errors, ...], _Errors] | SimulationError:
-    """Return the errors over windows of each length and in open loop, or why there are none."""
+    model: FrictionModel, cut: Sequence[Windows], robot: RobotModel, body: RigidBody
+) -> list[_Errors] | SimulationError:
+    """Return the errors over each set of windows, or why there are none.
+
+    Sets of as many steps are stepped as one, which takes little longer than the largest of them.
+    """
+    one = Simulator(robot=robot, parameters=body.parameters, friction=model)
+    found: dict[int, _Errors] = {}
+    alike: dict[tuple[int, int], list[int]] = {}
+    for i, w in enumerate(cut):
+        alike.setdefault((w.t.shape[1], inner_steps(np.diff(w.t))), []).append(i)
     try:
-        one = Simulator(robot=robot, parameters=body.parameters, friction=model)
-        windows = tuple(position_errors(one.run(w), w) for w in cut)
-        return windows, _open_loop(one, free) if free else ()
+        for places in alike.values():
+            q = one.run(joined([cut[i] for i in places]))
+            ends = np.cumsum([len(cut[i].t) for i in places])
+            for i, part in zip(places, np.split(q, ends[:-1]), strict=True):
+                found[i] = position_errors(part, cut[i])
     except SimulationError as error:
         return error
+    return [found[i] for i in range(len(cut))]
 
 
 def _weightless(logs: Logs, robot: RobotModel, body: RigidBody) -> bool:
@@ -130,10 +139,8 @@ def _weightless(logs: Logs, robot: RobotModel, body: RigidBody) -> bool:
     return bool(np.abs(weight).max() <= _WEIGHTLESS * largest)
 
 
-def _open_loop(one: Simulator, cut: Sequence[Windows]) -> _Errors:
-    """Return the RMS over all rows of whole logs, each simulated from its beginning."""
-    errors = [position_errors(one.run(w), w) for w in cut]
-    rows = np.array([w.t.shape[1] for w in cut])
+def _over_all(errors: Sequence[_Errors], rows: Sequence[int]) -> _Errors:
+    """Return the RMS over all rows of several logs."""
     return tuple(
         None
         if None in of_joint

@@ -27,7 +27,13 @@ SUBSTEP = 2.5e-3
 
 _SWEEPS = 2  # over joints, whose friction acts on each other by the mass matrix
 _ITERATIONS = 12  # of a root
+_ROUNDING = 1e-6  # of an inner step, in the differences of times
 _PRECISION = 1e-10  # of a velocity [rad/s]
+
+
+def inner_steps(dt: Array) -> int:
+    """Return how many inner steps one of each of these lengths [s] has."""
+    return int(np.ceil(dt.max() / SUBSTEP - _ROUNDING))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,7 +93,7 @@ class Simulator:
                     q, v = self._explicit(laws, dt, q, v, x, tau - bias, inverse, bias)
                 else:
                     tau = 0.5 * (tau + windows.tau[:, k + 1])
-                    parts = int(np.ceil(dt.max() / SUBSTEP))
+                    parts = inner_steps(dt)
                     for _ in range(parts):
                         q, v = self._implicit(laws, dt / parts, q, v, x, tau - bias, inverse, bias)
                 found[:, k + 1] = q

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 
 RUN_IN = 1.0
 """Of each log [s] before its first window: friction's state is run in along the measured motion."""
+
+_SIGNALS = ("t", "q", "dq", "tau")
 
 Logs = Sequence[Sequence[FrictionRecord]]
 """Records of each part of each log, [part][joint]."""
@@ -91,6 +94,19 @@ def windows_of(logs: Logs, length: float) -> Windows:
             "friction runs in."
         )
     return _cut(logs, places, steps)
+
+
+def joined(sets: Sequence[Windows]) -> Windows:
+    """Return the windows of several sets, all of as many steps, as one set."""
+    firsts = accumulate((len(w.logs) for w in sets), initial=0)
+    return Windows(
+        **{name: np.concatenate([getattr(w, name) for w in sets]) for name in _SIGNALS},
+        places=tuple(
+            (first + part, row) for first, w in zip(firsts, sets, strict=False)
+            for part, row in w.places
+        ),
+        logs=[log for w in sets for log in w.logs],
+    )  # fmt: skip
 
 
 def whole(log: Sequence[FrictionRecord]) -> Windows:

@@ -12,9 +12,9 @@ from cosim.studies.motions import Motions
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr_model.errors import SimulationError
-from hesr_model.forward.simulation import Simulator, position_errors
+from hesr_model.forward.simulation import Simulator, inner_steps, position_errors
 from hesr_model.forward.stepping import LawSteps
-from hesr_model.forward.windows import whole, windows_of
+from hesr_model.forward.windows import joined, whole, windows_of
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fitting.fit import fit
 from hesr_model.friction.law import FrictionLaw
@@ -177,6 +177,22 @@ def test_inner_steps_of_both_orders_agree(twin: dict[str, object]) -> None:
     true = Simulator(robot=robot, parameters=robot.nominal_parameters, friction=twin["truth"])
     errors = np.array(position_errors(true.run(windows), windows), dtype=float)
     assert np.all(errors < 2e-4)
+
+
+def test_sets_of_windows_are_simulated_as_one(twin: dict[str, object]) -> None:
+    robot, log = twin["robot"], twin["log"]
+    later = [replace(record, t=record.t + 3.0) for record in log]
+    sets = [windows_of([log], 0.2), windows_of([later, log], 0.2)]
+    one = Simulator(robot=robot, parameters=robot.nominal_parameters, friction=twin["law"])
+    alone = np.concatenate([one.run(w) for w in sets])
+    np.testing.assert_allclose(one.run(joined(sets)), alone, rtol=0.0, atol=1e-9)
+
+
+def test_times_that_are_rounded_have_no_more_inner_steps() -> None:
+    t = 17.0 + 0.005 * np.arange(400)
+    assert np.ptp(np.diff(t)) > 0.0
+    assert {inner_steps(np.array([dt])) for dt in np.diff(t)} == {2}
+    assert [inner_steps(np.array([1e-3, dt])) for dt in (0.0025, 0.0026, 0.008)] == [1, 2, 4]
 
 
 def test_what_cannot_be_simulated_is_refused(twin: dict[str, object]) -> None:
