@@ -1,6 +1,6 @@
 """What the loop bears: payloads, warm and cold friction, noise, latency, wrong servo gains."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -32,6 +32,7 @@ FACTORS = tuple(float(f) for f in np.round(np.arange(0.2, 3.01, 0.2), 1))
 CYCLING = 2e-4
 """RMS motion of an arm that should rest [rad], ten times the encoder's noise, that is cycling."""
 _REST = 4.0  # [s]
+_AS_IT_IS = "as it is"
 
 _MOTIONS = 3
 
@@ -58,6 +59,7 @@ def run_sweeps(
     body: RigidBody,
     folder: Path,
     *,
+    known: Sequence[Tracked],
     kept: Path | None,
     progress: Stages,
 ) -> list[Tracked]:
@@ -68,17 +70,34 @@ def run_sweeps(
     loop : FMUs and gains.
     robot, body : rigid body that was identified.
     folder : where FMUs of identified payloads go.
+    known : rows of the tables, on more motions, of which loops as they are are not run again.
     kept, progress : see `track`.
     """
     rows = list(_rows(loop, _payload_bodies(robot, body, folder, loop.step)))
-    return track(
-        rows,
-        motions(loop.tracking)[:_MOTIONS],
-        duration=loop.tracking.duration,
-        limits=limits_of(robot),
-        kept=kept,
-        progress=partial(progress, "robustness"),
+    unchanged = {(replace(t.scheme, change=_AS_IT_IS).name, t.law): t for t in known}
+    same = [unchanged.get((row.scheme.name, row.law)) for row in rows]
+    left = [row for row, found in zip(rows, same, strict=True) if not found or found.failures]
+    run = iter(
+        track(
+            left,
+            motions(loop.tracking)[:_MOTIONS],
+            duration=loop.tracking.duration,
+            limits=limits_of(robot),
+            kept=kept,
+            progress=partial(progress, "robustness"),
+        )
     )
+    return [
+        next(run)
+        if not found or found.failures
+        else Tracked(
+            scheme=row.scheme,
+            law=row.law,
+            rmse=found.rmse[:_MOTIONS],
+            last=found.last[:_MOTIONS],
+        )
+        for row, found in zip(rows, same, strict=True)
+    ]
 
 
 def run_overcompensation(
@@ -137,7 +156,7 @@ def _rows(loop: StudyLoop, payloads: Mapping[float, Path]) -> Iterator[LoopRow]:
 
 def _changed(setting: Setting, payloads: Mapping[float, Path]) -> Iterator[tuple[str, Setting]]:
     gains, fmus = setting.gains, setting.fmus
-    yield "as it is", setting
+    yield _AS_IT_IS, setting
     for mass, body in payloads.items():
         arm = {"payload": mass}
         yield f"payload {mass:g} kg", replace(setting, arm=arm)

@@ -145,7 +145,7 @@ def track(
         if kept:
             kept.mkdir(parents=True, exist_ok=True)
             row = _Kept(tracked=result, trace=result.trace)
-            write_json(kept / f"{keys[i]}.json", to_json(row))
+            write_json(kept / f"{keys[i]}.json", to_json(row), indent=None)
         progress(len(done), len(rows))
 
     progress(len(done), len(rows))

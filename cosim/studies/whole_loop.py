@@ -81,6 +81,6 @@ def run_loop(
     return LoopOutcome(
         tracking=tables,
         long=long,
-        sweeps=run_sweeps(loop, robot, body, fmus, kept=kept, progress=progress),
+        sweeps=run_sweeps(loop, robot, body, fmus, known=tables, kept=kept, progress=progress),
         overcompensation=run_overcompensation(loop, robot, kept=kept, progress=progress),
     )

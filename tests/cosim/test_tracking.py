@@ -175,8 +175,17 @@ def test_sweeps_change_what_they_say(
     loop: StudyLoop, robot: RobotModel, body: RigidBody, tmp_path: Path
 ) -> None:
     short = replace(loop, tracking=loop.tracking.model_copy(update={"seeds": (11,)}))
-    rows = by_name(run_sweeps(short, robot, body, tmp_path, kept=None, progress=lambda *_: None))
     scheme = "servo_inversion, Kx = 5"
+    row = loop.row(StandIn.ORACLE, Scheme(compensation="servo_inversion", Kx=5.0))
+    (table,) = track([row], motions(short.tracking), duration=loop.tracking.duration,
+                     limits=limits_of(robot), workers=1)  # fmt: skip
+    told: list[tuple[str, int, int]] = []
+    sweeps = run_sweeps(
+        short, robot, body, tmp_path, known=[table], kept=None, progress=lambda *t: told.append(t)
+    )
+    assert told[-1] == ("robustness", len(sweeps) - 1, len(sweeps) - 1)  # not that of the table
+    rows = by_name(sweeps)
+    np.testing.assert_array_equal(rows[f"{scheme}: as it is", StandIn.ORACLE].rmse, table.rmse)
     plain = rows[f"{scheme}: as it is", StandIn.ORACLE].mean
     assert np.all(plain < 0.5e-3)
     loaded = rows[f"{scheme}: payload 5 kg", StandIn.ORACLE].mean
