@@ -13,7 +13,6 @@ class Fmu {
     const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
     const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
     const { instance } = await WebAssembly.instantiate(await new Response(stream).arrayBuffer());
-    instance.exports._initialize();
     return new Fmu(instance.exports);
   }
 

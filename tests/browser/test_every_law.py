@@ -30,7 +30,6 @@ RUN = """async ([motion, joints, step]) => {
   const module = await WebAssembly.compile(await new Response(stream).arrayBuffer());
   if (WebAssembly.Module.imports(module).length) throw new Error("it imports something");
   const fmu = (await WebAssembly.instantiate(module)).exports;
-  fmu._initialize();
   const check = (status) => { if (status) throw new Error(`status ${status}`); };
   check(fmu.live_reset());
   const put = (row) => row.forEach((u, i) => check(fmu.live_set(i, u)));

@@ -1,0 +1,206 @@
+/* What an FMU needs of a C library, for a page in a browser, which has none: to build the
+ * compiler's own for WebAssembly takes a quarter of a minute. Sums, products and the rest of math.h
+ * come with the compiler. */
+#include <math.h>
+#include <stdarg.h>
+#include <stdbool.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "elementary.h"
+
+double expm1(double x) {
+    return even_expm1(x);
+}
+
+double tanh(double x) {
+    return even_tanh(x);
+}
+
+int strcmp(const char *a, const char *b) {
+    while (*a && *a == *b) {
+        a++, b++;
+    }
+    return (unsigned char)*a - (unsigned char)*b;
+}
+
+/* --- memory: of the one instance that a page makes, which it keeps ------------------------- */
+
+void *calloc(size_t count, size_t size) {
+    static double room[1 << 17]; /* zeros; 1 MiB */
+    static size_t used;
+    const size_t wanted = (count * size + sizeof *room - 1) / sizeof *room;
+    if (wanted > sizeof room / sizeof *room - used) {
+        return NULL;
+    }
+    used += wanted;
+    return room + used - wanted;
+}
+
+void free(void *memory) {
+    (void)memory;
+}
+
+/* --- text: %s, %d, %u, %lu and %g with their precisions, which messages are made of ------- */
+
+typedef struct {
+    char *to;
+    size_t size, length;
+} text;
+
+static void put(text *t, char c) {
+    if (t->length + 1 < t->size) {
+        t->to[t->length] = c;
+    }
+    t->length++;
+}
+
+static void put_whole(text *t, unsigned long value, int least) {
+    char digits[20];
+    int n = 0;
+    do {
+        digits[n++] = (char)('0' + value % 10);
+        value /= 10;
+    } while (value || n < least);
+    while (n) {
+        put(t, digits[--n]);
+    }
+}
+
+#define HIDDEN ((uint64_t)1 << 52) /* the bit that is not written down */
+
+enum { DIGITS = 800 }; /* the longest double has 767 */
+
+/* The digits of a positive number, all of them, the last one first; `exponent` is the power of ten
+ * of the last. A double is a whole number times 2^e, or times 5^-e / 10^-e. */
+static int decimal(double value, char digits[DIGITS], int *exponent) {
+    const int power = (int)(bits_of(value) >> 52), e = power ? power - 1075 : -1074;
+    int n = 0;
+    for (uint64_t whole = bits_of(value) % HIDDEN + (power ? HIDDEN : 0); whole; whole /= 10) {
+        digits[n++] = (char)(whole % 10);
+    }
+    *exponent = e < 0 ? e : 0;
+    const int factor = e < 0 ? 5 : 2;
+    for (int k = e < 0 ? -e : e; k > 0; k--) {
+        int carry = 0;
+        for (int i = 0; i < n; i++) {
+            carry += factor * digits[i];
+            digits[i] = (char)(carry % 10);
+            carry /= 10;
+        }
+        if (carry) {
+            digits[n++] = (char)carry;
+        }
+    }
+    return n;
+}
+
+/* Leave `precision` digits, rounded to the nearest, to the even one of two. Returns how many. */
+static int rounded(char digits[DIGITS], int n, int precision, int *exponent) {
+    const int gone = n - precision;
+    if (gone > 0) {
+        bool rest = false;
+        for (int i = 0; i < gone - 1; i++) {
+            rest |= digits[i] != 0;
+        }
+        const bool up =
+            digits[gone - 1] > 5 || (digits[gone - 1] == 5 && (rest || digits[gone] % 2));
+        memmove(digits, digits + gone, (size_t)precision);
+        *exponent += gone;
+        n = precision;
+        int i = 0;
+        for (; up && i < n && ++digits[i] == 10; i++) {
+            digits[i] = 0;
+        }
+        if (up && i == n) { /* 9.99 has become 10.0 */
+            digits[n - 1] = 1;
+            (*exponent)++;
+        }
+    }
+    int zeros = 0;
+    while (zeros < n - 1 && !digits[zeros]) {
+        zeros++;
+    }
+    memmove(digits, digits + zeros, (size_t)(n - zeros));
+    *exponent += zeros;
+    return n - zeros;
+}
+
+static void put_number(text *t, double value, int precision) {
+    if (signbit(value)) {
+        put(t, '-');
+        value = -value;
+    }
+    if (!isfinite(value) || value == 0.0) {
+        for (const char *c = isnan(value) ? "nan" : value == 0.0 ? "0" : "inf"; *c; c++) {
+            put(t, *c);
+        }
+        return;
+    }
+    char digits[DIGITS];
+    int exponent, n = decimal(value, digits, &exponent);
+    n = rounded(digits, n, precision, &exponent);
+    const int power = exponent + n - 1; /* of the first digit */
+    const bool plain = power >= -4 && power < precision;
+    const int point = plain ? power : 0; /* the place of the first digit, */
+    const int last = point - n + 1 < 0 ? point - n + 1 : 0;
+    for (int place = point > 0 ? point : 0; place >= last; place--) {
+        const int i = n - 1 - (point - place);
+        put(t, (char)('0' + (place <= point && i >= 0 ? digits[i] : 0)));
+        if (place == 0 && last < 0) {
+            put(t, '.');
+        }
+    }
+    if (!plain) {
+        put(t, 'e');
+        put(t, power < 0 ? '-' : '+');
+        put_whole(t, (unsigned long)(power < 0 ? -power : power), 2);
+    }
+}
+
+int vsnprintf(char *to, size_t size, const char *format, va_list values) {
+    text t = {.to = to, .size = size};
+    for (const char *c = format; *c; c++) {
+        if (*c != '%') {
+            put(&t, *c);
+            continue;
+        }
+        int precision = 6;
+        if (*++c == '.') {
+            for (precision = 0, c++; *c >= '0' && *c <= '9'; c++) {
+                precision = 10 * precision + (*c - '0');
+            }
+        }
+        if (*c == 'g') {
+            put_number(&t, va_arg(values, double), precision);
+        } else if (*c == 's') {
+            for (const char *part = va_arg(values, const char *); *part; part++) {
+                put(&t, *part);
+            }
+        } else if (*c == 'd') {
+            const long value = va_arg(values, int);
+            if (value < 0) {
+                put(&t, '-');
+            }
+            put_whole(&t, (unsigned long)(value < 0 ? -value : value), 1);
+        } else if (*c == 'u') {
+            put_whole(&t, va_arg(values, unsigned), 1);
+        } else { /* %lu */
+            put_whole(&t, va_arg(values, unsigned long), 1);
+            c++;
+        }
+    }
+    if (size) {
+        to[t.length < size ? t.length : size - 1] = '\0';
+    }
+    return (int)t.length;
+}
+
+int snprintf(char *to, size_t size, const char *format, ...) {
+    va_list values;
+    va_start(values, format);
+    const int length = vsnprintf(to, size, format, values);
+    va_end(values);
+    return length;
+}
