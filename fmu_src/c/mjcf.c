@@ -33,6 +33,9 @@ typedef struct {
     mjData *data;
     bool changed; /* whether the model has been given any changes yet, and which */
     Changes changes;
+    bool sensors_remember; /* what some have shown before is part of the state */
+    bool evaluated;        /* whether the data are all that follows from this state: */
+    double state[AGES + LOSSES + STATE_SIZE - LEVELS];
 } Workspace;
 
 /* A call of one of the component's functions. */
@@ -60,6 +63,9 @@ static bool load(void *argument) {
     w->original = mj_loadModel(call->path, NULL);
     w->model = w->original ? mj_copyModel(NULL, w->original) : NULL;
     w->data = w->model ? mj_makeData(w->model) : NULL;
+    for (int i = 0; w->data && i < w->model->nsensor; i++) {
+        w->sensors_remember |= w->model->sensor_history[2 * i] > 0;
+    }
     return w->data && mj_stateSize(w->model, mjSTATE_INTEGRATION) == STATE_SIZE;
 }
 
@@ -94,6 +100,7 @@ static void change(Workspace *w, Changes changes) {
     if (w->changed && memcmp(&w->changes, &changes, sizeof changes) == 0) {
         return;
     }
+    w->evaluated = false;
     mj_copyModel(m, w->original);
     for (int i = 0; i < RUBBING; i++) {
         scale_friction(m, rubbing[i], changes.scale);
@@ -121,37 +128,56 @@ static void save(Component *component, const Workspace *w) {
 /* Put the model and the scratch memory where the component is. */
 static void restore(const Component *component, Workspace *w) {
     change(w, changes_of(component->v));
-    set_levels(w->model, &component->own[LEVELS], w->changes.scale);
     memset(w->data->warning, 0, sizeof w->data->warning); /* those of a future that is not to be */
+    w->model->opt.disableflags = w->original->opt.disableflags;
+    if (w->evaluated && memcmp(&component->own[LEVELS], w->state, sizeof w->state) == 0) {
+        return;
+    }
+    w->evaluated = false;
+    set_levels(w->model, &component->own[LEVELS], w->changes.scale);
     mj_setState(w->model, w->data, &component->own[MUJOCO_STATE], mjSTATE_INTEGRATION);
 }
 
-static double without_noise(const Component *component, const Workspace *w, int output) {
-    const mjData *data = w->data;
-    const double scale = value_or(component->v, FRICTION_SCALE, 1.0);
-    double sum = 0.0;
-    for (int i = 0; i < READS; i++) {
-        if (reads[i].output == output) {
-            const double factor = (reads[i].scaled ? scale : 1.0) * reads[i].factor;
-            sum += factor * data->sensordata[reads[i].sensor];
-        }
+/* Evaluate the forces at the present instant and read the sensors. */
+static void evaluate(const Component *component, Workspace *w) {
+    if (w->evaluated) {
+        return;
     }
-    for (int i = 0; i < LOST; i++) {
-        if (lost[i].output == output) {
-            sum += lost_torque(&losses[lost[i].loss], w->model, data);
-        }
-    }
-    return sum;
+    mj_forward(w->model, w->data);
+    memcpy(w->state, &component->own[LEVELS], sizeof w->state);
+    w->evaluated = true;
 }
 
-/* Evaluate the forces at the present instant and read all outputs. */
+/* Make one of MuJoCo's steps. Where the beginning of it has just been evaluated, only forces are
+ * evaluated again, as inputs have changed; Runge-Kutta's steps and sleeping bodies want the whole.
+ */
+static void make_step(Workspace *w) {
+    const mjModel *m = w->model;
+    const bool halves = m->opt.integrator != mjINT_RK4 && (m->opt.enableflags & mjENBL_SLEEP) == 0;
+    const bool half_done = w->evaluated && halves;
+    w->evaluated = false;
+    (half_done ? mj_step2 : mj_step)(m, w->data);
+}
+
+static void read_without_noise(double *v, const Workspace *w) {
+    const mjData *data = w->data;
+    const double scale = value_or(v, FRICTION_SCALE, 1.0);
+    memset(&v[FIRST_OUTPUT], 0, OUTPUTS * sizeof *v);
+    for (int i = 0; i < READS; i++) {
+        const double factor = (reads[i].scaled ? scale : 1.0) * reads[i].factor;
+        v[reads[i].output] += factor * data->sensordata[reads[i].sensor];
+    }
+    for (int i = 0; i < LOST; i++) {
+        v[lost[i].output] += lost_torque(&losses[lost[i].loss], w->model, data);
+    }
+}
+
+/* Read all outputs at the present instant. */
 static void read_sensors(Component *component, Workspace *w) {
     double *v = component->v;
     const uint64_t seed = (uint64_t)seed_half(v, 0) | (uint64_t)seed_half(v, 1) << 32;
-    mj_forward(w->model, w->data);
-    for (int i = 0; i < OUTPUTS; i++) {
-        v[FIRST_OUTPUT + i] = without_noise(component, w, FIRST_OUTPUT + i);
-    }
+    evaluate(component, w);
+    read_without_noise(v, w);
     for (int i = 0; i < NOISY; i++) {
         const uint64_t counter = (uint64_t)component->own[SAMPLES];
         v[noises[i].output] +=
@@ -169,6 +195,7 @@ static bool begin(void *argument) {
         return false;
     }
     change(w, changes_of(v));
+    w->evaluated = false;
     mj_resetData(w->model, w->data);
     for (int i = 0; i < STARTS; i++) {
         double *place = starts[i].activation ? w->data->act : w->data->qpos;
@@ -273,8 +300,11 @@ static bool advance(void *argument) {
     if (!drive(call->component, w, call->why)) {
         return false;
     }
+    if (!w->sensors_remember) { /* nobody reads them on the way */
+        w->model->opt.disableflags |= mjDSBL_SENSOR;
+    }
     for (double i = 0.0; i < call->steps; i++) {
-        mj_step(w->model, w->data);
+        make_step(w);
         if (given_up(w->data, call->why)) {
             return false;
         }
@@ -286,6 +316,7 @@ static bool advance(void *argument) {
     }
     call->component->own[SAMPLES] += 1.0;
     call->component->own[MADE] += call->steps;
+    w->model->opt.disableflags = w->original->opt.disableflags;
     save(call->component, w);
     read_sensors(call->component, w);
     return true;
@@ -309,6 +340,7 @@ static bool component_step(Component *component, void *workspace, double step, M
     const Component before = *component;
     Call call = {.component = component, .workspace = workspace, .why = why, .steps = due};
     if (!guarded(advance, &call, why)) {
+        w->evaluated = false;
         mj_resetData(w->model, w->data);
         *component = before;
         return false;

@@ -31,6 +31,7 @@ mjfLogHandler _mjPRIVATE_setTlsLogHandler(mjfLogHandler handler);
     F(mj_setState)                                                                                 \
     F(mj_stateSize)                                                                                \
     F(mj_step)                                                                                     \
+    F(mj_step2)                                                                                    \
     F(mj_version)                                                                                  \
     F(mju_isBad)                                                                                   \
     F(mju_warningText)                                                                             \
@@ -65,6 +66,7 @@ static bool library_is_there(Message *why) {
 #define mj_setState mj_setState_
 #define mj_stateSize mj_stateSize_
 #define mj_step mj_step_
+#define mj_step2 mj_step2_
 #define mj_version mj_version_
 #define mju_isBad mju_isBad_
 #define mju_warningText mju_warningText_

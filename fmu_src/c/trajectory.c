@@ -98,16 +98,34 @@ static void sweep(const double *v, int i, double t, double *q, double *dq, doubl
     *ddq = slow * v[SWING + i] * cos(swell) * sin(phase) + peak * (rate + slope * t) * cos(phase);
 }
 
-static void fourier(const double *v, int i, double t, double *q, double *dq, double *ddq) {
-    *q = v[OFFSET + i];
-    *dq = *ddq = 0.0;
-    for (int k = 0; k < HARMONICS; k++) {
+/* How many harmonics there are, to the last one that some joint has. */
+static int harmonics_of(const double *v) {
+    for (int k = HARMONICS; k > 0; k--) {
+        for (int i = 0; i < JOINTS; i++) {
+            if (v[A + i * HARMONICS + k - 1] != 0.0 || v[B + i * HARMONICS + k - 1] != 0.0) {
+                return k;
+            }
+        }
+    }
+    return 0;
+}
+
+/* Of all joints, which share the angles. */
+static void fourier(const double *v, double t, double *q, double *dq, double *ddq) {
+    const int harmonics = harmonics_of(v);
+    for (int i = 0; i < JOINTS; i++) {
+        q[i] = v[OFFSET + i];
+        dq[i] = ddq[i] = 0.0;
+    }
+    for (int k = 0; k < harmonics; k++) {
         const double rate = TWO_PI / v[PERIOD] * (k + 1);
-        const double a = v[A + i * HARMONICS + k], b = v[B + i * HARMONICS + k];
         const double c = cos(rate * t), s = sin(rate * t);
-        *q += (a * s - b * c) / rate;
-        *dq += a * c + b * s;
-        *ddq += (b * c - a * s) * rate;
+        for (int i = 0; i < JOINTS; i++) {
+            const double a = v[A + i * HARMONICS + k], b = v[B + i * HARMONICS + k];
+            q[i] += (a * s - b * c) / rate;
+            dq[i] += a * c + b * s;
+            ddq[i] += (b * c - a * s) * rate;
+        }
     }
 }
 
@@ -117,14 +135,15 @@ static void evaluate(double *v, double time, double *q, double *dq, double *ddq)
     const double t = v[KIND] == SWEEP ? fmin(elapsed, v[LENGTH]) : elapsed;
     const bool rests = time < v[REST_TIME] - ROUNDING || elapsed > t + ROUNDING;
     const double rate = TWO_PI * v[FIRST];
+    if (v[KIND] == FOURIER) {
+        fourier(v, t, q, dq, ddq);
+    }
     for (int i = 0; i < JOINTS; i++) {
-        if (v[KIND] == FOURIER) {
-            fourier(v, i, t, &q[i], &dq[i], &ddq[i]);
-        } else if (v[KIND] == SINE) {
+        if (v[KIND] == SINE) {
             q[i] = v[OFFSET + i] - v[AMPLITUDE + i] / rate * cos(rate * t);
             dq[i] = v[AMPLITUDE + i] * sin(rate * t);
             ddq[i] = v[AMPLITUDE + i] * rate * cos(rate * t);
-        } else {
+        } else if (v[KIND] == SWEEP) {
             sweep(v, i, t, &q[i], &dq[i], &ddq[i]);
         }
         if (rests) {
