@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from importlib.metadata import version
+from importlib.resources import files
 from pathlib import Path
 from typing import Literal
 
@@ -26,6 +27,7 @@ Version = Literal[2, 3]
 
 _HERE = Path(__file__).parent
 _C = _HERE / "c"
+_EQUATIONS = files("hesr_model") / "equations"
 _GLUE = (
     "component.h",
     "component_alone.h",
@@ -117,7 +119,8 @@ class Content:
 
 def own_source(name: str) -> str:
     """Return the text of a C file that comes with the package."""
-    return (_C / name).read_text(encoding="utf-8")
+    folder = _C if (_C / name).is_file() else _EQUATIONS
+    return (folder / name).read_text(encoding="utf-8")
 
 
 def write_fmu(

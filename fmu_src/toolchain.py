@@ -130,14 +130,24 @@ def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = 
 
 
 # A module that imports nothing, and small, because it stands in a page. The compiler's own C
-# library takes a quarter of a minute to build; of it there are the headers, else `wasm.c`.
+# library takes a quarter of a minute to build; of it there are the headers and what math.h's pow()
+# is made of, else `wasm.c`.
 _WASM = ("-target", "wasm32-wasi", "-nostdlib", "-Wl,--no-entry", *CFLAGS, "-Oz", "-g0", "-s")
+_MUSL = "{compiler}/lib/libc/musl"
+_POW = (
+    "pow",
+    "pow_data",
+    "exp_data",
+    *(f"__math_{n}" for n in ("invalid", "oflow", "uflow", "xflow")),
+)
 _WASM_LAST = (
-    "-isystem",
-    "{compiler}/lib/libc/include/wasm-wasi-musl",
-    "-isystem",
-    "{compiler}/lib/libc/include/generic-musl",
-    f"-I{files('hesr_model') / 'equations'}",
+    *(
+        f"-isystem{{compiler}}/lib/libc/include/{name}"
+        for name in ("wasm-wasi-musl", "generic-musl")
+    ),
+    *(f"-isystem{_MUSL}/{name}" for name in ("src/internal", "arch/generic")),
+    "-Dhidden=",
+    *(f"{_MUSL}/src/math/{name}.c" for name in _POW),
     str(files("fmu_src") / "c" / "wasm.c"),
     "-lcompiler_rt",
 )

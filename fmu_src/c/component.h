@@ -26,6 +26,7 @@ typedef struct {
     double may_end_early;          /* whether a step may end at an event, kept by the glue */
     double done;                   /* of the last step [s] */
     double event;                  /* whether there was one at its end */
+    double changed; /* whether more than inputs has been set since the component put it to zero */
 } Component;
 
 /* One sentence for the user: why a function refused, or what happened. */

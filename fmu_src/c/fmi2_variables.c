@@ -141,6 +141,13 @@ FMI2_STATUS(fmi2GetInteger)
     return status;
 }
 
+static void put(Memory *memory, fmi2ValueReference vr, double value) {
+    const Variable *variable = variable_of(vr);
+    memory->component.v[first_of(vr)] = value;
+    memory->component.changed += variable->role != INPUT;
+    memory->stale |= variable->used;
+}
+
 FMI2_STATUS(fmi2SetReal)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real value[]) {
     static const char function[] = "fmi2SetReal";
@@ -157,8 +164,7 @@ FMI2_STATUS(fmi2SetReal)
         return refuse_number(instance, function, vr[odd], value[odd]);
     }
     for (size_t i = 0; i < n; i++) {
-        instance->memory.component.v[first_of(vr[i])] = value[i];
-        instance->memory.stale |= variable_of(vr[i])->used;
+        put(&instance->memory, vr[i], value[i]);
     }
     return fmi2OK;
 }
@@ -183,8 +189,7 @@ FMI2_STATUS(fmi2SetInteger)
         }
     }
     for (size_t i = 0; i < n; i++) {
-        instance->memory.component.v[first_of(vr[i])] = value[i];
-        instance->memory.stale |= variable_of(vr[i])->used;
+        put(&instance->memory, vr[i], value[i]);
     }
     return fmi2OK;
 }

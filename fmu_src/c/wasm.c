@@ -1,22 +1,13 @@
 /* What an FMU needs of a C library, for a page in a browser, which has none: to build the
- * compiler's own for WebAssembly takes a quarter of a minute. Sums, products and the rest of math.h
- * come with the compiler. */
+ * compiler's own for WebAssembly takes a quarter of a minute. Functions of math.h come with the
+ * compiler. */
 #include <math.h>
 #include <stdarg.h>
 #include <stdbool.h>
+#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include "elementary.h"
-
-double expm1(double x) {
-    return even_expm1(x);
-}
-
-double tanh(double x) {
-    return even_tanh(x);
-}
 
 int strcmp(const char *a, const char *b) {
     while (*a && *a == *b) {
@@ -75,9 +66,11 @@ enum { DIGITS = 800 }; /* the longest double has 767 */
 /* The digits of a positive number, all of them, the last one first; `exponent` is the power of ten
  * of the last. A double is a whole number times 2^e, or times 5^-e / 10^-e. */
 static int decimal(double value, char digits[DIGITS], int *exponent) {
-    const int power = (int)(bits_of(value) >> 52), e = power ? power - 1075 : -1074;
+    uint64_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    const int power = (int)(bits >> 52), e = power ? power - 1075 : -1074;
     int n = 0;
-    for (uint64_t whole = bits_of(value) % HIDDEN + (power ? HIDDEN : 0); whole; whole /= 10) {
+    for (uint64_t whole = bits % HIDDEN + (power ? HIDDEN : 0); whole; whole /= 10) {
         digits[n++] = (char)(whole % 10);
     }
     *exponent = e < 0 ? e : 0;

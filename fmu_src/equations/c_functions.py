@@ -15,11 +15,12 @@ from sympy.printing.c import C99CodePrinter
 
 from fmu_src.interface import literal
 from hesr_model.equations.component import Component, Quantity, previous
-from hesr_model.equations.functions import positive
+from hesr_model.equations.functions import positive, sgn
 from hesr_model.equations.memory import DT, EULER, Relaxation
 from hesr_model.equations.program import (
     Assignments,
     Jumps,
+    Settled,
     Tangent,
     beginning,
     begun,
@@ -37,15 +38,22 @@ _POWERS = {2: "square", 3: "cube"}
 
 
 class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
-    """C99 with our functions, literals that read back, and small powers without pow()."""
+    """C99 with our functions, literals that read back, and small powers without pow().
 
-    def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
+    Loops of lanes have no branches, of which compilers would make no vectors.
+    """
+
+    def __init__(self, names: Mapping[sympy.Symbol, str], *, lanes: bool = False) -> None:
         super().__init__({"strict": False})
         self._names = names
-        own = ("sgn", "positive", "clip", "exceeds", "over", "decay", "share", "share_slope",
-               "cardinal_sine", "cardinal_slope")  # fmt: skip
+        own = ("sgn", "positive", "larger", "clip", "exceeds", "over", "decay", "share",
+               "share_slope", "cardinal_sine", "cardinal_slope")  # fmt: skip
         self.known_functions |= {name: name for name in own}
-        self.known_functions |= {"absolute": "fabs", "larger": "fmax"}
+        self.known_functions |= {"absolute": "fabs", "sin": "sine", "cos": "cosine"}
+        kind = "even" if lanes else "quick"
+        self.known_functions |= {"exp": "even_exp", "tanh": f"{kind}_tanh"}
+        if not lanes:
+            self.known_functions |= {"decay": "quick_decay"}
 
     def _print_Symbol(self, expr: sympy.Symbol) -> str:
         return self._names.get(expr, expr.name)
@@ -75,9 +83,9 @@ class _Arguments:
 
     places: Mapping[sympy.Symbol, tuple[str, str]] = field(default_factory=dict)
 
-    def plus(self, symbols: Iterable[sympy.Symbol], array: str) -> "_Arguments":
-        """Add the elements of an array."""
-        more = {s: (f"{array}_{i}", f"{array}[{i}]") for i, s in enumerate(symbols)}
+    def plus(self, symbols: Iterable[sympy.Symbol], array: str, lane: str = "") -> "_Arguments":
+        """Add the elements of an array, which may be arrays themselves."""
+        more = {s: (f"{array}_{i}", f"{array}[{i}]{lane}") for i, s in enumerate(symbols)}
         return _Arguments({**self.places, **more})
 
     def single(self, symbol: sympy.Symbol, name: str) -> "_Arguments":
@@ -227,13 +235,56 @@ class Functions:
     def _moved_targets(self) -> dict[str, sympy.Symbol]:
         return {f"x[{i}]": moved(m) for i, m in enumerate(self.component.memory)}
 
-    def step(self) -> str:
-        """Move the states x by dt, and write the readings of the end of the step."""
-        own = sampled(self.component)
-        return self._written(
-            True, own, {**self._moved_targets, **self._reading_targets},
-            "step(IN(k), IN(u), IN(s), IN(p), double dt, double euler, double *x, OUT(y), OUT(r))",
-        )  # fmt: skip
+    @property
+    def _step_targets(self) -> dict[str, sympy.Symbol]:
+        return {**self._moved_targets, **self._reading_targets}
+
+    @cached_property
+    def _settled(self) -> Settled:
+        """The step, apart from what parameters and its length make of each other in it."""
+        program = self.jumps.held(sampled(self.component))
+        return Settled.of(program, self._step_targets.values(), {*self._parameters, DT, EULER})
+
+    @property
+    def settled(self) -> int:
+        """How many numbers `settle` writes."""
+        return len(self._settled.kept)
+
+    def settle(self) -> str:
+        """Write into c what a step needs of parameters and its length alone."""
+        targets = {f"c[{i}]": s for i, s in enumerate(self._settled.kept)}
+        signature = f"{self.name}_settle(IN(k), double dt, double euler, OUT(c))"
+        return _printed(signature, self._settled.once, {}, targets, self._arguments.places)
+
+    def settled_step(self) -> str:
+        """Do as `step`, with what `settle` has written into c."""
+        places = self._arguments.plus(self._settled.kept, "c").places
+        signature = (
+            f"{self.name}_step(IN(k), IN(u), IN(s), IN(p), IN(c), double dt, double euler, "
+            "double *x, OUT(y), OUT(r))"
+        )
+        own = self._settled
+        return _printed(signature, own.moving, own.names, self._step_targets, places)
+
+    def lanes(self) -> str:
+        """Do as `settled_step` for LANES instances side by side, whose parameters are the same.
+
+        Signs are not given but found, as there is no event between two steps.
+        """
+        own = self._settled
+        places = _Arguments().plus(self._parameters, "k").plus(own.kept, "c").single(DT, "dt")
+        places = places.single(EULER, "euler").plus(self._inputs, "u", "[l]")
+        places = places.plus(self._states, "x", "[l]")
+        used = set().union(*(e.free_symbols for e in own.moving.values()))
+        pairs = zip(self.jumps.signs, self.jumps.expressions, strict=True)
+        signs = {s: sgn(e) for s, e in pairs if s in used}
+        targets = {f"{place}[l]": s for place, s in self._moved_targets.items()}
+        targets |= {f"y[{i}][l]": s for i, s in enumerate(self._outputs)}
+        signature = (
+            f"{self.name}_lanes(IN(k), IN(c), LANES(const, u), double dt, double euler, "
+            "LANES(, x), LANES(, y))"
+        )
+        return _printed(signature, {**signs, **own.moving}, own.names, targets, places.places)
 
     def rates(self) -> str:
         """Write the rate of each relaxation, 0 for other states."""
@@ -315,9 +366,20 @@ def _function(
     places: Mapping[sympy.Symbol, tuple[str, str]],
 ) -> str:
     """Return a C function that computes targets by a program, common subexpressions shared."""
-    lines, names = straight_line(program, targets.values())
+    return _printed(signature, *straight_line(program, targets.values()), targets, places)
+
+
+def _printed(
+    signature: str,
+    lines: Assignments,
+    names: Mapping[sympy.Symbol, str],
+    targets: Mapping[str, sympy.Symbol],
+    places: Mapping[sympy.Symbol, tuple[str, str]],
+) -> str:
+    """Return a C function of these lines, of which some have other names there."""
     known = {s: name for s, (name, _) in places.items() if s not in names}
-    printer = _Printer({**known, **names})
+    lanes = "LANES(" in signature
+    printer = _Printer({**known, **names}, lanes=lanes)
     used = set().union(*(e.free_symbols for e in lines.values()), targets.values()) - set(lines)
     reads = [
         f"const double {name} = {place};"
@@ -329,15 +391,19 @@ def _function(
         for symbol, e in lines.items()
     ]
     # What nothing moves has no name: its change is none.
-    writes = [f"{place} = {_c(printer, s) if s in names or s in known else '0.0'};"
+    writes = [f"{place} = {_c(printer, s) if s in lines or s in known else '0.0'};"
               for place, s in targets.items()]  # fmt: skip
     signature = re.sub(r"IN\((\w+)\)", r"const double *\1", signature)
     signature = re.sub(r"OUT\((\w+)\)", r"double *\1", signature)
-    arguments = [part.split()[-1].lstrip("*") for part in signature[:-1].split(",")]
+    signature = re.sub(r"LANES\((\w*), (\w+)\)", r"\1 double (*restrict \2)[LANES]", signature)
+    arguments = re.findall(r"(\w+)(?:\)\[LANES\])?[,)]", signature)
     text = " ".join([*reads, *body, *writes])
     unused = [a for a in arguments if not re.search(rf"\b{a}\b", text)]
     silence = [f"{', '.join(f'(void){a}' for a in unused)};"] if unused else []
-    content = (*silence, *reads, *body, *writes)
+    content: Iterable[str] = (*reads, *body, *writes)
+    if lanes:
+        content = ("for (int l = 0; l < LANES; l++) {", *(f"    {line}" for line in content), "}")
+    content = (*silence, *content)
     return "\n".join(
         [f"static void {signature}", "{", *(f"    {line}" for line in content), "}", ""]
     )

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
@@ -78,10 +79,14 @@ FRICTION: Mapping[str, tuple[Writer, str]] = {
         _pointer("read", f"{_K}, const double *s, const double *x, const double *p, double dt, "
                  "double *dx, double *y, double *r"),
     ),
+    "settle": (
+        Functions.settle,
+        _pointer("settle", "const double *k, double dt, double euler, double *c"),
+    ),
     "step": (
-        Functions.step,
-        _pointer("step", f"{_K}, const double *s, const double *p, double dt, double euler, "
-                 "double *x, double *y, double *r"),
+        Functions.settled_step,
+        _pointer("step", f"{_K}, const double *s, const double *p, const double *c, double dt, "
+                 "double euler, double *x, double *y, double *r"),
     ),
     "start": (
         Functions.start,
@@ -131,7 +136,13 @@ def own_size(joints: Sequence[Joint]) -> int:
     sizes = _sizes(joints)
     return (
         sizes["OWN_FIXED"]
-        + len(joints) * (sizes["MAX_INPUTS"] + sizes["MAX_STATES"] + 2 * sizes["MAX_REMEMBERED"])
+        + len(joints)
+        * (
+            sizes["MAX_INPUTS"]
+            + sizes["MAX_STATES"]
+            + 2 * sizes["MAX_REMEMBERED"]
+            + sizes["MAX_SETTLED"]
+        )
         + indicators(joints)
     )
 
@@ -226,14 +237,26 @@ def _sizes(joints: Sequence[Joint]) -> dict[str, int]:
 
     return {
         "JOINTS": len(joints),
-        "OWN_FIXED": 4,
+        "OWN_FIXED": 5,
         "MAX_INPUTS": max(1, *(_gathered(j) for j in joints)),
         "MAX_STATES": most(lambda c: len(c.memory)),
         "MAX_OUTPUTS": most(lambda c: len(c.outputs)),
         "MAX_REMEMBERED": max(len(j.component.remembered) for j in joints),
+        "MAX_SETTLED": max(_settled(j.component, j.gathered) for j in joints),
         "MAX_SWITCHES": most(lambda c: len(Functions(c, "").jumps.expressions)),
         "MAX_PARAMETERS": most(lambda c: len(c.parameters)),
     }
+
+
+@cache
+def _settled(component: Component, gathered: bool) -> int:
+    """Return how many numbers of a component are settled, of which finding out takes long."""
+    count = kept(
+        "functions",
+        (software(), "settled", str(gathered), repr(component)),
+        lambda: str(Functions(component, "", gathered=gathered).settled).encode(),
+    )
+    return int(count)
 
 
 def _gathered(joint: Joint) -> int:

@@ -21,6 +21,9 @@ from hesr_model.friction.model import FrictionModel
 TEMPLATES = Path(__file__).parents[1] / "templates"
 
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+_LANES = 8
+"""Robots side by side: two vectors of AVX2, one of AVX-512."""
+
 _OWN_MATH = re.compile(r"static inline double (\w+)\(")
 
 
@@ -71,7 +74,9 @@ def header(model: FrictionModel, name: str) -> str:
         for own in functions
         for text in (
             own.read(),
-            own.step(),
+            own.settle(),
+            own.settled_step(),
+            *([] if euler else [own.lanes()]),
             *([own.begin()] if own.component.memory else []),
             *([own.switches()] if own.jumps.expressions else []),
             *([own.rates()] if euler and own.component.memory else []),
@@ -86,6 +91,8 @@ def header(model: FrictionModel, name: str) -> str:
         functions=texts,
         joints=_rows(model, joints, {f.component: f for f in functions}, euler=euler),
         slides=model.slides,
+        lanes=_LANES,
+        shared=max(len(joint.component.shared) for joint in joints),
         coefficients=sum(len(law.values) for law in model.laws),
     )  # fmt: skip
     return _with_prefix(text)
@@ -127,6 +134,7 @@ def _rows(
                 "first_state": states,
                 "first_coefficient": coefficients,
                 "switches": len(own.jumps.expressions),
+                "settled": max(own.settled, 1),
                 "names": [m.name for m in law.form.memory],
                 "euler": euler and bool(law.form.relaxations),
             }

@@ -189,3 +189,59 @@ def sampled(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
     after = {m.state: moved(m) for m in component.memory}
     own = step(component.memory)
     return own | {s: e.xreplace(after) for s, e in readings(component).items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settled:
+    """A straight line, apart from what of it need not be computed at every step.
+
+    Attributes
+    ----------
+    once : what is made of settled symbols alone, in order.
+    kept : symbols of these that the rest needs.
+    moving : the rest.
+    names : short names of symbols that a program assigns.
+    """
+
+    once: Assignments
+    kept: tuple[sympy.Symbol, ...]
+    moving: Assignments
+    names: Mapping[sympy.Symbol, str]
+
+    @classmethod
+    def of(
+        cls, program: Assignments, wanted: Iterable[sympy.Symbol], settled: set[sympy.Symbol]
+    ) -> "Settled":
+        """Separate a program; settled factors and terms are gathered, and rounded as such."""
+        lines, names = straight_line(program, wanted)
+        known, parts, moving = set(settled), dict[sympy.Expr, sympy.Symbol](), {}
+        for symbol, expression in lines.items():
+            if not expression.is_Atom and expression.free_symbols <= known:
+                parts.setdefault(expression, symbol)
+                known.add(symbol)
+            else:
+                moving[symbol] = _without(expression, known, parts)
+        once = {symbol: expression for expression, symbol in parts.items()}
+        used = set[sympy.Symbol](wanted).union(*(e.free_symbols for e in moving.values()))
+        return cls(once=once, kept=tuple(s for s in once if s in used), moving=moving, names=names)
+
+
+def _without(
+    expression: sympy.Expr, settled: set[sympy.Symbol], parts: dict[sympy.Expr, sympy.Symbol]
+) -> sympy.Expr:
+    """Return an expression with a symbol for each part of settled ones, added to the parts."""
+    if expression.is_Atom:
+        return expression
+    fixed = [a for a in expression.args if a.free_symbols <= settled]
+    if expression.is_Add or expression.is_Mul:
+        rest = [a for a in expression.args if a not in fixed]
+        whole = expression.func(*fixed)
+    else:
+        rest, whole = [], expression if len(fixed) == len(expression.args) else sympy.S.One
+    if whole.is_Atom or not whole.free_symbols:
+        return expression.func(*(_without(a, settled, parts) for a in expression.args))
+    if whole not in parts:
+        parts[whole] = sympy.Symbol(f"settled_{len(parts)}", real=True)
+        settled.add(parts[whole])
+    moving = (_without(a, settled, parts) for a in rest)
+    return expression.func(parts[whole], *moving) if rest else parts[whole]

@@ -4,9 +4,8 @@
  * block, small enough that all of them stay in the fastest cache. So there is one binary for all
  * equations, and nothing is compiled when a search tries another form. `operations.py` makes the
  * programs; the operations' numbers are defined where this is compiled. */
-#include <stdbool.h>
-#include <stdint.h>
-#include "elementary.h"
+#define WITHOUT_LIBRARY
+#include "law_math.h"
 
 enum { BLOCK = 128, LANES = 8, STOPS = 4 };
 
@@ -50,43 +49,11 @@ typedef struct {
 
 #define INLINE static inline __attribute__((always_inline))
 
-INLINE double positive(double x) {
-    return x > 0.0 ? x : 0.0;
-}
-
-INLINE double sgn(double x) {
-    return x > 0.0 ? 1.0 : (x < 0.0 ? -1.0 : x);
-}
-
-INLINE double larger(double a, double b) {
-    return a > b || a != a ? a : b;
-}
-
-INLINE double clip(double x, double b) {
-    const double above = x < -b ? -b : x;
-    return above > b ? b : above;
-}
-
-/* (1 - exp(-z)) / z with e = expm1(-z). */
-INLINE double share(double z, double e) {
-    const bool small = __builtin_fabs(z) < 1e-3;
-    const double series = 1.0 - z / 2.0 * (1.0 - z / 3.0 * (1.0 - z / 4.0 * (1.0 - z / 5.0)));
-    const double quotient = -e / (small ? 1.0 : z);
-    return small ? series : quotient;
-}
-
-INLINE double cardinal_sine(double x) {
-    const bool small = __builtin_fabs(x) < 1e-3;
-    const double series = 1.0 - x * x / 6.0 * (1.0 - x * x / 20.0);
-    const double quotient = even_sin(x) / (small ? 1.0 : x);
-    return small ? series : quotient;
-}
-
 /* Whether sines of all numbers can be had. */
 INLINE bool small_angles(const double *restrict x, int64_t n) {
     double outside = 0.0;
     for (int64_t i = 0; i < n; i++) {
-        outside += __builtin_fabs(x[i]) <= LARGEST_ANGLE ? 0.0 : 1.0;
+        outside += fabs(x[i]) <= LARGEST_ANGLE ? 0.0 : 1.0;
     }
     return outside == 0.0;
 }
@@ -115,7 +82,7 @@ INLINE int relax(program *p, int64_t state, int64_t at, int64_t n, double *restr
             const double z = positive(rate[i]) * dt[i];
             const double e = even_expm1(-z);
             a[i] = 1.0 + e;
-            c[i] = drive[i] * dt[i] * share(z, e);
+            c[i] = drive[i] * dt[i] * share(z, e, 0.0);
         }
     }
     EACH_FIRST(f, i) {
@@ -230,11 +197,11 @@ INLINE int operate(program *p, const operation *o, int64_t at, int64_t n) {
         if (!small_angles(a, n)) {
             return TOO_LARGE;
         }
-        EACH(cardinal_sine(a[i]));
+        EACH(cardinal(a[i], even_sin(a[i])));
     case SGN:
         EACH(sgn(a[i]));
     case ABSOLUTE:
-        EACH(__builtin_fabs(a[i]));
+        EACH(fabs(a[i]));
     case POSITIVE:
         EACH(positive(a[i]));
     case LARGER:

@@ -37,7 +37,7 @@ HOSTS = {
 _FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
           "-Wall", "-Wextra", "-Werror", "-shared", "-nostdlib", "-g0", "-s")  # fmt: skip
 _LAST = {".dll": ("-Wl,--no-entry", "-lcompiler_rt")}
-_SOURCES = ("rows.c", "elementary.h")
+_SOURCES = ("rows.c", "law_math.h")
 
 
 class _Program(ctypes.Structure):

@@ -38,6 +38,12 @@ EXPORT bool step(law_state *s, const double *dq, const double *q, const double *
                  double *tau) { return law_step(s, dq, q, load, dt, tau); }
 EXPORT size_t batch(law_state *s, size_t n, const double *dq, const double *q, const double *load,
                     double dt, double *tau) { return law_batch(s, n, dq, q, load, dt, tau); }
+EXPORT size_t states(void) { return LAW_STATES; }
+"""
+SIDE_BY_SIDE = """
+EXPORT size_t side_by_side(size_t n, double *x, const double *dq, const double *q,
+                           const double *load, double dt, double *tau) {
+    return law_side_by_side(law_coefficients, n, x, dq, q, load, dt, tau); }
 """
 
 
@@ -46,7 +52,8 @@ class Law:
 
     def __init__(self, model: FrictionModel, folder: Path) -> None:
         export_c(model, folder / "law.h")
-        (folder / "law.c").write_text(LIBRARY, encoding="utf-8")
+        euler = any(law.discretisation == "euler" for law in model.laws)
+        (folder / "law.c").write_text(LIBRARY + ("" if euler else SIDE_BY_SIDE), encoding="utf-8")
         file = folder / "law.so"
         file.write_bytes(build(folder / "law.c", "law", TARGETS["linux64"]))
         self._library = ctypes.CDLL(str(file))
@@ -77,6 +84,23 @@ class Law:
         count = self._library.batch(state, c_size_t(len(dq)), *rows, c_double(dt), _pointer(tau))
         return count, tau
 
+    def side_by_side(self, x, dq, q, load, dt: float) -> tuple[int, np.ndarray]:
+        """Move robots whose numbers stand in columns; x changes."""
+        tau = np.full(dq.shape, np.nan)
+        function = self._library.side_by_side
+        function.restype = c_size_t
+        rows = [np.ascontiguousarray(row) for row in (dq, q, load)]
+        count = function(
+            c_size_t(dq.shape[1]), _pointer(x), *map(_pointer, rows), c_double(dt), _pointer(tau)
+        )
+        return count, tau
+
+    def start(self, robots: int) -> np.ndarray:
+        """What robots remember at the start, (states, robots)."""
+        state = bytes(self.state())[-8 * max(self._library.states(), 1) :]
+        x = np.frombuffer(state)[: self._library.states(), None]
+        return np.ascontiguousarray(np.repeat(x, robots, axis=1))
+
 
 def _pointer(values: np.ndarray):
     return np.ascontiguousarray(values).ctypes.data_as(POINTER(c_double))
@@ -92,6 +116,34 @@ def test_every_law_has_the_bits_of_the_fmu(every, every_model, every_fmu) -> Non
     state = every.state()
     found = np.array([every.step(state, *row, STEP) for row in zip(*rows, strict=True)])
     np.testing.assert_array_equal(found, torques_of(every_fmu, rows))
+
+
+@pytest.mark.parametrize("robots", [1, 8, 19])
+def test_robots_side_by_side_are_these_one_by_one(every, robots: int) -> None:
+    rows = [row[: 40 * robots].reshape(40, robots, -1) for row in inputs(every.joints, seconds=4.0)]
+    x, alone = every.start(robots), [every.state() for _ in range(robots)]
+    for dq, q, load in zip(*rows, strict=True):
+        count, tau = every.side_by_side(x, dq.T, q.T, load.T, STEP)
+        assert count == robots
+        for i, state in enumerate(alone):
+            expected = every.step(state, dq[i], q[i], load[i], STEP)
+            np.testing.assert_array_equal(tau[:, i], expected)
+
+
+def test_a_robot_that_cannot_be_moved_stays_with_its_neighbours(every) -> None:
+    dq, q, load = (row[100:119].T.copy() for row in inputs(every.joints, seconds=2.0))
+    whole, some = every.start(19), every.start(19)
+    _, expected = every.side_by_side(whole, dq, q, load, STEP)
+    dq[0, 9] = np.nan
+    count, tau = every.side_by_side(some, dq, q, load, STEP)
+    assert count == 11
+    others = np.r_[0:8, 16:19]
+    np.testing.assert_array_equal(tau[:, others], expected[:, others])
+    np.testing.assert_array_equal(some[:, others], whole[:, others])
+    np.testing.assert_array_equal(some[:, 8:16], every.start(8))
+    assert np.isnan(tau[:, 8:16]).all()
+    for dt in (0.0, -STEP, np.nan):
+        assert every.side_by_side(some, dq, q, load, dt)[0] == 0
 
 
 def test_it_begins_in_motion_where_the_fmu_does(every, every_fmu) -> None:

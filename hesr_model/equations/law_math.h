@@ -1,0 +1,250 @@
+/* Functions from which generated equations are written, the same in FMUs, on pages, in single
+ * headers and over logs. They need no branch: a compiler makes vectors of loops over them, and they
+ * give the same bits on every machine that rounds as IEEE 754 says, whatever its compiler, its C
+ * library and the width of its vectors. Elementary ones are within 1e-15 of the exact values,
+ * relative to these; sin and cos relative to 1. */
+#ifndef LAW_MATH_H
+#define LAW_MATH_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#ifdef WITHOUT_LIBRARY
+#define copysign __builtin_copysign
+#define fabs __builtin_fabs
+#define memcpy __builtin_memcpy
+#else
+#include <math.h>
+#include <string.h>
+#endif
+
+/* A multiplication and an addition are rounded apart. */
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#elif defined(__GNUC__)
+#pragma GCC optimize("fp-contract=off")
+#elif defined(_MSC_VER)
+#pragma fp_contract(off)
+#endif
+
+/* Added to a number below 2^51 it leaves the nearest integer in the last bits. */
+#define TO_INTEGER 0x1.8p52
+
+static inline uint64_t bits_of(double x) {
+    uint64_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    return bits;
+}
+
+static inline double of_bits(uint64_t bits) {
+    double x;
+    memcpy(&x, &bits, sizeof x);
+    return x;
+}
+
+/* 2^n for -1022 <= n <= 1023 in the last bits. */
+static inline double power_of_two(uint64_t n) {
+    return of_bits((n + 1023) << 52);
+}
+
+/* What is left of x without k ln(2); the upper part of ln(2) has so few bits that k times it is
+ * exact. */
+static inline double without(double x, double k) {
+    return (x - k * 0x1.62e42feep-1) - k * 0x1.a39ef35793c76p-33;
+}
+
+/* 2 (exp(r) - 1) for |r| <= ln(2) / 2, and 2 more, to 4e-17; in pairs of terms, which wait less for
+ * one another. */
+static inline double twice_short(double r, double more) {
+    const double z = r * r, y = z * z;
+    const double q0 = 1.0000000000000002 + r * 0.33333333333333337;
+    const double q2 = 0.08333333333324798 + r * 0.016666666666660102;
+    const double q4 = 0.0027777777834563588 + r * 0.00039682539726211937;
+    const double q6 = 4.960304238043546e-05 + r * 5.5114536757368385e-06;
+    const double q8 = 5.524027743946799e-07 + r * 5.0200848314010134e-08;
+    return ((more + (r + r)) + z * (q0 + z * q2)) + (z * y) * ((q4 + z * q6) + y * q8);
+}
+
+/* Of numbers so large that it is infinite, and of those so small that it is 0, too; these are
+ * computed as others, since processors take long for what is smaller than they like. */
+static inline double even_exp(double x) {
+    const bool vanishes = x < -746.0;
+    const double above = vanishes ? -700.0 : x, inside = above > 710.0 ? 710.0 : above;
+    const double shifted = inside * 0x1.71547652b82fep+0 + TO_INTEGER;
+    const double e = twice_short(without(inside, shifted - TO_INTEGER), 2.0);
+    /* 2^k is made of two powers, as it may be too large or too small for one, and half of it. */
+    const uint64_t n = (bits_of(shifted) + 2047) & 4095, part = n / 2;
+    const double half = power_of_two(part - 1024) * power_of_two(n - part - 1024);
+    return vanishes ? 0.0 : e * half;
+}
+
+/* exp(x) - 1 for x <= 0. */
+static inline double even_expm1(double x) {
+    const double inside = x < -60.0 ? -60.0 : x;
+    const double shifted = inside * 0x1.71547652b82fep+0 + TO_INTEGER;
+    const double half = power_of_two(bits_of(shifted) - 1);
+    return half * twice_short(without(inside, shifted - TO_INTEGER), 0.0) + (2.0 * half - 1.0);
+}
+
+/* The same bits: for one number alone a branch is quicker where it is saturated. */
+static inline double quick_expm1(double x) {
+    return x < -60.0 ? -1.0 : even_expm1(x);
+}
+
+static inline double tanh_of(double expm1, double x) {
+    return copysign(-expm1 / (expm1 + 2.0), x);
+}
+
+static inline double even_tanh(double x) {
+    return tanh_of(even_expm1(-2.0 * fabs(x)), x);
+}
+
+static inline double quick_tanh(double x) {
+    return tanh_of(quick_expm1(-2.0 * fabs(x)), x);
+}
+
+static inline double nearest(double x) {
+    return (x + TO_INTEGER) - TO_INTEGER;
+}
+
+/* Largest argument of `even_sin` and `even_cos`: its quarter turns times parts of pi / 2 are exact.
+ */
+#define LARGEST_ANGLE 1e6
+
+/* sin(x + quarters pi / 2) for |x| <= LARGEST_ANGLE: Taylor's series on an eighth of a turn. */
+static inline double turned_sin(double x, double quarters) {
+    const double n = nearest(x * 0x1.45f306dc9c883p-1);
+    const double r = ((x - n * 0x1.921fb544p+0) - n * 0x1.0b4611a6p-34) - n * 0x1.3198a2e037073p-69;
+    const double z = r * r;
+    const double y = z * z, w = y * y;
+    const double o1 = -1.0 / 6.0 + z * (1.0 / 120.0);
+    const double o3 = -1.0 / 5040.0 + z * (1.0 / 362880.0);
+    const double o5 = -1.0 / 39916800.0 + z * (1.0 / 6227020800.0);
+    const double odd = r + r * z * ((o1 + y * o3) + w * (o5 + y * (-1.0 / 1307674368000.0)));
+    const double e1 = -0.5 + z * (1.0 / 24.0), e3 = -1.0 / 720.0 + z * (1.0 / 40320.0);
+    const double e5 = -1.0 / 3628800.0 + z * (1.0 / 479001600.0);
+    const double e7 = -1.0 / 87178291200.0 + z * (1.0 / 20922789888000.0);
+    const double even = 1.0 + z * ((e1 + y * e3) + w * (e5 + y * e7));
+    const uint64_t quadrant = bits_of((n + quarters) + TO_INTEGER);
+    const double found = quadrant & 1 ? even : odd;
+    return quadrant & 2 ? -found : found;
+}
+
+static inline double even_sin(double x) {
+    return turned_sin(x, 0.0);
+}
+
+static inline double even_cos(double x) {
+    return turned_sin(x, 1.0);
+}
+
+/* Below this series are exact to double precision and quotients are not; the same number as in
+ * hesr_model.equations.functions. */
+#define SERIES_BELOW 1e-3
+
+/* Added to a divisor that is not negative, nothing is divided by zero. */
+#define TINY 1e-300
+
+static inline double sgn(double x) {
+    return (x > 0.0 ? 1.0 : 0.0) - (x < 0.0 ? 1.0 : 0.0);
+}
+
+static inline double square(double x) {
+    return x * x;
+}
+
+static inline double cube(double x) {
+    return x * x * x;
+}
+
+/* max(x, 0), 0 for what is not a number. */
+static inline double positive(double x) {
+    return x > 0.0 ? x : 0.0;
+}
+
+static inline double exceeds(double a, double b) {
+    return a > b ? 1.0 : 0.0;
+}
+
+/* The larger one, which is no number where a is none. */
+static inline double larger(double a, double b) {
+    return a > b || a != a ? a : b;
+}
+
+/* x between -b and b. */
+static inline double clip(double x, double b) {
+    const double above = x < -b ? -b : x;
+    return above > b ? b : above;
+}
+
+/* a / b for b > 0. */
+static inline double over(double a, double b, double otherwise) {
+    return b > 0.0 ? a / b : otherwise;
+}
+
+/* exp(-z) - 1, by which a state falls over a step; -z by Euler's. Which of the two is the same for
+ * all rows and instances. */
+static inline double decay(double z, double euler) {
+    return euler > 0.0 ? -z : even_expm1(-z);
+}
+
+static inline double quick_decay(double z, double euler) {
+    return euler > 0.0 ? -z : quick_expm1(-z);
+}
+
+/* (1 - exp(-z)) / z, continued by 1 at 0; e is decay(z, euler). */
+static inline double share(double z, double e, double euler) {
+    const bool small = fabs(z) < SERIES_BELOW;
+    const double y = z * z;
+    const double series =
+        (1.0 - 0.5 * z) + y * ((1.0 / 6.0 - z * (1.0 / 24.0)) + y * (1.0 / 120.0));
+    if (euler > 0.0) {
+        return 1.0;
+    }
+    return small ? series : -e / (z + TINY);
+}
+
+/* Derivative of share by z. */
+static inline double share_slope(double z, double e, double euler) {
+    const bool small = fabs(z) < SERIES_BELOW;
+    const double y = z * z, divisor = z + TINY;
+    const double series =
+        (-0.5 + z * (1.0 / 3.0)) - y * ((1.0 / 8.0 - z * (1.0 / 30.0)) + y * (1.0 / 144.0));
+    if (euler > 0.0) {
+        return 0.0;
+    }
+    return small ? series : (1.0 + e + e / divisor) / divisor;
+}
+
+/* sin(x) / x, continued by 1 at 0, from x and its sine. */
+static inline double cardinal(double x, double sine_of_x) {
+    const double z = x * x, series = 1.0 - z * (1.0 / 6.0) * (1.0 - z * (1.0 / 20.0));
+    const bool small = fabs(x) < SERIES_BELOW;
+    return small ? series : sine_of_x / (small ? 1.0 : x);
+}
+
+#ifndef WITHOUT_LIBRARY
+
+/* Of larger angles, whose quarter turns cannot be told so, as the C library has them. */
+static inline double sine(double x) {
+    return fabs(x) <= LARGEST_ANGLE ? even_sin(x) : sin(x);
+}
+
+static inline double cosine(double x) {
+    return fabs(x) <= LARGEST_ANGLE ? even_cos(x) : cos(x);
+}
+
+static inline double cardinal_sine(double x) {
+    return cardinal(x, sine(x));
+}
+
+/* Its derivative. */
+static inline double cardinal_slope(double x) {
+    const bool small = fabs(x) < SERIES_BELOW;
+    const double series = -x * (1.0 / 3.0) * (1.0 - x * x * (1.0 / 10.0));
+    return small ? series : (cosine(x) - cardinal_sine(x)) / (small ? 1.0 : x);
+}
+
+#endif
+
+#endif
