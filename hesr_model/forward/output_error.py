@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.forward.simulation import Simulator
 from hesr_model.forward.windows import windows_of
 from hesr_model.friction.model import FrictionModel
@@ -24,6 +23,7 @@ from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import motion_records
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support.arrays import Array
 
 WINDOW = 0.5
 """Length of the windows [s]."""

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import SimulationError
 from hesr_model.forward.stepping import LawSteps
 from hesr_model.forward.windows import Windows
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support.arrays import Array
 
 SUBSTEP = 2.5e-3
 """Longest inner step [s]."""

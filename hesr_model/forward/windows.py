@@ -6,11 +6,11 @@ from itertools import accumulate
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import SimulationError
 from hesr_model.friction.evaluate import states_over
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
+from hesr_model.support.arrays import Array
 
 RUN_IN = 1.0
 """Of each log [s] before its first window: friction's state is run in along the measured motion."""

@@ -18,10 +18,11 @@ from scipy.optimize import minimize_scalar
 from hesr_model.equations.compiled import Kernel, Rows, kernel_of
 from hesr_model.equations.functions import lowered
 from hesr_model.equations.memory import DT, Stop
-from hesr_model.equations.over_log import Array, StatesOverLog
+from hesr_model.equations.over_log import StatesOverLog
 from hesr_model.equations.rows import RUNS, OutsideError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.support.arrays import Array
 
 _PIECE = 2048
 """Rows that are run for all joints before the next ones."""

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hesr_model.logs.phases import Mask, moving, near_reversals
+from hesr_model.logs.phases import moving, near_reversals
 from hesr_model.rigid_body.residual import FrictionRecord
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Mask
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ from math import inf
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.band import LEVEL
@@ -21,6 +21,7 @@ from hesr_model.friction.trained import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support import html
+from hesr_model.support.arrays import Array
 from hesr_model.support.bounded import require_printable
 from hesr_model.units import unit_of_joints
 
@@ -140,7 +141,7 @@ class FrictionModel:
     @overload
     def predict(
         self, records: Sequence[FrictionRecord], *, measured_start: bool = False
-    ) -> NDArray[np.float64]: ...
+    ) -> Array: ...
 
     @overload
     def predict(
@@ -150,7 +151,7 @@ class FrictionModel:
         dq: ArrayLike,
         q: ArrayLike | None = None,
         tau_load: ArrayLike | None = None,
-    ) -> NDArray[np.float64]: ...
+    ) -> Array: ...
 
     def predict(
         self,
@@ -161,7 +162,7 @@ class FrictionModel:
         q: ArrayLike | None = None,
         tau_load: ArrayLike | None = None,
         measured_start: bool = False,
-    ) -> NDArray[np.float64]:
+    ) -> Array:
         """Return the friction torque of all joints, (N, n) [N.m].
 
         Of a log, or of a motion given by its arrays. In motion at the start, states begin in the
@@ -215,7 +216,7 @@ class FrictionModel:
 
     def predict_band(
         self, records: Sequence[FrictionRecord], *, coverage: float = LEVEL
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    ) -> tuple[Array, Array]:
         """Return between which torques the measured friction of a log lies.
 
         Parameters
@@ -268,10 +269,10 @@ class FrictionModel:
                 "a model that is fitted to logs does ('hesr fit')."
             )
 
-    def _at_joints(self, torque: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _at_joints(self, torque: Array) -> Array:
         return torque if self.coupling is None else self.coupling.at_joints(torque)
 
-    def _rows(self, name: str, values: ArrayLike | None, count: int) -> NDArray[np.float64]:
+    def _rows(self, name: str, values: ArrayLike | None, count: int) -> Array:
         shape = (count, len(self.joints))
         rows = np.broadcast_to(0.0, shape) if values is None else np.asarray(values, dtype=float)
         if rows.shape != shape:

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.equations.over_log import clipped
 from hesr_model.health.evidence import Motionwise, rubbing
@@ -19,8 +18,7 @@ from hesr_model.inference.correlation import correlation_length
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.robots.transmission import onto
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 _ROWS = 700
 """Of a log, that are looked at."""

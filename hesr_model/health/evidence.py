@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
 from hesr_model.inference.correlation import standard_errors
@@ -13,8 +12,7 @@ from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.identification import LEAST_PEAK
 from hesr_model.robots.robot import RobotModel
 from hesr_model.robots.transmission import Coupling
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Mask
 
 _LEAST_TRAVEL = 5e-3
 """[rad or m] A joint that moves by less rests."""
@@ -53,7 +51,7 @@ class Motionwise:
     tau: Array
 
     @cached_property
-    def moves(self) -> NDArray[np.bool_]:
+    def moves(self) -> Mask:
         """Which joints move, (n,), by travel [rad; m] and speed [rad/s; m/s]."""
         speed = np.max(np.abs(self.v), axis=0)
         return np.asarray((np.ptp(self.q, axis=0) > _LEAST_TRAVEL) & (speed > LEAST_PEAK))

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.friction.laws.lugre import STATIC_RATIO_BOUNDS
 from hesr_model.friction.model import FrictionModel
@@ -11,8 +10,7 @@ from hesr_model.health.findings import Finding
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
 from hesr_model.robots.robot import RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 CHECKS = ("mass-matrix", "negative-friction", "no-better-than-nothing", "bound", "other-robot")
 """Names of the checks of results."""

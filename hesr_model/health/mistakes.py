@@ -6,14 +6,12 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.health.evidence import Torques, rubbing
 from hesr_model.health.torque import sign_change
 from hesr_model.logs.log_format import column_names
 from hesr_model.robots.robot import RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Mask
 
 _SIGNAL = 0.8
 """Share of a torque left unexplained from which on it says nothing of gravity."""
@@ -75,7 +73,7 @@ def _by_axis(q: Array, model: RobotModel) -> Array:
     return np.array(parts)
 
 
-def mistakes(rows: Rows, model: RobotModel, moves: NDArray[np.bool_]) -> Iterator[Mistake]:
+def mistakes(rows: Rows, model: RobotModel, moves: Mask) -> Iterator[Mistake]:
     """Yield what may be wrong, the simplest first."""
     robot, joints = model.description, [int(j) for j in np.flatnonzero(moves)]
     if len(joints) > 1:

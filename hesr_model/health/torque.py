@@ -7,13 +7,10 @@ torque and on friction's shape; standard errors take into account that neighbour
 from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.health.evidence import JointTorque, Motionwise, Torques, explain
 from hesr_model.health.findings import Finding
 from hesr_model.robots.robot import RobotDescription, RobotModel
-
-Array = NDArray[np.float64]
 
 _SURE = 5.0
 """Standard errors from which on a sign is none of chance."""

@@ -4,16 +4,14 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.findings import Finding
 from hesr_model.inference.correlation import standard_errors
 from hesr_model.logs.log_format import LogUnits, column_names
 from hesr_model.robots.robot import RobotDescription
+from hesr_model.support.arrays import Array, Integers
 from hesr_model.units import OTHERS, TURNING
-
-Array = NDArray[np.float64]
 
 _ALIKE = 0.9
 """Correlation below which a velocity is not that of its position."""
@@ -104,7 +102,7 @@ def check_velocity(
                 yield _late(name, found.lag, logs)
 
 
-def _places(motion: Motionwise, joints: NDArray[np.intp]) -> dict[int, int]:
+def _places(motion: Motionwise, joints: Integers) -> dict[int, int]:
     """Return for each joint that moves the joint whose column of dq goes with its position."""
     from scipy.optimize import linear_sum_assignment  # slow to import
 

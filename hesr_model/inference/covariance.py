@@ -18,13 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri, ndtri, stdtrit
 
 from hesr_model.errors import ArtifactError
+from hesr_model.support.arrays import Array, Integers
 from hesr_model.support.typed_json import Numbers, to_json
-
-Array = NDArray[np.float64]
 
 ENOUGH = 20
 """Logs from which on their own scatter tells the covariance."""
@@ -145,7 +143,7 @@ def left_out(jacobian: Array, residual: Array, hessian: Array) -> Array:
     return np.asarray(residual / (1.0 - np.minimum(leverage, _MOST_LEVERAGE)))
 
 
-def blocks_of_time(logs: NDArray[np.int_]) -> NDArray[np.int_]:
+def blocks_of_time(logs: Integers) -> Integers:
     """Return labels of logs (N,), or of blocks of time where there is one log only."""
     if np.any(logs != logs[0]):
         return logs
@@ -156,7 +154,7 @@ def covariance(
     names: Sequence[str],
     gradients: Array,
     hessians: Sequence[Array] | Array,
-    labels: NDArray[np.int_],
+    labels: Integers,
     *,
     known: Array | None = None,
     carried: Array | None = None,

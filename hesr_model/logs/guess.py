@@ -5,13 +5,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
 from hesr_model.logs.tables import Table
 from hesr_model.units import OTHERS
-
-Array = NDArray[np.float64]
 
 _WORDS: Mapping[str, frozenset[str]] = {
     "temperature": frozenset(["temperature", "temperatures", "temp", "temps"]),

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, ValidationInfo
 
 from hesr_model.errors import RobotError
+from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config
 from hesr_model.units import KNOWN, fits, in_si
 
@@ -101,7 +101,7 @@ class LogUnits(Config):
     current: Units = "A"
     temperature: Literal["degC", "K"] = "degC"
 
-    def factors(self, quantity: str, joints: int) -> NDArray[np.float64]:
+    def factors(self, quantity: str, joints: int) -> Array:
         """Return what one logged unit of a quantity is in SI, an array of shape (joints,)."""
         return np.array([in_si(quantity, unit) for unit in self.each(quantity, joints)])
 

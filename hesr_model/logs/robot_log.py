@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
 from hesr_model.logs.readers.formats import format_of
@@ -17,9 +16,8 @@ from hesr_model.logs.tables import write_table
 from hesr_model.robots.described import RobotLike, described
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support import frames, html
+from hesr_model.support.arrays import Array, Integers
 from hesr_model.support.files import path_of, sha256, written_whole
-
-Array = NDArray[np.float64]
 
 _LONGEST_GAP = 10.0
 """In usual steps: across a longer gap, velocity and hysteresis states are guesswork."""
@@ -135,11 +133,11 @@ class RobotLog:
         return np.asarray(steps[steps <= self.longest_step])
 
     @property
-    def gaps(self) -> NDArray[np.intp]:
+    def gaps(self) -> Integers:
         """Rows (K,), without unit, before which more than ten usual steps are missing."""
         return np.flatnonzero(np.diff(self.t) > self.longest_step) + 1
 
-    def rows(self, rows: slice | NDArray[np.intp]) -> "RobotLog":
+    def rows(self, rows: slice | Integers) -> "RobotLog":
         """Return the log of some of its rows, a slice or (K,) places without unit."""
         dq = None if self.dq is None else self.dq[rows]
         warm = None if self.temperature is None else self.temperature[rows]

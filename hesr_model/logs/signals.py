@@ -4,12 +4,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
 from hesr_model.logs.robot_log import RobotLog
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 _ORDER = 2
 _HIGHEST_SHARE_OF_NYQUIST = 0.8

@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 _MOST_COLUMNS = 10_000
 _MOST_LISTED = 30  # names in a sentence

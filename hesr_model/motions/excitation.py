@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
@@ -14,10 +13,9 @@ from hesr_model.motions.limits import Limits, MotionLimits, Positive, one_period
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.identification import LEAST_PEAK
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config
 from hesr_model.support.progress import Progress, counted, silent
-
-Array = NDArray[np.float64]
 
 _SAMPLES = 400
 """Per period; from 100 on the condition number of W_b changes by a per cent."""

@@ -4,16 +4,14 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.optimize import minimize
 
 from hesr_model.errors import FitError, RobotError
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config
-
-Array = NDArray[np.float64]
 
 Positive = Annotated[float, Field(gt=0)]
 

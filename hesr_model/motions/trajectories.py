@@ -12,8 +12,7 @@ from scipy.special import fresnel
 
 from hesr_model.errors import ConfigError
 from hesr_model.logs.noise import standard_normal
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 _AT_REST = 1e-9
 """[rad/s, rad/s2] Start values below this, relative to the largest coefficient, count as rest."""

@@ -3,13 +3,11 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from hesr_model.errors import FitError
 from hesr_model.logs.signals import Motion
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Mask
 
 _LONGEST_SHIFT = 0.5
 """[s] Latencies of command and measurement, which reversal does not cancel."""
@@ -62,11 +60,11 @@ def matched(forward: Motion, backward: Motion) -> Pair:
     return Pair(forward=_rows(forward, rows), backward=_at(backward, times[rows]))
 
 
-def _covered(times: Array, t: Array) -> NDArray[np.bool_]:
+def _covered(times: Array, t: Array) -> Mask:
     return np.asarray((times >= t[0]) & (times <= t[-1]))
 
 
-def _rows(motion: Motion, rows: NDArray[np.bool_]) -> Motion:
+def _rows(motion: Motion, rows: Mask) -> Motion:
     names = ("t", "q", "dq", "ddq", "tau", "q_raw")
     return replace(motion, **{name: getattr(motion, name)[rows] for name in names})
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import (
     SerializerFunctionWrapHandler,
     ValidationInfo,
@@ -33,9 +32,9 @@ from hesr_model.rigid_body.observations import (
 )
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support import html
+from hesr_model.support.arrays import Array, Integers, Mask
 from hesr_model.support.typed_json import Numbers
 
-Array = NDArray[np.float64]
 Method = Literal["stacked", "paper"]
 Weighting = Literal["wls", "ols"]
 
@@ -302,8 +301,8 @@ def _consistent(
     body: RigidBody,
     blocks: Sequence[Block],
     model: RobotModel,
-    friction: NDArray[np.bool_],
-    labels: NDArray[np.int_],
+    friction: Mask,
+    labels: Integers,
 ) -> RigidBody:
     """Replace an estimate by the physically consistent one from the same rows."""
     with threadpool_limits(1):
@@ -322,7 +321,7 @@ def _consistent(
     )
 
 
-def scale_of(model: RobotModel, base: tuple[int, ...], friction: NDArray[np.bool_]) -> Array:
+def scale_of(model: RobotModel, base: tuple[int, ...], friction: Mask) -> Array:
     """Return the size of each column [N.m] for `least_squares.solve`, base columns first.
 
     Those of friction, of which (n, 3) `friction` says which there are, are 1 N.m and 1 N.m.s/rad.
@@ -336,7 +335,7 @@ def body_of(
     covariance: Covariance,
     model: RobotModel,
     base: tuple[int, ...],
-    friction: NDArray[np.bool_],
+    friction: Mask,
     *,
     rows: int,
     logs: tuple[str, ...],

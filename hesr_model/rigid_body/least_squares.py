@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from hesr_model.inference.covariance import Covariance, blocks_of_time, covariance, left_out
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Integers
 
 _REWEIGHTINGS = 2
 _HUGE_CONDITION = 1e3
@@ -33,7 +31,7 @@ class Block:
 
     matrix: Array
     target: Array
-    samples: NDArray[np.int_] = field(default_factory=lambda: np.zeros(0, dtype=int))
+    samples: Integers = field(default_factory=lambda: np.zeros(0, dtype=int))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -127,7 +125,7 @@ def covariance_of(
     names: Sequence[str],
     blocks: Sequence[Block],
     solution: Solution,
-    labels: NDArray[np.int_],
+    labels: Integers,
     carried: Array | None = None,
 ) -> Covariance:
     """Return the covariance of a solution, residuals of all blocks at one sample taken together.

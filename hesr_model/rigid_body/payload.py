@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import FitError
 from hesr_model.logs.robot_log import RobotLog, parts_of, require_moving
@@ -30,8 +29,7 @@ from hesr_model.rigid_body.observations import (
     stacked,
 )
 from hesr_model.robots.robot import LINK_PARAMETERS, RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Integers
 
 _SEGMENT = 1.0
 """[s] Residuals further apart than this are taken as independent. On measured logs without payload
@@ -195,7 +193,7 @@ def loaded(unloaded: RigidBody, payload: Payload, model: RobotModel) -> RigidBod
     )
 
 
-def _require_length(name: str, motions: Sequence[Motion], segments: NDArray[np.int_]) -> None:
+def _require_length(name: str, motions: Sequence[Motion], segments: Integers) -> None:
     if len(np.unique(segments)) < _LEAST_SEGMENTS:
         raise FitError(
             f"{name}: lasts {sum(motion.t[-1] - motion.t[0] for motion in motions):.3g} s; a "
@@ -217,9 +215,9 @@ def _last_link(model: RobotModel) -> tuple[int, ...]:
     return tuple(range(10 * (model.n - 1), 10 * model.n))
 
 
-def _segments(motions: Sequence[Motion]) -> NDArray[np.int_]:
+def _segments(motions: Sequence[Motion]) -> Integers:
     """Give each row of all motions the number of its segment of time."""
-    parts: list[NDArray[np.int_]] = []
+    parts: list[Integers] = []
     first = 0
     for motion in motions:
         parts.append(first + ((motion.t - motion.t[0]) // _SEGMENT).astype(int))
@@ -227,17 +225,13 @@ def _segments(motions: Sequence[Motion]) -> NDArray[np.int_]:
     return np.concatenate(parts)
 
 
-def _kept(
-    motions: Sequence[Motion], segments: NDArray[np.int_], model: RobotModel
-) -> list[NDArray[np.int_]]:
+def _kept(motions: Sequence[Motion], segments: Integers, model: RobotModel) -> list[Integers]:
     """Segments of the rows that `stacked` keeps, one array per block."""
     speed = np.abs(rubbing_speeds(motions, model))
     return [segments[rows] for rows in (speed > slow_speeds(motions, model)).T]
 
 
-def _covariance(
-    blocks: Sequence[Block], solution: Solution, segments: Sequence[NDArray[np.int_]]
-) -> Array:
+def _covariance(blocks: Sequence[Block], solution: Solution, segments: Sequence[Integers]) -> Array:
     """Covariance of the unknowns when residuals of one segment, of any joint, hang together.
 
     The sandwich H^-1 (sum g g') H^-1 of cluster-robust regression (Liang and Zeger 1986), g being

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
 from scipy.optimize import least_squares
 
@@ -24,8 +23,7 @@ from hesr_model.inference.covariance import Covariance
 from hesr_model.rigid_body.base_parameters import dependence
 from hesr_model.rigid_body.least_squares import Block, Solution, covariance_of
 from hesr_model.robots.robot import RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Integers
 
 _PULL = 0.2
 """Residuals, in standard deviations and per square root of rows, that one unit of a coordinate
@@ -94,7 +92,7 @@ def fit(
     blocks: Sequence[Block],
     model: RobotModel,
     base: tuple[int, ...],
-    labels: NDArray[np.int_],
+    labels: Integers,
     *,
     rmse: Array,
     weighted: bool,

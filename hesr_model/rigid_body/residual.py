@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
 from hesr_model.logs.phases import MOVING, reversals
@@ -13,9 +12,8 @@ from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotModel
 from hesr_model.robots.transmission import Coupling
+from hesr_model.support.arrays import Array, Mask
 from hesr_model.units import unit_of_joint
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,7 +61,7 @@ class FrictionRecord:
     temperature: Array | None = None
     coupling: Coupling | None = None
 
-    def rows(self, rows: slice | NDArray[np.bool_]) -> "FrictionRecord":
+    def rows(self, rows: slice | Mask) -> "FrictionRecord":
         """Return some of the rows."""
         columns = ("t", "dq", "q", "tau_load", "tau", "tau_load_spread", "temperature")
         found = {name: getattr(self, name) for name in columns}

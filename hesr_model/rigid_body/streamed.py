@@ -9,7 +9,6 @@ needs every row at the estimate; here it is that of a sample of the rows, on the
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hesr_model.logs.signals import Motion
@@ -33,8 +32,7 @@ from hesr_model.rigid_body.observations import (
     stacked,
 )
 from hesr_model.robots.robot import RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 
 class Streamed:

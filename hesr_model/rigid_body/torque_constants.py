@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.optimize import least_squares
 
@@ -28,8 +27,7 @@ from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.rigid_body.least_squares import Block
 from hesr_model.rigid_body.observations import friction_columns, stacked
 from hesr_model.robots.robot import RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 _DETERMINED = 0.2
 """Relative standard error beyond which a constant is not determined."""

@@ -7,11 +7,9 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import RobotError
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 _DEGREES = 180.0 / np.pi
 

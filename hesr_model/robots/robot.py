@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from hesr_model.errors import RobotError
@@ -16,9 +15,8 @@ from hesr_model.logs.log_format import LogFormat
 from hesr_model.robots.model_file import load, motion_subspace, require_one_axis, set_joint
 from hesr_model.robots.owner import Owner
 from hesr_model.robots.transmission import Coupling, Transmission
+from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config, PrintableName, RelativePath, read_toml
-
-Array = NDArray[np.float64]
 
 LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Of one link: mass, first moments, and inertia about the origin of the link's joint frame."""

@@ -16,13 +16,11 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from hesr_model.errors import ArtifactError, RobotError
+from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config
-
-Array = NDArray[np.float64]
 
 Side = Literal["motor", "joint"]
 

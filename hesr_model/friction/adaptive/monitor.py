@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.adaptive.follow import Followed, Follower
 from hesr_model.friction.adaptive.tuning import TUNING, Tuning
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 
 _SHARED = 0.5
 """Share of the joints from which on a change of friction is one of all."""

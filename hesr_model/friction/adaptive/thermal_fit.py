@@ -17,7 +17,7 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from hesr_model.equations.functions import lowered
 from hesr_model.equations.memory import DT
-from hesr_model.equations.over_log import Array, StatesOverLog
+from hesr_model.equations.over_log import StatesOverLog
 from hesr_model.errors import FitError
 from hesr_model.friction.adaptive.factors import parts
 from hesr_model.friction.evaluate import numbers
@@ -27,6 +27,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.thermal import Thermal
 from hesr_model.inference.covariance import blocks_of_time, covariance, left_out
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 
 LEAST_SPREAD = 3.0
 """[K] between the coldest and the warmest twentieth of the rows."""

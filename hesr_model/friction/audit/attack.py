@@ -6,7 +6,6 @@ from itertools import product
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import SimulationError
 from hesr_model.friction.audit.cycles import (
     AMPLITUDES,
@@ -18,6 +17,7 @@ from hesr_model.friction.evaluate import predict
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.trained import TrainedRange
+from hesr_model.support.arrays import Array
 
 ANGLES = (1e-5, 1e-4, 1e-3, 1e-2)
 """Amplitudes of motions with a moving load [rad]."""

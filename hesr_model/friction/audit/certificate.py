@@ -26,12 +26,12 @@ import sympy
 
 from hesr_model.equations.functions import absolute, cardinal_sine, lowered, positive, sgn
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.audit.attack import Attack, attack
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.stops.passive import SPEEDS, distance
 from hesr_model.friction.trained import TrainedRange
+from hesr_model.support.arrays import Array
 
 Verdict = Literal["proven", "refuted", "open"]
 _ROUNDING = 1e-9  # of the largest term, by which a condition may fail

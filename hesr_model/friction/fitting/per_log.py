@@ -13,12 +13,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.logs.phases import MOVING
 from hesr_model.rigid_body.residual import FrictionRecord
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 Nuisance = Literal["offset", "level"]
 

@@ -5,17 +5,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.equations.functions import lowered
-from hesr_model.equations.over_log import Array, recurrence
+from hesr_model.equations.over_log import recurrence
 from hesr_model.errors import FitError
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import SETTLING
 from hesr_model.rigid_body.residual import FrictionRecord, require_reversals
-
-Rows = NDArray[np.bool_]
-"""(N,) mask of rows."""
+from hesr_model.support.arrays import Array, Integers, Mask
 
 BLOCKS = 4
 """Blocks of time that stand in for logs where there is only one."""
@@ -35,8 +32,8 @@ class Samples:
     """
 
     dt: Array
-    begins: Rows
-    record: NDArray[np.int64]
+    begins: Mask
+    record: Integers
     dq: Array
     q: Array
     tau_load: Array
@@ -44,7 +41,7 @@ class Samples:
     gear_ratio: float | None = None
 
     @property
-    def folds(self) -> "list[Rows]":
+    def folds(self) -> "list[Mask]":
         """(N,) masks of rows to leave out in turn: logs, or blocks of time of a single one."""
         records = int(self.record.max()) + 1
         rows = len(self.tau)

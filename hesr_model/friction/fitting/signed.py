@@ -7,8 +7,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.optimize import nnls
 
-from hesr_model.equations.over_log import Array
-from hesr_model.friction.fitting.samples import Rows
+from hesr_model.support.arrays import Array, Mask
 
 _RIDGE = 1e-9  # of each column's own square: columns may be each other's sums
 
@@ -25,7 +24,7 @@ class Normal:
     """
 
     def __init__(
-        self, columns: Array, tau: Array, folds: Sequence[Rows], weights: Array, *, free: int
+        self, columns: Array, tau: Array, folds: Sequence[Mask], weights: Array, *, free: int
     ) -> None:
         self._of([weights[:, None] * columns], Products(tau, folds, weights), free)
 
@@ -76,7 +75,7 @@ class Products:
     weights : (N,) 1 for rows that count, 0 for others.
     """
 
-    def __init__(self, tau: Array, folds: Sequence[Rows], weights: Array) -> None:
+    def __init__(self, tau: Array, folds: Sequence[Mask], weights: Array) -> None:
         self.tau: Array = (weights * tau)[:, None]
         self.folds = [_part(fold) for fold in folds]
         # Arrays are known by their identity: they are kept, so that no other can have it.
@@ -91,7 +90,7 @@ class Products:
         return self._known[key][2]
 
 
-def _part(fold: Rows) -> Rows | slice:
+def _part(fold: Mask) -> Mask | slice:
     """Return the rows of a mask without a copy of them where they stand together, as they do."""
     first, count = int(np.argmax(fold)), int(np.count_nonzero(fold))
     return slice(first, first + count) if fold[first : first + count].all() else fold
@@ -119,7 +118,7 @@ def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
     return np.asarray(np.concatenate([x, b - c @ x]) * scale)
 
 
-def blocks_of(dt: Array, begins: Rows, seconds: float = 8.0, least: int = 8) -> Any:
+def blocks_of(dt: Array, begins: Mask, seconds: float = 8.0, least: int = 8) -> Any:
     """Return the (N,) number of each row's block of time, which ends with its record at the latest.
 
     Blocks are shorter where there would be fewer than `least`.

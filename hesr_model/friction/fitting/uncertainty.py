@@ -13,7 +13,6 @@ from functools import lru_cache, partial
 import numpy as np
 import sympy
 
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import SimulationError
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fitting.separable import LEAST, SearchSpace
@@ -21,6 +20,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import record_start
 from hesr_model.inference.covariance import blocks_of_time, covariance, left_out, pooled
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 
 MOST_COEFFICIENTS = 64
 """Laws with more coefficients are networks, whose single coefficients mean nothing."""

@@ -4,9 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.laws.parfam.features import HysteresisFeatures
+from hesr_model.support.arrays import Array
 
 GRID = (10, 10)
 """Cells of the (alpha, beta) profile."""

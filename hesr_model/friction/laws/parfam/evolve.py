@@ -7,10 +7,10 @@ the Jacobian). All starts of a cell run in one batch of a Levenberg-Marquardt it
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.fitting.samples import least_squares
 from hesr_model.friction.laws.parfam.calibrate import Cell
 from hesr_model.friction.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
+from hesr_model.support.arrays import Array
 
 ROWS = 600
 """Rows that the search looks at; the last stage uses all."""

@@ -6,9 +6,9 @@ Features and torque are standardised, so that one L1 weight fits every coefficie
 import numpy as np
 from scipy.optimize import basinhopping, minimize
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.laws.parfam.calibrate import Cell
 from hesr_model.friction.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
+from hesr_model.support.arrays import Array
 
 GAMMA = 1e-3
 """Weight of the L1 term of eq. 12 on standardised data; 1e-4 prunes nothing, 1e-2 all units."""

@@ -6,7 +6,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.fitting.estimator import Estimator, register
 from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.fitting.signed import Normal
@@ -16,6 +15,7 @@ from hesr_model.friction.laws.stops import passive, waves
 from hesr_model.friction.laws.stops.form import Structure, start_at_rest, viscous_at
 from hesr_model.friction.laws.stops.search import Terms, dictionary, search
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 from hesr_model.support.typed_json import to_json
 
 WINDOW = 1.5

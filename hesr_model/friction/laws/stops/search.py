@@ -6,11 +6,11 @@ from itertools import product
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.fitting.signed import Normal, Products, blocks_of, pays
 from hesr_model.friction.laws.stops.form import Structure
 from hesr_model.friction.laws.stops.terms import VISCOUS, columns, every, fixed, weights
+from hesr_model.support.arrays import Array
 
 SPEEDS = (0.05, 0.1, 0.2, 0.4)
 """Stribeck velocities that are tried, as shares of the largest speed."""

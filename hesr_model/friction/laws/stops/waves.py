@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.fitting.signed import Normal, blocks_of, pays
+from hesr_model.support.arrays import Array
 
 ORDERS = range(1, 17)
 """Orders per turn of the motor that are tried."""
