@@ -120,8 +120,7 @@ def _swapped_torques(rows: Rows, model: RobotModel, joints: list[int]) -> Iterat
         yield Mistake(
             check="torque-columns", joint=a,
             cause=f"its torque stands in the column of joint '{robot.joints[b]}', and that one's "
-            "in "
-            f"its; set [log.columns] {which} = {_quoted(named)}",
+            f"in its; set [log.columns] {which} = {_quoted(named)}",
             changes={f"log.columns.{which}": named},
             mended=replace(rows, tau=rows.tau[:, order] / gains[order] * gains),
         )  # fmt: skip

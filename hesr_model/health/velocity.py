@@ -11,7 +11,7 @@ from hesr_model.inference.correlation import standard_errors
 from hesr_model.logs.log_format import LogUnits, column_names
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array, Integers
-from hesr_model.units import OTHERS, TURNING
+from hesr_model.units import OTHERS, TURNING, backwards
 
 _ALIKE = 0.9
 """Correlation below which a velocity is not that of its position."""
@@ -132,8 +132,7 @@ def _unlike(
         return Finding(
             check="velocity-columns", severity="refusal", joints=(name,), logs=logs, found=what,
             cause=f"its velocity stands in the column of joint '{robot.joints[other]}', columns "
-            "are "
-            f"swapped; set [log.columns] dq = [{listed}]",
+            f"are swapped; set [log.columns] dq = [{listed}]",
             changes={"log.columns.dq": tuple(order)},
         )  # fmt: skip
     late = f", and is {found.lag * 1e3:.0f} ms late" if abs(found.lag) > _LATE else ""
@@ -162,7 +161,7 @@ def _scale(
     if found.slope < 0:
         declared = enumerate(robot.log.units.each("dq", len(robot.joints)))
         against = {k for k, other in matches.items() if other.correlation < -_ALIKE}
-        units = [_turned(unit) if k in against else unit for k, unit in declared]
+        units = [backwards(unit) if k in against else unit for k, unit in declared]
         yield Finding(
             check="velocity-sign", severity="refusal", joints=(name,), logs=logs,
             found=f"its position falls where its velocity is positive (slope {found.slope:.2f})",
@@ -218,8 +217,7 @@ def _cause(
                 return f"time is in {unit}; set [log.units] t = '{unit}'", {"log.units.t": unit}
         return (
             f"at all joints alike, so that the stamps run {1 / ratio:.2g} times as fast as time, "
-            "made "
-            "from a wrong sample rate, or the unit of dq is wrong",
+            "made from a wrong sample rate, or the unit of dq is wrong",
             {"log.units.t": float(units.factors("t", 1)[0]) * ratio},
         )
     return "units, a gear ratio or the signal itself are wrong; see [log.units]", {}
@@ -231,12 +229,6 @@ def _alternatives(units: LogUnits, quantity: str, j: int, n: int, wanted: float)
     for unit, factor in TURNING[quantity].items():
         if abs(np.log(abs(factor / declared) / wanted)) < _SAME:
             yield f"-{unit}" if declared < 0 else unit
-
-
-def _turned(unit: str | float) -> str | float:
-    if isinstance(unit, str):
-        return unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
-    return -unit
 
 
 def _listed(units: Sequence[str | float]) -> str:

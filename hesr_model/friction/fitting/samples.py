@@ -11,11 +11,9 @@ from hesr_model.equations.over_log import recurrence
 from hesr_model.errors import FitError
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import SETTLING
+from hesr_model.inference.covariance import blocks_of_time
 from hesr_model.rigid_body.residual import FrictionRecord, require_reversals
 from hesr_model.support.arrays import Array, Integers, Mask
-
-BLOCKS = 4
-"""Blocks of time that stand in for logs where there is only one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,9 +41,7 @@ class Samples:
     @property
     def folds(self) -> "list[Mask]":
         """(N,) masks of rows to leave out in turn: logs, or blocks of time of a single one."""
-        records = int(self.record.max()) + 1
-        rows = len(self.tau)
-        group = self.record if records > 1 else np.arange(rows) * BLOCKS // rows
+        group = blocks_of_time(self.record)
         return [np.asarray(group == k) for k in range(int(group.max()) + 1)]
 
     @classmethod
@@ -99,6 +95,13 @@ class Samples:
 
 
 _settling = lowered((DQ,), (SETTLING,))
+
+
+def in_one_piece(rows: Mask) -> Mask | slice:
+    """Return rows (N,) that follow one another as a slice, which copies nothing."""
+    at = np.flatnonzero(rows)
+    whole = len(at) and at[-1] - at[0] + 1 == len(at)
+    return slice(int(at[0]), int(at[-1]) + 1) if whole else rows
 
 
 def least_squares(columns: Array, target: Array) -> Array:

@@ -21,7 +21,11 @@ from hesr_model.equations.functions import lowered
 from hesr_model.equations.memory import DT, Element
 from hesr_model.equations.over_log import Discretisation, StatesOverLog
 from hesr_model.equations.rows import RUNS, OutsideError
-from hesr_model.friction.fitting.samples import Samples, non_negative_least_squares
+from hesr_model.friction.fitting.samples import (
+    Samples,
+    in_one_piece,
+    non_negative_least_squares,
+)
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import LawForm
 from hesr_model.support.arrays import Array, Mask
@@ -229,18 +233,11 @@ def left_out_cost(columns: Array, tau: Array, folds: Sequence[Mask]) -> float:
     """
     gram, moment = columns.T @ columns, columns.T @ tau
     total = 0.0
-    for fold in map(_in_one_piece, folds):
+    for fold in map(in_one_piece, folds):
         out, target = columns[fold], tau[fold]
         x = np.linalg.lstsq(gram - out.T @ out, moment - out.T @ target, rcond=1e-12)[0]
         total += float(np.sum((target - out @ x) ** 2))
     return total / len(tau)
-
-
-def _in_one_piece(rows: Mask) -> Mask | slice:
-    """Return rows that follow one another as a slice, which copies nothing."""
-    at = np.flatnonzero(rows)
-    whole = len(at) and at[-1] - at[0] + 1 == len(at)
-    return slice(int(at[0]), int(at[-1]) + 1) if whole else rows
 
 
 @dataclass(frozen=True, kw_only=True)

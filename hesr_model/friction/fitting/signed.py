@@ -7,6 +7,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.optimize import nnls
 
+from hesr_model.friction.fitting.samples import in_one_piece
 from hesr_model.support.arrays import Array, Mask
 
 _RIDGE = 1e-9  # of each column's own square: columns may be each other's sums
@@ -77,7 +78,7 @@ class Products:
 
     def __init__(self, tau: Array, folds: Sequence[Mask], weights: Array) -> None:
         self.tau: Array = (weights * tau)[:, None]
-        self.folds = [_part(fold) for fold in folds]
+        self.folds = [in_one_piece(fold) for fold in folds]
         # Arrays are known by their identity: they are kept, so that no other can have it.
         self._known: dict[tuple[int, int], tuple[Array, Array, Array]] = {}
 
@@ -88,12 +89,6 @@ class Products:
             found = np.array([a[fold].T @ b[fold] for fold in self.folds])
             self._known[key] = a, b, found
         return self._known[key][2]
-
-
-def _part(fold: Mask) -> Mask | slice:
-    """Return the rows of a mask without a copy of them where they stand together, as they do."""
-    first, count = int(np.argmax(fold)), int(np.count_nonzero(fold))
-    return slice(first, first + count) if fold[first : first + count].all() else fold
 
 
 def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
