@@ -1,8 +1,9 @@
 """Windows of measured motions, from which a simulation starts again and again."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 
@@ -50,26 +51,13 @@ class Windows:
         for number, log in enumerate(self.logs):
             rows = [max(row - delay, 0) for place, row in self.places if place == number]
             for i, (law, record) in enumerate(zip(model.laws, at_friction(log), strict=True)):
-                over = states_over(
-                    law,
-                    t=record.t,
-                    dq=record.dq,
-                    q=record.q,
-                    tau_load=record.tau_load,
-                )
-                found[i].append(over[:, rows])
+                found[i].append(states_over(law, **record.motion)[:, rows])
         return [np.concatenate(parts, axis=1) for parts in found]
 
     def times(self, count: int) -> "Windows":
         """Return the same windows so many times, one set after the other."""
-        return Windows(
-            t=np.tile(self.t, (count, 1)),
-            q=np.tile(self.q, (count, 1, 1)),
-            dq=np.tile(self.dq, (count, 1, 1)),
-            tau=np.tile(self.tau, (count, 1, 1)),
-            places=self.places * count,
-            logs=self.logs,
-        )
+        signals: dict[str, Any] = {s: np.concatenate([getattr(self, s)] * count) for s in _SIGNALS}
+        return replace(self, **signals, places=self.places * count)
 
 
 def windows_of(logs: Logs, length: float) -> Windows:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -60,6 +61,11 @@ class FrictionRecord:
     sliding: bool = False
     temperature: Array | None = None
     coupling: Coupling | None = None
+
+    @property
+    def motion(self) -> dict[str, Any]:
+        """What laws run over, (N,) each: t [s], dq [rad/s], q [rad] and tau_load [N.m], by name."""
+        return {name: getattr(self, name) for name in ("t", "dq", "q", "tau_load")}
 
     def rows(self, rows: slice | Mask) -> "FrictionRecord":
         """Return some of the rows."""

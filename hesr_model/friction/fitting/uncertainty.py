@@ -265,8 +265,5 @@ def _functions(space: SearchSpace) -> Callable[..., Sequence[float]]:
 def _predicted(
     law: FrictionLaw, records: Sequence[FrictionRecord], starts: Sequence[tuple[float, ...]]
 ) -> Array:
-    parts = [
-        predict(law, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load, start=start)
-        for r, start in zip(records, starts, strict=True)
-    ]
-    return np.concatenate(parts)
+    parts = zip(records, starts, strict=True)
+    return np.concatenate([predict(law, **r.motion, start=start) for r, start in parts])
