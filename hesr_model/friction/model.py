@@ -77,26 +77,16 @@ class FrictionModel:
                 require_printable(name)
             except ValueError as error:
                 raise ArtifactError(f"friction model '{self.law}': {error}.") from error
-        if self.sliding and len(self.sliding) != len(self.joints):
-            raise ArtifactError(
-                f"friction model '{self.law}': {len(self.sliding)} entries say which joints slide, "
-                f"of {len(self.joints)} joints."
-            )
-        if self.trained and len(self.trained) != len(self.joints):
-            raise ArtifactError(
-                f"friction model '{self.law}': {len(self.trained)} trained ranges for "
-                f"{len(self.joints)} joints."
-            )
-        if self.training_rmse and len(self.training_rmse) != len(self.joints):
-            raise ArtifactError(
-                f"friction model '{self.law}': {len(self.training_rmse)} training errors for "
-                f"{len(self.joints)} joints."
-            )
-        if self.thermal and len(self.thermal) != len(self.joints):
-            raise ArtifactError(
-                f"friction model '{self.law}': {len(self.thermal)} thermal models for "
-                f"{len(self.joints)} joints."
-            )
+        for found, what in (
+            (self.sliding, "entries say which joints slide, of"),
+            (self.trained, "trained ranges for"),
+            (self.training_rmse, "training errors for"),
+            (self.thermal, "thermal models for"),
+        ):
+            if found and len(found) != len(self.joints):
+                raise ArtifactError(
+                    f"friction model '{self.law}': {len(found)} {what} {len(self.joints)} joints."
+                )
         if self.thermal and self.coupling:
             raise ArtifactError(
                 f"friction model '{self.law}': its motors turn with several joints; temperature is "
@@ -236,12 +226,9 @@ class FrictionModel:
         self.require_band()
         torque = self.predict(records)
         ends = [
-            predict_band(
-                law, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load, coverage=coverage,
-                torque=torque[:, k],
-            )
+            predict_band(law, **r.motion, coverage=coverage, torque=torque[:, k])
             for k, (law, r) in enumerate(zip(self.laws, records, strict=True))
-        ]  # fmt: skip
+        ]
         lower, upper = (np.column_stack(end) for end in zip(*ends, strict=True))
         return lower, upper
 
