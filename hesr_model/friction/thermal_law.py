@@ -84,6 +84,3 @@ def predict_thermal(
     first = (0.0, *(law.start if start is None else start))
     steps = Steps(component, [TORQUE])
     return np.asarray(steps.over(record.t, columns, values, first, settled=start is None)[0])
-
-
-__all__ = ["inputs_over", "predict_thermal", "thermal_component"]

@@ -285,6 +285,3 @@ class _Problem:
         return replace(
             thermal, resistance=max(float(x[0]), 0.0), time_constant=time, ambient=float(x[1])
         )
-
-
-__all__ = ["Factored", "ThermalFit", "fit_thermal"]

@@ -7,12 +7,8 @@ from itertools import product
 import numpy as np
 
 from hesr_model.errors import SimulationError
-from hesr_model.friction.audit.cycles import (
-    AMPLITUDES,
-    FREQUENCIES,
-    closed_motions,
-    cycles,
-)
+from hesr_model.friction.audit.audit import loads_of
+from hesr_model.friction.audit.cycles import AMPLITUDES, FREQUENCIES, closed_motions, cycles
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.law import FrictionLaw
@@ -72,14 +68,8 @@ def attack(law: FrictionLaw, trained: TrainedRange) -> Attack | None:
 
 
 def _still(law: FrictionLaw, trained: TrainedRange) -> list[Attack]:
-    low, high = trained.tau_load
-    loads = (
-        sorted({low, min(max(0.0, low), high), high})
-        if TAU_LOAD in law.form.inputs
-        else [min(max(0.0, low), high)]
-    )
     found = []
-    for wanted, load in product(FREQUENCIES, loads):
+    for wanted, load in product(FREQUENCIES, loads_of(law, trained)):
         motions = closed_motions(trained, np.multiply(AMPLITUDES, trained.speed), wanted)
         t: Array = trained.sample_time * np.arange(motions.dq.size, dtype=float)
         tau = _run(law, t, motions.dq.ravel(), motions.q.ravel(), np.full(t.shape, load))

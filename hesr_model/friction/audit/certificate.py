@@ -256,16 +256,12 @@ class _Proof:
             found.setdefault(key, []).append(float(amplitude))
         groups = [(float(np.hypot(a[0], a[1])) if len(a) == 2 else sum(map(abs, a)), *key)
                   for key, a in found.items()]  # fmt: skip
-        if all(window >= 0.0 for *_, window in groups):
-            step = inf
-            if not _holds(groups, f, step):
-                raise _UnprovenError("ripple that lags gives more than viscous friction takes")
-        else:
-            steps = [h for h in _STEPS if _holds(groups, f, float(h))]
-            if not steps:
-                raise _UnprovenError("ripple that lags gives more than viscous friction takes")
-            step = float(steps[-1])
-            self.step = None if self.step is None else min(self.step, step)
+        any_step = all(window >= 0.0 for *_, window in groups)
+        steps = [h for h in ([inf] if any_step else _STEPS) if _holds(groups, f, float(h))]
+        if not steps:
+            raise _UnprovenError("ripple that lags gives more than viscous friction takes")
+        step = float(steps[-1])
+        self.step = None if self.step is None else min(self.step, step)
         self.conditions.append(
             "f(v) >= sum_k A_k min(n_k c, 2/|v|) at all speeds, of lag, sampling and smoothing"
         )

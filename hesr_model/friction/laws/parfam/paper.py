@@ -3,6 +3,8 @@
 Features and torque are standardised, so that one L1 weight fits every coefficient and joint.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.optimize import basinhopping, minimize
 
@@ -102,4 +104,4 @@ def search(cell: Cell, g: str, features: Array, tau: Array, rng: np.random.Gener
         cost=0.0,
     )
     cost = float(np.mean((candidate.torque(features) - tau) ** 2))
-    return Candidate(**{**candidate.__dict__, "cost": cost})
+    return replace(candidate, cost=cost)
