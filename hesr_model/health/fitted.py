@@ -51,15 +51,8 @@ def _least_inertia(body: RigidBody, model: RobotModel) -> tuple[float, Array, in
     The matrix is scaled to a unit diagonal of its means, so that a wrist counts as a shoulder does.
     """
     lower, upper, _ = model.limits
-    n = model.n
-    q = np.random.default_rng(0).uniform(lower, upper, (_STATES, n))
-    still = np.zeros_like(q)
-    gravity = model.torque(body.parameters, q, still, still)
-    columns = [
-        model.torque(body.parameters, q, still, np.tile(one, (_STATES, 1))) - gravity
-        for one in np.eye(n)
-    ]
-    mass = np.stack(columns, axis=2)
+    q = np.random.default_rng(0).uniform(lower, upper, (_STATES, model.n))
+    mass, _ = model.dynamics(body.parameters, q, np.zeros_like(q))
     mass = 0.5 * (mass + mass.transpose(0, 2, 1))
     scale = np.sqrt(np.maximum(np.abs(np.mean(np.diagonal(mass, axis1=1, axis2=2), axis=0)), 1e-12))
     values, vectors = np.linalg.eigh(mass / np.outer(scale, scale))
@@ -79,8 +72,7 @@ def check_laws(
                 yield Finding(
                     check="no-better-than-nothing", severity="warning", joints=(joint,),
                     found=f"the error of the law {name}, {model.training_rmse[j]:.3g}, is no "
-                    "smaller "
-                    f"than friction itself, {deviation:.3g}",
+                    f"smaller than friction itself, {deviation:.3g}",
                     cause="the torque holds no friction that it could learn; see 'hesr inspect'",
                 )  # fmt: skip
             values = model.laws[j].values

@@ -126,7 +126,6 @@ def covariance_of(
     blocks: Sequence[Block],
     solution: Solution,
     labels: Integers,
-    carried: Array | None = None,
 ) -> Covariance:
     """Return the covariance of a solution, residuals of all blocks at one sample taken together.
 
@@ -138,8 +137,6 @@ def covariance_of(
         The problem and what was found; the blocks know their samples.
     labels
         (samples,) number of the log of each sample.
-    carried
-        As for `inference.covariance`.
     """
     labels = blocks_of_time(labels)
     size, logs = len(solution.x), int(np.max(labels)) + 1
@@ -156,7 +153,7 @@ def covariance_of(
     whole = hessians.sum(axis=0) + known
     for block, (rows, residual) in zip(blocks, weighted, strict=True):
         gradients[block.samples] += rows * left_out(rows, residual, whole)[:, None]
-    return covariance(names, gradients, hessians, labels, known=known, carried=carried)
+    return covariance(names, gradients, hessians, labels, known=known)
 
 
 def _solve(factors: Sequence[Factor], weights: Array, scale: Array) -> Solution:

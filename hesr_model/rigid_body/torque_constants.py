@@ -247,16 +247,10 @@ class _Problem:
     def _start(self) -> Array:
         """Return the unknowns with the model file's parameters, the others by least squares."""
         x = np.concatenate([[0.0], self.nominal, np.zeros(self.friction * len(self.kinds))])
-        columns, targets = [], []
-        for k, rows in enumerate(self.kinds):
-            own = np.zeros((len(rows.factor), len(x)))
-            own[:, 0] = self._torque(x, k)
-            own[:, self._own(k)] = rows.factor[:, len(self.nominal) + 1 : -1]
-            columns.append(own)
-            targets.append(rows.factor[:, -1])
         free = np.r_[0, 1 + len(self.nominal) : len(x)]
-        matrix = np.vstack(columns)[:, free]
-        x[free] = np.linalg.lstsq(matrix, np.concatenate(targets), rcond=None)[0]
+        rows = self._slopes(x, [1.0] * len(self.kinds))[: -len(self.nominal)]
+        targets = np.concatenate([kind.factor[:, -1] for kind in self.kinds])
+        x[free] = np.linalg.lstsq(rows[:, free], targets, rcond=None)[0]
         return x
 
     def _own(self, k: int) -> slice:
