@@ -105,11 +105,7 @@ def _either(best: Mistake) -> str:
 def _unexplained(rows: Rows, model: RobotModel, moves: Mask) -> Array:
     """Deviation (n,) of the torques from what they can be, over their own; 1 at rest."""
     torques, logged = torques_of(rows, model), model.description.logged
-    v = onto(logged, rows.v)
-    if logged:
-        torques = Torques(
-            gravity=logged.torque(torques.gravity), inertial=logged.torque(torques.inertial)
-        )
+    torques, v = torques.at(logged) if logged else torques, onto(logged, rows.v)
     left = np.ones(rows.q.shape[1])
     for j in np.flatnonzero(moves):
         deviation = float(np.std(rows.tau[:, j]))

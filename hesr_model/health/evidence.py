@@ -12,7 +12,7 @@ from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.identification import LEAST_PEAK
 from hesr_model.robots.robot import RobotModel
 from hesr_model.robots.transmission import Coupling
-from hesr_model.support.arrays import Array, Mask
+from hesr_model.support.arrays import Array, Mask, some_rows
 
 _LEAST_TRAVEL = 5e-3
 """[rad or m] A joint that moves by less rests."""
@@ -58,17 +58,8 @@ class Motionwise:
 
     def thinned(self, rows: int) -> "Motionwise":
         """Return at most so many rows, spread over the log."""
-        step = -(-len(self.t) // rows)
-        every = slice(None, None, step)
-        return replace(
-            self,
-            t=self.t[every],
-            q=self.q[every],
-            v=self.v[every],
-            a=self.a[every],
-            dq=None if self.dq is None else self.dq[every],
-            tau=self.tau[every],
-        )
+        every = slice(None, None, -(-len(self.t) // rows))
+        return some_rows(self, ("t", "q", "v", "a", "dq", "tau"), every)
 
 
 def motionwise(log: RobotLog, cutoff: float) -> list[Motionwise]:
@@ -119,6 +110,12 @@ class Torques:
         whole = model.torque(model.nominal_parameters, q, v, a)
         return cls(gravity=gravity - gravity.mean(axis=0), inertial=whole - gravity)
 
+    def at(self, coupling: Coupling) -> "Torques":
+        """Return the torques at coupled coordinates from those at the joints."""
+        return Torques(
+            gravity=coupling.torque(self.gravity), inertial=coupling.torque(self.inertial)
+        )
+
 
 def as_logged(
     motion: Motionwise, torques: Torques, coupling: Coupling | None
@@ -129,12 +126,8 @@ def as_logged(
     """
     if coupling is None:
         return motion, torques
-    return (
-        replace(motion, v=coupling.motion(motion.v), tau=coupling.torque(motion.tau)),
-        Torques(
-            gravity=coupling.torque(torques.gravity), inertial=coupling.torque(torques.inertial)
-        ),
-    )
+    at_motors = replace(motion, v=coupling.motion(motion.v), tau=coupling.torque(motion.tau))
+    return at_motors, torques.at(coupling)
 
 
 def rubbing(v: Array) -> Array:

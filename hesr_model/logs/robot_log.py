@@ -1,7 +1,7 @@
 """Robot logs: read from files of many kinds, converted to SI, checked, written."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
@@ -16,7 +16,7 @@ from hesr_model.logs.tables import write_table
 from hesr_model.robots.described import RobotLike, described
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support import frames, html
-from hesr_model.support.arrays import Array, Integers
+from hesr_model.support.arrays import Array, Integers, some_rows
 from hesr_model.support.files import path_of, sha256, written_whole
 
 _LONGEST_GAP = 10.0
@@ -139,11 +139,7 @@ class RobotLog:
 
     def rows(self, rows: slice | Integers) -> "RobotLog":
         """Return the log of some of its rows, a slice or (K,) places without unit."""
-        dq = None if self.dq is None else self.dq[rows]
-        warm = None if self.temperature is None else self.temperature[rows]
-        return replace(
-            self, t=self.t[rows], q=self.q[rows], dq=dq, tau=self.tau[rows], temperature=warm
-        )
+        return some_rows(self, ("t", "q", "dq", "tau", "temperature"), rows)
 
     def parts(self) -> "tuple[RobotLog, ...]":
         """Return what lies between the gaps, without what is shorter than 1 s.

@@ -1,13 +1,12 @@
 """From a log's raw samples to the smooth motion that the dynamics are evaluated on."""
 
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.logs.robot_log import RobotLog
-from hesr_model.support.arrays import Array
+from hesr_model.support.arrays import Array, Mask, some_rows
 
 _ORDER = 2
 _HIGHEST_SHARE_OF_NYQUIST = 0.8
@@ -42,10 +41,9 @@ class Motion:
     q_raw: Array
     temperature: Array | None = None
 
-    def rows(self, rows: slice) -> "Motion":
-        """Return the motion of some of its rows, without unit."""
-        own: dict[str, Any] = {name: column[rows] for name, column in self.columns.items()}
-        return replace(self, **own)
+    def rows(self, rows: slice | Mask) -> "Motion":
+        """Return the motion of some of its rows, a slice or a mask (N,) without unit."""
+        return some_rows(self, self.columns, rows)
 
     @property
     def columns(self) -> dict[str, Array]:

@@ -57,16 +57,11 @@ def matched(forward: Motion, backward: Motion) -> Pair:
         )
     times = mirror + shifts[best]
     rows = _covered(times, backward.t)
-    return Pair(forward=_rows(forward, rows), backward=_at(backward, times[rows]))
+    return Pair(forward=forward.rows(rows), backward=_at(backward, times[rows]))
 
 
 def _covered(times: Array, t: Array) -> Mask:
     return np.asarray((times >= t[0]) & (times <= t[-1]))
-
-
-def _rows(motion: Motion, rows: Mask) -> Motion:
-    names = ("t", "q", "dq", "ddq", "tau", "q_raw")
-    return replace(motion, **{name: getattr(motion, name)[rows] for name in names})
 
 
 def _at(motion: Motion, times: Array) -> Motion:

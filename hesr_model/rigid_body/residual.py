@@ -13,7 +13,7 @@ from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotModel
 from hesr_model.robots.transmission import Coupling
-from hesr_model.support.arrays import Array, Mask
+from hesr_model.support.arrays import Array, Mask, some_rows
 from hesr_model.units import unit_of_joint
 
 
@@ -70,8 +70,7 @@ class FrictionRecord:
     def rows(self, rows: slice | Mask) -> "FrictionRecord":
         """Return some of the rows."""
         columns = ("t", "dq", "q", "tau_load", "tau", "tau_load_spread", "temperature")
-        found = {name: getattr(self, name) for name in columns}
-        return replace(self, **{k: v[rows] for k, v in found.items() if v is not None})
+        return some_rows(self, columns, rows)
 
 
 def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:

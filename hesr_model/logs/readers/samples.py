@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hesr_model.support.arrays import Array
+from hesr_model.support.arrays import Array, some_rows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,16 +41,9 @@ class Samples:
 
     def complete(self) -> "Samples":
         """Return the samples without those that lack a number or repeat a stamp."""
-        more = [part for part in (self.dq, self.temperature) if part is not None]
-        parts = [self.t[:, None], self.q, self.effort, *more]
-        rows = np.flatnonzero(np.all(np.isfinite(np.hstack(parts)), axis=1))
+        columns = ("t", "q", "dq", "effort", "temperature")
+        parts = [part for name in columns if (part := getattr(self, name)) is not None]
+        rows = np.flatnonzero(np.all(np.isfinite(np.column_stack(parts)), axis=1))
         rows = rows[np.diff(self.t[rows], prepend=-np.inf) != 0.0]
-        return replace(
-            self,
-            t=self.t[rows],
-            q=self.q[rows],
-            dq=None if self.dq is None else self.dq[rows],
-            effort=self.effort[rows],
-            temperature=None if self.temperature is None else self.temperature[rows],
-            place=lambda k: self.place(int(rows[k])),
-        )
+        complete = some_rows(self, columns, rows)
+        return replace(complete, place=lambda k: self.place(int(rows[k])))
