@@ -1,6 +1,6 @@
 """Robot logs: read from files of many kinds, converted to SI, checked, written."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from os import PathLike
@@ -262,7 +262,7 @@ class RobotLog:
             write_table(temporary, self._columns)
 
 
-def parts_of(logs: Sequence[RobotLog]) -> list[RobotLog]:
+def parts_of(logs: Iterable[RobotLog]) -> list[RobotLog]:
     """Return logs without gaps: the parts of each; see `RobotLog.parts`."""
     return [part for log in logs for part in log.parts()]
 

@@ -1,11 +1,13 @@
 """From a log's raw samples to the smooth motion that the dynamics are evaluated on."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.robot_log import RobotLog, parts_of
+from hesr_model.robots.robot import RobotModel
 from hesr_model.support.arrays import Array, Mask, some_rows
 
 _ORDER = 2
@@ -112,6 +114,18 @@ def smooth(log: RobotLog, cutoff: float = 15.0) -> Motion:
         q_raw=log.q,
         temperature=log.temperature,
     )
+
+
+def smoothed(logs: Iterable[RobotLog], model: RobotModel) -> list[Motion]:
+    """Return the smooth motions of all parts of a robot's logs.
+
+    Raises
+    ------
+    LogError
+        If a log is too slow or too short for the low pass.
+    """
+    cutoff = model.description.log.filter_cutoff
+    return [smooth(part, cutoff) for part in parts_of(logs)]
 
 
 def _before(values: Array, rows: int) -> Array:

@@ -9,8 +9,8 @@ from threadpoolctl import threadpool_limits
 
 from hesr_model.errors import FitError
 from hesr_model.motions.excitation_search import Search
-from hesr_model.motions.limits import Limits, MotionLimits, Positive, one_period, peak_torque
-from hesr_model.motions.trajectories import Fourier
+from hesr_model.motions.limits import Limits, MotionLimits, Positive, peak_torque
+from hesr_model.motions.trajectories import Fourier, one_period
 from hesr_model.rigid_body.identification import LEAST_PEAK
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support.arrays import Array
@@ -143,7 +143,9 @@ def design(
     rate = settings.sample_rate or model.description.log.sample_rate or _USUAL_RATE
     limits = Limits.of(model, settings.limits)
     rest = limits.rest(model)
-    search = Search.of(model, limits, harmonics=settings.harmonics, period=settings.period)
+    search = Search(
+        model=model, limits=limits, harmonics=settings.harmonics, period=settings.period
+    )
     with threadpool_limits(1):
         starts = random_motions(model, settings, settings.starts, settings.seed)
         rough = [

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from scipy.optimize import minimize
 
 from hesr_model.errors import FitError, RobotError
-from hesr_model.motions.trajectories import Fourier
+from hesr_model.motions.trajectories import Fourier, one_period
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config
@@ -23,9 +23,6 @@ _SECONDS_TO_FULL_SPEED = 1.0
 
 _MARGIN = 1e-3
 """Of every limit, for peaks between the points at which a motion is looked at."""
-
-_POINTS = 256
-"""Per cycle of the highest harmonic: a velocity's peak is low by 8e-5 of itself at most."""
 
 _HALVINGS = 12
 _RESTS = 4000
@@ -196,12 +193,6 @@ class Limits:
                 f"{self.torque[joint]:g} N.m."
             )
         return rest
-
-
-def one_period(motion: Fourier) -> tuple[Array, Array, Array]:
-    """Position, velocity, acceleration at points as close as peaks need, (N, n) in SI units."""
-    points = _POINTS * motion.a.shape[1]
-    return motion.sample(np.linspace(0.0, motion.period, points, endpoint=False))
 
 
 def peak_torque(model: RobotModel, motion: Fourier) -> Array:

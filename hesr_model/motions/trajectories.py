@@ -146,6 +146,12 @@ class Fourier(Trajectory):
         return replace(self, a=-self.a)
 
 
+def one_period(motion: Fourier) -> tuple[Array, Array, Array]:
+    """Position, velocity, acceleration at points as close as peaks need, (N, n) in SI units."""
+    points = _POINTS_PER_CYCLE * motion.a.shape[1]
+    return motion.sample(np.linspace(0.0, motion.period, points, endpoint=False))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sine(Trajectory):
     """Sine of one frequency.
@@ -318,8 +324,7 @@ def random_fourier(
     a -= a.mean(axis=1, keepdims=True)
     b -= np.outer(b @ orders, orders) / (orders @ orders)
     raw = Fourier(offset=offset, a=a, b=b, period=period, periods=periods)
-    grid = np.linspace(0.0, period, _POINTS_PER_CYCLE * harmonics, endpoint=False)
-    scale = (np.asarray(peak_velocity) / np.abs(raw.sample(grid)[1]).max(axis=0))[:, None]
+    scale = (np.asarray(peak_velocity) / np.abs(one_period(raw)[1]).max(axis=0))[:, None]
     return replace(raw, a=scale * a, b=scale * b)
 
 

@@ -17,8 +17,8 @@ from threadpoolctl import threadpool_limits
 
 from hesr_model.errors import FitError, RobotError
 from hesr_model.inference.covariance import Covariance
-from hesr_model.logs.robot_log import RobotLog, parts_of, require_moving
-from hesr_model.logs.signals import Motion, smooth
+from hesr_model.logs.robot_log import RobotLog, require_moving
+from hesr_model.logs.signals import Motion, smoothed
 from hesr_model.rigid_body import physical as consistent
 from hesr_model.rigid_body.base_parameters import at_random_states, base_columns
 from hesr_model.rigid_body.least_squares import Block, Solution, covariance_of, solve
@@ -214,13 +214,12 @@ def identify(
         As `identify_motions`.
     """
     require_moving([*logs, *reversed_logs], model.description.joints)
-    cutoff = model.description.log.filter_cutoff
     return identify_motions(
-        [smooth(log, cutoff) for log in parts_of(logs)],
+        smoothed(logs, model),
         model,
         method=method,
         weighting=weighting,
-        reversed_motions=[smooth(log, cutoff) for log in parts_of(reversed_logs)],
+        reversed_motions=smoothed(reversed_logs, model),
         physical=physical,
     )
 

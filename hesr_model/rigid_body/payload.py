@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import FitError
-from hesr_model.logs.robot_log import RobotLog, parts_of, require_moving
-from hesr_model.logs.signals import Motion, smooth
-from hesr_model.rigid_body.base_parameters import at_random_states, dependence
-from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.logs.robot_log import RobotLog, require_moving
+from hesr_model.logs.signals import Motion, smoothed
+from hesr_model.rigid_body.base_parameters import dependence
+from hesr_model.rigid_body.identification import RigidBody, scale_of
 from hesr_model.rigid_body.least_squares import Block, Solution, solve
 from hesr_model.rigid_body.observations import (
     friction_columns,
@@ -113,10 +113,7 @@ def identify_payload(logs: Sequence[RobotLog], model: RobotModel, unloaded: Rigi
         As `identify_payload_motions`.
     """
     require_moving(logs, model.description.joints)
-    cutoff = model.description.log.filter_cutoff
-    return identify_payload_motions(
-        [smooth(log, cutoff) for log in parts_of(logs)], model, unloaded
-    )
+    return identify_payload_motions(smoothed(logs, model), model, unloaded)
 
 
 def identify_payload_motions(
@@ -140,9 +137,7 @@ def identify_payload_motions(
     columns = _last_link(model)
     friction = friction_columns(model, columns)
     blocks = stacked(added, model, columns, friction)
-    scale = np.ones(blocks[0].matrix.shape[1])  # of friction: 1 N.m, 1 N.m.s/rad
-    scale[:10] = np.sqrt(np.mean(at_random_states(model)[:, list(columns)] ** 2, axis=0))
-    solution = solve(blocks, scale=scale, weighted=True)
+    solution = solve(blocks, scale=scale_of(model, columns, friction), weighted=True)
     if solution.ridge:
         raise FitError(
             f"{name}: the motion does not determine the payload (condition number "
