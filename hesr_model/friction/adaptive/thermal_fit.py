@@ -15,12 +15,9 @@ import numpy as np
 import sympy
 from scipy.optimize import least_squares, minimize_scalar
 
-from hesr_model.equations.functions import lowered
-from hesr_model.equations.memory import DT
-from hesr_model.equations.over_log import StatesOverLog
 from hesr_model.errors import FitError
 from hesr_model.friction.adaptive.factors import parts
-from hesr_model.friction.evaluate import numbers
+from hesr_model.friction.evaluate import numbers, over_log
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -63,23 +60,20 @@ class Factored:
         own = parts(law, level)
         output = own.hysteresis + viscosity * own.viscous + own.rest
         self._law = law
-        arguments = (*(c.symbol for c in law.form.coefficients), *INPUTS, level)
-        self._memory = StatesOverLog(
-            own.memory, arguments, output.free_symbols, law.form.component.settling
-        )
-        states = tuple(s for m in own.memory for s in (m.state, m.derivative))
-        self._output = lowered((*arguments, viscosity, *states, DT), (output,))
+        arguments = (*(c.symbol for c in law.form.coefficients), *INPUTS, level, viscosity)
+        settling = law.form.component.settling
+        self._memory, self._output = over_log(own.memory, arguments, (output,), settling)
 
     def torque(self, record: FrictionRecord, level: Array, viscosity: Array) -> Array:
         """Return the torque (N,) [N.m] over a record, factors (N,) beside its rows."""
         law, dt = self._law, np.diff(record.t, prepend=record.t[0])
-        values = (*numbers(law), record.dq, record.q, record.tau_load, level)
+        values = (*numbers(law), record.dq, record.q, record.tau_load, level, viscosity)
         first = [float(np.atleast_1d(np.asarray(v))[0]) for v in values]
         states = self._memory(
             values, dt, np.arange(len(dt)) == 0, self._memory.beginning(first, law.start),
             law.discretisation,
         )  # fmt: skip
-        found = self._output(*values, viscosity, *states, dt)[0]
+        found = self._output(*values, *states, dt)[0]
         return np.array(np.broadcast_to(found, dt.shape))
 
 

@@ -17,10 +17,10 @@ from scipy.optimize import differential_evolution
 from scipy.optimize import least_squares as minimise_squares
 
 from hesr_model.equations.compiled import Kernel, Rows, kernel_of
-from hesr_model.equations.functions import lowered
-from hesr_model.equations.memory import DT, Element
+from hesr_model.equations.memory import Element
 from hesr_model.equations.over_log import Discretisation, StatesOverLog
 from hesr_model.equations.rows import RUNS, OutsideError
+from hesr_model.friction.evaluate import over_log
 from hesr_model.friction.fitting.samples import (
     Samples,
     in_one_piece,
@@ -257,13 +257,7 @@ class _Equations:
     @cached_property
     def lowered(self) -> tuple[StatesOverLog, Any]:
         """States and columns in NumPy."""
-        arguments = (*self.searched, *INPUTS)
-        states = tuple(s for m in self.memory for s in (m.state, m.derivative))
-        read = set().union(*(e.free_symbols for e in self.columns))
-        return (
-            StatesOverLog(self.memory, arguments, read, self.settling),
-            lowered((*arguments, *states, DT), self.columns),
-        )
+        return over_log(self.memory, (*self.searched, *INPUTS), self.columns, self.settling)
 
 
 @lru_cache(maxsize=64)
