@@ -82,7 +82,8 @@ class Table:
         """
         for name in names:
             self._require(name)
-        return np.column_stack([self._column(name, missing=missing) for name in names])
+        columns = [self._floats(name, self._arrow.column(name), missing=missing) for name in names]
+        return np.column_stack(columns)
 
     def times(self, name: str, unit: float, *, missing: bool = False) -> Array:
         """Stamps (N,) [s]; those since 1970 and dates are counted from the first one.
@@ -115,9 +116,6 @@ class Table:
     def _require(self, name: str) -> None:
         if name not in self.names:
             raise LogError(f"{self.path}: column '{name}' is missing; it has {self.listing}.")
-
-    def _column(self, name: str, *, missing: bool) -> Array:
-        return self._floats(name, self._arrow.column(name), missing=missing)
 
     def _floats(self, name: str, column: Any, *, missing: bool) -> Array:
         import pyarrow
@@ -218,18 +216,12 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Dialect:
-    """How the cells of a CSV are separated, and where its table begins.
-
-    Attributes
-    ----------
-    header, data
-        Lines of the header and of the first row of data, from 1.
-    """
+    """How the cells of a CSV are separated, and where its table begins."""
 
     delimiter: str
     decimal: str
-    header: int
-    data: int
+    header: int  # line of the header, from 1
+    data: int  # line of the first row of data
 
 
 def _dialect(path: Path) -> _Dialect:

@@ -1,6 +1,7 @@
 """A motion and its time-reversed counterpart, matched position by position (section III-B)."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -66,17 +67,9 @@ def _covered(times: Array, t: Array) -> Mask:
 
 def _at(motion: Motion, times: Array) -> Motion:
     """Read a motion at other times; the raw signals are read linearly."""
-
-    def read(values: Array, order: int) -> Array:
-        out: Array = make_interp_spline(motion.t, values, k=order)(times)
-        return out
-
-    return replace(
-        motion,
-        t=times,
-        q=read(motion.q, 3),
-        dq=read(motion.dq, 3),
-        ddq=read(motion.ddq, 3),
-        tau=read(motion.tau, 1),
-        q_raw=read(motion.q_raw, 1),
-    )
+    orders = {"q": 3, "dq": 3, "ddq": 3, "tau": 1, "q_raw": 1}
+    read: dict[str, Any] = {
+        name: make_interp_spline(motion.t, getattr(motion, name), k=order)(times)
+        for name, order in orders.items()
+    }
+    return replace(motion, t=times, **read)

@@ -158,22 +158,13 @@ def fit(
 class _Chart:
     """Coordinates of physically consistent parameters: ten per link, one per rotor.
 
-    Attributes
-    ----------
-    factors
-        (n, 4, 4) upper triangular B of each link, B B' being its pseudo-inertia in the model file.
-    rotors
-        (r,) inertias in the model file [kg.m2], 0 where it gives none; r is n or 0.
-    start
-        (10 n + r,) of the model file.
-    pull
-        (10 n + r,) residual that a unit off the start costs, per square root of rows.
+    In the model file B B' is the pseudo-inertia of each link; there are r rotors, n or none.
     """
 
-    factors: Array
-    rotors: Array
-    start: Array
-    pull: Array
+    factors: Array  # (n, 4, 4), upper triangular B
+    rotors: Array  # (r,) inertias in the model file [kg.m2], 0 where it gives none
+    start: Array  # (10 n + r,) of the model file
+    pull: Array  # (10 n + r,) residual that a unit off the start costs, per square root of rows
 
     @classmethod
     def of(cls, model: RobotModel) -> Self:

@@ -1,6 +1,6 @@
 """The friction residual: what is left of the measured torque without the rigid body (eq. 8)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -83,21 +83,23 @@ def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
     if coupling is None:
         return list(records)
 
-    def moved(name: str, over: Callable[[Array], Array]) -> Array:
-        return over(np.column_stack([getattr(record, name) for record in records]))
+    ways = dict.fromkeys(("dq", "q"), coupling.motion)
+    ways |= dict.fromkeys(("tau_load", "tau"), coupling.torque)
+    moved = {
+        name: way(np.column_stack([getattr(record, name) for record in records]))
+        for name, way in ways.items()
+    }
 
-    dq, q = moved("dq", coupling.motion), moved("q", coupling.motion)
-    load, tau = moved("tau_load", coupling.torque), moved("tau", coupling.torque)
+    def own(k: int) -> dict[str, Any]:
+        return {name: np.ascontiguousarray(columns[:, k]) for name, columns in moved.items()}
+
     spreads = [record.tau_load_spread for record in records]
     known = [spread for spread in spreads if spread is not None]
     spread = coupling.torque(np.stack(known, axis=1)) if len(known) == len(spreads) else None
     return [
         replace(
             record,
-            dq=np.ascontiguousarray(dq[:, k]),
-            q=np.ascontiguousarray(q[:, k]),
-            tau_load=np.ascontiguousarray(load[:, k]),
-            tau=np.ascontiguousarray(tau[:, k]),
+            **own(k),
             tau_load_spread=None if spread is None else spread[:, k],
             coupling=None,
         )

@@ -55,7 +55,8 @@ class Streamed:
         self._friction = friction_columns(model, self._base)
         self._used = np.full(model.n, SLOW) if slow is None else slow
         self._peaks = np.zeros(model.n)
-        self._factors: list[Factor] = []
+        columns = len(self._base) + int(np.sum(self._friction))
+        self._factors = [Factor(triangle=np.zeros((0, columns + 1)))] * model.n
         self._logs: dict[str, None] = {}
         self.rows = 0
 
@@ -79,11 +80,8 @@ class Streamed:
         with threadpool_limits(1):
             for first in range(0, len(motion.t), AT_ONCE):
                 blocks = self._blocks([motion.rows(slice(first, first + AT_ONCE))])
-                self._factors = (
-                    [f.with_rows(b) for f, b in zip(self._factors, blocks, strict=True)]
-                    if self._factors
-                    else [Factor.of(b) for b in blocks]
-                )
+                rows = zip(self._factors, blocks, strict=True)
+                self._factors = [factor.with_rows(block) for factor, block in rows]
 
     def body(self, sample: Sequence[Motion], where: str) -> RigidBody:
         """Return the rigid body.

@@ -150,44 +150,22 @@ def point_payload(mass: float, centre: Sequence[float]) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Rows:
-    """Rows of a joint in logs of one kind, compressed: [Y, Y carried, friction, torque].
+    """Rows of a joint in logs of one kind, compressed: [Y, Y carried, friction, torque]."""
 
-    Attributes
-    ----------
-    factor
-        Triangular, of these columns.
-    count
-        Rows there were.
-    length
-        Rows within which residuals are alike.
-    """
-
-    factor: Array
-    count: int
-    length: float
+    factor: Array  # triangular, of these columns
+    count: int  # rows there were
+    length: float  # rows within which residuals are alike
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Problem:
-    """One joint: unknown are kappa, relative to the assumed constant, pi, and friction by kind.
+    """One joint: unknown are kappa, relative to the assumed constant, pi, and friction by kind."""
 
-    Attributes
-    ----------
-    kinds
-        Rows of logs without payload, and with it.
-    nominal, spread
-        (P,) of the model file, and how far that is in doubt.
-    friction
-        Columns of friction of each kind.
-    known
-        Size of the torque that is trusted [N.m]: of the payload, else of the model's weights.
-    """
-
-    kinds: tuple[_Rows, ...]
-    nominal: Array
-    spread: Array
-    friction: int
-    known: float
+    kinds: tuple[_Rows, ...]  # of logs without payload, and with it
+    nominal: Array  # (P,) of the model file
+    spread: Array  # (P,) how far that is in doubt
+    friction: int  # columns of it of each kind
+    known: float  # torque that is trusted [N.m]: of the payload, else of the model's weights
 
     @classmethod
     def of(
