@@ -84,16 +84,13 @@ def mistakes(rows: Rows, model: RobotModel, moves: Mask) -> Iterator[Mistake]:
         )  # fmt: skip
     for j in joints:
         key, changes = sign_change(robot, j, position=False)
-        tau = rows.tau.copy()
-        tau[:, j] *= -1.0
+        side = np.where(np.arange(model.n) == j, -1.0, 1.0)
+        q, v, a, tau = (part * side for part in (rows.q, rows.v, rows.a, rows.tau))
         yield Mistake(
             check="torque-sign", joint=j, cause=f"its torque counts backwards; set {key}",
             changes=changes, mended=replace(rows, tau=tau),
         )  # fmt: skip
         key, changes = sign_change(robot, j, position=True)
-        q, v, a = rows.q.copy(), rows.v.copy(), rows.a.copy()
-        for part in (q, v, a):
-            part[:, j] *= -1.0
         yield Mistake(
             check="position-sign", joint=j,
             cause=f"its position and velocity count backwards; set {key}",

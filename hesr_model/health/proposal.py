@@ -82,11 +82,13 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
     """
     reasons: dict[str, str] = {}
     stated = robot.log.torque_per_ampere is not None
-    robot = _with_columns(paths[0], robot, reasons)
-    robot, logs = _read(paths, robot, reasons)
-    robot = _with_cutoff(robot, logs, reasons)
-    model = RobotModel(robot) if known else None
-    examination = examine(logs, robot, model)
+
+    def looked(robot: RobotDescription) -> tuple[RobotDescription, list[RobotLog], Examination]:
+        robot, logs = _read(paths, robot, reasons)
+        robot = _with_cutoff(robot, logs, reasons)
+        return robot, logs, examine(logs, robot, RobotModel(robot) if known else None)
+
+    robot, logs, examination = looked(_with_columns(paths[0], robot, reasons))
     first = examination.findings
     for _ in range(_ROUNDS):
         changes = _changes(robot, examination.findings, reasons)
@@ -94,11 +96,8 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
             changes = _constants(robot, examination, reasons)
         if not changes:
             break
-        robot = changed(robot, changes)
-        robot, logs = _read(paths, robot, reasons)
-        robot = _with_cutoff(robot, logs, reasons)
-        examination = examine(logs, robot, RobotModel(robot) if known else None)
-    slides = enumerate(joint.prismatic for joint in model.tree) if model else ()
+        robot, logs, examination = looked(changed(robot, changes))
+    slides = enumerate(joint.prismatic for joint in RobotModel(robot).tree) if known else ()
     return Proposal(
         robot=robot, reasons=reasons, logs=logs, examination=examination, first=first,
         sliding=frozenset(j for j, slid in slides if slid),

@@ -95,12 +95,13 @@ class Limits:
         position = np.array(given.position or np.column_stack([lowest + free, highest - free]))
         _require_in_range(model, position)
         velocity = np.array(given.velocity or speed)
+        effort = np.where(model.torque_limits > 0, model.torque_limits, np.inf)
         return cls(
             lower=position[:, 0],
             upper=position[:, 1],
             velocity=velocity,
             acceleration=np.array(given.acceleration or velocity / _SECONDS_TO_FULL_SPEED),
-            torque=np.array(given.torque or _effort(model)),
+            torque=np.array(given.torque or effort),
         )
 
     def shrink(self, motion: Fourier, model: RobotModel, rest: Array) -> Fourier:
@@ -200,12 +201,6 @@ def peak_torque(model: RobotModel, motion: Fourier) -> Array:
     q, dq, ddq = one_period(motion)
     peaks: Array = np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0)
     return peaks
-
-
-def _effort(model: RobotModel) -> Array:
-    """Effort limits (n,) of the model file; infinite where it gives none, or 0 as many do."""
-    effort = model.torque_limits
-    return np.where(effort > 0, effort, np.inf)
 
 
 def _require_one_per_joint(model: RobotModel, given: MotionLimits) -> None:

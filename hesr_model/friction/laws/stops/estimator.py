@@ -94,6 +94,9 @@ class _Stops(Estimator):
         )
 
 
+_LOADED = {**_Stops.typical, "stops": [["1", 0], ["1", 4], ["p", 0], ["load", 0]]}
+
+
 @register
 class ParFamS(_Stops):
     """Stops whose bounds depend on age and load, and ripple that pays: passive at any step.
@@ -109,12 +112,7 @@ class ParFamS(_Stops):
     load = True
     ripple = True
     start_samples = 5
-    typical: ClassVar[Mapping[str, Any]] = {
-        "stops": [["1", 0], ["1", 4], ["p", 0], ["load", 0]],
-        "viscous": ["1", "b"],
-        "ripple": [200],
-        "window": 0.01,
-    }
+    typical: ClassVar[Mapping[str, Any]] = {**_LOADED, "ripple": [200], "window": 0.01}
 
 
 @register
@@ -124,10 +122,7 @@ class ParFamSLoad(_Stops):
     name = "parfam_s_load"
     title = "ParFam-S, no ripple"
     load = True
-    typical: ClassVar[Mapping[str, Any]] = {
-        "stops": [["1", 0], ["1", 4], ["p", 0], ["load", 0]],
-        "viscous": ["1", "b"],
-    }
+    typical: ClassVar[Mapping[str, Any]] = _LOADED
 
 
 @register
