@@ -11,7 +11,7 @@ import numpy as np
 from hesr_model.health.evidence import JointTorque, Motionwise, Torques, explain
 from hesr_model.health.findings import Finding
 from hesr_model.robots.robot import RobotDescription, RobotModel
-from hesr_model.units import backwards
+from hesr_model.units import backwards, unit_of_joint
 
 _SURE = 5.0
 """Standard errors from which on a sign is none of chance."""
@@ -84,11 +84,12 @@ def _sign(fit: JointTorque, j: int, model: RobotModel, logs: tuple[str, ...]) ->
     follows = fit.bears_gravity and fit.gravity.t > _SURE
     what = "position and velocity count" if follows else "torque counts"
     key, changes = sign_change(robot, j, position=follows)
+    unit = unit_of_joint("N.m", slides=model.tree[j].prismatic)
     beside = "" if fit.bears_gravity else ", or its position and velocity do"
     yield Finding(
         check="torque-sign", severity="refusal", joints=(robot.joints[j],), logs=logs,
         found="its torque drives the motion where friction should brake it "
-        f"({fit.friction.value:.3g} {_unit(model, j)} along the velocity, "
+        f"({fit.friction.value:.3g} {unit} along the velocity, "
         f"{abs(fit.friction.t):.0f} standard errors)",
         cause=f"its {what} backwards{beside}; set {key}",
         changes=changes,
@@ -232,7 +233,3 @@ def _against_limits(
                 f"joints' {100 * np.median(others):.2g} %",
                 cause="its unit or its torque_per_ampere may be wrong",
             )  # fmt: skip
-
-
-def _unit(model: RobotModel, j: int) -> str:
-    return "N" if model.tree[j].prismatic else "N.m"

@@ -265,7 +265,8 @@ def identify_motions(
     base = base_columns(model)
     friction = friction_columns(model, base) & (method == "stacked")
     where = "log " + ", ".join(motion.name for motion in everything)
-    require_samples(where, sum(len(m.t) for m in everything), len(base) + int(np.sum(friction)))
+    rows = sum(len(motion.t) for motion in everything)
+    require_samples(where, rows, len(base) + int(np.sum(friction)))
     require_speed(where, np.max(np.abs(rubbing_speeds(everything, model)), axis=0), model)
 
     def blocks_of(columns: tuple[int, ...]) -> list[Block]:
@@ -282,11 +283,11 @@ def identify_motions(
     labels = logs_of(motions if method == "paper" else everything)
     body = body_of(
         solution,
-        covariance_of(("",) * len(scale), blocks, solution, labels),
+        covariance_of(blocks, solution, labels),
         model,
         base,
         friction,
-        rows=sum(len(motion.t) for motion in everything),
+        rows=rows,
         logs=tuple(dict.fromkeys(motion.name for motion in everything)),
         method=method,
         weighting=weighting,

@@ -122,17 +122,16 @@ def solve_factors(factors: Sequence[Factor], *, scale: Array, weighted: bool) ->
 
 
 def covariance_of(
-    names: Sequence[str],
     blocks: Sequence[Block],
     solution: Solution,
     labels: Integers,
 ) -> Covariance:
     """Return the covariance of a solution, residuals of all blocks at one sample taken together.
 
+    The unknowns have no names in it: those are given to what is made of them, by `mapped`.
+
     Parameters
     ----------
-    names
-        Of the unknowns.
     blocks, solution
         The problem and what was found; the blocks know their samples.
     labels
@@ -153,7 +152,7 @@ def covariance_of(
     whole = hessians.sum(axis=0) + known
     for block, (rows, residual) in zip(blocks, weighted, strict=True):
         gradients[block.samples] += rows * left_out(rows, residual, whole)[:, None]
-    return covariance(names, gradients, hessians, labels, known=known)
+    return covariance(("",) * size, gradients, hessians, labels, known=known)
 
 
 def _solve(factors: Sequence[Factor], weights: Array, scale: Array) -> Solution:

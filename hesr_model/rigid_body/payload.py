@@ -24,8 +24,6 @@ from hesr_model.rigid_body.least_squares import Block, Solution, solve
 from hesr_model.rigid_body.observations import (
     friction_columns,
     per_joint,
-    rubbing_speeds,
-    slow_speeds,
     stacked,
 )
 from hesr_model.robots.robot import LINK_PARAMETERS, RobotModel
@@ -147,9 +145,8 @@ def identify_payload_motions(
         block.matrix[:, : len(unloaded.base)]
         for block in stacked(motions, model, unloaded.base, friction)
     ]
-    covariance = _covariance(blocks, solution, _kept(motions, segments, model)) + _inherited(
-        blocks, solution, carried, unloaded.standard_errors
-    )
+    covariance = _covariance(blocks, solution, [segments[block.samples] for block in blocks])
+    covariance += _inherited(blocks, solution, carried, unloaded.standard_errors)
     payload = Payload(
         parameters=solution.x[:10],
         covariance=covariance[:10, :10],
@@ -218,12 +215,6 @@ def _segments(motions: Sequence[Motion]) -> Integers:
         parts.append(first + ((motion.t - motion.t[0]) // _SEGMENT).astype(int))
         first = parts[-1][-1] + 1
     return np.concatenate(parts)
-
-
-def _kept(motions: Sequence[Motion], segments: Integers, model: RobotModel) -> list[Integers]:
-    """Segments of the rows that `stacked` keeps, one array per block."""
-    speed = np.abs(rubbing_speeds(motions, model))
-    return [segments[rows] for rows in (speed > slow_speeds(motions, model)).T]
 
 
 def _covariance(blocks: Sequence[Block], solution: Solution, segments: Sequence[Integers]) -> Array:

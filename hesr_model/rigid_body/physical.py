@@ -145,7 +145,7 @@ def fit(
         rmse=rmse,
     )
     to_base = np.hstack([dependence(model, base) @ chart.slopes(x), np.zeros((len(base), others))])
-    covariance = covariance_of(("",) * len(at.x), moved, at, labels)
+    covariance = covariance_of(moved, at, labels)
     return PhysicalFit(
         parameters=parameters,
         friction=friction,

@@ -103,9 +103,7 @@ class Streamed:
         with threadpool_limits(1):
             solution = solve_factors(self._factors, scale=scale, weighted=True)
             tell_ridge(where, solution)
-            covariance = covariance_of(
-                ("",) * len(scale), self._blocks(sample), solution, logs_of(sample)
-            )
+            covariance = covariance_of(self._blocks(sample), solution, logs_of(sample))
         return body_of(
             solution,
             covariance,

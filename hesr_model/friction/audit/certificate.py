@@ -27,6 +27,7 @@ import sympy
 from hesr_model.equations.functions import absolute, cardinal_sine, lowered, positive, sgn
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
 from hesr_model.friction.audit.attack import Attack, attack
+from hesr_model.friction.equation import text_of
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.stops.passive import SPEEDS, distance
@@ -157,7 +158,9 @@ class _Proof:
             if element.velocity != DQ or damper != 0.0:
                 raise _UnprovenError(f"{x} is a stop that the joint's velocity alone does not move")
             k = force * float(element.deflection) / 2.0
-            self.conditions.append(f"F({x}) = {force:.3g} >= 0, bound {_text(element.bound)} >= 0")
+            self.conditions.append(
+                f"F({x}) = {force:.3g} >= 0, bound {text_of(element.bound)} >= 0"
+            )
         else:
             k = self._bristle(element, force)
         self.stored[element.name] = k
@@ -308,8 +311,3 @@ def _values(expression: sympy.Expr, speeds: Array) -> Array:
     if not np.all(np.isfinite(found)):
         raise _UnprovenError("the law is no number at some speeds")
     return np.asarray(found, dtype=float)
-
-
-def _text(expression: sympy.Expr) -> str:
-    shown = expression.xreplace({n: sympy.Float(n, 4) for n in expression.atoms(sympy.Float)})
-    return str(sympy.sstr(shown)).replace("absolute(", "abs(")

@@ -18,25 +18,19 @@ class Normal:
 
     Parameters
     ----------
-    columns, tau : (N, K) and (N,), in any units.
-    folds : (N,) masks of the rows that are left out in turn.
-    weights : (N,) 1 for rows that count, 0 for others.
+    blocks : of columns (N, k), in any units, which are weighted already.
+    products : of these columns and the target.
     free : how many of the last columns may have any sign.
     """
 
-    def __init__(
-        self, columns: Array, tau: Array, folds: Sequence[Mask], weights: Array, *, free: int
-    ) -> None:
-        self._of([weights[:, None] * columns], Products(tau, folds, weights), free)
-
     @classmethod
-    def of(cls, blocks: Sequence[Array], products: "Products", *, free: int) -> Self:
-        """Return the equations of blocks of columns (N, k), which are weighted already."""
-        made = cls.__new__(cls)
-        made._of(blocks, products, free)
-        return made
+    def of(
+        cls, columns: Array, tau: Array, folds: Sequence[Mask], weights: Array, *, free: int
+    ) -> Self:
+        """Return the equations of columns (N, K) and (N,) `tau`; see `Products` for the others."""
+        return cls([weights[:, None] * columns], Products(tau, folds, weights), free=free)
 
-    def _of(self, blocks: Sequence[Array], products: "Products", free: int) -> None:
+    def __init__(self, blocks: Sequence[Array], products: "Products", *, free: int) -> None:
         self._blocks, self._products, self._free = blocks, products, free
         places = np.cumsum([0, *(block.shape[1] for block in blocks)])
         self._places = [slice(a, b) for a, b in pairwise(places)]

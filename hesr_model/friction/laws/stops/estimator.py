@@ -72,7 +72,7 @@ class _Stops(Estimator):
         samples, form = best.samples, structure.form()
         names = (*structure.forces, "tau_0", *structure.waves)
         free = 1 + len(structure.waves)
-        normal = Normal(columns, samples.tau, samples.folds, best.weights, free=free)
+        normal = Normal.of(columns, samples.tau, samples.folds, best.weights, free=free)
         x = normal.solve()
         if structure.ripple:
             x = passive.constrained(

@@ -83,7 +83,7 @@ class _Problem:
 
     def left_out(self, chosen: Waves) -> Array:
         s, free = self.samples, 1 + 2 * len(chosen.frequencies)
-        return Normal(self.columns(chosen), s.tau, s.folds, self.weights, free=free).left_out()
+        return Normal.of(self.columns(chosen), s.tau, s.folds, self.weights, free=free).left_out()
 
     def residual(self, chosen: Waves) -> Array:
         columns, tau = self.weights[:, None] * self.columns(chosen), self.weights * self.samples.tau
