@@ -48,12 +48,9 @@ def own_of_logs(
     logs = list(dict.fromkeys(record.log for record in records))
     if len(logs) < 2 or not wanted:
         return {log: OwnOfLog() for log in logs}
-    coarse = [_coarse(record.dq) for record in records]
-    shapes = {
-        log: [c for c, r in zip(coarse, records, strict=True) if r.log == log] for log in logs
-    }
-    columns = {log: np.concatenate(of_log) for log, of_log in shapes.items()}
-    torque = {log: np.concatenate([r.tau for r in records if r.log == log]) for log in logs}
+    of_log = {log: [record for record in records if record.log == log] for log in logs}
+    columns = {log: np.concatenate([_coarse(r.dq) for r in own]) for log, own in of_log.items()}
+    torque = {log: np.concatenate([r.tau for r in own]) for log, own in of_log.items()}
     own = dict.fromkeys(logs, OwnOfLog())
     for _ in range(_ROUNDS):
         law = _law(columns, torque, own)
