@@ -48,12 +48,9 @@ class Rows:
 
     Attributes
     ----------
-    t
-        (N,) [s].
-    still, moving
-        (N, n, P) torque of the body's parameters at rest, and what the motion adds.
-    rubs
-        Of each joint (N, K): friction with memory, and an offset.
+    t : (N,) [s].
+    still, moving : (N, n, P) torque of the body's parameters at rest, and what the motion adds.
+    rubs : of each joint (N, K): friction with memory, and an offset.
     """
 
     t: Array
@@ -96,10 +93,8 @@ def check_clocks(
 
     Parameters
     ----------
-    part, logged
-        The part, and the same with velocities and torques as they were logged.
-    joints
-        Those whose torque holds a signal.
+    part, logged : the part, and the same with velocities and torques as they were logged.
+    joints : those whose torque holds a signal.
     """
     if np.ptp(part.t) < _SHORTEST * _LATEST or not joints:
         return
@@ -140,8 +135,7 @@ def delay(rows: Rows, j: int, t: Array, tau: Array) -> tuple[float, float]:
 
     Parameters
     ----------
-    t, tau
-        (N,) [s], (N,) [N.m], of all rows.
+    t, tau : (N,) [s], (N,) [N.m], of all rows.
 
     Returns
     -------

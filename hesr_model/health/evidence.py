@@ -30,16 +30,11 @@ class Motionwise:
 
     Attributes
     ----------
-    log
-        As read.
-    t
-        (N,) [s].
-    q, v, a
-        Position, and velocity and acceleration as they follow from it alone.
-    dq
-        Velocity as logged, smoothed alike; None where the log has none.
-    tau
-        Torque as logged.
+    log : as read.
+    t : (N,) [s].
+    q, v, a : position, and velocity and acceleration as they follow from it alone.
+    dq : velocity as logged, smoothed alike; None where the log has none.
+    tau : torque as logged.
     """
 
     log: RobotLog
@@ -93,10 +88,8 @@ class Torques:
 
     Attributes
     ----------
-    gravity
-        Of the model, without its mean, which an offset of the sensor would take.
-    inertial
-        What the motion adds to it.
+    gravity : of the model, without its mean, which an offset of the sensor would take.
+    inertial : what the motion adds to it.
     """
 
     gravity: Array
@@ -155,16 +148,12 @@ class JointTorque:
 
     Attributes
     ----------
-    gravity
-        Torque over the model's gravity torque, without unit.
-    inertia
-        Torque over the model's inertial torque, without unit; rotors are not in a URDF.
-    friction
-        Torque that goes with the velocity [N.m].
-    gravity_size, friction_size
-        Standard deviations of the model's gravity torque and of friction [N.m].
-    residual, deviation
-        Standard deviations of what is not explained and of the torque [N.m].
+    gravity : torque over the model's gravity torque, without unit.
+    inertia : torque over the model's inertial torque, without unit; rotors are not in a URDF.
+    friction : torque that goes with the velocity [N.m].
+    gravity_size, friction_size : standard deviations of the model's gravity torque and of friction
+        [N.m].
+    residual, deviation : standard deviations of what is not explained and of the torque [N.m].
     """
 
     gravity: Estimate

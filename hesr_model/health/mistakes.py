@@ -30,8 +30,7 @@ class Rows:
 
     Attributes
     ----------
-    gravity
-        (3,) [m/s2].
+    gravity : (3,) [m/s2].
     """
 
     q: Array

@@ -34,16 +34,11 @@ class Proposal:
 
     Attributes
     ----------
-    robot
-        As proposed.
-    reasons
-        By key, as ``log.units.q``: how sure it is, and why.
-    logs, examination
-        The logs read with it, and what the checks say then.
-    first
-        What the checks said of the description as it was given or guessed.
-    sliding
-        Places of the joints that slide; none without a model.
+    robot : as proposed.
+    reasons : by key, as ``log.units.q``: how sure it is, and why.
+    logs, examination : the logs read with it, and what the checks say then.
+    first : what the checks said of the description as it was given or guessed.
+    sliding : places of the joints that slide; none without a model.
     """
 
     robot: RobotDescription
@@ -70,10 +65,8 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
 
     Parameters
     ----------
-    robot
-        What is known: model and joints, and how its logs are read.
-    known
-        Whether there is a model file; without one logs are checked against themselves.
+    robot : what is known: model and joints, and how its logs are read.
+    known : whether there is a model file; without one logs are checked against themselves.
 
     Raises
     ------

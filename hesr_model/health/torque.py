@@ -103,8 +103,7 @@ def sign_change(
 
     Parameters
     ----------
-    j
-        Of which joint; None for all.
+    j : of which joint; None for all.
     """
     n = len(robot.joints)
 

@@ -35,12 +35,10 @@ class Match:
 
     Attributes
     ----------
-    slope, error
-        Of the position's velocity over the logged one, without unit, and its standard error.
-    correlation
-        Of both.
-    lag
-        By which the logged one is late [s].
+    slope, error : of the position's velocity over the logged one, without unit, and its standard
+        error.
+    correlation : of both.
+    lag : by which the logged one is late [s].
     """
 
     slope: float

@@ -56,13 +56,10 @@ class Guess:
 
     Attributes
     ----------
-    columns
-        By quantity (t, q, dq, tau, current, temperature): a name for t, one name per joint for the
-        others.
-    units
-        By quantity, where a name or the values say one.
-    reasons
-        Why, by quantity.
+    columns : by quantity (t, q, dq, tau, current, temperature): a name for t, one name per joint
+        for the others.
+    units : by quantity, where a name or the values say one.
+    reasons : why, by quantity.
     """
 
     columns: Mapping[str, str | tuple[str, ...]]
@@ -88,8 +85,7 @@ def guess(table: Table, joints: Sequence[str] = ()) -> Guess:
 
     Parameters
     ----------
-    joints
-        Names of the robot's joints, which columns may bear; as many as there are if empty.
+    joints : names of the robot's joints, which columns may bear; as many as there are if empty.
 
     Raises
     ------

@@ -48,10 +48,8 @@ def words(seed: int, stream: ArrayLike, index: ArrayLike) -> NDArray[np.uint64]:
 
     Parameters
     ----------
-    seed
-        Any integer; it counts modulo 2^64.
-    stream, index
-        Integers from 0 to 2^64 - 1 that broadcast against each other.
+    seed : any integer; it counts modulo 2^64.
+    stream, index : integers from 0 to 2^64 - 1 that broadcast against each other.
 
     Returns
     -------
@@ -73,10 +71,8 @@ def standard_normal(seed: int, stream: ArrayLike, counter: ArrayLike) -> Array:
 
     Parameters
     ----------
-    seed
-        Any integer; it counts modulo 2^64.
-    stream, counter
-        Integers from 0 to 2^63 - 1 that broadcast against each other.
+    seed : any integer; it counts modulo 2^64.
+    stream, counter : integers from 0 to 2^63 - 1 that broadcast against each other.
 
     Returns
     -------

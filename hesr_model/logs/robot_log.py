@@ -43,24 +43,15 @@ class RobotLog:
 
     Attributes
     ----------
-    name
-        Of the motion; the file's name without its suffix where the log was read.
-    t
-        (N,) [s], increasing.
-    q
-        (N, n) [rad; m for prismatic joints].
-    dq
-        (N, n) [rad/s; m/s], or None where the robot does not log its velocity.
-    tau
-        (N, n) [N.m; N], currents already converted.
-    temperature
-        (N, n) of the joints [degC], or None where the robot does not log them.
-    path, sha256
-        Where the log was read from, and the hash of that file.
-    dropped
-        Rows that were left out, by `LogFormat.missing`.
-    robot
-        The robot that the log was read for; None where it was not read.
+    name : of the motion; the file's name without its suffix where the log was read.
+    t : (N,) [s], increasing.
+    q : (N, n) [rad; m for prismatic joints].
+    dq : (N, n) [rad/s; m/s], or None where the robot does not log its velocity.
+    tau : (N, n) [N.m; N], currents already converted.
+    temperature : (N, n) of the joints [degC], or None where the robot does not log them.
+    path, sha256 : where the log was read from, and the hash of that file.
+    dropped : rows that were left out, by `LogFormat.missing`.
+    robot : the robot that the log was read for; None where it was not read.
     """
 
     name: str

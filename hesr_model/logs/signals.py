@@ -22,16 +22,11 @@ class Motion:
 
     Attributes
     ----------
-    t
-        (N,) [s], as logged.
-    q, dq, ddq
-        (N, n) [rad, rad/s, rad/s2], through the zero-phase low pass.
-    tau
-        (N, n) [N.m], raw: evaluation is against what was measured.
-    q_raw
-        (N, n) [rad], as logged; ripple of the gear must not be smoothed away.
-    temperature
-        (N, n) [degC], as logged; None where it was not.
+    t : (N,) [s], as logged.
+    q, dq, ddq : (N, n) [rad, rad/s, rad/s2], through the zero-phase low pass.
+    tau : (N, n) [N.m], raw: evaluation is against what was measured.
+    q_raw : (N, n) [rad], as logged; ripple of the gear must not be smoothed away.
+    temperature : (N, n) [degC], as logged; None where it was not.
     """
 
     name: str
@@ -63,9 +58,8 @@ def smooth(log: RobotLog, cutoff: float = 15.0) -> Motion:
 
     Parameters
     ----------
-    cutoff
-        [Hz]; 15 Hz is best on the measured arm (8 Hz and less flatten reversals, 25 Hz and more
-        let the noise of ddq through).
+    cutoff : [Hz]; 15 Hz is best on the measured arm (8 Hz and less flatten reversals, 25 Hz and
+        more let the noise of ddq through).
 
     Raises
     ------

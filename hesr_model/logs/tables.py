@@ -39,10 +39,8 @@ class Table:
 
     Attributes
     ----------
-    names
-        All columns of the file.
-    others
-        What else is in the file and cannot be a column, told where a column is missed.
+    names : all columns of the file.
+    others : what else is in the file and cannot be a column, told where a column is missed.
     """
 
     path: Path
@@ -71,8 +69,7 @@ class Table:
 
         Parameters
         ----------
-        missing
-            Whether cells may be empty or NaN; they are NaN then.
+        missing : whether cells may be empty or NaN; they are NaN then.
 
         Raises
         ------
@@ -90,8 +87,7 @@ class Table:
 
         Parameters
         ----------
-        unit
-            Of the stamps [s]; a column of dates or durations has its own.
+        unit : of the stamps [s]; a column of dates or durations has its own.
 
         Raises
         ------

@@ -36,21 +36,15 @@ class ExcitationSettings(Config):
 
     Attributes
     ----------
-    harmonics
-        Of the fundamental, at least 2: rest at the start takes one coefficient of each kind.
-    period
-        Shortest and longest [s]; the fundamental is optimised in between.
-    periods
-        How many periods are run.
-    starts
-        Random motions from which the search begins.
-    seed
-        Of these.
-    sample_rate
-        Of the setpoints [Hz]; a period is a whole number of them. By default the logs' rate, and
-        200 where the robot file gives none.
-    limits
-        Of the motion; `MotionLimits` says what holds where they are left out.
+    harmonics : of the fundamental, at least 2: rest at the start takes one coefficient of each
+        kind.
+    period : shortest and longest [s]; the fundamental is optimised in between.
+    periods : how many periods are run.
+    starts : random motions from which the search begins.
+    seed : of these.
+    sample_rate : of the setpoints [Hz]; a period is a whole number of them. By default the logs'
+        rate, and 200 where the robot file gives none.
+    limits : of the motion; `MotionLimits` says what holds where they are left out.
     """
 
     harmonics: int = Field(default=10, ge=2)
@@ -75,16 +69,12 @@ class Excitation:
 
     Attributes
     ----------
-    motion
-        At rest at both ends; `motion.time_reversed()` is its counterpart.
-    condition
-        Of W_b, see `condition`.
-    sample_rate
-        Of its setpoints [Hz].
-    limits
-        Which the motion keeps.
-    peak_torque
-        (n,) largest absolute torque [N.m] of the model file's rigid body, without friction.
+    motion : at rest at both ends; `motion.time_reversed()` is its counterpart.
+    condition : of W_b, see `condition`.
+    sample_rate : of its setpoints [Hz].
+    limits : which the motion keeps.
+    peak_torque : (n,) largest absolute torque [N.m] of the model file's rigid body, without
+        friction.
     """
 
     motion: Fourier
@@ -107,8 +97,7 @@ def condition(model: RobotModel, base: tuple[int, ...], motion: Fourier) -> floa
 
     Parameters
     ----------
-    base
-        Indices of the base columns, see `base_parameters.base_columns`.
+    base : indices of the base columns, see `base_parameters.base_columns`.
     """
     t = np.linspace(0.0, motion.period, _SAMPLES, endpoint=False)
     columns = model.regressor(*motion.sample(t))[:, :, list(base)]

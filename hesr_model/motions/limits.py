@@ -33,15 +33,13 @@ class MotionLimits(Config):
 
     Attributes
     ----------
-    position
-        Lowest and highest [rad or m]; by default the model's range without 5 % at either end.
-    velocity
-        [rad/s or m/s]; by default the model's, 2 where it has none.
-    acceleration
-        [rad/s2 or m/s2]; by default what reaches the velocity in one second.
-    torque
-        Of the rigid body, friction not counted [N.m or N]; by default the model's effort limit,
-        none where it has none. It can be kept only as well as the model file's inertias are known.
+    position : lowest and highest [rad or m]; by default the model's range without 5 % at either
+        end.
+    velocity : [rad/s or m/s]; by default the model's, 2 where it has none.
+    acceleration : [rad/s2 or m/s2]; by default what reaches the velocity in one second.
+    torque : of the rigid body, friction not counted [N.m or N]; by default the model's effort
+        limit, none where it has none. It can be kept only as well as the model file's inertias are
+        known.
     """
 
     position: tuple[tuple[float, float], ...] | None = None
@@ -66,12 +64,9 @@ class Limits:
 
     Attributes
     ----------
-    lower, upper
-        Position [rad or m].
-    velocity, acceleration
-        Absolute values [rad/s, rad/s2].
-    torque
-        Absolute value [N.m or N]; infinite where there is none.
+    lower, upper : position [rad or m].
+    velocity, acceleration : absolute values [rad/s, rad/s2].
+    torque : absolute value [N.m or N]; infinite where there is none.
     """
 
     lower: Array

@@ -39,8 +39,7 @@ class Trajectory(ABC):
 
         Parameters
         ----------
-        t
-            (N,) [s], from 0 to `duration`; outside, periodic motions go on and others rest.
+        t : (N,) [s], from 0 to `duration`; outside, periodic motions go on and others rest.
 
         Returns
         -------
@@ -59,8 +58,7 @@ class Reversed(Trajectory):
 
     Attributes
     ----------
-    forward
-        The motion that is reversed.
+    forward : the motion that is reversed.
     """
 
     forward: Trajectory
@@ -93,14 +91,10 @@ class Fourier(Trajectory):
 
     Attributes
     ----------
-    offset
-        (n,) mean position over a period [rad].
-    a, b
-        (n, H) [rad/s].
-    period
-        [s].
-    periods
-        How many periods are run.
+    offset : (n,) mean position over a period [rad].
+    a, b : (n, H) [rad/s].
+    period : [s].
+    periods : how many periods are run.
 
     Raises
     ------
@@ -160,14 +154,10 @@ class Sine(Trajectory):
 
     Attributes
     ----------
-    offset
-        (n,) mean position [rad].
-    amplitude
-        (n,) peak velocity [rad/s]; 0 for a joint that stays at its offset.
-    frequency
-        [Hz].
-    periods
-        How many periods are run.
+    offset : (n,) mean position [rad].
+    amplitude : (n,) peak velocity [rad/s]; 0 for a joint that stays at its offset.
+    frequency : [Hz].
+    periods : how many periods are run.
     """
 
     offset: Array
@@ -202,18 +192,13 @@ class Sweep(Trajectory):
 
     Attributes
     ----------
-    start
-        (n,) position at t = 0 [rad].
-    amplitude, swing
-        (n,) mean and variation of the peak velocity [rad/s]; both 0 for a joint that rests.
-    phase
-        (n,) of the swing [rad].
-    swing_period
-        [s].
-    first, last
-        Frequencies at the start and at the end [Hz], last > first.
-    length
-        Of the sweep [s].
+    start : (n,) position at t = 0 [rad].
+    amplitude, swing : (n,) mean and variation of the peak velocity [rad/s]; both 0 for a joint that
+        rests.
+    phase : (n,) of the swing [rad].
+    swing_period : [s].
+    first, last : frequencies at the start and at the end [Hz], last > first.
+    length : of the sweep [s].
 
     Raises
     ------
@@ -266,8 +251,7 @@ def chirp(*, start: Array, amplitude: Array, first: float, last: float, length: 
 
     Parameters
     ----------
-    start, amplitude, first, last, length
-        As in `Sweep`.
+    start, amplitude, first, last, length : as in `Sweep`.
     """
     none = np.zeros_like(amplitude)
     return Sweep(
@@ -298,16 +282,11 @@ def random_fourier(
 
     Parameters
     ----------
-    seed
-        Any integer.
-    harmonics
-        H, at least 2: rest at the start takes one degree of freedom from `a` and from `b`.
-    period, periods
-        As in `Fourier`.
-    peak_velocity
-        (n,) largest absolute velocity [rad/s].
-    offset
-        (n,) mean position [rad].
+    seed : any integer.
+    harmonics : H, at least 2: rest at the start takes one degree of freedom from `a` and from `b`.
+    period, periods : as in `Fourier`.
+    peak_velocity : (n,) largest absolute velocity [rad/s].
+    offset : (n,) mean position [rad].
 
     Raises
     ------

@@ -56,36 +56,24 @@ class RigidBody:
 
     Attributes
     ----------
-    robot, joints
-        Whose parameters they are.
-    names, parameters
-        All standard parameters (P,) and rotor inertias. As a rule those outside `base` are zero;
-        not so in a physically consistent body, nor in one that carries a payload.
-    base
-        Indices of the base parameters, which carry the others linearly (eq. 6).
-    standard_errors
-        Of the base parameters, (len(base),), what the parameters outside `base` add to them
-        included: the roots of the covariance's diagonal.
-    condition
-        Condition number of the weighted observation matrix, each column relative to its size
-        over random states of the robot.
-    ridge
-        Weight of the pull towards zero on that scale, relative to the largest singular value; 0
+    robot, joints : whose parameters they are.
+    names, parameters : all standard parameters (P,) and rotor inertias. As a rule those outside
+        `base` are zero; not so in a physically consistent body, nor in one that carries a payload.
+    base : indices of the base parameters, which carry the others linearly (eq. 6).
+    standard_errors : of the base parameters, (len(base),), what the parameters outside `base` add
+        to them included: the roots of the covariance's diagonal.
+    condition : condition number of the weighted observation matrix, each column relative to its
+        size over random states of the robot.
+    ridge : weight of the pull towards zero on that scale, relative to the largest singular value; 0
         where the data needed none.
-    friction
-        (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] of the stacked fit: what was
-        estimated along with the parameters, not the friction model. Zero by the paper's method.
+    friction : (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] of the stacked fit: what
+        was estimated along with the parameters, not the friction model. Zero by the paper's method.
         At friction coordinates (`robots.transmission`), as a rule the joints.
-    rmse
-        (n,) [N.m] residual of the fit over the rows it used, there, too.
-    rows
-        Samples that were offered to the fit.
-    logs
-        Names of the logs.
-    physical
-        Whether the parameters are those of bodies of positive mass density.
-    covariance
-        Of the base parameters; None in results of earlier versions.
+    rmse : (n,) [N.m] residual of the fit over the rows it used, there, too.
+    rows : samples that were offered to the fit.
+    logs : names of the logs.
+    physical : whether the parameters are those of bodies of positive mass density.
+    covariance : of the base parameters; None in results of earlier versions.
     """
 
     robot: str
@@ -237,23 +225,20 @@ def identify_motions(
 
     Parameters
     ----------
-    method
-        ``"stacked"``: one least-squares problem over all motions, forward and reversed, in which
-        every joint also has a Coulomb, a viscous and an offset coefficient; no offset where it
-        cannot be told from a weight (`observations.friction_columns`).
-        ``"paper"``: torque and regressor of each motion are averaged with those of its
-        time-reversed counterpart at the same position, where odd friction cancels (eq. 7).
-        Either drops a joint's slow rows (`observations.SLOW`).
-    weighting
-        ``"wls"`` weighs each joint by its residual's standard deviation, ``"ols"`` does not.
-        By default ``"wls"`` for the stacked method and ``"ols"`` for the paper's.
-    reversed_motions
-        Time-reversed counterparts of `motions`, in their order; needed by ``"paper"``.
-    physical
-        Whether every link must be a body of positive mass density and every rotor inertia
+    method : ``"stacked"``: one least-squares problem over all motions, forward and reversed, in
+        which every joint also has a Coulomb, a viscous and an offset coefficient; no offset where
+        it cannot be told from a weight (`observations.friction_columns`). ``"paper"``: torque and
+        regressor of each motion are averaged with those of its time-reversed counterpart at the
+        same position, where odd friction cancels (eq. 7). Either drops a joint's slow rows
+        (`observations.SLOW`).
+    weighting : ``"wls"`` weighs each joint by its residual's standard deviation, ``"ols"`` does
+        not. By default ``"wls"`` for the stacked method and ``"ols"`` for the paper's.
+    reversed_motions : time-reversed counterparts of `motions`, in their order; needed by
+        ``"paper"``.
+    physical : whether every link must be a body of positive mass density and every rotor inertia
         positive (`hesr_model.rigid_body.physical`). All standard parameters are then estimated,
-        weakly pulled towards the model file's: it pays on short logs and changes little on
-        long ones.
+        weakly pulled towards the model file's: it pays on short logs and changes little on long
+        ones.
 
     Raises
     ------

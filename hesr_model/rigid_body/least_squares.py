@@ -23,10 +23,8 @@ class Block:
 
     Attributes
     ----------
-    matrix, target
-        (N, P) and (N,).
-    samples
-        (N,) number of the sample that each row is of; blocks share samples.
+    matrix, target : (N, P) and (N,).
+    samples : (N,) number of the sample that each row is of; blocks share samples.
     """
 
     matrix: Array
@@ -40,11 +38,9 @@ class Factor:
 
     Attributes
     ----------
-    triangle
-        (P + 1, P + 1) triangular factor of [matrix, target]: a few rows that have the same squared
-        residuals.
-    rows
-        That it stands for.
+    triangle : (P + 1, P + 1) triangular factor of [matrix, target]: a few rows that have the same
+        squared residuals.
+    rows : that it stands for.
     """
 
     triangle: Array
@@ -70,19 +66,13 @@ class Solution:
 
     Attributes
     ----------
-    x
-        (P,) unknowns, in their units.
-    condition
-        Of the weighted matrix, columns divided by their scales.
-    ridge
-        Weight of the pull of the scaled unknowns towards zero, relative to the largest singular
+    x : (P,) unknowns, in their units.
+    condition : of the weighted matrix, columns divided by their scales.
+    ridge : weight of the pull of the scaled unknowns towards zero, relative to the largest singular
         value; 0 where none was needed.
-    pull
-        (P,) what one unit of each unknown costs by it, beside the weighted residuals.
-    weights
-        Of each block.
-    rmse
-        Residual of each block.
+    pull : (P,) what one unit of each unknown costs by it, beside the weighted residuals.
+    weights : of each block.
+    rmse : residual of each block.
     """
 
     x: Array
@@ -101,8 +91,7 @@ def solve(blocks: Sequence[Block], *, scale: Array, weighted: bool) -> Solution:
 
     Parameters
     ----------
-    scale
-        (P,) size that each column usually has. It must not come from the data: a column that
+    scale : (P,) size that each column usually has. It must not come from the data: a column that
         the data hardly excite, scaled up to the others, would get a huge coefficient. In the
         column's unit, [N.m] per unit of its parameter.
     """
@@ -132,10 +121,8 @@ def covariance_of(
 
     Parameters
     ----------
-    blocks, solution
-        The problem and what was found; the blocks know their samples.
-    labels
-        (samples,) number of the log of each sample.
+    blocks, solution : the problem and what was found; the blocks know their samples.
+    labels : (samples,) number of the log of each sample.
     """
     labels = blocks_of_time(labels)
     size, logs = len(solution.x), int(np.max(labels)) + 1

@@ -57,10 +57,9 @@ def per_joint(found: Array, friction: Mask) -> Array:
 
     Parameters
     ----------
-    found
-        (columns,) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m], of the columns there are.
-    friction
-        (n, 3) which those are.
+    found : (columns,) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m], of the columns there
+        are.
+    friction : (n, 3) which those are.
     """
     coefficients = np.zeros(friction.shape)
     coefficients[friction] = found
@@ -78,12 +77,9 @@ def stacked(
 
     Parameters
     ----------
-    base
-        Columns of the regressor.
-    friction
-        (n, 3) which of Coulomb, viscous and offset each joint has; see `friction_columns`.
-    slow
-        (n,) [rad/s] speed below which rows are dropped; `slow_speeds` of the motions by default.
+    base : columns of the regressor.
+    friction : (n, 3) which of Coulomb, viscous and offset each joint has; see `friction_columns`.
+    slow : (n,) [rad/s] speed below which rows are dropped; `slow_speeds` of the motions by default.
     """
     n = model.n
     q, dq, ddq, tau = (

@@ -45,21 +45,15 @@ class Payload:
 
     Attributes
     ----------
-    parameters
-        (10,) as in `robot.LINK_PARAMETERS`, in the frame of the last joint [kg, kg.m, kg.m2].
-    covariance
-        (10, 10) of them: from residuals, those within a second being alike, and from the standard
-        errors of the unloaded rigid body.
-    condition
-        Of the weighted observation matrix, as in `RigidBody`.
-    friction
-        (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] under load.
-    rmse
-        (n,) [N.m] residual over the rows that were used.
-    rows
-        Samples that were offered to the fit.
-    logs
-        Names of the logs.
+    parameters : (10,) as in `robot.LINK_PARAMETERS`, in the frame of the last joint [kg, kg.m,
+        kg.m2].
+    covariance : (10, 10) of them: from residuals, those within a second being alike, and from the
+        standard errors of the unloaded rigid body.
+    condition : of the weighted observation matrix, as in `RigidBody`.
+    friction : (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] under load.
+    rmse : (n,) [N.m] residual over the rows that were used.
+    rows : samples that were offered to the fit.
+    logs : names of the logs.
     """
 
     parameters: Array
@@ -238,10 +232,8 @@ def _inherited(
 
     Parameters
     ----------
-    carried
-        The unloaded body's base columns in the same rows.
-    errors
-        Standard errors of its base parameters, taken as independent.
+    carried : the unloaded body's base columns in the same rows.
+    errors : standard errors of its base parameters, taken as independent.
     """
     products = [
         block.matrix.T @ columns / size**2

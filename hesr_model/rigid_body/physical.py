@@ -49,15 +49,11 @@ class PhysicalFit:
 
     Attributes
     ----------
-    parameters
-        (P,) all standard parameters and rotor inertias.
-    friction
-        Coefficients of the columns after the P first, as in the blocks.
-    covariance
-        Of the base parameters that these parameters amount to, the pull towards the model file
-        taken as knowledge.
-    rmse
-        Residual of each block.
+    parameters : (P,) all standard parameters and rotor inertias.
+    friction : coefficients of the columns after the P first, as in the blocks.
+    covariance : of the base parameters that these parameters amount to, the pull towards the model
+        file taken as knowledge.
+    rmse : residual of each block.
     """
 
     parameters: Array
@@ -101,16 +97,12 @@ def fit(
 
     Parameters
     ----------
-    blocks
-        Rows of all P standard columns and the columns of friction after them.
-    base
-        Whose covariance is given.
-    labels
-        (samples,) number of the log of each sample.
-    rmse
-        (blocks,) residual of each block under the unconstrained fit [N.m], for the first weights.
-    weighted
-        Whether each block is divided by its own residual's size, or all by the same.
+    blocks : rows of all P standard columns and the columns of friction after them.
+    base : whose covariance is given.
+    labels : (samples,) number of the log of each sample.
+    rmse : (blocks,) residual of each block under the unconstrained fit [N.m], for the first
+        weights.
+    weighted : whether each block is divided by its own residual's size, or all by the same.
     """
     chart = _Chart.of(model)
     count, size = sum(len(block.target) for block in blocks), len(model.parameter_names)

@@ -23,30 +23,19 @@ class FrictionRecord:
 
     Attributes
     ----------
-    log, joint
-        Names.
-    t
-        (N,) [s].
-    dq
-        (N,) [rad/s], smoothed.
-    q
-        (N,) [rad], raw.
-    tau_load
-        (N,) [N.m], rigid-body torque.
-    tau
-        (N,) [N.m], friction: measured torque less rigid-body torque (eq. 8), not smoothed.
-    tau_load_spread
-        (N, r) [N.m], by how much `tau_load` is off for one standard deviation of each independent
-        error of the rigid body; None where these are not known.
-    gear_ratio
-        Turns of the motor per turn of the joint, where the robot file gives it.
-    sliding
-        Whether the joint slides, so that positions are in m and torques are forces in N.
-    temperature
-        (N,) of the joint [degC], where it was measured.
-    coupling
-        Of all joints of the robot, where friction does not sit on the joints themselves; None where
-        it does, and in records that `at_friction` has brought there.
+    log, joint : names.
+    t : (N,) [s].
+    dq : (N,) [rad/s], smoothed.
+    q : (N,) [rad], raw.
+    tau_load : (N,) [N.m], rigid-body torque.
+    tau : (N,) [N.m], friction: measured torque less rigid-body torque (eq. 8), not smoothed.
+    tau_load_spread : (N, r) [N.m], by how much `tau_load` is off for one standard deviation of each
+        independent error of the rigid body; None where these are not known.
+    gear_ratio : turns of the motor per turn of the joint, where the robot file gives it.
+    sliding : whether the joint slides, so that positions are in m and torques are forces in N.
+    temperature : (N,) of the joint [degC], where it was measured.
+    coupling : of all joints of the robot, where friction does not sit on the joints themselves;
+        None where it does, and in records that `at_friction` has brought there.
     """
 
     log: str

@@ -50,13 +50,10 @@ class Constant:
 
     Attributes
     ----------
-    joint
-        Its name.
-    value, error
-        N.m/A at the joint, as `torque_per_ampere`, and its standard error; infinite where nothing
-        tells.
-    determined
-        Whether the data determine it; `value` means nothing where they do not.
+    joint : its name.
+    value, error : N.m/A at the joint, as `torque_per_ampere`, and its standard error; infinite
+        where nothing tells.
+    determined : whether the data determine it; `value` means nothing where they do not.
     """
 
     joint: str
@@ -88,18 +85,12 @@ def torque_constants(
 
     Parameters
     ----------
-    motions
-        Without payload, their torques made from currents with the assumed constants.
-    model
-        Whose file gives masses and centres of mass.
-    assumed
-        (n,) constants by which currents became torques, as `torque_per_ampere`.
-    mass_error
-        Declared relative error of the file's masses, one standard deviation.
-    loaded
-        Motions under a known payload, of the same constants.
-    payload
-        (10,) its parameters [kg, kg.m, kg.m2] in the frame of the last joint, as
+    motions : without payload, their torques made from currents with the assumed constants.
+    model : whose file gives masses and centres of mass.
+    assumed : (n,) constants by which currents became torques, as `torque_per_ampere`.
+    mass_error : declared relative error of the file's masses, one standard deviation.
+    loaded : motions under a known payload, of the same constants.
+    payload : (10,) its parameters [kg, kg.m, kg.m2] in the frame of the last joint, as
         `robot.LINK_PARAMETERS`.
 
     Raises

@@ -19,8 +19,7 @@ def load(path: Path, *, mimic: bool = False) -> Any:
 
     Parameters
     ----------
-    mimic
-        Whether a URDF's joints that follow others are to be told from those that are driven.
+    mimic : whether a URDF's joints that follow others are to be told from those that are driven.
 
     Raises
     ------
@@ -74,10 +73,8 @@ class ModelJoint:
 
     Attributes
     ----------
-    freedom
-        Degrees of freedom; 0 for one that follows another (`mimic` in a URDF).
-    slides
-        Whether it slides instead of turning.
+    freedom : degrees of freedom; 0 for one that follows another (`mimic` in a URDF).
+    slides : whether it slides instead of turning.
     """
 
     name: str

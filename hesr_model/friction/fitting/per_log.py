@@ -40,10 +40,8 @@ def own_of_logs(
 
     Parameters
     ----------
-    records
-        Of one joint. With those of a single log nothing can be its own.
-    wanted
-        Which of both are estimated.
+    records : of one joint. With those of a single log nothing can be its own.
+    wanted : which of both are estimated.
     """
     logs = list(dict.fromkeys(record.log for record in records))
     if len(logs) < 2 or not wanted:

@@ -28,8 +28,7 @@ def read_matlab(path: Path, *, time: str) -> Table:
 
     Parameters
     ----------
-    time
-        Name of the vector whose length is N.
+    time : name of the vector whose length is N.
 
     Raises
     ------

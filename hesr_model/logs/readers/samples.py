@@ -14,20 +14,13 @@ class Samples:
 
     Attributes
     ----------
-    t
-        (N,) [s].
-    q, dq
-        (N, n); dq is None where the file holds no velocity.
-    effort
-        (N, n), torque or current.
-    temperature
-        (N, n), None where the file holds none.
-    is_current
-        Whether the effort is current.
-    time
-        How an error names where the time stands: a column, a topic.
-    place
-        How an error names the place of sample k: a row, a message.
+    t : (N,) [s].
+    q, dq : (N, n); dq is None where the file holds no velocity.
+    effort : (N, n), torque or current.
+    temperature : (N, n), None where the file holds none.
+    is_current : whether the effort is current.
+    time : how an error names where the time stands: a column, a topic.
+    place : how an error names the place of sample k: a row, a message.
     """
 
     t: Array
