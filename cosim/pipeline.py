@@ -26,12 +26,13 @@ from cosim.study import Part, Study
 from hesr_model.artifacts import write_json
 from hesr_model.equations.over_log import Array
 from hesr_model.errors import ConfigError, FitError, HesrError, LogError
-from hesr_model.forward.output_error import motions, refine
+from hesr_model.forward.output_error import refine
 from hesr_model.friction.fitting.fit import fit_models
 from hesr_model.friction.fitting.per_log import with_own
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator, registry
 from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import smoothed
 from hesr_model.logs.tables import read_table
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.refinement import identify_again
@@ -296,7 +297,7 @@ class Job:
             law = refinement.law if refinement else ""
             friction = self.fit(records, (law,), "refining the rigid body", {})[law]
             if refinement and refinement.kind == "output_error":
-                together = refine(model, found, friction, motions([logs[x] for x in names], model))
+                together = refine(model, found, friction, smoothed([logs[x] for x in names], model))
                 found, refined = together.body, {law: together.friction}
             else:
                 found = identify_again(forward, model, found, friction, reversed_logs=backward)

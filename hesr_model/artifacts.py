@@ -125,6 +125,10 @@ class _CoefficientEntry:
     standard_error: float | None = None
 
 
+_AS_IN_LAW = ("discretisation", "start", "start_samples", "covariance", "band")
+"""Entries of a joint that are those of its law."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class _JointEntry:
     joint: str
@@ -159,12 +163,8 @@ class _JointEntry:
             structure=self.structure,
             form=form,
             values={name: entry.value for name, entry in given.items()},
-            discretisation=self.discretisation,
-            start=self.start,
-            start_samples=self.start_samples,
             standard_errors={name: e for name, e in errors.items() if e is not None},
-            covariance=self.covariance,
-            band=self.band,
+            **{name: getattr(self, name) for name in _AS_IN_LAW},
         )
 
 
@@ -199,11 +199,7 @@ def model_to_json(model: FrictionModel) -> dict[str, Any]:
                     )
                     for name, value in law.values.items()
                 },
-                discretisation=law.discretisation,
-                start=law.start,
-                start_samples=law.start_samples,
-                covariance=law.covariance,
-                band=law.band,
+                **{name: getattr(law, name) for name in _AS_IN_LAW},
                 trained=trained,
                 training_rmse=error,
                 thermal=thermal,

@@ -4,6 +4,8 @@ Each carries one sentence that names the file, the column or key, the row where 
 was found and what is needed. The command line prints that sentence and exits with 2.
 """
 
+from hesr_model.support.text import escaped
+
 _LONGEST = 2000  # characters of a sentence; what a file holds may have millions
 
 
@@ -17,13 +19,7 @@ class HesrError(Exception):
     def __init__(self, sentence: str) -> None:
         if len(sentence) > _LONGEST:
             sentence = f"{sentence[: _LONGEST // 2]} ... {sentence[-_LONGEST // 2 :]}"
-        super().__init__("".join(map(_shown, sentence)))
-
-
-def _shown(letter: str) -> str:
-    if letter.isprintable() or letter == "\n":
-        return letter
-    return letter.encode("unicode_escape", "surrogatepass").decode("ascii")
+        super().__init__("\n".join(map(escaped, sentence.split("\n"))))
 
 
 class ConfigError(HesrError):

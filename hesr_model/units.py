@@ -43,6 +43,13 @@ def in_si(quantity: str, unit: str | float) -> float:
     return float(unit)
 
 
+def backwards(unit: str | float) -> str | float:
+    """Return the unit of a log that counts the other way."""
+    if isinstance(unit, str):
+        return unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
+    return -unit
+
+
 def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
     """Tell whether a joint of this kind can be logged in a unit; a number fits any.
 

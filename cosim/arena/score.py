@@ -13,8 +13,9 @@ import numpy as np
 from cosim.arena.arena import Ground, Kind
 from cosim.batch import Array
 from hesr_model.friction.metrics import rmse, rmse_ratio_interval
-from hesr_model.logs.phases import Mask, moving, near_reversals
+from hesr_model.logs.phases import moving, near_reversals
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Mask
 
 _DRAWS = 20_000
 _LEVEL = 0.95

@@ -10,20 +10,19 @@ Derivatives are differences through the simulation: all parameters are moved at 
 of all windows.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.forward.simulation import Simulator
 from hesr_model.forward.windows import windows_of
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.robot_log import RobotLog, parts_of
-from hesr_model.logs.signals import Motion, smooth
+from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import motion_records
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support.arrays import Array
 
 WINDOW = 0.5
 """Length of the windows [s]."""
@@ -107,18 +106,6 @@ def refine(
     return problem.accepted(best)
 
 
-def motions(logs: Iterable[RobotLog], model: RobotModel) -> list[Motion]:
-    """Return the smooth motions of all parts of logs.
-
-    Raises
-    ------
-    LogError
-        If a log is too slow or too short for the low pass.
-    """
-    cutoff = model.description.log.filter_cutoff
-    return [smooth(part, cutoff) for part in parts_of(list(logs))]
-
-
 class _Problem:
     """Residuals of position and torque as functions of relative changes of all parameters."""
 
@@ -151,21 +138,13 @@ class _Problem:
     def costs(self, theta: Array) -> Array:
         """Return the cost of changes (S, size); of what cannot be simulated it is infinite."""
         with np.errstate(all="ignore"):
-            found = [
-                np.sum(np.square(self._residuals(position, change)))
-                for position, change in zip(self._position(theta), theta, strict=True)
-            ]
+            found = [np.sum(np.square(row)) for row in self._rows(theta)]
         return np.where(np.isfinite(found), found, np.inf)
 
     def linearised(self, theta: Array) -> tuple[Array, Array]:
         """Return residuals (M,) and their slopes (M, size), without unit."""
         moved = np.vstack([theta, theta + _STEP * np.eye(self.size)])
-        rows = np.array(
-            [
-                self._residuals(position, change)
-                for position, change in zip(self._position(moved), moved, strict=True)
-            ]
-        )
+        rows = np.array(self._rows(moved))
         return rows[0], (rows[1:] - rows[0]).T / _STEP
 
     def accepted(self, theta: Array) -> Refined:
@@ -179,6 +158,11 @@ class _Problem:
                 friction = replace(self._moved(change), training_rmse=tuple(torque.tolist()))
                 return Refined(body=self._moved_body(change), friction=friction, ratio=ratio)
         return Refined(body=self._body, friction=self._friction, ratio=1.0)
+
+    def _rows(self, theta: Array) -> list[Array]:
+        """Return the residuals (M,) of each of the changes (S, size)."""
+        positions = zip(self._position(theta), theta, strict=True)
+        return [self._residuals(position, change) for position, change in positions]
 
     def _residuals(self, position: Array, theta: Array) -> Array:
         """Return the errors of position and torque, each with a mean square of 1 before."""

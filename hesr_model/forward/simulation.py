@@ -15,12 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import SimulationError
 from hesr_model.forward.stepping import LawSteps
 from hesr_model.forward.windows import Windows
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support.arrays import Array
 
 SUBSTEP = 2.5e-3
 """Longest inner step [s]."""
@@ -112,21 +112,22 @@ class Simulator:
             ) from error
         return np.asarray(np.linalg.inv(mass), dtype=np.float64), bias
 
-    def _at_friction(self, inverse: Array) -> tuple[Array, Array]:
-        """Return what turns motions into those of friction's coordinates, and the inverse there."""
+    def _at_friction(self, load: Array) -> tuple[Array, Array]:
+        """Return what turns motions into those of friction's coordinates, and the load there."""
         coupling = self.friction.coupling
-        forward = np.eye(inverse.shape[1]) if coupling is None else coupling.forward
-        return forward, forward @ inverse @ forward.T
+        if coupling is None:
+            return np.eye(load.shape[1]), load
+        return coupling.forward, coupling.torque(load)
 
     def _implicit(
         self, laws: Sequence[LawSteps], h: Array, q: Array, v: Array, x: list[Array], tau: Array,
         inverse: Array, load: Array,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Do one inner step; states `x` are moved in place."""
-        forward, own = self._at_friction(inverse)
+        forward, loads = self._at_friction(load)
+        own = forward @ inverse @ forward.T
         free = v + h[:, None] * np.einsum("wij,wj->wi", inverse, tau)
         a, p, u = free @ forward.T, q @ forward.T, v @ forward.T
-        loads = load if self.friction.coupling is None else self.friction.coupling.torque(load)
         force = np.stack(
             [law(h, u[:, i], p[:, i], loads[:, i], x[i])[0] for i, law in enumerate(laws)], axis=1
         )
@@ -148,9 +149,8 @@ class Simulator:
         inverse: Array, load: Array,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Do one step as MuJoCo's Euler does: all forces and rates are those before it."""
-        forward, _ = self._at_friction(inverse)
+        forward, loads = self._at_friction(load)
         p, u = q @ forward.T, v @ forward.T
-        loads = load if self.friction.coupling is None else self.friction.coupling.torque(load)
         force, still = np.empty_like(u), np.zeros_like(h)
         for i, law in enumerate(laws):
             force[:, i], _ = law(still, u[:, i], p[:, i], loads[:, i], x[i])

@@ -10,12 +10,12 @@ import sympy
 from hesr_model.equations.compiled import Kernel, Rows, kernel_of
 from hesr_model.equations.functions import lowered
 from hesr_model.equations.memory import DT, EULER
-from hesr_model.equations.over_log import Array
 from hesr_model.equations.program import moved, step
 from hesr_model.equations.rows import OutsideError
 from hesr_model.friction.evaluate import numbers
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.support.arrays import Array
 
 
 @lru_cache(maxsize=256)

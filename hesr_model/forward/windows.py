@@ -1,16 +1,17 @@
 """Windows of measured motions, from which a simulation starts again and again."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import SimulationError
 from hesr_model.friction.evaluate import states_over
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
+from hesr_model.support.arrays import Array
 
 RUN_IN = 1.0
 """Of each log [s] before its first window: friction's state is run in along the measured motion."""
@@ -50,26 +51,13 @@ class Windows:
         for number, log in enumerate(self.logs):
             rows = [max(row - delay, 0) for place, row in self.places if place == number]
             for i, (law, record) in enumerate(zip(model.laws, at_friction(log), strict=True)):
-                over = states_over(
-                    law,
-                    t=record.t,
-                    dq=record.dq,
-                    q=record.q,
-                    tau_load=record.tau_load,
-                )
-                found[i].append(over[:, rows])
+                found[i].append(states_over(law, **record.motion)[:, rows])
         return [np.concatenate(parts, axis=1) for parts in found]
 
     def times(self, count: int) -> "Windows":
         """Return the same windows so many times, one set after the other."""
-        return Windows(
-            t=np.tile(self.t, (count, 1)),
-            q=np.tile(self.q, (count, 1, 1)),
-            dq=np.tile(self.dq, (count, 1, 1)),
-            tau=np.tile(self.tau, (count, 1, 1)),
-            places=self.places * count,
-            logs=self.logs,
-        )
+        signals: dict[str, Any] = {s: np.concatenate([getattr(self, s)] * count) for s in _SIGNALS}
+        return replace(self, **signals, places=self.places * count)
 
 
 def windows_of(logs: Logs, length: float) -> Windows:

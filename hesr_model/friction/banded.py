@@ -24,13 +24,13 @@ from numpy.typing import ArrayLike
 from hesr_model.equations.component import Equation
 from hesr_model.equations.functions import clip, larger, lowered_program
 from hesr_model.equations.memory import DT
-from hesr_model.equations.over_log import Array
 from hesr_model.equations.program import beginning, begun
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.band import COVERAGE, GREATEST, LEAST, LEVEL, NUMBERS, shapes
 from hesr_model.friction.evaluate import numbers
 from hesr_model.friction.inputs import DQ, INPUTS, TAU_LOAD
 from hesr_model.friction.law import MOVING, TORQUE, FrictionLaw, LawForm
+from hesr_model.support.arrays import Array
 
 LOWER, UPPER = "tau_lower", "tau_upper"
 """Names of the outputs."""

@@ -23,9 +23,7 @@ def form_lines(form: LawForm, numbers: dict[sympy.Symbol, sympy.Expr] | None = N
     names = {m.derivative: sympy.Symbol(f"{m.name}'") for m in form.memory}
 
     def written(expression: sympy.Expr) -> str:
-        shown = expression.xreplace(numbers or {}).xreplace(names)
-        shown = shown.xreplace({n: sympy.Float(n, _DIGITS) for n in shown.atoms(sympy.Float)})
-        return str(sympy.sstr(shown)).replace("absolute(", "abs(")
+        return text_of(expression.xreplace(numbers or {}).xreplace(names))
 
     lines = [f"tau = {written(form.output)}"]
     for element in form.memory:
@@ -35,6 +33,12 @@ def form_lines(form: LawForm, numbers: dict[sympy.Symbol, sympy.Expr] | None = N
         else:
             lines.append(f"{element.name}+ = clip({element.name} + ({first})*{DT}, {second})")
     return lines
+
+
+def text_of(expression: sympy.Expr) -> str:
+    """Return an expression as text, its numbers to four digits."""
+    shown = expression.xreplace({n: sympy.Float(n, _DIGITS) for n in expression.atoms(sympy.Float)})
+    return str(sympy.sstr(shown)).replace("absolute(", "abs(")
 
 
 def coefficient_lines(law: FrictionLaw) -> list[str]:

@@ -12,16 +12,18 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import sympy
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 
 from hesr_model.equations.compiled import Kernel, Rows, kernel_of
 from hesr_model.equations.functions import lowered
-from hesr_model.equations.memory import DT, Stop
-from hesr_model.equations.over_log import Array, StatesOverLog
+from hesr_model.equations.memory import DT, Element, Stop
+from hesr_model.equations.over_log import StatesOverLog
 from hesr_model.equations.rows import RUNS, OutsideError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.support.arrays import Array
 
 _PIECE = 2048
 """Rows that are run for all joints before the next ones."""
@@ -38,11 +40,18 @@ def _kernel(form: LawForm) -> Kernel | None:
 @lru_cache(maxsize=256)
 def _functions(form: LawForm) -> tuple[StatesOverLog, Any]:
     arguments = (*(c.symbol for c in form.coefficients), *INPUTS)
-    states = tuple(s for m in form.memory for s in (m.state, m.derivative))
-    memory = StatesOverLog(
-        form.memory, arguments, form.output.free_symbols, form.component.settling
-    )
-    return memory, lowered((*arguments, *states, DT), (form.output,))
+    return over_log(form.memory, arguments, (form.output,), form.component.settling)
+
+
+def over_log(
+    memory: Sequence[Element], arguments: Sequence[sympy.Symbol], outputs: Sequence[sympy.Expr],
+    settling: sympy.Expr,
+) -> tuple[StatesOverLog, Any]:  # fmt: skip
+    """Return what runs memory over logs, and outputs of arguments, states, derivatives and DT."""
+    states = tuple(s for m in memory for s in (m.state, m.derivative))
+    read = set().union(*(e.free_symbols for e in outputs))
+    found = StatesOverLog(memory, arguments, read, settling)
+    return found, lowered((*arguments, *states, DT), outputs)
 
 
 def numbers(law: FrictionLaw) -> tuple[np.float64, ...]:

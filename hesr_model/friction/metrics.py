@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hesr_model.logs.phases import Mask, moving, near_reversals
+from hesr_model.logs.phases import moving, near_reversals
 from hesr_model.rigid_body.residual import FrictionRecord
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Mask
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,8 +19,7 @@ class Score:
 
     Attributes
     ----------
-    tau_std
-        Standard deviation of the measured friction, the error of predicting its mean.
+    tau_std : standard deviation of the measured friction, the error of predicting its mean.
     """
 
     tau_std: float
@@ -37,8 +34,7 @@ def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Sc
 
     Parameters
     ----------
-    predictions
-        One array (N,) [N.m] per record, on its rows.
+    predictions : one array (N,) [N.m] per record, on its rows.
     """
     error = np.concatenate(
         [record.tau - predicted for record, predicted in zip(records, predictions, strict=True)]
@@ -62,13 +58,11 @@ class BandScore:
 
     Attributes
     ----------
-    held, held_moving, held_reversal
-        Share of all rows, of those in motion, of those near reversals, that are in the band.
-    least_log
-        Share of the log of which the band holds least.
-    width
-        Mean width over that of the constant band around the prediction which holds as many rows;
-        None where the prediction has no error.
+    held, held_moving, held_reversal : share of all rows, of those in motion, of those near
+        reversals, that are in the band.
+    least_log : share of the log of which the band holds least.
+    width : mean width over that of the constant band around the prediction which holds as many
+        rows; None where the prediction has no error.
     """
 
     held: float
@@ -87,10 +81,8 @@ def score_band(
 
     Parameters
     ----------
-    predictions
-        One array (N,) [N.m] per record, on its rows.
-    bands
-        Lower and upper end per record, (N,) [N.m] each.
+    predictions : one array (N,) [N.m] per record, on its rows.
+    bands : lower and upper end per record, (N,) [N.m] each.
     """
     inside = [
         (r.tau >= lower) & (r.tau <= upper)
@@ -138,10 +130,9 @@ def rmse_ratio_interval(
 
     Parameters
     ----------
-    errors, reference
-        One array (N,) [N.m] per log each; the ratio is of `errors` over `reference`.
-    block
-        Rows per block, a few times the errors' correlation length.
+    errors, reference : one array (N,) [N.m] per log each; the ratio is of `errors` over
+        `reference`.
+    block : rows per block, a few times the errors' correlation length.
 
     Returns
     -------

@@ -7,7 +7,7 @@ from math import inf
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.band import LEVEL
@@ -21,6 +21,7 @@ from hesr_model.friction.trained import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support import html
+from hesr_model.support.arrays import Array
 from hesr_model.support.bounded import require_printable
 from hesr_model.units import unit_of_joints
 
@@ -76,26 +77,16 @@ class FrictionModel:
                 require_printable(name)
             except ValueError as error:
                 raise ArtifactError(f"friction model '{self.law}': {error}.") from error
-        if self.sliding and len(self.sliding) != len(self.joints):
-            raise ArtifactError(
-                f"friction model '{self.law}': {len(self.sliding)} entries say which joints slide, "
-                f"of {len(self.joints)} joints."
-            )
-        if self.trained and len(self.trained) != len(self.joints):
-            raise ArtifactError(
-                f"friction model '{self.law}': {len(self.trained)} trained ranges for "
-                f"{len(self.joints)} joints."
-            )
-        if self.training_rmse and len(self.training_rmse) != len(self.joints):
-            raise ArtifactError(
-                f"friction model '{self.law}': {len(self.training_rmse)} training errors for "
-                f"{len(self.joints)} joints."
-            )
-        if self.thermal and len(self.thermal) != len(self.joints):
-            raise ArtifactError(
-                f"friction model '{self.law}': {len(self.thermal)} thermal models for "
-                f"{len(self.joints)} joints."
-            )
+        for found, what in (
+            (self.sliding, "entries say which joints slide, of"),
+            (self.trained, "trained ranges for"),
+            (self.training_rmse, "training errors for"),
+            (self.thermal, "thermal models for"),
+        ):
+            if found and len(found) != len(self.joints):
+                raise ArtifactError(
+                    f"friction model '{self.law}': {len(found)} {what} {len(self.joints)} joints."
+                )
         if self.thermal and self.coupling:
             raise ArtifactError(
                 f"friction model '{self.law}': its motors turn with several joints; temperature is "
@@ -140,7 +131,7 @@ class FrictionModel:
     @overload
     def predict(
         self, records: Sequence[FrictionRecord], *, measured_start: bool = False
-    ) -> NDArray[np.float64]: ...
+    ) -> Array: ...
 
     @overload
     def predict(
@@ -150,7 +141,7 @@ class FrictionModel:
         dq: ArrayLike,
         q: ArrayLike | None = None,
         tau_load: ArrayLike | None = None,
-    ) -> NDArray[np.float64]: ...
+    ) -> Array: ...
 
     def predict(
         self,
@@ -161,7 +152,7 @@ class FrictionModel:
         q: ArrayLike | None = None,
         tau_load: ArrayLike | None = None,
         measured_start: bool = False,
-    ) -> NDArray[np.float64]:
+    ) -> Array:
         """Return the friction torque of all joints, (N, n) [N.m].
 
         Of a log, or of a motion given by its arrays. In motion at the start, states begin in the
@@ -215,7 +206,7 @@ class FrictionModel:
 
     def predict_band(
         self, records: Sequence[FrictionRecord], *, coverage: float = LEVEL
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    ) -> tuple[Array, Array]:
         """Return between which torques the measured friction of a log lies.
 
         Parameters
@@ -235,12 +226,9 @@ class FrictionModel:
         self.require_band()
         torque = self.predict(records)
         ends = [
-            predict_band(
-                law, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load, coverage=coverage,
-                torque=torque[:, k],
-            )
+            predict_band(law, **r.motion, coverage=coverage, torque=torque[:, k])
             for k, (law, r) in enumerate(zip(self.laws, records, strict=True))
-        ]  # fmt: skip
+        ]
         lower, upper = (np.column_stack(end) for end in zip(*ends, strict=True))
         return lower, upper
 
@@ -268,10 +256,10 @@ class FrictionModel:
                 "a model that is fitted to logs does ('hesr fit')."
             )
 
-    def _at_joints(self, torque: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _at_joints(self, torque: Array) -> Array:
         return torque if self.coupling is None else self.coupling.at_joints(torque)
 
-    def _rows(self, name: str, values: ArrayLike | None, count: int) -> NDArray[np.float64]:
+    def _rows(self, name: str, values: ArrayLike | None, count: int) -> Array:
         shape = (count, len(self.joints))
         rows = np.broadcast_to(0.0, shape) if values is None else np.asarray(values, dtype=float)
         if rows.shape != shape:

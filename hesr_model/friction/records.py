@@ -4,24 +4,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.evaluate import estimated_start, predict
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.thermal import Thermal
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 
 
 def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
     """Return the start of a law's states for a record, estimated where the law wants that."""
-    return estimated_start(
-        law,
-        t=record.t,
-        dq=record.dq,
-        q=record.q,
-        tau_load=record.tau_load,
-        tau=record.tau,
-    )
+    return estimated_start(law, **record.motion, tau=record.tau)
 
 
 def predict_record(
@@ -39,14 +32,7 @@ def predict_record(
         from hesr_model.friction.thermal_law import predict_thermal
 
         return predict_thermal(law, thermal, record, start)
-    return predict(
-        law,
-        t=record.t,
-        dq=record.dq,
-        q=record.q,
-        tau_load=record.tau_load,
-        start=start,
-    )
+    return predict(law, **record.motion, start=start)
 
 
 def training_error(law: FrictionLaw, records: Sequence[FrictionRecord]) -> float:

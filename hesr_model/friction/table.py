@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from hesr_model.errors import TableError
 from hesr_model.rigid_body.residual import FrictionRecord
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 _NEEDED = "needed are t, q, dq, load, or t, q1.., dq1.., load1.. of several joints"
 _NAME = re.compile(r"(q|dq|load|tau_load)(\d*)")

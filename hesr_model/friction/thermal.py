@@ -18,9 +18,10 @@ import sympy
 from hesr_model.equations.component import Parameter, Quantity
 from hesr_model.equations.functions import absolute, clip, larger
 from hesr_model.equations.memory import Slow
-from hesr_model.equations.over_log import Array, recurrence
+from hesr_model.equations.over_log import recurrence
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ
+from hesr_model.support.arrays import Array
 
 TEMPERATURE = Quantity(name="temperature", unit="degC", description="temperature of {joint}")
 
@@ -82,19 +83,16 @@ class Thermal:
     def rise(self, power: Array, dt: Array, start: float = 0.0) -> Array:
         """Return by how much a joint is warmer than the ambient, (N,) [K].
 
+        It is exact for a power held over each step.
+
         Parameters
         ----------
         power : (N,) that friction takes [W], held over each step.
         dt : (N,) step that ends at each row [s]; that of the first row does not count.
         start : at the first row [K].
         """
-        return self.resistance * warmed(power, dt, self.time_constant, start / self.resistance)
-
-
-def warmed(power: Array, dt: Array, time_constant: float, start: float = 0.0) -> Array:
-    """Return power (N,) [W] through a first-order lag, exactly for a power held over each step."""
-    a = np.exp(-dt / time_constant)
-    return recurrence(a, (1.0 - a) * power, start)
+        a = np.exp(-dt / self.time_constant)
+        return self.resistance * recurrence(a, (1.0 - a) * power, start / self.resistance)
 
 
 _UNITS = {

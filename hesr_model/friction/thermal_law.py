@@ -16,7 +16,6 @@ import sympy
 
 from hesr_model.equations.component import Component, previous
 from hesr_model.equations.functions import larger
-from hesr_model.equations.over_log import Array
 from hesr_model.equations.stepping import Steps
 from hesr_model.friction.adaptive.factors import parts
 from hesr_model.friction.audit.certificate import least_viscosity
@@ -30,6 +29,7 @@ from hesr_model.friction.thermal import (
     warmth,
 )
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 
 
 def thermal_component(law: FrictionLaw, thermal: Thermal) -> Component:
@@ -84,6 +84,3 @@ def predict_thermal(
     first = (0.0, *(law.start if start is None else start))
     steps = Steps(component, [TORQUE])
     return np.asarray(steps.over(record.t, columns, values, first, settled=start is None)[0])
-
-
-__all__ = ["inputs_over", "predict_thermal", "thermal_component"]

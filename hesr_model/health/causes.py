@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.friction.fitting.samples import non_negative_least_squares
 from hesr_model.health.evidence import Motionwise, Torques, rubbing
@@ -17,8 +16,7 @@ from hesr_model.health.findings import Finding
 from hesr_model.health.mistakes import Mistake, Rows, mistakes, torques_of
 from hesr_model.robots.robot import RobotModel
 from hesr_model.robots.transmission import onto
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Mask
 
 _ROWS = 450
 """Of all logs together that hypotheses are tried on."""
@@ -78,9 +76,7 @@ def check_causes(motions: Sequence[Motionwise], model: RobotModel) -> list[Findi
     return findings
 
 
-def _best(
-    rows: Rows, now: Array, model: RobotModel, moves: NDArray[np.bool_]
-) -> tuple[Mistake | None, Array]:
+def _best(rows: Rows, now: Array, model: RobotModel, moves: Mask) -> tuple[Mistake | None, Array]:
     """Return the mistake whose mend explains most, and what it leaves; None where none helps."""
     best, left, most = None, now, 0.0
     for mistake in mistakes(rows, model, moves):
@@ -106,14 +102,10 @@ def _either(best: Mistake) -> str:
     )
 
 
-def _unexplained(rows: Rows, model: RobotModel, moves: NDArray[np.bool_]) -> Array:
+def _unexplained(rows: Rows, model: RobotModel, moves: Mask) -> Array:
     """Deviation (n,) of the torques from what they can be, over their own; 1 at rest."""
     torques, logged = torques_of(rows, model), model.description.logged
-    v = onto(logged, rows.v)
-    if logged:
-        torques = Torques(
-            gravity=logged.torque(torques.gravity), inertial=logged.torque(torques.inertial)
-        )
+    torques, v = torques.at(logged) if logged else torques, onto(logged, rows.v)
     left = np.ones(rows.q.shape[1])
     for j in np.flatnonzero(moves):
         deviation = float(np.std(rows.tau[:, j]))

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.equations.over_log import clipped
 from hesr_model.health.evidence import Motionwise, rubbing
@@ -19,8 +18,7 @@ from hesr_model.inference.correlation import correlation_length
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.robots.transmission import onto
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 _ROWS = 700
 """Of a log, that are looked at."""
@@ -50,12 +48,9 @@ class Rows:
 
     Attributes
     ----------
-    t
-        (N,) [s].
-    still, moving
-        (N, n, P) torque of the body's parameters at rest, and what the motion adds.
-    rubs
-        Of each joint (N, K): friction with memory, and an offset.
+    t : (N,) [s].
+    still, moving : (N, n, P) torque of the body's parameters at rest, and what the motion adds.
+    rubs : of each joint (N, K): friction with memory, and an offset.
     """
 
     t: Array
@@ -98,10 +93,8 @@ def check_clocks(
 
     Parameters
     ----------
-    part, logged
-        The part, and the same with velocities and torques as they were logged.
-    joints
-        Those whose torque holds a signal.
+    part, logged : the part, and the same with velocities and torques as they were logged.
+    joints : those whose torque holds a signal.
     """
     if np.ptp(part.t) < _SHORTEST * _LATEST or not joints:
         return
@@ -142,8 +135,7 @@ def delay(rows: Rows, j: int, t: Array, tau: Array) -> tuple[float, float]:
 
     Parameters
     ----------
-    t, tau
-        (N,) [s], (N,) [N.m], of all rows.
+    t, tau : (N,) [s], (N,) [N.m], of all rows.
 
     Returns
     -------

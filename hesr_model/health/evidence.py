@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
 from hesr_model.inference.correlation import standard_errors
@@ -13,8 +12,7 @@ from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.identification import LEAST_PEAK
 from hesr_model.robots.robot import RobotModel
 from hesr_model.robots.transmission import Coupling
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Mask, some_rows
 
 _LEAST_TRAVEL = 5e-3
 """[rad or m] A joint that moves by less rests."""
@@ -32,16 +30,11 @@ class Motionwise:
 
     Attributes
     ----------
-    log
-        As read.
-    t
-        (N,) [s].
-    q, v, a
-        Position, and velocity and acceleration as they follow from it alone.
-    dq
-        Velocity as logged, smoothed alike; None where the log has none.
-    tau
-        Torque as logged.
+    log : as read.
+    t : (N,) [s].
+    q, v, a : position, and velocity and acceleration as they follow from it alone.
+    dq : velocity as logged, smoothed alike; None where the log has none.
+    tau : torque as logged.
     """
 
     log: RobotLog
@@ -53,24 +46,15 @@ class Motionwise:
     tau: Array
 
     @cached_property
-    def moves(self) -> NDArray[np.bool_]:
+    def moves(self) -> Mask:
         """Which joints move, (n,), by travel [rad; m] and speed [rad/s; m/s]."""
         speed = np.max(np.abs(self.v), axis=0)
         return np.asarray((np.ptp(self.q, axis=0) > _LEAST_TRAVEL) & (speed > LEAST_PEAK))
 
     def thinned(self, rows: int) -> "Motionwise":
         """Return at most so many rows, spread over the log."""
-        step = -(-len(self.t) // rows)
-        every = slice(None, None, step)
-        return replace(
-            self,
-            t=self.t[every],
-            q=self.q[every],
-            v=self.v[every],
-            a=self.a[every],
-            dq=None if self.dq is None else self.dq[every],
-            tau=self.tau[every],
-        )
+        every = slice(None, None, -(-len(self.t) // rows))
+        return some_rows(self, ("t", "q", "v", "a", "dq", "tau"), every)
 
 
 def motionwise(log: RobotLog, cutoff: float) -> list[Motionwise]:
@@ -104,10 +88,8 @@ class Torques:
 
     Attributes
     ----------
-    gravity
-        Of the model, without its mean, which an offset of the sensor would take.
-    inertial
-        What the motion adds to it.
+    gravity : of the model, without its mean, which an offset of the sensor would take.
+    inertial : what the motion adds to it.
     """
 
     gravity: Array
@@ -121,6 +103,12 @@ class Torques:
         whole = model.torque(model.nominal_parameters, q, v, a)
         return cls(gravity=gravity - gravity.mean(axis=0), inertial=whole - gravity)
 
+    def at(self, coupling: Coupling) -> "Torques":
+        """Return the torques at coupled coordinates from those at the joints."""
+        return Torques(
+            gravity=coupling.torque(self.gravity), inertial=coupling.torque(self.inertial)
+        )
+
 
 def as_logged(
     motion: Motionwise, torques: Torques, coupling: Coupling | None
@@ -131,12 +119,8 @@ def as_logged(
     """
     if coupling is None:
         return motion, torques
-    return (
-        replace(motion, v=coupling.motion(motion.v), tau=coupling.torque(motion.tau)),
-        Torques(
-            gravity=coupling.torque(torques.gravity), inertial=coupling.torque(torques.inertial)
-        ),
-    )
+    at_motors = replace(motion, v=coupling.motion(motion.v), tau=coupling.torque(motion.tau))
+    return at_motors, torques.at(coupling)
 
 
 def rubbing(v: Array) -> Array:
@@ -164,16 +148,12 @@ class JointTorque:
 
     Attributes
     ----------
-    gravity
-        Torque over the model's gravity torque, without unit.
-    inertia
-        Torque over the model's inertial torque, without unit; rotors are not in a URDF.
-    friction
-        Torque that goes with the velocity [N.m].
-    gravity_size, friction_size
-        Standard deviations of the model's gravity torque and of friction [N.m].
-    residual, deviation
-        Standard deviations of what is not explained and of the torque [N.m].
+    gravity : torque over the model's gravity torque, without unit.
+    inertia : torque over the model's inertial torque, without unit; rotors are not in a URDF.
+    friction : torque that goes with the velocity [N.m].
+    gravity_size, friction_size : standard deviations of the model's gravity torque and of friction
+        [N.m].
+    residual, deviation : standard deviations of what is not explained and of the torque [N.m].
     """
 
     gravity: Estimate

@@ -38,13 +38,10 @@ class Examination:
 
     Attributes
     ----------
-    findings
-        Refusals first; what several logs share stands once.
-    parts
-        Every part of every log, made ready.
-    torques, explained
-        Of each part: torques of the model, and what explains the measured ones; empty without a
-        model.
+    findings : refusals first; what several logs share stands once.
+    parts : every part of every log, made ready.
+    torques, explained : of each part: torques of the model, and what explains the measured ones;
+        empty without a model.
     """
 
     findings: tuple[Finding, ...]
@@ -60,8 +57,7 @@ def examine(
 
     Parameters
     ----------
-    model
-        None where there is no model file: torques and limits are not checked then.
+    model : None where there is no model file: torques and limits are not checked then.
 
     Raises
     ------
@@ -161,8 +157,7 @@ def checked(
 
     Parameters
     ----------
-    accepted
-        Names of checks whose refusals are only told.
+    accepted : names of checks whose refusals are only told.
 
     Raises
     ------

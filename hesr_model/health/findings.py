@@ -17,18 +17,12 @@ class Finding:
 
     Attributes
     ----------
-    check
-        Its name, by which a user accepts what it found.
-    severity
-        ``"refusal"`` for what cannot be right, ``"warning"`` for what is odd.
-    joints
-        Names of the joints; empty where it is of none.
-    logs
-        Names of the logs in which it shows; empty where it is of no log.
-    found, cause
-        What was found; the likeliest cause and the mend.
-    changes
-        What to set in the robot file: values by key, as ``log.units.q``; no part of its JSON.
+    check : its name, by which a user accepts what it found.
+    severity : ``"refusal"`` for what cannot be right, ``"warning"`` for what is odd.
+    joints : names of the joints; empty where it is of none.
+    logs : names of the logs in which it shows; empty where it is of no log.
+    found, cause : what was found; the likeliest cause and the mend.
+    changes : what to set in the robot file: values by key, as ``log.units.q``; no part of its JSON.
     """
 
     check: str

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.friction.laws.lugre import STATIC_RATIO_BOUNDS
 from hesr_model.friction.model import FrictionModel
@@ -11,8 +10,7 @@ from hesr_model.health.findings import Finding
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
 from hesr_model.robots.robot import RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 CHECKS = ("mass-matrix", "negative-friction", "no-better-than-nothing", "bound", "other-robot")
 """Names of the checks of results."""
@@ -53,15 +51,8 @@ def _least_inertia(body: RigidBody, model: RobotModel) -> tuple[float, Array, in
     The matrix is scaled to a unit diagonal of its means, so that a wrist counts as a shoulder does.
     """
     lower, upper, _ = model.limits
-    n = model.n
-    q = np.random.default_rng(0).uniform(lower, upper, (_STATES, n))
-    still = np.zeros_like(q)
-    gravity = model.torque(body.parameters, q, still, still)
-    columns = [
-        model.torque(body.parameters, q, still, np.tile(one, (_STATES, 1))) - gravity
-        for one in np.eye(n)
-    ]
-    mass = np.stack(columns, axis=2)
+    q = np.random.default_rng(0).uniform(lower, upper, (_STATES, model.n))
+    mass, _ = model.dynamics(body.parameters, q, np.zeros_like(q))
     mass = 0.5 * (mass + mass.transpose(0, 2, 1))
     scale = np.sqrt(np.maximum(np.abs(np.mean(np.diagonal(mass, axis1=1, axis2=2), axis=0)), 1e-12))
     values, vectors = np.linalg.eigh(mass / np.outer(scale, scale))
@@ -81,8 +72,7 @@ def check_laws(
                 yield Finding(
                     check="no-better-than-nothing", severity="warning", joints=(joint,),
                     found=f"the error of the law {name}, {model.training_rmse[j]:.3g}, is no "
-                    "smaller "
-                    f"than friction itself, {deviation:.3g}",
+                    f"smaller than friction itself, {deviation:.3g}",
                     cause="the torque holds no friction that it could learn; see 'hesr inspect'",
                 )  # fmt: skip
             values = model.laws[j].values

@@ -3,15 +3,12 @@
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.findings import Finding
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.robots.robot import RobotDescription, RobotModel
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from hesr_model.support.arrays import Array, Mask
 
 _WINDOW = 0.1
 """[s] Over which the speed of a raw position is taken."""

@@ -3,14 +3,12 @@
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.health.evidence import Motionwise, Torques
 from hesr_model.health.findings import Finding
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.robots.robot import RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Integers
 
 _SKIPPED = 0.05
 """Share of the steps between gaps that may be longer than 1.8 periods."""
@@ -72,7 +70,7 @@ def _sliding(motion: Motionwise, torques: Torques, j: int) -> tuple[Array, Array
         [way[:, None] * hats, torques.gravity[:, j], torques.inertial[:, j], np.ones_like(v)]
     )
 
-    def estimate(rows: NDArray[np.intp]) -> Array:
+    def estimate(rows: Integers) -> Array:
         return np.asarray(np.linalg.lstsq(columns[rows], tau[rows], rcond=None)[0])
 
     rng, middle = np.random.default_rng(0), len(v) // 2

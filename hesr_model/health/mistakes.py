@@ -6,14 +6,12 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.health.evidence import Torques, rubbing
 from hesr_model.health.torque import sign_change
 from hesr_model.logs.log_format import column_names
 from hesr_model.robots.robot import RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Mask
 
 _SIGNAL = 0.8
 """Share of a torque left unexplained from which on it says nothing of gravity."""
@@ -32,8 +30,7 @@ class Rows:
 
     Attributes
     ----------
-    gravity
-        (3,) [m/s2].
+    gravity : (3,) [m/s2].
     """
 
     q: Array
@@ -75,7 +72,7 @@ def _by_axis(q: Array, model: RobotModel) -> Array:
     return np.array(parts)
 
 
-def mistakes(rows: Rows, model: RobotModel, moves: NDArray[np.bool_]) -> Iterator[Mistake]:
+def mistakes(rows: Rows, model: RobotModel, moves: Mask) -> Iterator[Mistake]:
     """Yield what may be wrong, the simplest first."""
     robot, joints = model.description, [int(j) for j in np.flatnonzero(moves)]
     if len(joints) > 1:
@@ -86,16 +83,13 @@ def mistakes(rows: Rows, model: RobotModel, moves: NDArray[np.bool_]) -> Iterato
         )  # fmt: skip
     for j in joints:
         key, changes = sign_change(robot, j, position=False)
-        tau = rows.tau.copy()
-        tau[:, j] *= -1.0
+        side = np.where(np.arange(model.n) == j, -1.0, 1.0)
+        q, v, a, tau = (part * side for part in (rows.q, rows.v, rows.a, rows.tau))
         yield Mistake(
             check="torque-sign", joint=j, cause=f"its torque counts backwards; set {key}",
             changes=changes, mended=replace(rows, tau=tau),
         )  # fmt: skip
         key, changes = sign_change(robot, j, position=True)
-        q, v, a = rows.q.copy(), rows.v.copy(), rows.a.copy()
-        for part in (q, v, a):
-            part[:, j] *= -1.0
         yield Mistake(
             check="position-sign", joint=j,
             cause=f"its position and velocity count backwards; set {key}",
@@ -122,8 +116,7 @@ def _swapped_torques(rows: Rows, model: RobotModel, joints: list[int]) -> Iterat
         yield Mistake(
             check="torque-columns", joint=a,
             cause=f"its torque stands in the column of joint '{robot.joints[b]}', and that one's "
-            "in "
-            f"its; set [log.columns] {which} = {_quoted(named)}",
+            f"in its; set [log.columns] {which} = {_quoted(named)}",
             changes={f"log.columns.{which}": named},
             mended=replace(rows, tau=rows.tau[:, order] / gains[order] * gains),
         )  # fmt: skip

@@ -3,16 +3,14 @@
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.findings import Finding
 from hesr_model.health.loss import loses_rows, share_of_long_steps
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.arrays import Array
 from hesr_model.units import OTHERS
-
-Array = NDArray[np.float64]
 
 _PERIODS = (5e-5, 0.9)
 """[s] Between samples of a robot; 1 s is 1 kHz in undeclared milliseconds."""

@@ -34,16 +34,11 @@ class Proposal:
 
     Attributes
     ----------
-    robot
-        As proposed.
-    reasons
-        By key, as ``log.units.q``: how sure it is, and why.
-    logs, examination
-        The logs read with it, and what the checks say then.
-    first
-        What the checks said of the description as it was given or guessed.
-    sliding
-        Places of the joints that slide; none without a model.
+    robot : as proposed.
+    reasons : by key, as ``log.units.q``: how sure it is, and why.
+    logs, examination : the logs read with it, and what the checks say then.
+    first : what the checks said of the description as it was given or guessed.
+    sliding : places of the joints that slide; none without a model.
     """
 
     robot: RobotDescription
@@ -70,10 +65,8 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
 
     Parameters
     ----------
-    robot
-        What is known: model and joints, and how its logs are read.
-    known
-        Whether there is a model file; without one logs are checked against themselves.
+    robot : what is known: model and joints, and how its logs are read.
+    known : whether there is a model file; without one logs are checked against themselves.
 
     Raises
     ------
@@ -82,11 +75,13 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
     """
     reasons: dict[str, str] = {}
     stated = robot.log.torque_per_ampere is not None
-    robot = _with_columns(paths[0], robot, reasons)
-    robot, logs = _read(paths, robot, reasons)
-    robot = _with_cutoff(robot, logs, reasons)
-    model = RobotModel(robot) if known else None
-    examination = examine(logs, robot, model)
+
+    def looked(robot: RobotDescription) -> tuple[RobotDescription, list[RobotLog], Examination]:
+        robot, logs = _read(paths, robot, reasons)
+        robot = _with_cutoff(robot, logs, reasons)
+        return robot, logs, examine(logs, robot, RobotModel(robot) if known else None)
+
+    robot, logs, examination = looked(_with_columns(paths[0], robot, reasons))
     first = examination.findings
     for _ in range(_ROUNDS):
         changes = _changes(robot, examination.findings, reasons)
@@ -94,11 +89,8 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
             changes = _constants(robot, examination, reasons)
         if not changes:
             break
-        robot = changed(robot, changes)
-        robot, logs = _read(paths, robot, reasons)
-        robot = _with_cutoff(robot, logs, reasons)
-        examination = examine(logs, robot, RobotModel(robot) if known else None)
-    slides = enumerate(joint.prismatic for joint in model.tree) if model else ()
+        robot, logs, examination = looked(changed(robot, changes))
+    slides = enumerate(joint.prismatic for joint in RobotModel(robot).tree) if known else ()
     return Proposal(
         robot=robot, reasons=reasons, logs=logs, examination=examination, first=first,
         sliding=frozenset(j for j, slid in slides if slid),

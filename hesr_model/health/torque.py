@@ -7,13 +7,11 @@ torque and on friction's shape; standard errors take into account that neighbour
 from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.health.evidence import JointTorque, Motionwise, Torques, explain
 from hesr_model.health.findings import Finding
 from hesr_model.robots.robot import RobotDescription, RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.units import backwards, unit_of_joint
 
 _SURE = 5.0
 """Standard errors from which on a sign is none of chance."""
@@ -70,11 +68,9 @@ def check_torque(
                 check="torque-signal", severity="warning", joints=(model.description.joints[j],),
                 logs=logs,
                 found=f"model and friction explain {100 * max(fit.r2, 0):.0f} % of its torque, "
-                "which "
-                f"takes {levels} values",
+                f"which takes {levels} values",
                 cause="it holds almost no signal, or is of another joint; what is fitted to it "
-                "means "
-                "nothing",
+                "means nothing",
             )  # fmt: skip
     yield from _no_friction(found, model, logs)
     yield from _against_limits(motion, found, model, logs)
@@ -88,13 +84,13 @@ def _sign(fit: JointTorque, j: int, model: RobotModel, logs: tuple[str, ...]) ->
     follows = fit.bears_gravity and fit.gravity.t > _SURE
     what = "position and velocity count" if follows else "torque counts"
     key, changes = sign_change(robot, j, position=follows)
+    unit = unit_of_joint("N.m", slides=model.tree[j].prismatic)
     beside = "" if fit.bears_gravity else ", or its position and velocity do"
     yield Finding(
         check="torque-sign", severity="refusal", joints=(robot.joints[j],), logs=logs,
         found="its torque drives the motion where friction should brake it "
-        f"({fit.friction.value:.3g} {_unit(model, j)} along the velocity, "
-        f"{abs(fit.friction.t):.0f} "
-        "standard errors)",
+        f"({fit.friction.value:.3g} {unit} along the velocity, "
+        f"{abs(fit.friction.t):.0f} standard errors)",
         cause=f"its {what} backwards{beside}; set {key}",
         changes=changes,
     )  # fmt: skip
@@ -107,14 +103,13 @@ def sign_change(
 
     Parameters
     ----------
-    j
-        Of which joint; None for all.
+    j : of which joint; None for all.
     """
     n = len(robot.joints)
 
     def turned(key: str) -> tuple[str | float, ...]:
         units = robot.log.units.each(key, n)
-        return tuple(_minus(unit) if j in (k, None) else unit for k, unit in enumerate(units))
+        return tuple(backwards(unit) if j in (k, None) else unit for k, unit in enumerate(units))
 
     first = j or 0
     whose = "" if j is None else " of it"
@@ -129,12 +124,6 @@ def sign_change(
     told = f"{mended[j]:g}" if j is not None else f"[{', '.join(f'{gain:g}' for gain in mended)}]"
     owner = "its " if j is not None else ""
     return f"{owner}torque_per_ampere to {told}", {"log.torque_per_ampere": mended}
-
-
-def _minus(unit: str | float) -> str | float:
-    if isinstance(unit, str):
-        return unit[1:] if unit.startswith("-") else f"-{unit}"
-    return -unit
 
 
 def _scale(
@@ -240,11 +229,6 @@ def _against_limits(
             yield Finding(
                 check="torque-small", severity="warning", joints=(name,), logs=logs,
                 found=f"its torque reaches {100 * share:.2g} % of the model's limit, the other "
-                "joints' "
-                f"{100 * np.median(others):.2g} %",
+                f"joints' {100 * np.median(others):.2g} %",
                 cause="its unit or its torque_per_ampere may be wrong",
             )  # fmt: skip
-
-
-def _unit(model: RobotModel, j: int) -> str:
-    return "N" if model.tree[j].prismatic else "N.m"

@@ -4,16 +4,14 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.findings import Finding
 from hesr_model.inference.correlation import standard_errors
 from hesr_model.logs.log_format import LogUnits, column_names
 from hesr_model.robots.robot import RobotDescription
-from hesr_model.units import OTHERS, TURNING
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Integers
+from hesr_model.units import OTHERS, TURNING, backwards
 
 _ALIKE = 0.9
 """Correlation below which a velocity is not that of its position."""
@@ -37,12 +35,10 @@ class Match:
 
     Attributes
     ----------
-    slope, error
-        Of the position's velocity over the logged one, without unit, and its standard error.
-    correlation
-        Of both.
-    lag
-        By which the logged one is late [s].
+    slope, error : of the position's velocity over the logged one, without unit, and its standard
+        error.
+    correlation : of both.
+    lag : by which the logged one is late [s].
     """
 
     slope: float
@@ -104,7 +100,7 @@ def check_velocity(
                 yield _late(name, found.lag, logs)
 
 
-def _places(motion: Motionwise, joints: NDArray[np.intp]) -> dict[int, int]:
+def _places(motion: Motionwise, joints: Integers) -> dict[int, int]:
     """Return for each joint that moves the joint whose column of dq goes with its position."""
     from scipy.optimize import linear_sum_assignment  # slow to import
 
@@ -134,8 +130,7 @@ def _unlike(
         return Finding(
             check="velocity-columns", severity="refusal", joints=(name,), logs=logs, found=what,
             cause=f"its velocity stands in the column of joint '{robot.joints[other]}', columns "
-            "are "
-            f"swapped; set [log.columns] dq = [{listed}]",
+            f"are swapped; set [log.columns] dq = [{listed}]",
             changes={"log.columns.dq": tuple(order)},
         )  # fmt: skip
     late = f", and is {found.lag * 1e3:.0f} ms late" if abs(found.lag) > _LATE else ""
@@ -164,7 +159,7 @@ def _scale(
     if found.slope < 0:
         declared = enumerate(robot.log.units.each("dq", len(robot.joints)))
         against = {k for k, other in matches.items() if other.correlation < -_ALIKE}
-        units = [_turned(unit) if k in against else unit for k, unit in declared]
+        units = [backwards(unit) if k in against else unit for k, unit in declared]
         yield Finding(
             check="velocity-sign", severity="refusal", joints=(name,), logs=logs,
             found=f"its position falls where its velocity is positive (slope {found.slope:.2f})",
@@ -220,8 +215,7 @@ def _cause(
                 return f"time is in {unit}; set [log.units] t = '{unit}'", {"log.units.t": unit}
         return (
             f"at all joints alike, so that the stamps run {1 / ratio:.2g} times as fast as time, "
-            "made "
-            "from a wrong sample rate, or the unit of dq is wrong",
+            "made from a wrong sample rate, or the unit of dq is wrong",
             {"log.units.t": float(units.factors("t", 1)[0]) * ratio},
         )
     return "units, a gear ratio or the signal itself are wrong; see [log.units]", {}
@@ -233,12 +227,6 @@ def _alternatives(units: LogUnits, quantity: str, j: int, n: int, wanted: float)
     for unit, factor in TURNING[quantity].items():
         if abs(np.log(abs(factor / declared) / wanted)) < _SAME:
             yield f"-{unit}" if declared < 0 else unit
-
-
-def _turned(unit: str | float) -> str | float:
-    if isinstance(unit, str):
-        return unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
-    return -unit
 
 
 def _listed(units: Sequence[str | float]) -> str:

@@ -1,9 +1,8 @@
 """Residuals of neighbouring rows of a log are alike: for how long, and what that costs."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 
 def standard_errors(jacobian: Array, residual: Array) -> Array:

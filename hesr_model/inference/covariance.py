@@ -18,13 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri, ndtri, stdtrit
 
 from hesr_model.errors import ArtifactError
+from hesr_model.support.arrays import Array, Integers
 from hesr_model.support.typed_json import Numbers, to_json
-
-Array = NDArray[np.float64]
 
 ENOUGH = 20
 """Logs from which on their own scatter tells the covariance."""
@@ -54,16 +52,11 @@ class Covariance:
 
     Attributes
     ----------
-    names
-        Of the unknowns (P,).
-    within
-        (P, P) from the rows of each log, in the unknowns' units.
-    between
-        Mean square of what logs differ by, over what `within` says of it.
-    degrees
-        Independent comparisons behind `between`; 0 where there are none.
-    carried
-        (P, P) from what was estimated before and is uncertain itself.
+    names : of the unknowns (P,).
+    within : (P, P) from the rows of each log, in the unknowns' units.
+    between : mean square of what logs differ by, over what `within` says of it.
+    degrees : independent comparisons behind `between`; 0 where there are none.
+    carried : (P, P) from what was estimated before and is uncertain itself.
 
     Raises
     ------
@@ -136,16 +129,14 @@ def left_out(jacobian: Array, residual: Array, hessian: Array) -> Array:
 
     Parameters
     ----------
-    jacobian, residual
-        (N, P) and (N,), in one unit per that of each unknown.
-    hessian
-        (P, P) of half the sum of squares of all rows there are.
+    jacobian, residual : (N, P) and (N,), in one unit per that of each unknown.
+    hessian : (P, P) of half the sum of squares of all rows there are.
     """
     leverage = np.sum((jacobian @ _inverse(hessian, hessian)) * jacobian, axis=1)
     return np.asarray(residual / (1.0 - np.minimum(leverage, _MOST_LEVERAGE)))
 
 
-def blocks_of_time(logs: NDArray[np.int_]) -> NDArray[np.int_]:
+def blocks_of_time(logs: Integers) -> Integers:
     """Return labels of logs (N,), or of blocks of time where there is one log only."""
     if np.any(logs != logs[0]):
         return logs
@@ -156,7 +147,7 @@ def covariance(
     names: Sequence[str],
     gradients: Array,
     hessians: Sequence[Array] | Array,
-    labels: NDArray[np.int_],
+    labels: Integers,
     *,
     known: Array | None = None,
     carried: Array | None = None,
@@ -165,19 +156,13 @@ def covariance(
 
     Parameters
     ----------
-    names
-        Of the unknowns (P,).
-    gradients
-        (N, P) of half the squared residual of each row at the estimate, in the order of time; as of
-        residuals that each row would have if it were left out (`left_out`).
-    hessians
-        For each label its (P, P) share of the Hessian.
-    labels
-        (N,) number of each row's log, or block of time.
-    known
-        (P, P) Hessian of what is known beforehand, as a pull towards it.
-    carried
-        (P, r) directions by which the estimate is off where what it builds on is off by one
+    names : of the unknowns (P,).
+    gradients : (N, P) of half the squared residual of each row at the estimate, in the order of
+        time; as of residuals that each row would have if it were left out (`left_out`).
+    hessians : for each label its (P, P) share of the Hessian.
+    labels : (N,) number of each row's log, or block of time.
+    known : (P, P) Hessian of what is known beforehand, as a pull towards it.
+    carried : (P, r) directions by which the estimate is off where what it builds on is off by one
         standard deviation, `gradients` per such deviation summed over rows.
     """
     own = np.sum(hessians, axis=0)

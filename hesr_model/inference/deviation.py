@@ -11,10 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtr
-
-Array = NDArray[np.float64]
 
 ENOUGH = 5
 """Values from which on there is a kind to deviate from, and logs from which on a trend."""

@@ -12,12 +12,11 @@ from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from hesr_model.inference.correlation import correlation_length
+from hesr_model.support.arrays import Array
 
-Array = NDArray[np.float64]
 Key = TypeVar("Key")
 
 ENOUGH = 8

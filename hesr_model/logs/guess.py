@@ -5,103 +5,35 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
 from hesr_model.logs.tables import Table
 from hesr_model.units import OTHERS
 
-Array = NDArray[np.float64]
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
 
 _WORDS: Mapping[str, frozenset[str]] = {
-    "temperature": frozenset(["temperature", "temperatures", "temp", "temps"]),
-    "dq": frozenset(
-        [
-            "dq",
-            "qd",
-            "qdot",
-            "dqdt",
-            "vel",
-            "velocity",
-            "velocities",
-            "speed",
-            "speeds",
-            "omega",
-            "qp",
-        ]
-    ),
-    "q": frozenset(
-        [
-            "q",
-            "pos",
-            "position",
-            "positions",
-            "angle",
-            "angles",
-            "theta",
-            "qm",
-            "encoder",
-            "enc",
-        ]
-    ),
-    "tau": frozenset(
-        ["tau", "torque", "torques", "trq", "effort", "efforts", "moment", "moments", "tq", "nm"]
-    ),
-    "current": frozenset(
-        ["i", "im", "cur", "curr", "current", "currents", "amp", "amps", "ampere", "iq"]
-    ),
+    "temperature": _words("temperature temperatures temp temps"),
+    "dq": _words("dq qd qdot dqdt vel velocity velocities speed speeds omega qp"),
+    "q": _words("q pos position positions angle angles theta qm encoder enc"),
+    "tau": _words("tau torque torques trq effort efforts moment moments tq nm"),
+    "current": _words("i im cur curr current currents amp amps ampere iq"),
 }
 """Words in the names of each quantity's columns; the first quantity with a word of a name has
 it.
 """
-_PLACES = frozenset(["joint", "axis"])
+_PLACES = _words("joint axis")
 """Words of positions where no word of another quantity stands beside them."""
-_OTHERS = frozenset(
-    [
-        "target",
-        "desired",
-        "des",
-        "ref",
-        "reference",
-        "cmd",
-        "command",
-        "setpoint",
-        "goal",
-        "acc",
-        "acceleration",
-        "ddq",
-        "qdd",
-        "error",
-        "err",
-        "tcp",
-        "ext",
-        "external",
-        "voltage",
-        "control",
-        "window",
-        "limit",
-        "mode",
-        "status",
-        "dir",
-    ]
+_OTHERS = _words(
+    "target desired des ref reference cmd command setpoint goal acc acceleration ddq qdd error err "
+    "tcp ext external voltage control window limit mode status dir"
 )
 """Words of columns that are none of them."""
-_MEASURED = frozenset(["actual", "act", "meas", "measured", "msr"])
-_TIME = frozenset(
-    [
-        "t",
-        "time",
-        "timestamp",
-        "stamp",
-        "timestamps",
-        "clock",
-        "unix",
-        "secs",
-        "seconds",
-        "sec",
-        "zeit",
-    ]
-)
+_MEASURED = _words("actual act meas measured msr")
+_TIME = _words("t time timestamp stamp timestamps clock unix secs seconds sec zeit")
 _UNITS: Mapping[str, Mapping[str, str]] = {
     "q": {"deg": "deg", "degree": "deg", "degrees": "deg", "grad": "deg", "mm": "mm", "rev": "rev"},
     "dq": {"deg": "deg/s", "degs": "deg/s", "dps": "deg/s", "rpm": "rpm", "degrees": "deg/s"},
@@ -124,13 +56,10 @@ class Guess:
 
     Attributes
     ----------
-    columns
-        By quantity (t, q, dq, tau, current, temperature): a name for t, one name per joint for the
-        others.
-    units
-        By quantity, where a name or the values say one.
-    reasons
-        Why, by quantity.
+    columns : by quantity (t, q, dq, tau, current, temperature): a name for t, one name per joint
+        for the others.
+    units : by quantity, where a name or the values say one.
+    reasons : why, by quantity.
     """
 
     columns: Mapping[str, str | tuple[str, ...]]
@@ -156,8 +85,7 @@ def guess(table: Table, joints: Sequence[str] = ()) -> Guess:
 
     Parameters
     ----------
-    joints
-        Names of the robot's joints, which columns may bear; as many as there are if empty.
+    joints : names of the robot's joints, which columns may bear; as many as there are if empty.
 
     Raises
     ------

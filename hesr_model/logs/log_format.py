@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, ValidationInfo
 
 from hesr_model.errors import RobotError
+from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config
 from hesr_model.units import KNOWN, fits, in_si
 
@@ -101,7 +101,7 @@ class LogUnits(Config):
     current: Units = "A"
     temperature: Literal["degC", "K"] = "degC"
 
-    def factors(self, quantity: str, joints: int) -> NDArray[np.float64]:
+    def factors(self, quantity: str, joints: int) -> Array:
         """Return what one logged unit of a quantity is in SI, an array of shape (joints,)."""
         return np.array([in_si(quantity, unit) for unit in self.each(quantity, joints)])
 
@@ -138,13 +138,10 @@ class LogBag(Config):
 
     Attributes
     ----------
-    topic
-        Of messages ``sensor_msgs/msg/JointState``.
-    joints
-        Names of the robot's joints in these messages, in the order of `joints` of the robot; the
-        same names where left out.
-    effort
-        What the messages' effort is: torque ``"tau"``, or ``"current"``, as drivers of some
+    topic : of messages ``sensor_msgs/msg/JointState``.
+    joints : names of the robot's joints in these messages, in the order of `joints` of the robot;
+        the same names where left out.
+    effort : what the messages' effort is: torque ``"tau"``, or ``"current"``, as drivers of some
         robots publish it.
     """
 
@@ -158,24 +155,17 @@ class LogFormat(Config):
 
     Attributes
     ----------
-    sample_rate
-        Nominal rate [Hz], where it is known; it is measured in each log, and a log at another one
-        is refused.
-    missing
-        What becomes of rows with an empty cell or NaN, or with the stamp of the row before:
+    sample_rate : nominal rate [Hz], where it is known; it is measured in each log, and a log at
+        another one is refused.
+    missing : what becomes of rows with an empty cell or NaN, or with the stamp of the row before:
         ``"refuse"`` the log, or ``"drop"`` the rows.
-    filter_cutoff
-        Cut-off [Hz] of the zero-phase low pass on q and dq.
-    columns
-        Of CSV, Parquet and MATLAB files.
-    units
-        Of these columns, and of a bag's messages.
-    bag
-        Of ROS bags.
-    zero
-        One position per joint [rad; m] at which the log says 0, where that is not the model's 0.
-    torque_per_ampere
-        One factor per joint [N.m/A]; with it, torque is taken from the current columns.
+    filter_cutoff : cut-off [Hz] of the zero-phase low pass on q and dq.
+    columns : of CSV, Parquet and MATLAB files.
+    units : of these columns, and of a bag's messages.
+    bag : of ROS bags.
+    zero : one position per joint [rad; m] at which the log says 0, where that is not the model's 0.
+    torque_per_ampere : one factor per joint [N.m/A]; with it, torque is taken from the current
+        columns.
     """
 
     sample_rate: float | None = Field(default=None, gt=0)

@@ -33,6 +33,8 @@ library's own::
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hesr_model.support.arrays import Array
+
 _GAMMA = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
@@ -46,10 +48,8 @@ def words(seed: int, stream: ArrayLike, index: ArrayLike) -> NDArray[np.uint64]:
 
     Parameters
     ----------
-    seed
-        Any integer; it counts modulo 2^64.
-    stream, index
-        Integers from 0 to 2^64 - 1 that broadcast against each other.
+    seed : any integer; it counts modulo 2^64.
+    stream, index : integers from 0 to 2^64 - 1 that broadcast against each other.
 
     Returns
     -------
@@ -66,15 +66,13 @@ def words(seed: int, stream: ArrayLike, index: ArrayLike) -> NDArray[np.uint64]:
     return _finish(base + (places + np.uint64(1)) * _GAMMA).reshape(streams.shape)
 
 
-def standard_normal(seed: int, stream: ArrayLike, counter: ArrayLike) -> NDArray[np.float64]:
+def standard_normal(seed: int, stream: ArrayLike, counter: ArrayLike) -> Array:
     """Return numbers `counter` of streams `stream`, normal with mean 0 and variance 1.
 
     Parameters
     ----------
-    seed
-        Any integer; it counts modulo 2^64.
-    stream, counter
-        Integers from 0 to 2^63 - 1 that broadcast against each other.
+    seed : any integer; it counts modulo 2^64.
+    stream, counter : integers from 0 to 2^63 - 1 that broadcast against each other.
 
     Returns
     -------
@@ -84,7 +82,7 @@ def standard_normal(seed: int, stream: ArrayLike, counter: ArrayLike) -> NDArray
     first = np.asarray(counter, dtype=np.uint64) * np.uint64(2)
     u = (words(seed, stream, first) >> np.uint64(11)).astype(np.float64)
     w = (words(seed, stream, first + np.uint64(1)) >> np.uint64(11)).astype(np.float64)
-    normal: NDArray[np.float64] = np.sqrt(-2.0 * np.log((u + 1.0) * _TO_UNIT)) * np.cos(
+    normal: Array = np.sqrt(-2.0 * np.log((u + 1.0) * _TO_UNIT)) * np.cos(
         2.0 * np.pi * (w * _TO_UNIT)
     )
     return normal

@@ -1,10 +1,8 @@
 """Phases of a motion: where a joint moves, rests or reverses."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from hesr_model.support.arrays import Array, Integers, Mask
 
 MOVING = 0.02
 """[rad/s] Slower rows count as standing still."""
@@ -18,7 +16,7 @@ def moving(dq: Array) -> Mask:
     return np.asarray(np.abs(dq) > MOVING)
 
 
-def reversals(dq: Array) -> NDArray[np.intp]:
+def reversals(dq: Array) -> Integers:
     """Rows of the reversals of one joint's velocity (N,) [rad/s].
 
     A reversal is a change of sign from one moving row to the next moving one, however long the

@@ -1,14 +1,13 @@
 """Robot logs: read from files of many kinds, converted to SI, checked, written."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
 from hesr_model.logs.readers.formats import format_of
@@ -17,9 +16,8 @@ from hesr_model.logs.tables import write_table
 from hesr_model.robots.described import RobotLike, described
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support import frames, html
+from hesr_model.support.arrays import Array, Integers, some_rows
 from hesr_model.support.files import path_of, sha256, written_whole
-
-Array = NDArray[np.float64]
 
 _LONGEST_GAP = 10.0
 """In usual steps: across a longer gap, velocity and hysteresis states are guesswork."""
@@ -45,24 +43,15 @@ class RobotLog:
 
     Attributes
     ----------
-    name
-        Of the motion; the file's name without its suffix where the log was read.
-    t
-        (N,) [s], increasing.
-    q
-        (N, n) [rad; m for prismatic joints].
-    dq
-        (N, n) [rad/s; m/s], or None where the robot does not log its velocity.
-    tau
-        (N, n) [N.m; N], currents already converted.
-    temperature
-        (N, n) of the joints [degC], or None where the robot does not log them.
-    path, sha256
-        Where the log was read from, and the hash of that file.
-    dropped
-        Rows that were left out, by `LogFormat.missing`.
-    robot
-        The robot that the log was read for; None where it was not read.
+    name : of the motion; the file's name without its suffix where the log was read.
+    t : (N,) [s], increasing.
+    q : (N, n) [rad; m for prismatic joints].
+    dq : (N, n) [rad/s; m/s], or None where the robot does not log its velocity.
+    tau : (N, n) [N.m; N], currents already converted.
+    temperature : (N, n) of the joints [degC], or None where the robot does not log them.
+    path, sha256 : where the log was read from, and the hash of that file.
+    dropped : rows that were left out, by `LogFormat.missing`.
+    robot : the robot that the log was read for; None where it was not read.
     """
 
     name: str
@@ -135,17 +124,13 @@ class RobotLog:
         return np.asarray(steps[steps <= self.longest_step])
 
     @property
-    def gaps(self) -> NDArray[np.intp]:
+    def gaps(self) -> Integers:
         """Rows (K,), without unit, before which more than ten usual steps are missing."""
         return np.flatnonzero(np.diff(self.t) > self.longest_step) + 1
 
-    def rows(self, rows: slice | NDArray[np.intp]) -> "RobotLog":
+    def rows(self, rows: slice | Integers) -> "RobotLog":
         """Return the log of some of its rows, a slice or (K,) places without unit."""
-        dq = None if self.dq is None else self.dq[rows]
-        warm = None if self.temperature is None else self.temperature[rows]
-        return replace(
-            self, t=self.t[rows], q=self.q[rows], dq=dq, tau=self.tau[rows], temperature=warm
-        )
+        return some_rows(self, ("t", "q", "dq", "tau", "temperature"), rows)
 
     def parts(self) -> "tuple[RobotLog, ...]":
         """Return what lies between the gaps, without what is shorter than 1 s.
@@ -268,7 +253,7 @@ class RobotLog:
             write_table(temporary, self._columns)
 
 
-def parts_of(logs: Sequence[RobotLog]) -> list[RobotLog]:
+def parts_of(logs: Iterable[RobotLog]) -> list[RobotLog]:
     """Return logs without gaps: the parts of each; see `RobotLog.parts`."""
     return [part for log in logs for part in log.parts()]
 

@@ -16,12 +16,11 @@ from itertools import count, pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.logs.phases import MOVING, near_reversals
 from hesr_model.logs.signals import Motion
+from hesr_model.support.arrays import Array
 
-Array = NDArray[np.float64]
 Stratum = tuple[int, str, int]
 """Joint, what of it, and which octave."""
 

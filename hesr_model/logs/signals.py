@@ -1,15 +1,14 @@
 """From a log's raw samples to the smooth motion that the dynamics are evaluated on."""
 
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
-from hesr_model.logs.robot_log import RobotLog
-
-Array = NDArray[np.float64]
+from hesr_model.logs.robot_log import RobotLog, parts_of
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support.arrays import Array, Mask, some_rows
 
 _ORDER = 2
 _HIGHEST_SHARE_OF_NYQUIST = 0.8
@@ -23,16 +22,11 @@ class Motion:
 
     Attributes
     ----------
-    t
-        (N,) [s], as logged.
-    q, dq, ddq
-        (N, n) [rad, rad/s, rad/s2], through the zero-phase low pass.
-    tau
-        (N, n) [N.m], raw: evaluation is against what was measured.
-    q_raw
-        (N, n) [rad], as logged; ripple of the gear must not be smoothed away.
-    temperature
-        (N, n) [degC], as logged; None where it was not.
+    t : (N,) [s], as logged.
+    q, dq, ddq : (N, n) [rad, rad/s, rad/s2], through the zero-phase low pass.
+    tau : (N, n) [N.m], raw: evaluation is against what was measured.
+    q_raw : (N, n) [rad], as logged; ripple of the gear must not be smoothed away.
+    temperature : (N, n) [degC], as logged; None where it was not.
     """
 
     name: str
@@ -44,10 +38,9 @@ class Motion:
     q_raw: Array
     temperature: Array | None = None
 
-    def rows(self, rows: slice) -> "Motion":
-        """Return the motion of some of its rows, without unit."""
-        own: dict[str, Any] = {name: column[rows] for name, column in self.columns.items()}
-        return replace(self, **own)
+    def rows(self, rows: slice | Mask) -> "Motion":
+        """Return the motion of some of its rows, a slice or a mask (N,) without unit."""
+        return some_rows(self, self.columns, rows)
 
     @property
     def columns(self) -> dict[str, Array]:
@@ -65,9 +58,8 @@ def smooth(log: RobotLog, cutoff: float = 15.0) -> Motion:
 
     Parameters
     ----------
-    cutoff
-        [Hz]; 15 Hz is best on the measured arm (8 Hz and less flatten reversals, 25 Hz and more
-        let the noise of ddq through).
+    cutoff : [Hz]; 15 Hz is best on the measured arm (8 Hz and less flatten reversals, 25 Hz and
+        more let the noise of ddq through).
 
     Raises
     ------
@@ -116,6 +108,18 @@ def smooth(log: RobotLog, cutoff: float = 15.0) -> Motion:
         q_raw=log.q,
         temperature=log.temperature,
     )
+
+
+def smoothed(logs: Iterable[RobotLog], model: RobotModel) -> list[Motion]:
+    """Return the smooth motions of all parts of a robot's logs.
+
+    Raises
+    ------
+    LogError
+        If a log is too slow or too short for the low pass.
+    """
+    cutoff = model.description.log.filter_cutoff
+    return [smooth(part, cutoff) for part in parts_of(logs)]
 
 
 def _before(values: Array, rows: int) -> Array:

@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 _MOST_COLUMNS = 10_000
 _MOST_LISTED = 30  # names in a sentence
@@ -41,10 +39,8 @@ class Table:
 
     Attributes
     ----------
-    names
-        All columns of the file.
-    others
-        What else is in the file and cannot be a column, told where a column is missed.
+    names : all columns of the file.
+    others : what else is in the file and cannot be a column, told where a column is missed.
     """
 
     path: Path
@@ -73,8 +69,7 @@ class Table:
 
         Parameters
         ----------
-        missing
-            Whether cells may be empty or NaN; they are NaN then.
+        missing : whether cells may be empty or NaN; they are NaN then.
 
         Raises
         ------
@@ -84,15 +79,15 @@ class Table:
         """
         for name in names:
             self._require(name)
-        return np.column_stack([self._column(name, missing=missing) for name in names])
+        columns = [self._floats(name, self._arrow.column(name), missing=missing) for name in names]
+        return np.column_stack(columns)
 
     def times(self, name: str, unit: float, *, missing: bool = False) -> Array:
         """Stamps (N,) [s]; those since 1970 and dates are counted from the first one.
 
         Parameters
         ----------
-        unit
-            Of the stamps [s]; a column of dates or durations has its own.
+        unit : of the stamps [s]; a column of dates or durations has its own.
 
         Raises
         ------
@@ -117,9 +112,6 @@ class Table:
     def _require(self, name: str) -> None:
         if name not in self.names:
             raise LogError(f"{self.path}: column '{name}' is missing; it has {self.listing}.")
-
-    def _column(self, name: str, *, missing: bool) -> Array:
-        return self._floats(name, self._arrow.column(name), missing=missing)
 
     def _floats(self, name: str, column: Any, *, missing: bool) -> Array:
         import pyarrow
@@ -220,18 +212,12 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Dialect:
-    """How the cells of a CSV are separated, and where its table begins.
-
-    Attributes
-    ----------
-    header, data
-        Lines of the header and of the first row of data, from 1.
-    """
+    """How the cells of a CSV are separated, and where its table begins."""
 
     delimiter: str
     decimal: str
-    header: int
-    data: int
+    header: int  # line of the header, from 1
+    data: int  # line of the first row of data
 
 
 def _dialect(path: Path) -> _Dialect:

@@ -3,21 +3,19 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
 from hesr_model.errors import FitError
 from hesr_model.motions.excitation_search import Search
-from hesr_model.motions.limits import Limits, MotionLimits, Positive, one_period, peak_torque
-from hesr_model.motions.trajectories import Fourier
+from hesr_model.motions.limits import Limits, MotionLimits, Positive, peak_torque
+from hesr_model.motions.trajectories import Fourier, one_period
 from hesr_model.rigid_body.identification import LEAST_PEAK
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config
 from hesr_model.support.progress import Progress, counted, silent
-
-Array = NDArray[np.float64]
 
 _SAMPLES = 400
 """Per period; from 100 on the condition number of W_b changes by a per cent."""
@@ -38,21 +36,15 @@ class ExcitationSettings(Config):
 
     Attributes
     ----------
-    harmonics
-        Of the fundamental, at least 2: rest at the start takes one coefficient of each kind.
-    period
-        Shortest and longest [s]; the fundamental is optimised in between.
-    periods
-        How many periods are run.
-    starts
-        Random motions from which the search begins.
-    seed
-        Of these.
-    sample_rate
-        Of the setpoints [Hz]; a period is a whole number of them. By default the logs' rate, and
-        200 where the robot file gives none.
-    limits
-        Of the motion; `MotionLimits` says what holds where they are left out.
+    harmonics : of the fundamental, at least 2: rest at the start takes one coefficient of each
+        kind.
+    period : shortest and longest [s]; the fundamental is optimised in between.
+    periods : how many periods are run.
+    starts : random motions from which the search begins.
+    seed : of these.
+    sample_rate : of the setpoints [Hz]; a period is a whole number of them. By default the logs'
+        rate, and 200 where the robot file gives none.
+    limits : of the motion; `MotionLimits` says what holds where they are left out.
     """
 
     harmonics: int = Field(default=10, ge=2)
@@ -77,16 +69,12 @@ class Excitation:
 
     Attributes
     ----------
-    motion
-        At rest at both ends; `motion.time_reversed()` is its counterpart.
-    condition
-        Of W_b, see `condition`.
-    sample_rate
-        Of its setpoints [Hz].
-    limits
-        Which the motion keeps.
-    peak_torque
-        (n,) largest absolute torque [N.m] of the model file's rigid body, without friction.
+    motion : at rest at both ends; `motion.time_reversed()` is its counterpart.
+    condition : of W_b, see `condition`.
+    sample_rate : of its setpoints [Hz].
+    limits : which the motion keeps.
+    peak_torque : (n,) largest absolute torque [N.m] of the model file's rigid body, without
+        friction.
     """
 
     motion: Fourier
@@ -109,8 +97,7 @@ def condition(model: RobotModel, base: tuple[int, ...], motion: Fourier) -> floa
 
     Parameters
     ----------
-    base
-        Indices of the base columns, see `base_parameters.base_columns`.
+    base : indices of the base columns, see `base_parameters.base_columns`.
     """
     t = np.linspace(0.0, motion.period, _SAMPLES, endpoint=False)
     columns = model.regressor(*motion.sample(t))[:, :, list(base)]
@@ -145,7 +132,9 @@ def design(
     rate = settings.sample_rate or model.description.log.sample_rate or _USUAL_RATE
     limits = Limits.of(model, settings.limits)
     rest = limits.rest(model)
-    search = Search.of(model, limits, harmonics=settings.harmonics, period=settings.period)
+    search = Search(
+        model=model, limits=limits, harmonics=settings.harmonics, period=settings.period
+    )
     with threadpool_limits(1):
         starts = random_motions(model, settings, settings.starts, settings.seed)
         rough = [

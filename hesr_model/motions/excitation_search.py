@@ -8,17 +8,14 @@ form: a gradient costs 3 n + 1 regressors, whatever the number of coefficients.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.motions.limits import Limits
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 _INSTANTS = 12
 """Per cycle of the highest harmonic, at least 120."""
@@ -38,26 +35,18 @@ class Search:
 
     A vector holds, joint by joint, H - 1 coordinates of `a` and H - 1 of `b` in units of the
     joint's speed, then the mean positions from -1 to 1 within their limits, then ln(period).
+    Periods are those of a range [s].
     """
 
     model: RobotModel
-    base: tuple[int, ...]
     limits: Limits
     harmonics: int
     period: tuple[float, float]
 
-    @classmethod
-    def of(
-        cls, model: RobotModel, limits: Limits, *, harmonics: int, period: tuple[float, float]
-    ) -> Self:
-        """Span the motions of a robot with periods in a range [s]."""
-        return cls(
-            model=model,
-            base=base_columns(model),
-            limits=limits,
-            harmonics=harmonics,
-            period=period,
-        )
+    @cached_property
+    def base(self) -> tuple[int, ...]:
+        """Base columns of the regressor."""
+        return base_columns(self.model)
 
     @property
     def bounds(self) -> list[tuple[float | None, float | None]]:

@@ -4,16 +4,14 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.optimize import minimize
 
 from hesr_model.errors import FitError, RobotError
-from hesr_model.motions.trajectories import Fourier
+from hesr_model.motions.trajectories import Fourier, one_period
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config
-
-Array = NDArray[np.float64]
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -26,9 +24,6 @@ _SECONDS_TO_FULL_SPEED = 1.0
 _MARGIN = 1e-3
 """Of every limit, for peaks between the points at which a motion is looked at."""
 
-_POINTS = 256
-"""Per cycle of the highest harmonic: a velocity's peak is low by 8e-5 of itself at most."""
-
 _HALVINGS = 12
 _RESTS = 4000
 
@@ -38,15 +33,13 @@ class MotionLimits(Config):
 
     Attributes
     ----------
-    position
-        Lowest and highest [rad or m]; by default the model's range without 5 % at either end.
-    velocity
-        [rad/s or m/s]; by default the model's, 2 where it has none.
-    acceleration
-        [rad/s2 or m/s2]; by default what reaches the velocity in one second.
-    torque
-        Of the rigid body, friction not counted [N.m or N]; by default the model's effort limit,
-        none where it has none. It can be kept only as well as the model file's inertias are known.
+    position : lowest and highest [rad or m]; by default the model's range without 5 % at either
+        end.
+    velocity : [rad/s or m/s]; by default the model's, 2 where it has none.
+    acceleration : [rad/s2 or m/s2]; by default what reaches the velocity in one second.
+    torque : of the rigid body, friction not counted [N.m or N]; by default the model's effort
+        limit, none where it has none. It can be kept only as well as the model file's inertias are
+        known.
     """
 
     position: tuple[tuple[float, float], ...] | None = None
@@ -71,12 +64,9 @@ class Limits:
 
     Attributes
     ----------
-    lower, upper
-        Position [rad or m].
-    velocity, acceleration
-        Absolute values [rad/s, rad/s2].
-    torque
-        Absolute value [N.m or N]; infinite where there is none.
+    lower, upper : position [rad or m].
+    velocity, acceleration : absolute values [rad/s, rad/s2].
+    torque : absolute value [N.m or N]; infinite where there is none.
     """
 
     lower: Array
@@ -100,12 +90,13 @@ class Limits:
         position = np.array(given.position or np.column_stack([lowest + free, highest - free]))
         _require_in_range(model, position)
         velocity = np.array(given.velocity or speed)
+        effort = np.where(model.torque_limits > 0, model.torque_limits, np.inf)
         return cls(
             lower=position[:, 0],
             upper=position[:, 1],
             velocity=velocity,
             acceleration=np.array(given.acceleration or velocity / _SECONDS_TO_FULL_SPEED),
-            torque=np.array(given.torque or _effort(model)),
+            torque=np.array(given.torque or effort),
         )
 
     def shrink(self, motion: Fourier, model: RobotModel, rest: Array) -> Fourier:
@@ -200,23 +191,11 @@ class Limits:
         return rest
 
 
-def one_period(motion: Fourier) -> tuple[Array, Array, Array]:
-    """Position, velocity, acceleration at points as close as peaks need, (N, n) in SI units."""
-    points = _POINTS * motion.a.shape[1]
-    return motion.sample(np.linspace(0.0, motion.period, points, endpoint=False))
-
-
 def peak_torque(model: RobotModel, motion: Fourier) -> Array:
     """Largest absolute torque (n,) [N.m] of the model file's rigid body, without friction."""
     q, dq, ddq = one_period(motion)
     peaks: Array = np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0)
     return peaks
-
-
-def _effort(model: RobotModel) -> Array:
-    """Effort limits (n,) of the model file; infinite where it gives none, or 0 as many do."""
-    effort = model.torque_limits
-    return np.where(effort > 0, effort, np.inf)
 
 
 def _require_one_per_joint(model: RobotModel, given: MotionLimits) -> None:

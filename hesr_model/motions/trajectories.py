@@ -12,8 +12,7 @@ from scipy.special import fresnel
 
 from hesr_model.errors import ConfigError
 from hesr_model.logs.noise import standard_normal
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 _AT_REST = 1e-9
 """[rad/s, rad/s2] Start values below this, relative to the largest coefficient, count as rest."""
@@ -40,8 +39,7 @@ class Trajectory(ABC):
 
         Parameters
         ----------
-        t
-            (N,) [s], from 0 to `duration`; outside, periodic motions go on and others rest.
+        t : (N,) [s], from 0 to `duration`; outside, periodic motions go on and others rest.
 
         Returns
         -------
@@ -60,8 +58,7 @@ class Reversed(Trajectory):
 
     Attributes
     ----------
-    forward
-        The motion that is reversed.
+    forward : the motion that is reversed.
     """
 
     forward: Trajectory
@@ -94,14 +91,10 @@ class Fourier(Trajectory):
 
     Attributes
     ----------
-    offset
-        (n,) mean position over a period [rad].
-    a, b
-        (n, H) [rad/s].
-    period
-        [s].
-    periods
-        How many periods are run.
+    offset : (n,) mean position over a period [rad].
+    a, b : (n, H) [rad/s].
+    period : [s].
+    periods : how many periods are run.
 
     Raises
     ------
@@ -147,6 +140,12 @@ class Fourier(Trajectory):
         return replace(self, a=-self.a)
 
 
+def one_period(motion: Fourier) -> tuple[Array, Array, Array]:
+    """Position, velocity, acceleration at points as close as peaks need, (N, n) in SI units."""
+    points = _POINTS_PER_CYCLE * motion.a.shape[1]
+    return motion.sample(np.linspace(0.0, motion.period, points, endpoint=False))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sine(Trajectory):
     """Sine of one frequency.
@@ -155,14 +154,10 @@ class Sine(Trajectory):
 
     Attributes
     ----------
-    offset
-        (n,) mean position [rad].
-    amplitude
-        (n,) peak velocity [rad/s]; 0 for a joint that stays at its offset.
-    frequency
-        [Hz].
-    periods
-        How many periods are run.
+    offset : (n,) mean position [rad].
+    amplitude : (n,) peak velocity [rad/s]; 0 for a joint that stays at its offset.
+    frequency : [Hz].
+    periods : how many periods are run.
     """
 
     offset: Array
@@ -197,18 +192,13 @@ class Sweep(Trajectory):
 
     Attributes
     ----------
-    start
-        (n,) position at t = 0 [rad].
-    amplitude, swing
-        (n,) mean and variation of the peak velocity [rad/s]; both 0 for a joint that rests.
-    phase
-        (n,) of the swing [rad].
-    swing_period
-        [s].
-    first, last
-        Frequencies at the start and at the end [Hz], last > first.
-    length
-        Of the sweep [s].
+    start : (n,) position at t = 0 [rad].
+    amplitude, swing : (n,) mean and variation of the peak velocity [rad/s]; both 0 for a joint that
+        rests.
+    phase : (n,) of the swing [rad].
+    swing_period : [s].
+    first, last : frequencies at the start and at the end [Hz], last > first.
+    length : of the sweep [s].
 
     Raises
     ------
@@ -261,8 +251,7 @@ def chirp(*, start: Array, amplitude: Array, first: float, last: float, length: 
 
     Parameters
     ----------
-    start, amplitude, first, last, length
-        As in `Sweep`.
+    start, amplitude, first, last, length : as in `Sweep`.
     """
     none = np.zeros_like(amplitude)
     return Sweep(
@@ -293,16 +282,11 @@ def random_fourier(
 
     Parameters
     ----------
-    seed
-        Any integer.
-    harmonics
-        H, at least 2: rest at the start takes one degree of freedom from `a` and from `b`.
-    period, periods
-        As in `Fourier`.
-    peak_velocity
-        (n,) largest absolute velocity [rad/s].
-    offset
-        (n,) mean position [rad].
+    seed : any integer.
+    harmonics : H, at least 2: rest at the start takes one degree of freedom from `a` and from `b`.
+    period, periods : as in `Fourier`.
+    peak_velocity : (n,) largest absolute velocity [rad/s].
+    offset : (n,) mean position [rad].
 
     Raises
     ------
@@ -319,8 +303,7 @@ def random_fourier(
     a -= a.mean(axis=1, keepdims=True)
     b -= np.outer(b @ orders, orders) / (orders @ orders)
     raw = Fourier(offset=offset, a=a, b=b, period=period, periods=periods)
-    grid = np.linspace(0.0, period, _POINTS_PER_CYCLE * harmonics, endpoint=False)
-    scale = (np.asarray(peak_velocity) / np.abs(raw.sample(grid)[1]).max(axis=0))[:, None]
+    scale = (np.asarray(peak_velocity) / np.abs(one_period(raw)[1]).max(axis=0))[:, None]
     return replace(raw, a=scale * a, b=scale * b)
 
 

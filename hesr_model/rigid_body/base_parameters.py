@@ -1,12 +1,10 @@
 """Base parameters: which columns of the regressor are independent, and what carries the others."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from hesr_model.robots.robot import RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Mask
 
 _RANK_TOLERANCE = 1e-8
 _RANDOM_STATES = 300
@@ -39,7 +37,7 @@ def dependence(model: RobotModel, base: tuple[int, ...]) -> Array:
     return np.asarray(np.linalg.lstsq(columns[:, list(base)], columns, rcond=None)[0], dtype=float)
 
 
-def offsets_apart(model: RobotModel, base: tuple[int, ...]) -> NDArray[np.bool_]:
+def offsets_apart(model: RobotModel, base: tuple[int, ...]) -> Mask:
     """Whether a constant torque [N.m] of each joint is told from those of the base columns, (n,).
 
     Of each friction coordinate, where joints are coupled.

@@ -1,15 +1,14 @@
 """A motion and its time-reversed counterpart, matched position by position (section III-B)."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from hesr_model.errors import FitError
 from hesr_model.logs.signals import Motion
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Mask
 
 _LONGEST_SHIFT = 0.5
 """[s] Latencies of command and measurement, which reversal does not cancel."""
@@ -59,31 +58,18 @@ def matched(forward: Motion, backward: Motion) -> Pair:
         )
     times = mirror + shifts[best]
     rows = _covered(times, backward.t)
-    return Pair(forward=_rows(forward, rows), backward=_at(backward, times[rows]))
+    return Pair(forward=forward.rows(rows), backward=_at(backward, times[rows]))
 
 
-def _covered(times: Array, t: Array) -> NDArray[np.bool_]:
+def _covered(times: Array, t: Array) -> Mask:
     return np.asarray((times >= t[0]) & (times <= t[-1]))
-
-
-def _rows(motion: Motion, rows: NDArray[np.bool_]) -> Motion:
-    names = ("t", "q", "dq", "ddq", "tau", "q_raw")
-    return replace(motion, **{name: getattr(motion, name)[rows] for name in names})
 
 
 def _at(motion: Motion, times: Array) -> Motion:
     """Read a motion at other times; the raw signals are read linearly."""
-
-    def read(values: Array, order: int) -> Array:
-        out: Array = make_interp_spline(motion.t, values, k=order)(times)
-        return out
-
-    return replace(
-        motion,
-        t=times,
-        q=read(motion.q, 3),
-        dq=read(motion.dq, 3),
-        ddq=read(motion.ddq, 3),
-        tau=read(motion.tau, 1),
-        q_raw=read(motion.q_raw, 1),
-    )
+    orders = {"q": 3, "dq": 3, "ddq": 3, "tau": 1, "q_raw": 1}
+    read: dict[str, Any] = {
+        name: make_interp_spline(motion.t, getattr(motion, name), k=order)(times)
+        for name, order in orders.items()
+    }
+    return replace(motion, t=times, **read)

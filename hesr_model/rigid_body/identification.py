@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import (
     SerializerFunctionWrapHandler,
     ValidationInfo,
@@ -18,8 +17,8 @@ from threadpoolctl import threadpool_limits
 
 from hesr_model.errors import FitError, RobotError
 from hesr_model.inference.covariance import Covariance
-from hesr_model.logs.robot_log import RobotLog, parts_of, require_moving
-from hesr_model.logs.signals import Motion, smooth
+from hesr_model.logs.robot_log import RobotLog, require_moving
+from hesr_model.logs.signals import Motion, smoothed
 from hesr_model.rigid_body import physical as consistent
 from hesr_model.rigid_body.base_parameters import at_random_states, base_columns
 from hesr_model.rigid_body.least_squares import Block, Solution, covariance_of, solve
@@ -33,9 +32,9 @@ from hesr_model.rigid_body.observations import (
 )
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support import html
+from hesr_model.support.arrays import Array, Integers, Mask
 from hesr_model.support.typed_json import Numbers
 
-Array = NDArray[np.float64]
 Method = Literal["stacked", "paper"]
 Weighting = Literal["wls", "ols"]
 
@@ -57,36 +56,24 @@ class RigidBody:
 
     Attributes
     ----------
-    robot, joints
-        Whose parameters they are.
-    names, parameters
-        All standard parameters (P,) and rotor inertias. As a rule those outside `base` are zero;
-        not so in a physically consistent body, nor in one that carries a payload.
-    base
-        Indices of the base parameters, which carry the others linearly (eq. 6).
-    standard_errors
-        Of the base parameters, (len(base),), what the parameters outside `base` add to them
-        included: the roots of the covariance's diagonal.
-    condition
-        Condition number of the weighted observation matrix, each column relative to its size
-        over random states of the robot.
-    ridge
-        Weight of the pull towards zero on that scale, relative to the largest singular value; 0
+    robot, joints : whose parameters they are.
+    names, parameters : all standard parameters (P,) and rotor inertias. As a rule those outside
+        `base` are zero; not so in a physically consistent body, nor in one that carries a payload.
+    base : indices of the base parameters, which carry the others linearly (eq. 6).
+    standard_errors : of the base parameters, (len(base),), what the parameters outside `base` add
+        to them included: the roots of the covariance's diagonal.
+    condition : condition number of the weighted observation matrix, each column relative to its
+        size over random states of the robot.
+    ridge : weight of the pull towards zero on that scale, relative to the largest singular value; 0
         where the data needed none.
-    friction
-        (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] of the stacked fit: what was
-        estimated along with the parameters, not the friction model. Zero by the paper's method.
+    friction : (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] of the stacked fit: what
+        was estimated along with the parameters, not the friction model. Zero by the paper's method.
         At friction coordinates (`robots.transmission`), as a rule the joints.
-    rmse
-        (n,) [N.m] residual of the fit over the rows it used, there, too.
-    rows
-        Samples that were offered to the fit.
-    logs
-        Names of the logs.
-    physical
-        Whether the parameters are those of bodies of positive mass density.
-    covariance
-        Of the base parameters; None in results of earlier versions.
+    rmse : (n,) [N.m] residual of the fit over the rows it used, there, too.
+    rows : samples that were offered to the fit.
+    logs : names of the logs.
+    physical : whether the parameters are those of bodies of positive mass density.
+    covariance : of the base parameters; None in results of earlier versions.
     """
 
     robot: str
@@ -215,13 +202,12 @@ def identify(
         As `identify_motions`.
     """
     require_moving([*logs, *reversed_logs], model.description.joints)
-    cutoff = model.description.log.filter_cutoff
     return identify_motions(
-        [smooth(log, cutoff) for log in parts_of(logs)],
+        smoothed(logs, model),
         model,
         method=method,
         weighting=weighting,
-        reversed_motions=[smooth(log, cutoff) for log in parts_of(reversed_logs)],
+        reversed_motions=smoothed(reversed_logs, model),
         physical=physical,
     )
 
@@ -239,23 +225,20 @@ def identify_motions(
 
     Parameters
     ----------
-    method
-        ``"stacked"``: one least-squares problem over all motions, forward and reversed, in which
-        every joint also has a Coulomb, a viscous and an offset coefficient; no offset where it
-        cannot be told from a weight (`observations.friction_columns`).
-        ``"paper"``: torque and regressor of each motion are averaged with those of its
-        time-reversed counterpart at the same position, where odd friction cancels (eq. 7).
-        Either drops a joint's slow rows (`observations.SLOW`).
-    weighting
-        ``"wls"`` weighs each joint by its residual's standard deviation, ``"ols"`` does not.
-        By default ``"wls"`` for the stacked method and ``"ols"`` for the paper's.
-    reversed_motions
-        Time-reversed counterparts of `motions`, in their order; needed by ``"paper"``.
-    physical
-        Whether every link must be a body of positive mass density and every rotor inertia
+    method : ``"stacked"``: one least-squares problem over all motions, forward and reversed, in
+        which every joint also has a Coulomb, a viscous and an offset coefficient; no offset where
+        it cannot be told from a weight (`observations.friction_columns`). ``"paper"``: torque and
+        regressor of each motion are averaged with those of its time-reversed counterpart at the
+        same position, where odd friction cancels (eq. 7). Either drops a joint's slow rows
+        (`observations.SLOW`).
+    weighting : ``"wls"`` weighs each joint by its residual's standard deviation, ``"ols"`` does
+        not. By default ``"wls"`` for the stacked method and ``"ols"`` for the paper's.
+    reversed_motions : time-reversed counterparts of `motions`, in their order; needed by
+        ``"paper"``.
+    physical : whether every link must be a body of positive mass density and every rotor inertia
         positive (`hesr_model.rigid_body.physical`). All standard parameters are then estimated,
-        weakly pulled towards the model file's: it pays on short logs and changes little on
-        long ones.
+        weakly pulled towards the model file's: it pays on short logs and changes little on long
+        ones.
 
     Raises
     ------
@@ -267,7 +250,8 @@ def identify_motions(
     base = base_columns(model)
     friction = friction_columns(model, base) & (method == "stacked")
     where = "log " + ", ".join(motion.name for motion in everything)
-    require_samples(where, sum(len(m.t) for m in everything), len(base) + int(np.sum(friction)))
+    rows = sum(len(motion.t) for motion in everything)
+    require_samples(where, rows, len(base) + int(np.sum(friction)))
     require_speed(where, np.max(np.abs(rubbing_speeds(everything, model)), axis=0), model)
 
     def blocks_of(columns: tuple[int, ...]) -> list[Block]:
@@ -284,11 +268,11 @@ def identify_motions(
     labels = logs_of(motions if method == "paper" else everything)
     body = body_of(
         solution,
-        covariance_of(("",) * len(scale), blocks, solution, labels),
+        covariance_of(blocks, solution, labels),
         model,
         base,
         friction,
-        rows=sum(len(motion.t) for motion in everything),
+        rows=rows,
         logs=tuple(dict.fromkeys(motion.name for motion in everything)),
         method=method,
         weighting=weighting,
@@ -302,8 +286,8 @@ def _consistent(
     body: RigidBody,
     blocks: Sequence[Block],
     model: RobotModel,
-    friction: NDArray[np.bool_],
-    labels: NDArray[np.int_],
+    friction: Mask,
+    labels: Integers,
 ) -> RigidBody:
     """Replace an estimate by the physically consistent one from the same rows."""
     with threadpool_limits(1):
@@ -322,7 +306,7 @@ def _consistent(
     )
 
 
-def scale_of(model: RobotModel, base: tuple[int, ...], friction: NDArray[np.bool_]) -> Array:
+def scale_of(model: RobotModel, base: tuple[int, ...], friction: Mask) -> Array:
     """Return the size of each column [N.m] for `least_squares.solve`, base columns first.
 
     Those of friction, of which (n, 3) `friction` says which there are, are 1 N.m and 1 N.m.s/rad.
@@ -336,7 +320,7 @@ def body_of(
     covariance: Covariance,
     model: RobotModel,
     base: tuple[int, ...],
-    friction: NDArray[np.bool_],
+    friction: Mask,
     *,
     rows: int,
     logs: tuple[str, ...],

@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from hesr_model.inference.covariance import Covariance, blocks_of_time, covariance, left_out
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Integers
 
 _REWEIGHTINGS = 2
 _HUGE_CONDITION = 1e3
@@ -25,15 +23,13 @@ class Block:
 
     Attributes
     ----------
-    matrix, target
-        (N, P) and (N,).
-    samples
-        (N,) number of the sample that each row is of; blocks share samples.
+    matrix, target : (N, P) and (N,).
+    samples : (N,) number of the sample that each row is of; blocks share samples.
     """
 
     matrix: Array
     target: Array
-    samples: NDArray[np.int_] = field(default_factory=lambda: np.zeros(0, dtype=int))
+    samples: Integers = field(default_factory=lambda: np.zeros(0, dtype=int))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,11 +38,9 @@ class Factor:
 
     Attributes
     ----------
-    triangle
-        (P + 1, P + 1) triangular factor of [matrix, target]: a few rows that have the same squared
-        residuals.
-    rows
-        That it stands for.
+    triangle : (P + 1, P + 1) triangular factor of [matrix, target]: a few rows that have the same
+        squared residuals.
+    rows : that it stands for.
     """
 
     triangle: Array
@@ -72,19 +66,13 @@ class Solution:
 
     Attributes
     ----------
-    x
-        (P,) unknowns, in their units.
-    condition
-        Of the weighted matrix, columns divided by their scales.
-    ridge
-        Weight of the pull of the scaled unknowns towards zero, relative to the largest singular
+    x : (P,) unknowns, in their units.
+    condition : of the weighted matrix, columns divided by their scales.
+    ridge : weight of the pull of the scaled unknowns towards zero, relative to the largest singular
         value; 0 where none was needed.
-    pull
-        (P,) what one unit of each unknown costs by it, beside the weighted residuals.
-    weights
-        Of each block.
-    rmse
-        Residual of each block.
+    pull : (P,) what one unit of each unknown costs by it, beside the weighted residuals.
+    weights : of each block.
+    rmse : residual of each block.
     """
 
     x: Array
@@ -103,8 +91,7 @@ def solve(blocks: Sequence[Block], *, scale: Array, weighted: bool) -> Solution:
 
     Parameters
     ----------
-    scale
-        (P,) size that each column usually has. It must not come from the data: a column that
+    scale : (P,) size that each column usually has. It must not come from the data: a column that
         the data hardly excite, scaled up to the others, would get a huge coefficient. In the
         column's unit, [N.m] per unit of its parameter.
     """
@@ -124,24 +111,18 @@ def solve_factors(factors: Sequence[Factor], *, scale: Array, weighted: bool) ->
 
 
 def covariance_of(
-    names: Sequence[str],
     blocks: Sequence[Block],
     solution: Solution,
-    labels: NDArray[np.int_],
-    carried: Array | None = None,
+    labels: Integers,
 ) -> Covariance:
     """Return the covariance of a solution, residuals of all blocks at one sample taken together.
 
+    The unknowns have no names in it: those are given to what is made of them, by `mapped`.
+
     Parameters
     ----------
-    names
-        Of the unknowns.
-    blocks, solution
-        The problem and what was found; the blocks know their samples.
-    labels
-        (samples,) number of the log of each sample.
-    carried
-        As for `inference.covariance`.
+    blocks, solution : the problem and what was found; the blocks know their samples.
+    labels : (samples,) number of the log of each sample.
     """
     labels = blocks_of_time(labels)
     size, logs = len(solution.x), int(np.max(labels)) + 1
@@ -158,7 +139,7 @@ def covariance_of(
     whole = hessians.sum(axis=0) + known
     for block, (rows, residual) in zip(blocks, weighted, strict=True):
         gradients[block.samples] += rows * left_out(rows, residual, whole)[:, None]
-    return covariance(names, gradients, hessians, labels, known=known, carried=carried)
+    return covariance(("",) * size, gradients, hessians, labels, known=known)
 
 
 def _solve(factors: Sequence[Factor], weights: Array, scale: Array) -> Solution:

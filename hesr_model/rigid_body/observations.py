@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import FitError
 from hesr_model.logs.signals import Motion
@@ -12,8 +11,7 @@ from hesr_model.rigid_body.forward_reverse import matched
 from hesr_model.rigid_body.least_squares import Block
 from hesr_model.robots.robot import RobotModel
 from hesr_model.robots.transmission import onto
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Integers, Mask
 
 SLOW = 0.1
 """[rad/s, m/s] Slower rows of a joint are dropped: friction there is no function of velocity."""
@@ -37,7 +35,7 @@ def slow_of(fastest: Array) -> Array:
     return np.minimum(SLOW, SLOW_SHARE * fastest)
 
 
-def friction_columns(model: RobotModel, base: tuple[int, ...]) -> NDArray[np.bool_]:
+def friction_columns(model: RobotModel, base: tuple[int, ...]) -> Mask:
     """Which of Coulomb, viscous and offset of each joint stand beside the base columns, (n, 3).
 
     All but offsets [N.m] that are one number with a weight (`base_parameters.offsets_apart`).
@@ -47,22 +45,21 @@ def friction_columns(model: RobotModel, base: tuple[int, ...]) -> NDArray[np.boo
     return columns
 
 
-def logs_of(motions: Sequence[Motion]) -> NDArray[np.int_]:
+def logs_of(motions: Sequence[Motion]) -> Integers:
     """Return the number of the log (N,) of each sample of all motions; parts of a log share it."""
     names = list(dict.fromkeys(motion.name for motion in motions))
     numbers = [names.index(motion.name) for motion in motions]
     return np.repeat(numbers, [len(motion.t) for motion in motions])
 
 
-def per_joint(found: Array, friction: NDArray[np.bool_]) -> Array:
+def per_joint(found: Array, friction: Mask) -> Array:
     """Return coefficients of friction by joint, (n, 3), zero where there are no columns.
 
     Parameters
     ----------
-    found
-        (columns,) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m], of the columns there are.
-    friction
-        (n, 3) which those are.
+    found : (columns,) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m], of the columns there
+        are.
+    friction : (n, 3) which those are.
     """
     coefficients = np.zeros(friction.shape)
     coefficients[friction] = found
@@ -73,19 +70,16 @@ def stacked(
     motions: Sequence[Motion],
     model: RobotModel,
     base: tuple[int, ...],
-    friction: NDArray[np.bool_],
+    friction: Mask,
     slow: Array | None = None,
 ) -> list[Block]:
     """One block per friction coordinate, as a rule a joint: base columns, then those of friction.
 
     Parameters
     ----------
-    base
-        Columns of the regressor.
-    friction
-        (n, 3) which of Coulomb, viscous and offset each joint has; see `friction_columns`.
-    slow
-        (n,) [rad/s] speed below which rows are dropped; `slow_speeds` of the motions by default.
+    base : columns of the regressor.
+    friction : (n, 3) which of Coulomb, viscous and offset each joint has; see `friction_columns`.
+    slow : (n,) [rad/s] speed below which rows are dropped; `slow_speeds` of the motions by default.
     """
     n = model.n
     q, dq, ddq, tau = (

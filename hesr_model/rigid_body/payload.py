@@ -14,24 +14,20 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import FitError
-from hesr_model.logs.robot_log import RobotLog, parts_of, require_moving
-from hesr_model.logs.signals import Motion, smooth
-from hesr_model.rigid_body.base_parameters import at_random_states, dependence
-from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.logs.robot_log import RobotLog, require_moving
+from hesr_model.logs.signals import Motion, smoothed
+from hesr_model.rigid_body.base_parameters import dependence
+from hesr_model.rigid_body.identification import RigidBody, scale_of
 from hesr_model.rigid_body.least_squares import Block, Solution, solve
 from hesr_model.rigid_body.observations import (
     friction_columns,
     per_joint,
-    rubbing_speeds,
-    slow_speeds,
     stacked,
 )
 from hesr_model.robots.robot import LINK_PARAMETERS, RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Integers
 
 _SEGMENT = 1.0
 """[s] Residuals further apart than this are taken as independent. On measured logs without payload
@@ -49,21 +45,15 @@ class Payload:
 
     Attributes
     ----------
-    parameters
-        (10,) as in `robot.LINK_PARAMETERS`, in the frame of the last joint [kg, kg.m, kg.m2].
-    covariance
-        (10, 10) of them: from residuals, those within a second being alike, and from the standard
-        errors of the unloaded rigid body.
-    condition
-        Of the weighted observation matrix, as in `RigidBody`.
-    friction
-        (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] under load.
-    rmse
-        (n,) [N.m] residual over the rows that were used.
-    rows
-        Samples that were offered to the fit.
-    logs
-        Names of the logs.
+    parameters : (10,) as in `robot.LINK_PARAMETERS`, in the frame of the last joint [kg, kg.m,
+        kg.m2].
+    covariance : (10, 10) of them: from residuals, those within a second being alike, and from the
+        standard errors of the unloaded rigid body.
+    condition : of the weighted observation matrix, as in `RigidBody`.
+    friction : (n, 3) Coulomb [N.m], viscous [N.m.s/rad] and offset [N.m] under load.
+    rmse : (n,) [N.m] residual over the rows that were used.
+    rows : samples that were offered to the fit.
+    logs : names of the logs.
     """
 
     parameters: Array
@@ -115,10 +105,7 @@ def identify_payload(logs: Sequence[RobotLog], model: RobotModel, unloaded: Rigi
         As `identify_payload_motions`.
     """
     require_moving(logs, model.description.joints)
-    cutoff = model.description.log.filter_cutoff
-    return identify_payload_motions(
-        [smooth(log, cutoff) for log in parts_of(logs)], model, unloaded
-    )
+    return identify_payload_motions(smoothed(logs, model), model, unloaded)
 
 
 def identify_payload_motions(
@@ -142,9 +129,7 @@ def identify_payload_motions(
     columns = _last_link(model)
     friction = friction_columns(model, columns)
     blocks = stacked(added, model, columns, friction)
-    scale = np.ones(blocks[0].matrix.shape[1])  # of friction: 1 N.m, 1 N.m.s/rad
-    scale[:10] = np.sqrt(np.mean(at_random_states(model)[:, list(columns)] ** 2, axis=0))
-    solution = solve(blocks, scale=scale, weighted=True)
+    solution = solve(blocks, scale=scale_of(model, columns, friction), weighted=True)
     if solution.ridge:
         raise FitError(
             f"{name}: the motion does not determine the payload (condition number "
@@ -154,9 +139,8 @@ def identify_payload_motions(
         block.matrix[:, : len(unloaded.base)]
         for block in stacked(motions, model, unloaded.base, friction)
     ]
-    covariance = _covariance(blocks, solution, _kept(motions, segments, model)) + _inherited(
-        blocks, solution, carried, unloaded.standard_errors
-    )
+    covariance = _covariance(blocks, solution, [segments[block.samples] for block in blocks])
+    covariance += _inherited(blocks, solution, carried, unloaded.standard_errors)
     payload = Payload(
         parameters=solution.x[:10],
         covariance=covariance[:10, :10],
@@ -195,7 +179,7 @@ def loaded(unloaded: RigidBody, payload: Payload, model: RobotModel) -> RigidBod
     )
 
 
-def _require_length(name: str, motions: Sequence[Motion], segments: NDArray[np.int_]) -> None:
+def _require_length(name: str, motions: Sequence[Motion], segments: Integers) -> None:
     if len(np.unique(segments)) < _LEAST_SEGMENTS:
         raise FitError(
             f"{name}: lasts {sum(motion.t[-1] - motion.t[0] for motion in motions):.3g} s; a "
@@ -217,9 +201,9 @@ def _last_link(model: RobotModel) -> tuple[int, ...]:
     return tuple(range(10 * (model.n - 1), 10 * model.n))
 
 
-def _segments(motions: Sequence[Motion]) -> NDArray[np.int_]:
+def _segments(motions: Sequence[Motion]) -> Integers:
     """Give each row of all motions the number of its segment of time."""
-    parts: list[NDArray[np.int_]] = []
+    parts: list[Integers] = []
     first = 0
     for motion in motions:
         parts.append(first + ((motion.t - motion.t[0]) // _SEGMENT).astype(int))
@@ -227,17 +211,7 @@ def _segments(motions: Sequence[Motion]) -> NDArray[np.int_]:
     return np.concatenate(parts)
 
 
-def _kept(
-    motions: Sequence[Motion], segments: NDArray[np.int_], model: RobotModel
-) -> list[NDArray[np.int_]]:
-    """Segments of the rows that `stacked` keeps, one array per block."""
-    speed = np.abs(rubbing_speeds(motions, model))
-    return [segments[rows] for rows in (speed > slow_speeds(motions, model)).T]
-
-
-def _covariance(
-    blocks: Sequence[Block], solution: Solution, segments: Sequence[NDArray[np.int_]]
-) -> Array:
+def _covariance(blocks: Sequence[Block], solution: Solution, segments: Sequence[Integers]) -> Array:
     """Covariance of the unknowns when residuals of one segment, of any joint, hang together.
 
     The sandwich H^-1 (sum g g') H^-1 of cluster-robust regression (Liang and Zeger 1986), g being
@@ -258,10 +232,8 @@ def _inherited(
 
     Parameters
     ----------
-    carried
-        The unloaded body's base columns in the same rows.
-    errors
-        Standard errors of its base parameters, taken as independent.
+    carried : the unloaded body's base columns in the same rows.
+    errors : standard errors of its base parameters, taken as independent.
     """
     products = [
         block.matrix.T @ columns / size**2

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
 from scipy.optimize import least_squares
 
@@ -24,8 +23,7 @@ from hesr_model.inference.covariance import Covariance
 from hesr_model.rigid_body.base_parameters import dependence
 from hesr_model.rigid_body.least_squares import Block, Solution, covariance_of
 from hesr_model.robots.robot import RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, Integers
 
 _PULL = 0.2
 """Residuals, in standard deviations and per square root of rows, that one unit of a coordinate
@@ -51,15 +49,11 @@ class PhysicalFit:
 
     Attributes
     ----------
-    parameters
-        (P,) all standard parameters and rotor inertias.
-    friction
-        Coefficients of the columns after the P first, as in the blocks.
-    covariance
-        Of the base parameters that these parameters amount to, the pull towards the model file
-        taken as knowledge.
-    rmse
-        Residual of each block.
+    parameters : (P,) all standard parameters and rotor inertias.
+    friction : coefficients of the columns after the P first, as in the blocks.
+    covariance : of the base parameters that these parameters amount to, the pull towards the model
+        file taken as knowledge.
+    rmse : residual of each block.
     """
 
     parameters: Array
@@ -94,7 +88,7 @@ def fit(
     blocks: Sequence[Block],
     model: RobotModel,
     base: tuple[int, ...],
-    labels: NDArray[np.int_],
+    labels: Integers,
     *,
     rmse: Array,
     weighted: bool,
@@ -103,16 +97,12 @@ def fit(
 
     Parameters
     ----------
-    blocks
-        Rows of all P standard columns and the columns of friction after them.
-    base
-        Whose covariance is given.
-    labels
-        (samples,) number of the log of each sample.
-    rmse
-        (blocks,) residual of each block under the unconstrained fit [N.m], for the first weights.
-    weighted
-        Whether each block is divided by its own residual's size, or all by the same.
+    blocks : rows of all P standard columns and the columns of friction after them.
+    base : whose covariance is given.
+    labels : (samples,) number of the log of each sample.
+    rmse : (blocks,) residual of each block under the unconstrained fit [N.m], for the first
+        weights.
+    weighted : whether each block is divided by its own residual's size, or all by the same.
     """
     chart = _Chart.of(model)
     count, size = sum(len(block.target) for block in blocks), len(model.parameter_names)
@@ -147,7 +137,7 @@ def fit(
         rmse=rmse,
     )
     to_base = np.hstack([dependence(model, base) @ chart.slopes(x), np.zeros((len(base), others))])
-    covariance = covariance_of(("",) * len(at.x), moved, at, labels)
+    covariance = covariance_of(moved, at, labels)
     return PhysicalFit(
         parameters=parameters,
         friction=friction,
@@ -160,22 +150,13 @@ def fit(
 class _Chart:
     """Coordinates of physically consistent parameters: ten per link, one per rotor.
 
-    Attributes
-    ----------
-    factors
-        (n, 4, 4) upper triangular B of each link, B B' being its pseudo-inertia in the model file.
-    rotors
-        (r,) inertias in the model file [kg.m2], 0 where it gives none; r is n or 0.
-    start
-        (10 n + r,) of the model file.
-    pull
-        (10 n + r,) residual that a unit off the start costs, per square root of rows.
+    In the model file B B' is the pseudo-inertia of each link; there are r rotors, n or none.
     """
 
-    factors: Array
-    rotors: Array
-    start: Array
-    pull: Array
+    factors: Array  # (n, 4, 4), upper triangular B
+    rotors: Array  # (r,) inertias in the model file [kg.m2], 0 where it gives none
+    start: Array  # (10 n + r,) of the model file
+    pull: Array  # (10 n + r,) residual that a unit off the start costs, per square root of rows
 
     @classmethod
     def of(cls, model: RobotModel) -> Self:

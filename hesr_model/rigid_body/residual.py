@@ -1,10 +1,10 @@
 """The friction residual: what is left of the measured torque without the rigid body (eq. 8)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
 from hesr_model.logs.phases import MOVING, reversals
@@ -13,9 +13,8 @@ from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotModel
 from hesr_model.robots.transmission import Coupling
+from hesr_model.support.arrays import Array, Mask, some_rows
 from hesr_model.units import unit_of_joint
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,30 +23,19 @@ class FrictionRecord:
 
     Attributes
     ----------
-    log, joint
-        Names.
-    t
-        (N,) [s].
-    dq
-        (N,) [rad/s], smoothed.
-    q
-        (N,) [rad], raw.
-    tau_load
-        (N,) [N.m], rigid-body torque.
-    tau
-        (N,) [N.m], friction: measured torque less rigid-body torque (eq. 8), not smoothed.
-    tau_load_spread
-        (N, r) [N.m], by how much `tau_load` is off for one standard deviation of each independent
-        error of the rigid body; None where these are not known.
-    gear_ratio
-        Turns of the motor per turn of the joint, where the robot file gives it.
-    sliding
-        Whether the joint slides, so that positions are in m and torques are forces in N.
-    temperature
-        (N,) of the joint [degC], where it was measured.
-    coupling
-        Of all joints of the robot, where friction does not sit on the joints themselves; None where
-        it does, and in records that `at_friction` has brought there.
+    log, joint : names.
+    t : (N,) [s].
+    dq : (N,) [rad/s], smoothed.
+    q : (N,) [rad], raw.
+    tau_load : (N,) [N.m], rigid-body torque.
+    tau : (N,) [N.m], friction: measured torque less rigid-body torque (eq. 8), not smoothed.
+    tau_load_spread : (N, r) [N.m], by how much `tau_load` is off for one standard deviation of each
+        independent error of the rigid body; None where these are not known.
+    gear_ratio : turns of the motor per turn of the joint, where the robot file gives it.
+    sliding : whether the joint slides, so that positions are in m and torques are forces in N.
+    temperature : (N,) of the joint [degC], where it was measured.
+    coupling : of all joints of the robot, where friction does not sit on the joints themselves;
+        None where it does, and in records that `at_friction` has brought there.
     """
 
     log: str
@@ -63,11 +51,15 @@ class FrictionRecord:
     temperature: Array | None = None
     coupling: Coupling | None = None
 
-    def rows(self, rows: slice | NDArray[np.bool_]) -> "FrictionRecord":
+    @property
+    def motion(self) -> dict[str, Any]:
+        """What laws run over, (N,) each: t [s], dq [rad/s], q [rad] and tau_load [N.m], by name."""
+        return {name: getattr(self, name) for name in ("t", "dq", "q", "tau_load")}
+
+    def rows(self, rows: slice | Mask) -> "FrictionRecord":
         """Return some of the rows."""
         columns = ("t", "dq", "q", "tau_load", "tau", "tau_load_spread", "temperature")
-        found = {name: getattr(self, name) for name in columns}
-        return replace(self, **{k: v[rows] for k, v in found.items() if v is not None})
+        return some_rows(self, columns, rows)
 
 
 def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
@@ -80,21 +72,23 @@ def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
     if coupling is None:
         return list(records)
 
-    def moved(name: str, over: Callable[[Array], Array]) -> Array:
-        return over(np.column_stack([getattr(record, name) for record in records]))
+    ways = dict.fromkeys(("dq", "q"), coupling.motion)
+    ways |= dict.fromkeys(("tau_load", "tau"), coupling.torque)
+    moved = {
+        name: way(np.column_stack([getattr(record, name) for record in records]))
+        for name, way in ways.items()
+    }
 
-    dq, q = moved("dq", coupling.motion), moved("q", coupling.motion)
-    load, tau = moved("tau_load", coupling.torque), moved("tau", coupling.torque)
+    def own(k: int) -> dict[str, Any]:
+        return {name: np.ascontiguousarray(columns[:, k]) for name, columns in moved.items()}
+
     spreads = [record.tau_load_spread for record in records]
     known = [spread for spread in spreads if spread is not None]
     spread = coupling.torque(np.stack(known, axis=1)) if len(known) == len(spreads) else None
     return [
         replace(
             record,
-            dq=np.ascontiguousarray(dq[:, k]),
-            q=np.ascontiguousarray(q[:, k]),
-            tau_load=np.ascontiguousarray(load[:, k]),
-            tau=np.ascontiguousarray(tau[:, k]),
+            **own(k),
             tau_load_spread=None if spread is None else spread[:, k],
             coupling=None,
         )

@@ -9,7 +9,6 @@ needs every row at the estimate; here it is that of a sample of the rows, on the
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hesr_model.logs.signals import Motion
@@ -33,8 +32,7 @@ from hesr_model.rigid_body.observations import (
     stacked,
 )
 from hesr_model.robots.robot import RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 
 class Streamed:
@@ -57,7 +55,8 @@ class Streamed:
         self._friction = friction_columns(model, self._base)
         self._used = np.full(model.n, SLOW) if slow is None else slow
         self._peaks = np.zeros(model.n)
-        self._factors: list[Factor] = []
+        columns = len(self._base) + int(np.sum(self._friction))
+        self._factors = [Factor(triangle=np.zeros((0, columns + 1)))] * model.n
         self._logs: dict[str, None] = {}
         self.rows = 0
 
@@ -81,11 +80,8 @@ class Streamed:
         with threadpool_limits(1):
             for first in range(0, len(motion.t), AT_ONCE):
                 blocks = self._blocks([motion.rows(slice(first, first + AT_ONCE))])
-                self._factors = (
-                    [f.with_rows(b) for f, b in zip(self._factors, blocks, strict=True)]
-                    if self._factors
-                    else [Factor.of(b) for b in blocks]
-                )
+                rows = zip(self._factors, blocks, strict=True)
+                self._factors = [factor.with_rows(block) for factor, block in rows]
 
     def body(self, sample: Sequence[Motion], where: str) -> RigidBody:
         """Return the rigid body.
@@ -107,9 +103,7 @@ class Streamed:
         with threadpool_limits(1):
             solution = solve_factors(self._factors, scale=scale, weighted=True)
             tell_ridge(where, solution)
-            covariance = covariance_of(
-                ("",) * len(scale), self._blocks(sample), solution, logs_of(sample)
-            )
+            covariance = covariance_of(self._blocks(sample), solution, logs_of(sample))
         return body_of(
             solution,
             covariance,

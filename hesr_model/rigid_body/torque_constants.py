@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.optimize import least_squares
 
@@ -28,8 +27,7 @@ from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.rigid_body.least_squares import Block
 from hesr_model.rigid_body.observations import friction_columns, stacked
 from hesr_model.robots.robot import RobotModel
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 _DETERMINED = 0.2
 """Relative standard error beyond which a constant is not determined."""
@@ -52,13 +50,10 @@ class Constant:
 
     Attributes
     ----------
-    joint
-        Its name.
-    value, error
-        N.m/A at the joint, as `torque_per_ampere`, and its standard error; infinite where nothing
-        tells.
-    determined
-        Whether the data determine it; `value` means nothing where they do not.
+    joint : its name.
+    value, error : N.m/A at the joint, as `torque_per_ampere`, and its standard error; infinite
+        where nothing tells.
+    determined : whether the data determine it; `value` means nothing where they do not.
     """
 
     joint: str
@@ -90,18 +85,12 @@ def torque_constants(
 
     Parameters
     ----------
-    motions
-        Without payload, their torques made from currents with the assumed constants.
-    model
-        Whose file gives masses and centres of mass.
-    assumed
-        (n,) constants by which currents became torques, as `torque_per_ampere`.
-    mass_error
-        Declared relative error of the file's masses, one standard deviation.
-    loaded
-        Motions under a known payload, of the same constants.
-    payload
-        (10,) its parameters [kg, kg.m, kg.m2] in the frame of the last joint, as
+    motions : without payload, their torques made from currents with the assumed constants.
+    model : whose file gives masses and centres of mass.
+    assumed : (n,) constants by which currents became torques, as `torque_per_ampere`.
+    mass_error : declared relative error of the file's masses, one standard deviation.
+    loaded : motions under a known payload, of the same constants.
+    payload : (10,) its parameters [kg, kg.m, kg.m2] in the frame of the last joint, as
         `robot.LINK_PARAMETERS`.
 
     Raises
@@ -152,44 +141,22 @@ def point_payload(mass: float, centre: Sequence[float]) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Rows:
-    """Rows of a joint in logs of one kind, compressed: [Y, Y carried, friction, torque].
+    """Rows of a joint in logs of one kind, compressed: [Y, Y carried, friction, torque]."""
 
-    Attributes
-    ----------
-    factor
-        Triangular, of these columns.
-    count
-        Rows there were.
-    length
-        Rows within which residuals are alike.
-    """
-
-    factor: Array
-    count: int
-    length: float
+    factor: Array  # triangular, of these columns
+    count: int  # rows there were
+    length: float  # rows within which residuals are alike
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Problem:
-    """One joint: unknown are kappa, relative to the assumed constant, pi, and friction by kind.
+    """One joint: unknown are kappa, relative to the assumed constant, pi, and friction by kind."""
 
-    Attributes
-    ----------
-    kinds
-        Rows of logs without payload, and with it.
-    nominal, spread
-        (P,) of the model file, and how far that is in doubt.
-    friction
-        Columns of friction of each kind.
-    known
-        Size of the torque that is trusted [N.m]: of the payload, else of the model's weights.
-    """
-
-    kinds: tuple[_Rows, ...]
-    nominal: Array
-    spread: Array
-    friction: int
-    known: float
+    kinds: tuple[_Rows, ...]  # of logs without payload, and with it
+    nominal: Array  # (P,) of the model file
+    spread: Array  # (P,) how far that is in doubt
+    friction: int  # columns of it of each kind
+    known: float  # torque that is trusted [N.m]: of the payload, else of the model's weights
 
     @classmethod
     def of(
@@ -249,16 +216,10 @@ class _Problem:
     def _start(self) -> Array:
         """Return the unknowns with the model file's parameters, the others by least squares."""
         x = np.concatenate([[0.0], self.nominal, np.zeros(self.friction * len(self.kinds))])
-        columns, targets = [], []
-        for k, rows in enumerate(self.kinds):
-            own = np.zeros((len(rows.factor), len(x)))
-            own[:, 0] = self._torque(x, k)
-            own[:, self._own(k)] = rows.factor[:, len(self.nominal) + 1 : -1]
-            columns.append(own)
-            targets.append(rows.factor[:, -1])
         free = np.r_[0, 1 + len(self.nominal) : len(x)]
-        matrix = np.vstack(columns)[:, free]
-        x[free] = np.linalg.lstsq(matrix, np.concatenate(targets), rcond=None)[0]
+        rows = self._slopes(x, [1.0] * len(self.kinds))[: -len(self.nominal)]
+        targets = np.concatenate([kind.factor[:, -1] for kind in self.kinds])
+        x[free] = np.linalg.lstsq(rows[:, free], targets, rcond=None)[0]
         return x
 
     def _own(self, k: int) -> slice:

@@ -7,11 +7,9 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import RobotError
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 _DEGREES = 180.0 / np.pi
 
@@ -21,8 +19,7 @@ def load(path: Path, *, mimic: bool = False) -> Any:
 
     Parameters
     ----------
-    mimic
-        Whether a URDF's joints that follow others are to be told from those that are driven.
+    mimic : whether a URDF's joints that follow others are to be told from those that are driven.
 
     Raises
     ------
@@ -76,10 +73,8 @@ class ModelJoint:
 
     Attributes
     ----------
-    freedom
-        Degrees of freedom; 0 for one that follows another (`mimic` in a URDF).
-    slides
-        Whether it slides instead of turning.
+    freedom : degrees of freedom; 0 for one that follows another (`mimic` in a URDF).
+    slides : whether it slides instead of turning.
     """
 
     name: str

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from hesr_model.errors import RobotError
@@ -16,9 +15,8 @@ from hesr_model.logs.log_format import LogFormat
 from hesr_model.robots.model_file import load, motion_subspace, require_one_axis, set_joint
 from hesr_model.robots.owner import Owner
 from hesr_model.robots.transmission import Coupling, Transmission
+from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config, PrintableName, RelativePath, read_toml
-
-Array = NDArray[np.float64]
 
 LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Of one link: mass, first moments, and inertia about the origin of the link's joint frame."""
@@ -31,23 +29,16 @@ class RobotDescription(Config):
 
     Attributes
     ----------
-    model
-        URDF, or MJCF where the suffix is ``.xml``.
-    joints
-        Joints that are identified, from base to tip, in the order of the log's columns.
-    locked
-        Positions [rad or m] of joints that do not move; those not named are at neutral.
-    gravity
-        In the base frame [m/s2].
-    rotor_inertia
-        Whether a rotor inertia per joint, reflected through its gear, is a parameter.
-    gear_ratio
-        Turns of the motor per turn of each joint, where known: laws with motor ripple need it.
-        Where there is a transmission they are those of its diagonal.
-    transmission
-        How motors move joints, where a motor turns with more than one, or logs are of motors.
-    owner
-        Whose the models are that are made of its logs.
+    model : URDF, or MJCF where the suffix is ``.xml``.
+    joints : joints that are identified, from base to tip, in the order of the log's columns.
+    locked : positions [rad or m] of joints that do not move; those not named are at neutral.
+    gravity : in the base frame [m/s2].
+    rotor_inertia : whether a rotor inertia per joint, reflected through its gear, is a parameter.
+    gear_ratio : turns of the motor per turn of each joint, where known: laws with motor ripple need
+        it. Where there is a transmission they are those of its diagonal.
+    transmission : how motors move joints, where a motor turns with more than one, or logs are of
+        motors.
+    owner : whose the models are that are made of its logs.
     """
 
     name: PrintableName
@@ -138,14 +129,11 @@ class JointFrame:
 
     Attributes
     ----------
-    parent
-        Index of the parent joint, -1 for the base.
-    rotation, translation
-        Pose (3, 3), (3,) [m] of the joint's frame at zero position in the parent's frame.
-    axis
-        Unit vector (3,) in the joint's own frame.
-    prismatic
-        Whether the joint slides along `axis` instead of turning about it.
+    parent : index of the parent joint, -1 for the base.
+    rotation, translation : pose (3, 3), (3,) [m] of the joint's frame at zero position in the
+        parent's frame.
+    axis : unit vector (3,) in the joint's own frame.
+    prismatic : whether the joint slides along `axis` instead of turning about it.
     """
 
     name: str
@@ -283,8 +271,7 @@ class RobotModel:
 
         Parameters
         ----------
-        q, dq, ddq
-            (N, n) [rad, rad/s, rad/s2; m, m/s, m/s2 for prismatic joints].
+        q, dq, ddq : (N, n) [rad, rad/s, rad/s2; m, m/s, m/s2 for prismatic joints].
 
         Returns
         -------
@@ -330,10 +317,8 @@ class RobotModel:
 
         Parameters
         ----------
-        parameters
-            (P,) or (N, P).
-        q, dq
-            (N, n) as in `regressor`.
+        parameters : (P,) or (N, P).
+        q, dq : (N, n) as in `regressor`.
 
         Returns
         -------

@@ -16,13 +16,11 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from hesr_model.errors import ArtifactError, RobotError
+from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config
-
-Array = NDArray[np.float64]
 
 Side = Literal["motor", "joint"]
 
@@ -35,14 +33,11 @@ class Transmission(Config):
 
     Attributes
     ----------
-    matrix
-        (n, n) turns of each motor (row) per turn of each joint (column): gear ratios on the
+    matrix : (n, n) turns of each motor (row) per turn of each joint (column): gear ratios on the
         diagonal, negative where a motor turns against its joint, couplings beside it.
-    logs
-        Whether positions, velocities and torques in the logs are those of motors or of joints.
+    logs : whether positions, velocities and torques in the logs are those of motors or of joints.
         Where a motor's position is 0, the joints stand at `LogFormat.zero`.
-    friction
-        Where friction sits, for all or one per joint: at the motors, or at the joint itself.
+    friction : where friction sits, for all or one per joint: at the motors, or at the joint itself.
     """
 
     matrix: tuple[tuple[float, ...], ...] = Field(min_length=1)
@@ -104,8 +99,7 @@ class Coupling:
 
     Attributes
     ----------
-    matrix
-        C, (n, n) [rad/rad; m/m].
+    matrix : C, (n, n) [rad/rad; m/m].
     """
 
     matrix: tuple[tuple[float, ...], ...]

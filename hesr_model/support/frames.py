@@ -4,12 +4,8 @@ from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hesr_model.errors import ConfigError
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 
 def pandas_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:

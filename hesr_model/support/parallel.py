@@ -15,7 +15,6 @@ from importlib import import_module
 from multiprocessing import resource_tracker
 from pathlib import Path
 from queue import Empty
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import cloudpickle
@@ -156,14 +155,9 @@ class _Pool:
             self._cleanup = cleanup.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: Any) -> None:
         """End the processes, at once where there is an error, and remove the folder."""
-        self._cleanup.__exit__(kind, error, trace)
+        self._cleanup.__exit__(*raised)
 
     def submit(self, jobs: Sequence[Callable[[], Result]]) -> "list[Future[Result]]":
         """Let the processes do jobs."""
@@ -183,15 +177,10 @@ class _Shared:
     def __enter__(self) -> "_Shared":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: Any) -> None:
         pool, self._pool = self._pool, None
         if pool:
-            pool.__exit__(kind, error, trace)
+            pool.__exit__(*raised)
 
     def pool(self) -> _Pool:
         """Return the pool."""
@@ -199,15 +188,10 @@ class _Shared:
             self._pool = _Pool(os.cpu_count() or 1).__enter__()
         return self._pool
 
-    def stopped_by(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def stopped_by(self, kind: type[BaseException] | None, *raised: Any) -> None:
         """Stop the processes at once where a block has failed."""
-        if error is not None:
-            self.__exit__(kind, error, trace)
+        if kind is not None:
+            self.__exit__(kind, *raised)
 
 
 _sharing: _Shared | None = None

@@ -10,10 +10,13 @@ def plain(text: str, longest: int = _LONGEST) -> str:
 
     Control characters and those that change the direction of text are written as escapes.
     """
-    shown = text if len(text) <= longest else f"{text[:longest]}..."
+    return escaped(text if len(text) <= longest else f"{text[:longest]}...")
+
+
+def escaped(text: str) -> str:
+    """Return text with escapes in place of what cannot be printed."""
     return "".join(
-        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode()
-        for c in shown
+        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text
     )
 
 

@@ -10,32 +10,30 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import PlainSerializer, PlainValidator, TypeAdapter, ValidationError
 
 from hesr_model.errors import ArtifactError
+from hesr_model.support.arrays import Array
 
 Kind = TypeVar("Kind")
 
 
-def _array(data: Any) -> NDArray[np.float64]:
+def _array(data: Any) -> Array:
     try:
         return np.array(data, dtype=float)
     except TypeError as error:
         raise ValueError(str(error)) from error
 
 
-def _with_gaps(values: NDArray[np.float64]) -> Any:
+def _with_gaps(values: Array) -> Any:
     gaps = values.astype(object)
     gaps[~np.isfinite(values)] = None
     return gaps.tolist()
 
 
-Numbers = Annotated[NDArray[np.float64], PlainValidator(_array), PlainSerializer(np.ndarray.tolist)]
+Numbers = Annotated[Array, PlainValidator(_array), PlainSerializer(np.ndarray.tolist)]
 """An array of any shape, as lists."""
-NumbersWithGaps = Annotated[
-    NDArray[np.float64], PlainValidator(_array), PlainSerializer(_with_gaps)
-]
+NumbersWithGaps = Annotated[Array, PlainValidator(_array), PlainSerializer(_with_gaps)]
 """The same, null where a number is not finite; it comes back as NaN."""
 
 

@@ -12,12 +12,13 @@ from cosim.pipeline import Job
 from cosim.replay import replay
 from cosim.study import Study
 from hesr_model.artifacts import read_model, read_rigid_body
-from hesr_model.forward.output_error import MOST_TORQUE, Refined, motions, refine
+from hesr_model.forward.output_error import MOST_TORQUE, Refined, refine
 from hesr_model.forward.simulation import Simulator, position_errors
 from hesr_model.forward.windows import whole, windows_of
 from hesr_model.friction.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import smoothed
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import RobotDescription, RobotModel
@@ -70,7 +71,7 @@ def identified(
 @pytest.fixture(scope="module")
 def refined(identified: Identified, logs: tuple[RobotLog, RobotLog]) -> Refined:
     robot, body, law = identified
-    return refine(robot, body, law, motions([logs[0]], robot))
+    return refine(robot, body, law, smoothed([logs[0]], robot))
 
 
 def test_mass_and_friction_are_found(identified: Identified) -> None:

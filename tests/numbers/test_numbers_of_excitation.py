@@ -15,8 +15,16 @@ from hesr_model.errors import ConfigError, FitError, RobotError
 from hesr_model.motions import excitation
 from hesr_model.motions.excitation import ExcitationSettings, condition, design, random_motions
 from hesr_model.motions.excitation_search import Search, _null_space
-from hesr_model.motions.limits import Limits, MotionLimits, one_period
-from hesr_model.motions.trajectories import Fourier, Reversed, Sine, Sweep, chirp, random_fourier
+from hesr_model.motions.limits import Limits, MotionLimits
+from hesr_model.motions.trajectories import (
+    Fourier,
+    Reversed,
+    Sine,
+    Sweep,
+    chirp,
+    one_period,
+    random_fourier,
+)
 from hesr_model.robots.robot import RobotDescription, RobotModel
 
 START, AMPLITUDE = np.array([0.1, -0.2]), np.array([0.5, 0.4])
@@ -148,7 +156,7 @@ def test_what_a_search_is_given(
     arm_model: RobotModel, unchanged: Unchanged, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     limits = replace(Limits.of(arm_model, MotionLimits()), torque=np.array([3.0, 8.0, 1.0]))
-    search = Search.of(arm_model, limits, harmonics=3, period=(3.0, 9.0))
+    search = Search(model=arm_model, limits=limits, harmonics=3, period=(3.0, 9.0))
     x = np.random.default_rng(3).normal(0.0, 0.5, 16)
     x[-1] = np.log(4.0)
     unpacked = search.unpack(x)

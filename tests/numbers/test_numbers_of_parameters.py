@@ -49,7 +49,7 @@ def test_least_squares_with_a_ridge_where_it_is_needed(
     assert (found.ridge > 0.0) == (condition > 1000.0)
     unchanged({
         "found": found, "plain": solve(blocks, scale=np.array([1.0, 2.0, 0.1]), weighted=False),
-        "covariance": covariance_of("abc", blocks, found, labels).matrix,
+        "covariance": covariance_of(blocks, found, labels).matrix,
     }, rtol=1e-5)  # fmt: skip
 
 

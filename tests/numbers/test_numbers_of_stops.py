@@ -145,7 +145,7 @@ def test_least_squares_with_signs(samples: Samples, unchanged: Unchanged) -> Non
     y = a @ [3.0, -2.0, 0.5, -1.0, 1.0, -1.0]
     y = y / y.std() + 0.3 * rng.normal(size=len(y))
     weights = terms.weights(samples)
-    normal = Normal(a, y, samples.folds, weights, free=2)
+    normal = Normal.of(a, y, samples.folds, weights, free=2)
     left = normal.left_out()
     blocks = blocks_of(samples.dt, samples.begins)
     unchanged(

@@ -152,7 +152,7 @@ def test_gradient_is_that_of_the_value(arm_model: RobotModel) -> None:
             torque=(0.5, 3.0, 1.0),
         ),
     )
-    search = Search.of(arm_model, limits, harmonics=3, period=(4.0, 9.0))
+    search = Search(model=arm_model, limits=limits, harmonics=3, period=(4.0, 9.0))
     x = np.random.default_rng(2).uniform(-0.9, 0.9, len(search.bounds))
     x[-1] = np.log(6.0)
     value, gradient = search.value_and_gradient(x, 10.0)
@@ -168,7 +168,7 @@ def test_gradient_is_that_of_the_value(arm_model: RobotModel) -> None:
 
 def test_coordinates_stand_for_motions(arm_model: RobotModel) -> None:
     limits = Limits.of(arm_model, MotionLimits())
-    search = Search.of(arm_model, limits, harmonics=3, period=(5.0, 12.0))
+    search = Search(model=arm_model, limits=limits, harmonics=3, period=(5.0, 12.0))
     motion = random_motions(arm_model, QUICK, 1, seed=0)[0]
     back = search.unpack(search.pack(motion))
     for name in ("offset", "a", "b", "period"):

@@ -48,7 +48,7 @@ def stated(given: list[Block], solution: Solution) -> np.ndarray:
         for start, block in zip(ends, given, strict=False)
     ]
     labels = np.arange(ends[-1]) % 3
-    return covariance_of(("",) * len(solution.x), own, solution, labels).standard_errors
+    return covariance_of(own, solution, labels).standard_errors
 
 
 def test_standard_errors_are_the_spread_over_repetitions() -> None:
@@ -69,7 +69,7 @@ def test_rows_of_one_sample_err_together() -> None:
     errors = []
     for given in ([once], [once, once]):
         solution = solve(given, scale=SCALE, weighted=False)
-        errors.append(covariance_of("abc", given, solution, labels).standard_errors)
+        errors.append(covariance_of(given, solution, labels).standard_errors)
     # Each of two rows has half of the leverage, which is all that differs.
     np.testing.assert_allclose(errors[1], errors[0], rtol=0.03)
 

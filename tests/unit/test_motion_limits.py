@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hesr_model.motions.excitation_search import Search, _excess, _log_condition
-from hesr_model.motions.limits import Limits, MotionLimits, one_period, peak_torque
-from hesr_model.motions.trajectories import Fourier
+from hesr_model.motions.limits import Limits, MotionLimits, peak_torque
+from hesr_model.motions.trajectories import Fourier, one_period
 from hesr_model.robots.robot import RobotModel
 
 NARROW = MotionLimits(
@@ -112,7 +112,7 @@ def test_the_objective_weighs_every_excess_over_a_cycle(
     motion: Fourier, limits: Limits, arm_model: RobotModel
 ) -> None:
     tight = replace(limits, torque=np.array([3.0, 8.0, 1.0]))
-    search = Search.of(arm_model, tight, harmonics=3, period=(3.0, 9.0))
+    search = Search(model=arm_model, limits=tight, harmonics=3, period=(3.0, 9.0))
     x = search.pack(motion)
     assert search.bounds == [(None, None)] * 12 + [(-1.0, 1.0)] * 3 + [(np.log(3.0), np.log(9.0))]
     np.testing.assert_allclose(x[12:], [(0.3 - 0.1) / 0.5, 0.0, -0.2, np.log(4.0)])
@@ -123,5 +123,5 @@ def test_the_objective_weighs_every_excess_over_a_cycle(
     excess = sum(np.sum(np.maximum(np.abs(v) / b - 1, 0) ** 2) / 120 for v, b in bounded)
     bare, _ = search.value_and_gradient(x, 0.0)
     assert search.value_and_gradient(x, 7.0)[0] - bare == pytest.approx(7.0 * excess, rel=1e-9)
-    more = Search.of(arm_model, tight, harmonics=11, period=(3.0, 9.0))
+    more = Search(model=arm_model, limits=tight, harmonics=11, period=(3.0, 9.0))
     assert len(more._series[0]) == 12 * 11

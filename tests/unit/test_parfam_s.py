@@ -123,7 +123,7 @@ def test_left_out_errors_are_those_of_fits_without_the_fold() -> None:
     rng = np.random.default_rng(1)
     a, y = rng.normal(size=(90, 3)), rng.normal(size=90)
     folds = [np.arange(90) // 30 == k for k in range(3)]
-    found = Normal(a, y, folds, np.ones(90), free=3).left_out()
+    found = Normal.of(a, y, folds, np.ones(90), free=3).left_out()
     for fold in folds:
         x = np.linalg.lstsq(a[~fold], y[~fold])[0]
         np.testing.assert_allclose(found[fold], a[fold] @ x - y[fold], atol=1e-7)

@@ -5,7 +5,8 @@ import pytest
 
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.least_squares import Block, Solution
-from hesr_model.rigid_body.payload import _covariance, _inherited, _kept, _segments
+from hesr_model.rigid_body.observations import stacked
+from hesr_model.rigid_body.payload import _covariance, _inherited, _segments
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.files import models_folder
 
@@ -42,10 +43,11 @@ def test_segments_go_on_from_log_to_log() -> None:
 def test_rows_at_which_a_joint_is_slow_do_not_count() -> None:
     dq = np.array([[1.0, 0.05, 0.0], [0.09, 1.0, 1.0], [-0.11, 0.5, 0.0], [0.1, -0.2, 0.0]])
     robot = RobotModel(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
-    found = _kept([moving(np.arange(4.0), dq)], np.array([7, 8, 9, 10]), robot)
-    np.testing.assert_array_equal(found[0], [7, 9])
-    np.testing.assert_array_equal(found[1], [8, 9, 10])
-    np.testing.assert_array_equal(found[2], [8])
+    motion = moving(np.arange(4.0), dq)
+    found = [block.samples for block in stacked([motion], robot, (0,), np.ones((3, 3), dtype=bool))]
+    np.testing.assert_array_equal(found[0], [0, 2])
+    np.testing.assert_array_equal(found[1], [1, 2, 3])
+    np.testing.assert_array_equal(found[2], [1])
 
 
 def test_the_covariance_is_the_sandwich_of_sums_over_segments(blocks: list[Block]) -> None:

@@ -310,6 +310,3 @@ def _cusum(
     return Equation(
         name=name, expression=_at_most(positive(previous(name) + change), top), start=sympy.S.Zero
     )
-
-
-__all__ = ["ADAPT", "HEALTH", "INPUTS", "MEASURED", "RIGID", "adaptive_component"]

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from hesr_model.equations.component import Component, Parameter
-from hesr_model.equations.over_log import Array
 from hesr_model.equations.stepping import Steps
 from hesr_model.errors import SimulationError
 from hesr_model.friction.adaptive.component import adaptive_component
@@ -16,6 +15,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.thermal_law import inputs_over
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -6,16 +6,16 @@ joint alone has lost to heat looks like wear, and an offset like an error of gra
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.adaptive.follow import Followed, Follower
 from hesr_model.friction.adaptive.tuning import TUNING, Tuning
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 
 _SHARED = 0.5
 """Share of the joints from which on a change of friction is one of all."""
@@ -148,7 +148,7 @@ def _alarms(log: Sequence[Followed]) -> Iterator[Alarm]:
     shared = shared_signs(((a.joint, a.sign) for a in found if a.kind == "drift"), len(log))
     for alarm in sorted(found, key=lambda a: a.time):
         kind = "shared drift" if alarm.kind == "drift" and alarm.sign in shared else alarm.kind
-        yield Alarm(log=alarm.log, joint=alarm.joint, time=alarm.time, kind=kind, sign=alarm.sign)
+        yield replace(alarm, kind=kind)
 
 
 def shared_signs(drifts: Iterable[tuple[str, int]], joints: int) -> list[int]:

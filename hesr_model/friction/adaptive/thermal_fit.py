@@ -15,18 +15,17 @@ import numpy as np
 import sympy
 from scipy.optimize import least_squares, minimize_scalar
 
-from hesr_model.equations.functions import lowered
-from hesr_model.equations.memory import DT
-from hesr_model.equations.over_log import Array, StatesOverLog
 from hesr_model.errors import FitError
 from hesr_model.friction.adaptive.factors import parts
-from hesr_model.friction.evaluate import numbers
+from hesr_model.friction.evaluate import numbers, over_log
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.thermal import Thermal
 from hesr_model.inference.covariance import blocks_of_time, covariance, left_out
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 
 LEAST_SPREAD = 3.0
 """[K] between the coldest and the warmest twentieth of the rows."""
@@ -62,23 +61,20 @@ class Factored:
         own = parts(law, level)
         output = own.hysteresis + viscosity * own.viscous + own.rest
         self._law = law
-        arguments = (*(c.symbol for c in law.form.coefficients), *INPUTS, level)
-        self._memory = StatesOverLog(
-            own.memory, arguments, output.free_symbols, law.form.component.settling
-        )
-        states = tuple(s for m in own.memory for s in (m.state, m.derivative))
-        self._output = lowered((*arguments, viscosity, *states, DT), (output,))
+        arguments = (*(c.symbol for c in law.form.coefficients), *INPUTS, level, viscosity)
+        settling = law.form.component.settling
+        self._memory, self._output = over_log(own.memory, arguments, (output,), settling)
 
     def torque(self, record: FrictionRecord, level: Array, viscosity: Array) -> Array:
         """Return the torque (N,) [N.m] over a record, factors (N,) beside its rows."""
         law, dt = self._law, np.diff(record.t, prepend=record.t[0])
-        values = (*numbers(law), record.dq, record.q, record.tau_load, level)
+        values = (*numbers(law), record.dq, record.q, record.tau_load, level, viscosity)
         first = [float(np.atleast_1d(np.asarray(v))[0]) for v in values]
         states = self._memory(
             values, dt, np.arange(len(dt)) == 0, self._memory.beginning(first, law.start),
             law.discretisation,
         )  # fmt: skip
-        found = self._output(*values, viscosity, *states, dt)[0]
+        found = self._output(*values, *states, dt)[0]
         return np.array(np.broadcast_to(found, dt.shape))
 
 
@@ -157,7 +153,6 @@ def _of_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit
             f"joint '{records[0].joint}': the longest log takes {longest:.3g} s; without "
             f"temperatures, logs of at least {LEAST_TIME:g} s from a cold start are needed."
         )
-
     start = Thermal(
         coulomb=0.0, viscous=0.0, time_constant=longest / 3.0, resistance=1.0, measured=False
     )
@@ -198,13 +193,10 @@ class _Problem:
                 coulomb=float(x[2]), viscous=float(x[3]), time_constant=time,
             )  # fmt: skip
 
-        def residual(x: Array) -> Array:
-            thermal = thermal_of(x)
+        def left(thermal: Thermal, offset: float) -> Array:
             torques = self._torques(thermal, temperatures(thermal))
-            return np.concatenate(
-                [(tau + x[4] - r.tau)[known]
-                 for tau, r, known in zip(torques, self._records, self._known, strict=True)]
-            )  # fmt: skip
+            rows = zip(torques, self._records, self._known, strict=True)
+            return np.concatenate([(tau + offset - r.tau)[known] for tau, r, known in rows])
 
         count = 6 if searched else 5
         low = np.array([-1.0, -1.5, -0.5, -0.5, -np.inf, np.log(_TIMES[0])])[:count]
@@ -213,18 +205,14 @@ class _Problem:
         scale = np.array([0.1, 0.1, 0.01, 0.01, 1.0, 0.3])[:count]
         if searched:  # where nothing depends on heat its time constant has no slope
             first[2:4] = 1e-3
-        found = least_squares(residual, first, bounds=(low, high), x_scale=scale)
+        found = least_squares(
+            lambda x: left(thermal_of(x), x[4]), first, bounds=(low, high), x_scale=scale
+        )
         errors = self._errors(found.jac, found.fun)
-        fixed = np.concatenate([
-            (tau - r.tau)[known]
-            for tau, r, known in zip(
-                self._torques(start, temperatures(start)), self._records, self._known, strict=True)
-        ])  # fmt: skip
         return ThermalFit(
             joint=self._records[0].joint, thermal=thermal_of(found.x),
             coulomb_error=float(errors[2]), viscous_error=float(errors[3]),
-            rmse_fixed=float(np.sqrt(np.mean(fixed**2))),
-            rmse=float(np.sqrt(np.mean(found.fun**2))),
+            rmse_fixed=rmse(left(start, 0.0)), rmse=rmse(found.fun),
         )  # fmt: skip
 
     def _torques(self, thermal: Thermal, temperatures: Sequence[Array]) -> list[Array]:
@@ -284,6 +272,3 @@ class _Problem:
         return replace(
             thermal, resistance=max(float(x[0]), 0.0), time_constant=time, ambient=float(x[1])
         )
-
-
-__all__ = ["Factored", "ThermalFit", "fit_thermal"]

@@ -6,18 +6,14 @@ from itertools import product
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import SimulationError
-from hesr_model.friction.audit.cycles import (
-    AMPLITUDES,
-    FREQUENCIES,
-    closed_motions,
-    cycles,
-)
+from hesr_model.friction.audit.audit import loads_of
+from hesr_model.friction.audit.cycles import AMPLITUDES, FREQUENCIES, closed_motions, cycles
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.trained import TrainedRange
+from hesr_model.support.arrays import Array
 
 ANGLES = (1e-5, 1e-4, 1e-3, 1e-2)
 """Amplitudes of motions with a moving load [rad]."""
@@ -72,14 +68,8 @@ def attack(law: FrictionLaw, trained: TrainedRange) -> Attack | None:
 
 
 def _still(law: FrictionLaw, trained: TrainedRange) -> list[Attack]:
-    low, high = trained.tau_load
-    loads = (
-        sorted({low, min(max(0.0, low), high), high})
-        if TAU_LOAD in law.form.inputs
-        else [min(max(0.0, low), high)]
-    )
     found = []
-    for wanted, load in product(FREQUENCIES, loads):
+    for wanted, load in product(FREQUENCIES, loads_of(law, trained)):
         motions = closed_motions(trained, np.multiply(AMPLITUDES, trained.speed), wanted)
         t: Array = trained.sample_time * np.arange(motions.dq.size, dtype=float)
         tau = _run(law, t, motions.dq.ravel(), motions.q.ravel(), np.full(t.shape, load))

@@ -15,7 +15,6 @@ from math import isfinite
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import SimulationError
 from hesr_model.friction.audit.cycles import (
     AMPLITUDES,
@@ -30,6 +29,7 @@ from hesr_model.friction.evaluate import predict
 from hesr_model.friction.inputs import TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.trained import Range, TrainedRange
+from hesr_model.support.arrays import Array
 
 SLOWEST = 1e-3
 """Slowest steady speed looked at, as a share of the largest trained speed."""

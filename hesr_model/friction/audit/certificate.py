@@ -26,12 +26,13 @@ import sympy
 
 from hesr_model.equations.functions import absolute, cardinal_sine, lowered, positive, sgn
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.audit.attack import Attack, attack
+from hesr_model.friction.equation import text_of
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.stops.passive import SPEEDS, distance
 from hesr_model.friction.trained import TrainedRange
+from hesr_model.support.arrays import Array
 
 Verdict = Literal["proven", "refuted", "open"]
 _ROUNDING = 1e-9  # of the largest term, by which a condition may fail
@@ -157,7 +158,9 @@ class _Proof:
             if element.velocity != DQ or damper != 0.0:
                 raise _UnprovenError(f"{x} is a stop that the joint's velocity alone does not move")
             k = force * float(element.deflection) / 2.0
-            self.conditions.append(f"F({x}) = {force:.3g} >= 0, bound {_text(element.bound)} >= 0")
+            self.conditions.append(
+                f"F({x}) = {force:.3g} >= 0, bound {text_of(element.bound)} >= 0"
+            )
         else:
             k = self._bristle(element, force)
         self.stored[element.name] = k
@@ -256,16 +259,12 @@ class _Proof:
             found.setdefault(key, []).append(float(amplitude))
         groups = [(float(np.hypot(a[0], a[1])) if len(a) == 2 else sum(map(abs, a)), *key)
                   for key, a in found.items()]  # fmt: skip
-        if all(window >= 0.0 for *_, window in groups):
-            step = inf
-            if not _holds(groups, f, step):
-                raise _UnprovenError("ripple that lags gives more than viscous friction takes")
-        else:
-            steps = [h for h in _STEPS if _holds(groups, f, float(h))]
-            if not steps:
-                raise _UnprovenError("ripple that lags gives more than viscous friction takes")
-            step = float(steps[-1])
-            self.step = None if self.step is None else min(self.step, step)
+        any_step = all(window >= 0.0 for *_, window in groups)
+        steps = [h for h in ([inf] if any_step else _STEPS) if _holds(groups, f, float(h))]
+        if not steps:
+            raise _UnprovenError("ripple that lags gives more than viscous friction takes")
+        step = float(steps[-1])
+        self.step = None if self.step is None else min(self.step, step)
         self.conditions.append(
             "f(v) >= sum_k A_k min(n_k c, 2/|v|) at all speeds, of lag, sampling and smoothing"
         )
@@ -312,8 +311,3 @@ def _values(expression: sympy.Expr, speeds: Array) -> Array:
     if not np.all(np.isfinite(found)):
         raise _UnprovenError("the law is no number at some speeds")
     return np.asarray(found, dtype=float)
-
-
-def _text(expression: sympy.Expr) -> str:
-    shown = expression.xreplace({n: sympy.Float(n, 4) for n in expression.atoms(sympy.Float)})
-    return str(sympy.sstr(shown)).replace("absolute(", "abs(")

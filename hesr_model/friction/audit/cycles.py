@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.logs.noise import standard_normal
+from hesr_model.support.arrays import Array
 
 FREQUENCIES = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)
 """Of the closed cycles [Hz]. A law that drives at low speed gives more per cycle the slower it is:

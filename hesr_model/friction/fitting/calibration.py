@@ -16,12 +16,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.band import LEVEL, Band, shapes
 from hesr_model.friction.law import MOVING, FrictionLaw
 from hesr_model.friction.records import predict_record
 from hesr_model.inference.covariance import blocks_of_time
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 
 SLOW_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.16)
 """[rad/s] Of which the one counts that explains the errors best."""

@@ -6,7 +6,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.fitting.estimator import Estimator
 from hesr_model.friction.fitting.samples import Samples
@@ -15,6 +14,7 @@ from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.laws import ripple
 from hesr_model.friction.laws.ripple import Ripple
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 from hesr_model.support.typed_json import to_json
 
 

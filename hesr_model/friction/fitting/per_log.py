@@ -13,12 +13,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.logs.phases import MOVING
 from hesr_model.rigid_body.residual import FrictionRecord
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 Nuisance = Literal["offset", "level"]
 
@@ -42,20 +40,15 @@ def own_of_logs(
 
     Parameters
     ----------
-    records
-        Of one joint. With those of a single log nothing can be its own.
-    wanted
-        Which of both are estimated.
+    records : of one joint. With those of a single log nothing can be its own.
+    wanted : which of both are estimated.
     """
     logs = list(dict.fromkeys(record.log for record in records))
     if len(logs) < 2 or not wanted:
         return {log: OwnOfLog() for log in logs}
-    coarse = [_coarse(record.dq) for record in records]
-    shapes = {
-        log: [c for c, r in zip(coarse, records, strict=True) if r.log == log] for log in logs
-    }
-    columns = {log: np.concatenate(of_log) for log, of_log in shapes.items()}
-    torque = {log: np.concatenate([r.tau for r in records if r.log == log]) for log in logs}
+    of_log = {log: [record for record in records if record.log == log] for log in logs}
+    columns = {log: np.concatenate([_coarse(r.dq) for r in own]) for log, own in of_log.items()}
+    torque = {log: np.concatenate([r.tau for r in own]) for log, own in of_log.items()}
     own = dict.fromkeys(logs, OwnOfLog())
     for _ in range(_ROUNDS):
         law = _law(columns, torque, own)

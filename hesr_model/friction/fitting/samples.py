@@ -5,20 +5,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.equations.functions import lowered
-from hesr_model.equations.over_log import Array, recurrence
+from hesr_model.equations.over_log import recurrence
 from hesr_model.errors import FitError
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import SETTLING
+from hesr_model.inference.covariance import blocks_of_time
 from hesr_model.rigid_body.residual import FrictionRecord, require_reversals
-
-Rows = NDArray[np.bool_]
-"""(N,) mask of rows."""
-
-BLOCKS = 4
-"""Blocks of time that stand in for logs where there is only one."""
+from hesr_model.support.arrays import Array, Integers, Mask
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +30,8 @@ class Samples:
     """
 
     dt: Array
-    begins: Rows
-    record: NDArray[np.int64]
+    begins: Mask
+    record: Integers
     dq: Array
     q: Array
     tau_load: Array
@@ -44,11 +39,9 @@ class Samples:
     gear_ratio: float | None = None
 
     @property
-    def folds(self) -> "list[Rows]":
+    def folds(self) -> "list[Mask]":
         """(N,) masks of rows to leave out in turn: logs, or blocks of time of a single one."""
-        records = int(self.record.max()) + 1
-        rows = len(self.tau)
-        group = self.record if records > 1 else np.arange(rows) * BLOCKS // rows
+        group = blocks_of_time(self.record)
         return [np.asarray(group == k) for k in range(int(group.max()) + 1)]
 
     @classmethod
@@ -102,6 +95,13 @@ class Samples:
 
 
 _settling = lowered((DQ,), (SETTLING,))
+
+
+def in_one_piece(rows: Mask) -> Mask | slice:
+    """Return rows (N,) that follow one another as a slice, which copies nothing."""
+    at = np.flatnonzero(rows)
+    whole = len(at) and at[-1] - at[0] + 1 == len(at)
+    return slice(int(at[0]), int(at[-1]) + 1) if whole else rows
 
 
 def least_squares(columns: Array, target: Array) -> Array:

@@ -13,18 +13,22 @@ from typing import Any
 
 import numpy as np
 import sympy
-from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 from scipy.optimize import least_squares as minimise_squares
 
 from hesr_model.equations.compiled import Kernel, Rows, kernel_of
-from hesr_model.equations.functions import lowered
-from hesr_model.equations.memory import DT, Element
-from hesr_model.equations.over_log import Array, Discretisation, StatesOverLog
+from hesr_model.equations.memory import Element
+from hesr_model.equations.over_log import Discretisation, StatesOverLog
 from hesr_model.equations.rows import RUNS, OutsideError
-from hesr_model.friction.fitting.samples import Samples, non_negative_least_squares
+from hesr_model.friction.evaluate import over_log
+from hesr_model.friction.fitting.samples import (
+    Samples,
+    in_one_piece,
+    non_negative_least_squares,
+)
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import LawForm
+from hesr_model.support.arrays import Array, Mask
 from hesr_model.support.progress import step
 
 
@@ -181,9 +185,7 @@ class Separable:
         )  # fmt: skip
         return np.asarray(best.x)
 
-    def polish(
-        self, point: Array, *, evaluations: int = 12, rows: NDArray[np.bool_] | None = None
-    ) -> Array:
+    def polish(self, point: Array, *, evaluations: int = 12, rows: Mask | None = None) -> Array:
         """Return the point after a local search of all coefficients at once.
 
         The residual has its linear unknowns projected out, so the search runs over everything while
@@ -221,7 +223,7 @@ class Separable:
         return {c.name: float(known[c.name]) for c in self.form.coefficients}
 
 
-def left_out_cost(columns: Array, tau: Array, folds: Sequence[NDArray[np.bool_]]) -> float:
+def left_out_cost(columns: Array, tau: Array, folds: Sequence[Mask]) -> float:
     """Mean square on each fold of a linear law solved on the other rows, over all rows.
 
     Parameters
@@ -231,18 +233,11 @@ def left_out_cost(columns: Array, tau: Array, folds: Sequence[NDArray[np.bool_]]
     """
     gram, moment = columns.T @ columns, columns.T @ tau
     total = 0.0
-    for fold in map(_in_one_piece, folds):
+    for fold in map(in_one_piece, folds):
         out, target = columns[fold], tau[fold]
         x = np.linalg.lstsq(gram - out.T @ out, moment - out.T @ target, rcond=1e-12)[0]
         total += float(np.sum((target - out @ x) ** 2))
     return total / len(tau)
-
-
-def _in_one_piece(rows: NDArray[np.bool_]) -> NDArray[np.bool_] | slice:
-    """Return rows that follow one another as a slice, which copies nothing."""
-    at = np.flatnonzero(rows)
-    whole = len(at) and at[-1] - at[0] + 1 == len(at)
-    return slice(int(at[0]), int(at[-1]) + 1) if whole else rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,13 +257,7 @@ class _Equations:
     @cached_property
     def lowered(self) -> tuple[StatesOverLog, Any]:
         """States and columns in NumPy."""
-        arguments = (*self.searched, *INPUTS)
-        states = tuple(s for m in self.memory for s in (m.state, m.derivative))
-        read = set().union(*(e.free_symbols for e in self.columns))
-        return (
-            StatesOverLog(self.memory, arguments, read, self.settling),
-            lowered((*arguments, *states, DT), self.columns),
-        )
+        return over_log(self.memory, (*self.searched, *INPUTS), self.columns, self.settling)
 
 
 @lru_cache(maxsize=64)

@@ -7,8 +7,8 @@ from typing import Any, Self
 import numpy as np
 from scipy.optimize import nnls
 
-from hesr_model.equations.over_log import Array
-from hesr_model.friction.fitting.samples import Rows
+from hesr_model.friction.fitting.samples import in_one_piece
+from hesr_model.support.arrays import Array, Mask
 
 _RIDGE = 1e-9  # of each column's own square: columns may be each other's sums
 
@@ -18,25 +18,19 @@ class Normal:
 
     Parameters
     ----------
-    columns, tau : (N, K) and (N,), in any units.
-    folds : (N,) masks of the rows that are left out in turn.
-    weights : (N,) 1 for rows that count, 0 for others.
+    blocks : of columns (N, k), in any units, which are weighted already.
+    products : of these columns and the target.
     free : how many of the last columns may have any sign.
     """
 
-    def __init__(
-        self, columns: Array, tau: Array, folds: Sequence[Rows], weights: Array, *, free: int
-    ) -> None:
-        self._of([weights[:, None] * columns], Products(tau, folds, weights), free)
-
     @classmethod
-    def of(cls, blocks: Sequence[Array], products: "Products", *, free: int) -> Self:
-        """Return the equations of blocks of columns (N, k), which are weighted already."""
-        made = cls.__new__(cls)
-        made._of(blocks, products, free)
-        return made
+    def of(
+        cls, columns: Array, tau: Array, folds: Sequence[Mask], weights: Array, *, free: int
+    ) -> Self:
+        """Return the equations of columns (N, K) and (N,) `tau`; see `Products` for the others."""
+        return cls([weights[:, None] * columns], Products(tau, folds, weights), free=free)
 
-    def _of(self, blocks: Sequence[Array], products: "Products", free: int) -> None:
+    def __init__(self, blocks: Sequence[Array], products: "Products", *, free: int) -> None:
         self._blocks, self._products, self._free = blocks, products, free
         places = np.cumsum([0, *(block.shape[1] for block in blocks)])
         self._places = [slice(a, b) for a, b in pairwise(places)]
@@ -76,9 +70,9 @@ class Products:
     weights : (N,) 1 for rows that count, 0 for others.
     """
 
-    def __init__(self, tau: Array, folds: Sequence[Rows], weights: Array) -> None:
+    def __init__(self, tau: Array, folds: Sequence[Mask], weights: Array) -> None:
         self.tau: Array = (weights * tau)[:, None]
-        self.folds = [_part(fold) for fold in folds]
+        self.folds = [in_one_piece(fold) for fold in folds]
         # Arrays are known by their identity: they are kept, so that no other can have it.
         self._known: dict[tuple[int, int], tuple[Array, Array, Array]] = {}
 
@@ -89,12 +83,6 @@ class Products:
             found = np.array([a[fold].T @ b[fold] for fold in self.folds])
             self._known[key] = a, b, found
         return self._known[key][2]
-
-
-def _part(fold: Rows) -> Rows | slice:
-    """Return the rows of a mask without a copy of them where they stand together, as they do."""
-    first, count = int(np.argmax(fold)), int(np.count_nonzero(fold))
-    return slice(first, first + count) if fold[first : first + count].all() else fold
 
 
 def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
@@ -119,7 +107,7 @@ def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
     return np.asarray(np.concatenate([x, b - c @ x]) * scale)
 
 
-def blocks_of(dt: Array, begins: Rows, seconds: float = 8.0, least: int = 8) -> Any:
+def blocks_of(dt: Array, begins: Mask, seconds: float = 8.0, least: int = 8) -> Any:
     """Return the (N,) number of each row's block of time, which ends with its record at the latest.
 
     Blocks are shorter where there would be fewer than `least`.

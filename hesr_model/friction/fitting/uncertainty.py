@@ -13,7 +13,6 @@ from functools import lru_cache, partial
 import numpy as np
 import sympy
 
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import SimulationError
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fitting.separable import LEAST, SearchSpace
@@ -21,6 +20,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import record_start
 from hesr_model.inference.covariance import blocks_of_time, covariance, left_out, pooled
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 
 MOST_COEFFICIENTS = 64
 """Laws with more coefficients are networks, whose single coefficients mean nothing."""
@@ -265,8 +265,5 @@ def _functions(space: SearchSpace) -> Callable[..., Sequence[float]]:
 def _predicted(
     law: FrictionLaw, records: Sequence[FrictionRecord], starts: Sequence[tuple[float, ...]]
 ) -> Array:
-    parts = [
-        predict(law, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load, start=start)
-        for r, start in zip(records, starts, strict=True)
-    ]
-    return np.concatenate(parts)
+    parts = zip(records, starts, strict=True)
+    return np.concatenate([predict(law, **r.motion, start=start) for r, start in parts])

@@ -20,18 +20,17 @@ DEFLECTIONS = np.geomspace(2e-4, 5e-2, 5)
 """Sliding deflections 1 / kappa of the elements [rad]: from sharp to wide hysteresis loops."""
 
 _ELEMENTS = range(1, len(DEFLECTIONS) + 1)
-_KAPPA = tuple(
-    Coefficient(name=f"kappa_{i}", unit="1/rad", description="reciprocal of a sliding deflection")
-    for i in _ELEMENTS
-)
-_FORCE = tuple(
-    Coefficient(name=f"F_{i}", unit="N.m", description="sliding friction of an element")
-    for i in _ELEMENTS
-)
-_LOAD = tuple(
-    Coefficient(name=f"mu_{i}", unit="1", description="sliding friction of an element per load")
-    for i in _ELEMENTS
-)
+
+
+def _of_each(name: str, unit: str, description: str) -> tuple[Coefficient, ...]:
+    return tuple(
+        Coefficient(name=f"{name}_{i}", unit=unit, description=description) for i in _ELEMENTS
+    )
+
+
+_KAPPA = _of_each("kappa", "1/rad", "reciprocal of a sliding deflection")
+_FORCE = _of_each("F", "N.m", "sliding friction of an element")
+_LOAD = _of_each("mu", "1", "sliding friction of an element per load")
 
 
 @register

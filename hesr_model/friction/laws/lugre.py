@@ -69,6 +69,12 @@ def torque() -> sympy.Expr:
 COEFFICIENTS = (SIGMA_0, SIGMA_1, SIGMA_2, F_C, F_S, V_S, TAU_0)
 
 
+def _with(form: LawForm, term: sympy.Expr, *own: Coefficient) -> LawForm:
+    """Return a form with one more term and its own coefficients."""
+    coefficients = (*form.coefficients, *own)
+    return replace(form, coefficients=coefficients, output=form.output + term)
+
+
 @register
 class LuGre(OneForm):
     """z' = v - sigma_0 |v|/g(v) z, tau = sigma_0 z + sigma_1 z' + sigma_2 v + tau_0."""
@@ -76,10 +82,10 @@ class LuGre(OneForm):
     name = "lugre"
     title = "LuGre"
 
-    @staticmethod
-    def core(structure: Mapping[str, Any]) -> LawForm:
+    @classmethod
+    def core(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions."""
-        no_structure("lugre", structure)
+        no_structure(cls.name, structure)
         return LawForm(coefficients=COEFFICIENTS, memory=(bristle(),), output=torque())
 
     def space(self) -> SearchSpace:
@@ -88,20 +94,17 @@ class LuGre(OneForm):
 
 
 @register
-class LuGreLoad(OneForm):
+class LuGreLoad(LuGre):
     """LuGre whose bristle force rises with the load: tau = ... + mu sigma_0 z |tau_load|."""
 
     name = "lugre_load"
     title = "LuGre+load"
 
-    @staticmethod
-    def core(structure: Mapping[str, Any]) -> LawForm:
+    @classmethod
+    def core(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions."""
-        no_structure("lugre_load", structure)
         rise = MU.symbol * SIGMA_0.symbol * bristle().state * absolute(TAU_LOAD)
-        return LawForm(
-            coefficients=(*COEFFICIENTS, MU), memory=(bristle(),), output=torque() + rise
-        )
+        return _with(super().core(structure), rise, MU)
 
     def space(self) -> SearchSpace:
         """Search the bristle; F_c mu is solved for, since the torque is linear in the product."""
@@ -134,20 +137,17 @@ THINNING_BOUNDS = (1e-2, 3.0)
 
 
 @register
-class LuGreTextbook(OneForm):
+class LuGreTextbook(LuGre):
     """LuGre with F_s >= F_c and viscous friction that may thin: + sigma_t v / (1 + |v|/v_t)."""
 
     name = "lugre_textbook"
     title = "LuGre, F_s >= F_c"
 
-    @staticmethod
-    def core(structure: Mapping[str, Any]) -> LawForm:
+    @classmethod
+    def core(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions."""
-        no_structure("lugre_textbook", structure)
         thin = SIGMA_T.symbol * DQ / (1 + absolute(DQ) / V_T.symbol)
-        return LawForm(
-            coefficients=(*COEFFICIENTS, SIGMA_T, V_T), memory=(bristle(),), output=torque() + thin
-        )
+        return _with(super().core(structure), thin, SIGMA_T, V_T)
 
     def space(self) -> SearchSpace:
         """Search the bristle and the speed of thinning; everything else is linear."""
@@ -157,7 +157,7 @@ class LuGreTextbook(OneForm):
 
 
 @register
-class LuGrePassive(OneForm):
+class LuGrePassive(LuGre):
     """LuGre that is passive: sigma_2 = s_2 + sigma_1 (F_s/F_c - 1) with s_2 >= 0, F_s >= F_c.
 
     Source: N. Barabanov, R. Ortega, Necessary and sufficient conditions for passivity of the LuGre
@@ -167,17 +167,14 @@ class LuGrePassive(OneForm):
     name = "lugre_passive"
     title = "LuGre, passive"
 
-    @staticmethod
-    def core(structure: Mapping[str, Any]) -> LawForm:
+    @classmethod
+    def core(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions."""
-        no_structure("lugre_passive", structure)
+        plain = super().core(structure)
         needed = SIGMA_1.symbol * (F_S.symbol / F_C.symbol - 1)
         swapped = tuple(S_2 if c is SIGMA_2 else c for c in COEFFICIENTS)
-        return LawForm(
-            coefficients=swapped,
-            memory=(bristle(),),
-            output=torque().subs(SIGMA_2.symbol, S_2.symbol + needed),
-        )
+        output = plain.output.subs(SIGMA_2.symbol, S_2.symbol + needed)
+        return replace(plain, coefficients=swapped, output=output)
 
     def space(self) -> SearchSpace:
         """Search the bristle; everything else is linear, since F_s/F_c is searched."""

@@ -17,12 +17,12 @@ import sympy
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.fitting.samples import Rows, Samples, least_squares
+from hesr_model.friction.fitting.samples import Samples, least_squares
 from hesr_model.friction.fitting.separable import SearchSpace, left_out_cost
 from hesr_model.friction.inputs import DQ, Q
 from hesr_model.friction.law import Coefficient, LawForm
+from hesr_model.support.arrays import Array, Mask
 
 ORDERS = range(1, 17)
 """Orders per turn of the motor that are tried."""
@@ -127,7 +127,7 @@ class Ripple:
 
 
 def select(
-    base: Array, samples: Samples, gear_ratio: float, folds: Sequence[Rows]
+    base: Array, samples: Samples, gear_ratio: float, folds: Sequence[Mask]
 ) -> tuple[Ripple, Times] | None:
     """Return the ripple and its lag and smoothing that predict left-out logs best, or None.
 

@@ -10,13 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
 from hesr_model.logs.readers.samples import Samples
 from hesr_model.robots.robot import RobotDescription
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 _TYPE = "sensor_msgs/msg/JointState"
 _SUFFIXES = (".db3", ".mcap", ".bag")

@@ -2,17 +2,13 @@
 
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hesr_model.errors import LogError
 from hesr_model.logs.log_format import TEMPERATURES, Columns, column_names
 from hesr_model.logs.readers.matlab import read_matlab
 from hesr_model.logs.readers.samples import Samples
 from hesr_model.logs.tables import Table, read_table
 from hesr_model.robots.robot import RobotDescription
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 
 def read_columns(path: Path, robot: RobotDescription) -> Samples:

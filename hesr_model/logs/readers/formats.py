@@ -26,12 +26,9 @@ class FileFormat:
 
     Attributes
     ----------
-    name
-        What messages call it.
-    recognises
-        Whether a path is a file of this kind.
-    read
-        Samples of a file, columns and units as the robot's description says.
+    name : what messages call it.
+    recognises : whether a path is a file of this kind.
+    read : samples of a file, columns and units as the robot's description says.
     """
 
     name: str

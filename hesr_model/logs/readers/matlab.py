@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hesr_model.errors import LogError
 from hesr_model.logs.readers.matlab_elements import require_sound
 from hesr_model.logs.tables import Table, listed, most_bytes, table_of
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 """Signature, behind MATLAB's header of 512 bytes."""
@@ -30,8 +28,7 @@ def read_matlab(path: Path, *, time: str) -> Table:
 
     Parameters
     ----------
-    time
-        Name of the vector whose length is N.
+    time : name of the vector whose length is N.
 
     Raises
     ------

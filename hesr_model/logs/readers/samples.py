@@ -4,9 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array, some_rows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -15,20 +14,13 @@ class Samples:
 
     Attributes
     ----------
-    t
-        (N,) [s].
-    q, dq
-        (N, n); dq is None where the file holds no velocity.
-    effort
-        (N, n), torque or current.
-    temperature
-        (N, n), None where the file holds none.
-    is_current
-        Whether the effort is current.
-    time
-        How an error names where the time stands: a column, a topic.
-    place
-        How an error names the place of sample k: a row, a message.
+    t : (N,) [s].
+    q, dq : (N, n); dq is None where the file holds no velocity.
+    effort : (N, n), torque or current.
+    temperature : (N, n), None where the file holds none.
+    is_current : whether the effort is current.
+    time : how an error names where the time stands: a column, a topic.
+    place : how an error names the place of sample k: a row, a message.
     """
 
     t: Array
@@ -42,16 +34,9 @@ class Samples:
 
     def complete(self) -> "Samples":
         """Return the samples without those that lack a number or repeat a stamp."""
-        more = [part for part in (self.dq, self.temperature) if part is not None]
-        parts = [self.t[:, None], self.q, self.effort, *more]
-        rows = np.flatnonzero(np.all(np.isfinite(np.hstack(parts)), axis=1))
+        columns = ("t", "q", "dq", "effort", "temperature")
+        parts = [part for name in columns if (part := getattr(self, name)) is not None]
+        rows = np.flatnonzero(np.all(np.isfinite(np.column_stack(parts)), axis=1))
         rows = rows[np.diff(self.t[rows], prepend=-np.inf) != 0.0]
-        return replace(
-            self,
-            t=self.t[rows],
-            q=self.q[rows],
-            dq=None if self.dq is None else self.dq[rows],
-            effort=self.effort[rows],
-            temperature=None if self.temperature is None else self.temperature[rows],
-            place=lambda k: self.place(int(rows[k])),
-        )
+        complete = some_rows(self, columns, rows)
+        return replace(complete, place=lambda k: self.place(int(rows[k])))

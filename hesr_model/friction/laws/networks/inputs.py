@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import ArtifactError, FitError
 from hesr_model.friction.audit.audit import explodes
 from hesr_model.friction.law import FrictionLaw
@@ -16,6 +15,7 @@ from hesr_model.friction.laws.parfam.calibrate import Cell
 from hesr_model.friction.laws.parfam.features import HysteresisFeatures
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 
 TRIED = 30
 """Networks that are tried before the data are found too poor for any."""

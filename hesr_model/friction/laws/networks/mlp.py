@@ -5,15 +5,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array, Discretisation
+from hesr_model.equations.over_log import Discretisation
 from hesr_model.friction.fitting.estimator import Estimator, register
-from hesr_model.friction.fitting.samples import Rows, Samples
+from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.laws.networks.inputs import Inputs, candidates, first_tame, size, sizes
 from hesr_model.friction.laws.networks.training import Network, path
 from hesr_model.friction.laws.parfam import evolve, family
 from hesr_model.friction.laws.parfam.features import HysteresisFeatures
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array, Mask
 from hesr_model.support.progress import counted, step
 
 MAX_HIDDEN = 16
@@ -121,7 +122,7 @@ class MlpH(Estimator):
         )
 
 
-def left_out(z: Array, y: Array, folds: Sequence[Rows], starts: Sequence[Array]) -> Array:
+def left_out(z: Array, y: Array, folds: Sequence[Mask], starts: Sequence[Array]) -> Array:
     """Mean square on left-out rows of networks trained without them.
 
     Parameters

@@ -9,7 +9,7 @@ import sympy
 from scipy.cluster.vq import kmeans2
 from scipy.spatial.distance import cdist
 
-from hesr_model.equations.over_log import Array, Discretisation
+from hesr_model.equations.over_log import Discretisation
 from hesr_model.friction.fitting.estimator import Estimator, register
 from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.inputs import DQ
@@ -18,6 +18,7 @@ from hesr_model.friction.laws.networks.inputs import Inputs, candidates, first_t
 from hesr_model.friction.laws.parfam.family import hysteresis_state
 from hesr_model.friction.laws.parfam.features import HysteresisFeatures
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 from hesr_model.support.progress import counted, step
 
 MAX_CENTRES = 40

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
+from hesr_model.support.arrays import Array
 
 ITERATIONS = 15
 """Most iterations for each weight decay."""

@@ -1,11 +1,13 @@
 """Stage 1: where the hysteresis parameters (alpha, beta) may lie, before any structure is known."""
 
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from math import prod
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.laws.parfam.features import HysteresisFeatures
+from hesr_model.support.arrays import Array
 
 GRID = (10, 10)
 """Cells of the (alpha, beta) profile."""
@@ -58,21 +60,14 @@ def profile(features: HysteresisFeatures) -> list[Cell]:
 
 def distinct(cells: list[Cell], count: int) -> list[Cell]:
     """Return the best `count` cells that are local minima first, then the next best."""
+    from scipy.ndimage import minimum_filter  # slow to import
+
     by_place = {(round(np.log(c.alpha), 6), round(np.log(c.beta), 6)): c for c in cells}
     alphas = sorted({a for a, _ in by_place})
     betas = sorted({b for _, b in by_place})
     cost = np.array([[by_place[a, b].cost for b in betas] for a in alphas])
-    padded = np.pad(cost, 1, constant_values=np.inf)
-    around = np.min(
-        [
-            padded[1 + i : 1 + i + len(alphas), 1 + j : 1 + j + len(betas)]
-            for i in (-1, 0, 1)
-            for j in (-1, 0, 1)
-            if (i, j) != (0, 0)
-        ],
-        axis=0,
-    )
-    minimum = {(alphas[i], betas[j]) for i, j in np.argwhere(cost <= around)}
+    lowest = minimum_filter(cost, size=3, mode="nearest")
+    minimum = {(alphas[i], betas[j]) for i, j in np.argwhere(cost <= lowest)}
     here = {id(by_place[place]) for place in minimum}
     return sorted(cells, key=lambda c: (id(c) not in here, c.cost))[:count]
 
@@ -143,10 +138,5 @@ def _settling_rate(features: HysteresisFeatures, courses: list[Array]) -> float:
 def _cubic(features: Array) -> Array:
     """Return (N, 20) monomials of degree <= 3 of the standardised features."""
     x = features[:, 1:] / np.maximum(features[:, 1:].std(axis=0), 1e-12)
-    one = np.ones(len(x))
-    first = [x[:, 0], x[:, 1], x[:, 2]]
-    second = [first[i] * first[j] for i in range(3) for j in range(i, 3)]
-    third = [
-        first[i] * first[j] * first[k] for i in range(3) for j in range(i, 3) for k in range(j, 3)
-    ]
-    return np.stack([one, *first, *second, *third], axis=1)
+    powers = [p for degree in (1, 2, 3) for p in combinations_with_replacement(x.T, degree)]
+    return np.stack([np.ones(len(x)), *map(prod, powers)], axis=1)

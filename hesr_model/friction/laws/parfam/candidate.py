@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array, Discretisation
+from hesr_model.equations.over_log import Discretisation
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.laws.parfam import family
+from hesr_model.support.arrays import Array
 
 UNIT_FUNCTIONS: dict[str, tuple[Callable[[Array], Array], Callable[[Array, Array], Array]]] = {
     "tanh": (np.tanh, lambda _, g: 1.0 - g**2),

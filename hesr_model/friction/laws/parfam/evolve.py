@@ -7,10 +7,10 @@ the Jacobian). All starts of a cell run in one batch of a Levenberg-Marquardt it
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.fitting.samples import least_squares
 from hesr_model.friction.laws.parfam.calibrate import Cell
 from hesr_model.friction.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
+from hesr_model.support.arrays import Array
 
 ROWS = 600
 """Rows that the search looks at; the last stage uses all."""
@@ -22,19 +22,7 @@ ARGUMENT_LIMIT = 12.0
 
 def linear(cell: Cell, features: Array, tau: Array) -> Candidate:
     """Return the law without a unit g: linear in the (N, 4) features, fitted to tau (N,) [N.m]."""
-    c = least_squares(features, tau)
-    cost = float(np.mean((tau - features @ c) ** 2))
-    return Candidate(
-        g=None,
-        alpha=cell.alpha,
-        beta=cell.beta,
-        c=c,
-        theta=np.zeros(4),
-        gain=0.0,
-        c_active=np.ones(4, bool),
-        theta_active=np.zeros(4, bool),
-        cost=cost,
-    )
+    return _candidate(cell, None, features, tau, np.zeros(4))
 
 
 def search(
@@ -94,9 +82,9 @@ def starting_points(rng: np.random.Generator, count: int, features: int) -> Arra
     return np.asarray(starts * rng.uniform(0.3, 2.0, size=(count, 1)))
 
 
-def _candidate(cell: Cell, g: str, features: Array, tau: Array, theta: Array) -> Candidate:
-    unit = UNIT_FUNCTIONS[g][0](features @ theta)
-    columns = np.column_stack([features, unit])
+def _candidate(cell: Cell, g: str | None, features: Array, tau: Array, theta: Array) -> Candidate:
+    unit = [UNIT_FUNCTIONS[g][0](features @ theta)] if g else []
+    columns = np.column_stack([features, *unit])
     solution = least_squares(columns, tau)
     cost = float(np.mean((tau - columns @ solution) ** 2))
     return Candidate(
@@ -105,9 +93,9 @@ def _candidate(cell: Cell, g: str, features: Array, tau: Array, theta: Array) ->
         beta=cell.beta,
         c=solution[:4],
         theta=theta,
-        gain=float(solution[4]),
+        gain=float(solution[4]) if g else 0.0,
         c_active=np.ones(4, bool),
-        theta_active=np.ones(4, bool),
+        theta_active=np.full(4, bool(g)),
         cost=cost,
     )
 

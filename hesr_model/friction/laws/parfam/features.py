@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array, Discretisation
+from hesr_model.equations.over_log import Discretisation
 from hesr_model.friction.fitting.samples import Samples
+from hesr_model.support.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,12 +3,14 @@
 Features and torque are standardised, so that one L1 weight fits every coefficient and joint.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.optimize import basinhopping, minimize
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.laws.parfam.calibrate import Cell
 from hesr_model.friction.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
+from hesr_model.support.arrays import Array
 
 GAMMA = 1e-3
 """Weight of the L1 term of eq. 12 on standardised data; 1e-4 prunes nothing, 1e-2 all units."""
@@ -102,4 +104,4 @@ def search(cell: Cell, g: str, features: Array, tau: Array, rng: np.random.Gener
         cost=0.0,
     )
     cost = float(np.mean((candidate.torque(features) - tau) ** 2))
-    return Candidate(**{**candidate.__dict__, "cost": cost})
+    return replace(candidate, cost=cost)

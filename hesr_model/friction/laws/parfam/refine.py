@@ -7,15 +7,14 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import expit, logit
 
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import FitError
 from hesr_model.friction.audit.audit import explodes
-from hesr_model.friction.fitting.samples import Rows
 from hesr_model.friction.laws.parfam.calibrate import bounds
 from hesr_model.friction.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.friction.laws.parfam.features import HysteresisFeatures
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.inference.correlation import correlation_length, standard_errors
+from hesr_model.support.arrays import Array, Mask
 from hesr_model.support.progress import step
 
 SIGNIFICANCE = 2.0
@@ -42,7 +41,7 @@ SAME = 1e-6
 def select(
     features: HysteresisFeatures,
     found: Sequence[Candidate],
-    folds: Sequence[Rows],
+    folds: Sequence[Mask],
     trained: TrainedRange,
 ) -> Candidate:
     """Refine candidates, prune them and return the one that predicts left-out rows best.
@@ -139,7 +138,7 @@ def _still_as_good(features: HysteresisFeatures, candidate: Candidate) -> float:
 
 
 def left_out_cost(
-    features: HysteresisFeatures, candidate: Candidate, folds: Sequence[Rows]
+    features: HysteresisFeatures, candidate: Candidate, folds: Sequence[Mask]
 ) -> float:
     """Mean square [N^2.m^2] on each of the folds, masks (N,), of the candidate refined without it.
 
@@ -162,7 +161,7 @@ class Refinement:
     """
 
     def __init__(
-        self, features: HysteresisFeatures, start: Candidate, rows: Rows | slice = _ALL
+        self, features: HysteresisFeatures, start: Candidate, rows: Mask | slice = _ALL
     ) -> None:
         self.features = features
         self.start = start

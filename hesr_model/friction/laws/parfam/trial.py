@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import sympy
 
-from hesr_model.equations.over_log import Array, Discretisation
+from hesr_model.equations.over_log import Discretisation
 from hesr_model.friction.audit.audit import explodes
 from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.fitting.separable import SearchSpace, Separable
@@ -18,6 +18,7 @@ from hesr_model.friction.laws.parfam.features import HysteresisFeatures
 from hesr_model.friction.laws.stribeck import V_S, VELOCITY_BOUNDS
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.logs.phases import MOVING
+from hesr_model.support.arrays import Array
 
 MEMORY_BOUNDS = (0.05, 2000.0)
 """Bounds of kappa [1/rad]: from no memory in position to one of a milliradian."""

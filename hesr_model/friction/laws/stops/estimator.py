@@ -6,7 +6,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.fitting.estimator import Estimator, register
 from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.fitting.signed import Normal
@@ -16,6 +15,7 @@ from hesr_model.friction.laws.stops import passive, waves
 from hesr_model.friction.laws.stops.form import Structure, start_at_rest, viscous_at
 from hesr_model.friction.laws.stops.search import Terms, dictionary, search
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 from hesr_model.support.typed_json import to_json
 
 WINDOW = 1.5
@@ -72,7 +72,7 @@ class _Stops(Estimator):
         samples, form = best.samples, structure.form()
         names = (*structure.forces, "tau_0", *structure.waves)
         free = 1 + len(structure.waves)
-        normal = Normal(columns, samples.tau, samples.folds, best.weights, free=free)
+        normal = Normal.of(columns, samples.tau, samples.folds, best.weights, free=free)
         x = normal.solve()
         if structure.ripple:
             x = passive.constrained(
@@ -94,6 +94,9 @@ class _Stops(Estimator):
         )
 
 
+_LOADED = {**_Stops.typical, "stops": [["1", 0], ["1", 4], ["p", 0], ["load", 0]]}
+
+
 @register
 class ParFamS(_Stops):
     """Stops whose bounds depend on age and load, and ripple that pays: passive at any step.
@@ -109,12 +112,7 @@ class ParFamS(_Stops):
     load = True
     ripple = True
     start_samples = 5
-    typical: ClassVar[Mapping[str, Any]] = {
-        "stops": [["1", 0], ["1", 4], ["p", 0], ["load", 0]],
-        "viscous": ["1", "b"],
-        "ripple": [200],
-        "window": 0.01,
-    }
+    typical: ClassVar[Mapping[str, Any]] = {**_LOADED, "ripple": [200], "window": 0.01}
 
 
 @register
@@ -124,10 +122,7 @@ class ParFamSLoad(_Stops):
     name = "parfam_s_load"
     title = "ParFam-S, no ripple"
     load = True
-    typical: ClassVar[Mapping[str, Any]] = {
-        "stops": [["1", 0], ["1", 4], ["p", 0], ["load", 0]],
-        "viscous": ["1", "b"],
-    }
+    typical: ClassVar[Mapping[str, Any]] = _LOADED
 
 
 @register

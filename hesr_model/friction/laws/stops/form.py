@@ -18,12 +18,12 @@ from pydantic import ConfigDict, NonNegativeFloat, PositiveInt, TypeAdapter, Val
 
 from hesr_model.equations.functions import absolute, cardinal_sine, lowered, positive
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, LawForm
 from hesr_model.friction.laws.ripple import LAG
 from hesr_model.friction.laws.stribeck import SIGMA_2, TAU_0, V_S
+from hesr_model.support.arrays import Array
 
 DEFLECTIONS = np.geomspace(3e-5, 1e-2, 9)
 """Sliding deflections w of the stops [rad], or [m]."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import minimize
 
-from hesr_model.equations.over_log import Array
+from hesr_model.support.arrays import Array
 
 SPEEDS = np.concatenate([[0.0], np.geomspace(1e-4, 1e6, 241)])
 """Speeds [rad/s] at which the condition is looked at; between them all terms are monotonic."""

@@ -6,11 +6,11 @@ from itertools import product
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.fitting.signed import Normal, Products, blocks_of, pays
 from hesr_model.friction.laws.stops.form import Structure
 from hesr_model.friction.laws.stops.terms import VISCOUS, columns, every, fixed, weights
+from hesr_model.support.arrays import Array
 
 SPEEDS = (0.05, 0.1, 0.2, 0.4)
 """Stribeck velocities that are tried, as shares of the largest speed."""
@@ -65,7 +65,7 @@ class Terms:
     @cached_property
     def normal(self) -> Normal:
         """The least-squares problem."""
-        return Normal.of(self.blocks, self.products, free=1)
+        return Normal(self.blocks, self.products, free=1)
 
     @cached_property
     def errors(self) -> Array:
@@ -76,10 +76,6 @@ class Terms:
     def cost(self) -> float:
         """Sum of squares on left-out rows [N^2.m^2]."""
         return float(self.errors @ self.errors)
-
-    def with_bounds(self, bounds: tuple[str, ...]) -> "Terms":
-        """Return the terms with other bounds."""
-        return replace(self, bounds=bounds)
 
     def at(self, v_s: float, time: float) -> "Terms":
         """Return the terms with another Stribeck velocity [rad/s] and ageing time [s]."""
@@ -136,7 +132,7 @@ def search(baseline: Terms, *, load: bool) -> Terms:
     blocks = blocks_of(baseline.samples.dt, baseline.samples.begins)
     best = _thinned(baseline)
     for kind in MORE if load else ():
-        more = best.with_bounds((*best.bounds, kind))
+        more = replace(best, bounds=(*best.bounds, kind))
         if pays(best.errors, more.errors, blocks):
             best = _thinned(more)
     return best
@@ -149,7 +145,7 @@ def _thinned(terms: Terms) -> Terms:
     without it would let go at speed.
     """
     for kind in reversed(terms.bounds[1:]):
-        fewer = terms.with_bounds(tuple(k for k in terms.bounds if k != kind))
+        fewer = replace(terms, bounds=tuple(k for k in terms.bounds if k != kind))
         if fewer.cost <= terms.cost:
             terms = fewer
     return terms

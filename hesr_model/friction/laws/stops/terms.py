@@ -5,7 +5,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.fitting.separable import SearchSpace, Separable
 from hesr_model.friction.law import LawForm
@@ -17,6 +16,7 @@ from hesr_model.friction.laws.stops.form import (
     Structure,
     start_at_rest,
 )
+from hesr_model.support.arrays import Array
 
 _ANY = (1e-12, 1e12)
 VISCOUS = ("1", "v", *SHARES)

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.fitting.signed import Normal, blocks_of, pays
+from hesr_model.support.arrays import Array
 
 ORDERS = range(1, 17)
 """Orders per turn of the motor that are tried."""
@@ -83,7 +83,7 @@ class _Problem:
 
     def left_out(self, chosen: Waves) -> Array:
         s, free = self.samples, 1 + 2 * len(chosen.frequencies)
-        return Normal(self.columns(chosen), s.tau, s.folds, self.weights, free=free).left_out()
+        return Normal.of(self.columns(chosen), s.tau, s.folds, self.weights, free=free).left_out()
 
     def residual(self, chosen: Waves) -> Array:
         columns, tau = self.weights[:, None] * self.columns(chosen), self.weights * self.samples.tau
