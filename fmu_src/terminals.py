@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 from xml.etree import ElementTree as ET
 
+from fmu_src.description import to_bytes
 from fmu_src.description3 import Arrays
 from fmu_src.interface import Interface
 
@@ -52,9 +53,7 @@ def to_terminals(table: Interface, terminals: Sequence[Terminal], *, icon: bool)
         for terminal in terminals:
             for index in _indices(terminal, names):
                 _add(parent, terminal, index)
-    ET.indent(root)
-    written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
-    return written + b"\n"
+    return to_bytes(root)
 
 
 def _indices(terminal: Terminal, names: Sequence[str]) -> Iterator[str]:
