@@ -6,7 +6,7 @@ import numpy as np
 
 from fmu_src.blocks.table import content, places, scalar, vector
 from fmu_src.interface import Enumeration, Interface, Variable
-from fmu_src.package import Content
+from fmu_src.package import Content, own_source
 from fmu_src.recorded import ROWS
 from hesr_model.errors import ExportError
 from hesr_model.motions.trajectories import Fourier, Sine, Sweep, Trajectory
@@ -85,8 +85,7 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
         table,
         name="Trajectory",
         text="Desired motion of all joints: Fourier series, sine, sweep or chirp.",
-        source="trajectory.c",
-        headers={"motion.h": header},
+        sources={"trajectory.c": own_source("trajectory.c"), "motion.h": header},
         step=step,
         example={
             "kind": 1.0,

@@ -74,10 +74,12 @@ def to_html(
     )
 
 
-def title(law: FrictionLaw) -> str:
-    """Return what the registry calls a law, or its own name."""
+def title(law: FrictionLaw, otherwise: str | None = None) -> str:
+    """Return what the registry calls a law, or else its own name, or what is given."""
     known = registry()
-    return known[law.name].title if law.name in known else law.name
+    if law.name in known:
+        return known[law.name].title
+    return law.name if otherwise is None else otherwise
 
 
 def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
@@ -85,7 +87,7 @@ def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
         "number": joint,
         "name": name,
         "equations": equations(law),
-        "text": _text(law),
+        "text": form_lines(law.form),
         # Of networks nobody reads the numbers in place.
         "numbers": equations_with_numbers(law) if exposed(law) else [],
         "rows": _rows(law, joint),
@@ -94,16 +96,10 @@ def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
         "states": [m.name for m in law.form.memory],
         "starts": [figure(value, 6) for value in law.start],
         "start_samples": law.start_samples,
-        "switches": [_spelled(str(z)) for z in Jumps(law.form.component).expressions],
+        "switches": [
+            str(z).replace("absolute(", "abs(") for z in Jumps(law.form.component).expressions
+        ],
     }
-
-
-def _text(law: FrictionLaw) -> list[str]:
-    return form_lines(law.form)
-
-
-def _spelled(formula: str) -> str:
-    return formula.replace("absolute(", "abs(")
 
 
 def _rows(law: FrictionLaw, joint: int) -> list[dict[str, str]]:

@@ -40,31 +40,12 @@ class Motors:
     stiffness : (n,) of the flexspline [N.m/rad], on the joint's side of the gear; 0 for none.
     damping : (n,) of the flexspline [N.m.s/rad].
     ratio : (n,) turns of the motor for one of the joint; not 0.
-
-    Raises
-    ------
-    ExportError
-        If a list is not as long as the others, or a number is not what it must be.
     """
 
     inertia: tuple[float, ...]
     stiffness: tuple[float, ...]
     damping: tuple[float, ...]
     ratio: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        for name, (unit, text, sound) in _NEEDED.items():
-            values = getattr(self, name)
-            if len(values) != len(self.inertia):
-                raise ExportError(
-                    f"drive: '{name}' has {len(values)} values; needed are {len(self.inertia)}, "
-                    "one for each joint."
-                )
-            for joint, value in enumerate(values, start=1):
-                if not (isfinite(value) and sound(value)):
-                    raise ExportError(
-                        f"drive: '{name}' of joint {joint} is {value:g} {unit}; needed is {text}."
-                    )
 
 
 _NEEDED: dict[str, tuple[str, str, Callable[[float], bool]]] = {
@@ -90,17 +71,26 @@ def motors(
     ExportError
         If there are not as many values as joints, or one is not what it must be.
     """
-    if len(inertia) != joints:
-        raise ExportError(
-            f"drive: 'inertia' has {len(inertia)} values; needed are {joints}, one for each joint."
-        )
     zeros, ones = (0.0,) * joints, (1.0,) * joints
-    return Motors(
+    found = Motors(
         inertia=tuple(map(float, inertia)),
         stiffness=zeros if stiffness is None else tuple(map(float, stiffness)),
         damping=zeros if damping is None else tuple(map(float, damping)),
         ratio=ones if ratio is None else tuple(map(float, ratio)),
     )
+    for name, (unit, text, sound) in _NEEDED.items():
+        values = getattr(found, name)
+        if len(values) != joints:
+            raise ExportError(
+                f"drive: '{name}' has {len(values)} values; needed are {joints}, one for each "
+                "joint."
+            )
+        for joint, value in enumerate(values, start=1):
+            if not (isfinite(value) and sound(value)):
+                raise ExportError(
+                    f"drive: '{name}' of joint {joint} is {value:g} {unit}; needed is {text}."
+                )
+    return found
 
 
 _INPUTS = (

@@ -8,12 +8,12 @@ import numpy as np
 import sympy
 
 from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, indicators, own_size
+from fmu_src.friction.validity import discretisation_of
 from fmu_src.friction.variable_names import exposed, place
 from fmu_src.interface import Enumeration, Interface, Variable
 from hesr_model.equations.component import Component, Equation, Quantity, Relaxation
 from hesr_model.equations.memory import Element
 from hesr_model.equations.program import beginning, begun, sources
-from hesr_model.errors import ExportError
 from hesr_model.friction.band import COVERAGE, GREATEST, LEAST, NUMBERS, start_values
 from hesr_model.friction.banded import band_equations
 from hesr_model.friction.inputs import DQ, INPUTS, QUANTITIES, TAU_LOAD
@@ -203,24 +203,14 @@ def _of_joint(
 def discretisation(model: FrictionModel, description: str) -> Variable:
     """Return the parameter that says how states are integrated.
 
-    Raises
-    ------
-    ExportError
-        If the discretisations of the laws differ.
+    Errors are those of `discretisation_of`.
     """
-    found = {law.discretisation for law in model.laws if law.form.relaxations}
-    if len(found) > 1:
-        raise ExportError(
-            f"friction model '{model.law}': its joints use both exact and Euler integration; "
-            "needed is one for all joints."
-        )
-    choice = found.pop() if found else "exact"
     return Variable(
         name="discretisation",
         role="fixed",
         description=description,
         enumeration=DISCRETISATION,
-        start=1.0 + ("exact", "euler").index(choice),
+        start=1.0 + ("exact", "euler").index(discretisation_of(model)),
     )
 
 

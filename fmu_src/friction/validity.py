@@ -36,34 +36,48 @@ def require_numbers(model: FrictionModel) -> None:
             )
 
 
-def require_uncoupled(model: FrictionModel, form: str) -> None:
-    """Refuse a model whose friction sits on motors that turn with several joints.
+def require_exportable(model: FrictionModel, form: str, *, coupled: bool = True) -> None:
+    """Refuse a model that a form other than its FMU cannot say.
+
+    Parameters
+    ----------
+    model : one law for each joint.
+    form : in which its friction would stay as it is, whatever the temperature.
+    coupled : whether motors that turn with several joints can be said in it.
 
     Raises
     ------
     ExportError
-        Naming the law, and `form`, which has one law for each joint by itself.
+        Naming the law and the form; or as `require_numbers` does.
     """
-    if model.coupling:
+    if model.coupling and not coupled:
         raise ExportError(
             f"law '{model.law}': motors of '{model.robot}' turn with several joints, which {form} "
             "cannot say; export it as an FMU (--format fmu, or drive)."
         )
-
-
-def require_no_temperature(model: FrictionModel, form: str) -> None:
-    """Refuse a model that follows temperature.
-
-    Raises
-    ------
-    ExportError
-        Naming the law, and `form`, in which friction stays as it is.
-    """
     if model.thermal:
         raise ExportError(
             f"law '{model.law}' follows temperature, which {form} cannot; export it as an FMU "
             "(--format fmu), or the model that 'hesr thermal' was given."
         )
+    require_numbers(model)
+
+
+def discretisation_of(model: FrictionModel) -> str:
+    """Return how the states of all joints are integrated, "exact" or "euler".
+
+    Raises
+    ------
+    ExportError
+        If the discretisations of the laws differ.
+    """
+    found = {law.discretisation for law in model.laws if law.form.relaxations}
+    if len(found) > 1:
+        raise ExportError(
+            f"friction model '{model.law}': its joints use both exact and Euler integration; "
+            "needed is one for all joints."
+        )
+    return found.pop() if found else "exact"
 
 
 def shown(expression: sympy.Expr) -> str:

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-from fmu_src.friction.validity import require_no_temperature, require_numbers, require_uncoupled
+from fmu_src.friction.validity import require_exportable
 from fmu_src.mjcf.parts import JointFriction, NoCounterpartError, Wave, parts_of
 from fmu_src.mjcf.projection import Misfit, projected, records
 from hesr_model.errors import ExportError, HesrError
@@ -101,9 +101,7 @@ def export_mjcf_law(
     """
     if path.suffix.lower() != ".xml":
         raise ExportError(f"{path}: the name of an MJCF ends in .xml.")
-    require_uncoupled(model, "an MJCF of one actuator per joint")
-    require_no_temperature(model, "an MJCF of one actuator per joint")
-    require_numbers(model)
+    require_exportable(model, "an MJCF of one actuator per joint", coupled=False)
     with written_whole(path) as temporary:
         joints = [
             _of_joint(model, index, project)

@@ -5,15 +5,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 import sympy
 
 from fmu_src.documentation import datasheet
+from fmu_src.documentation.friction_page import title
 from fmu_src.friction.friction_component import nominal
 from fmu_src.friction.reference import reference_motion
-from fmu_src.friction.validity import require_no_temperature, require_numbers, require_uncoupled
-from fmu_src.modelica.annotations import TEMPLATES, joint_html, law_title, package_html
+from fmu_src.friction.validity import require_exportable
+from fmu_src.html import code_templates
+from fmu_src.modelica.annotations import joint_html, package_html
 from fmu_src.modelica.printer import FUNCTIONS, Equations, equations, start_of
 from hesr_model.equations.functions import sgn
 from hesr_model.equations.memory import DT
@@ -84,22 +85,14 @@ def package(model: FrictionModel, name: str) -> str:
                 f"Modelica: joint '{joint}' slides, and the package has rotational flanges; export "
                 "its law as a friction FMU (--format fmu), which Modelica tools import."
             )
-    require_uncoupled(model, "a Modelica package")
-    require_no_temperature(model, "a Modelica package")
-    require_numbers(model)
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
+    require_exportable(model, "a Modelica package", coupled=False)
+    environment = code_templates(
         block_start_string="<%",
         block_end_string="%>",
         variable_start_string="<<",
         variable_end_string=">>",
         comment_start_string="<#",
         comment_end_string="#>",
-        autoescape=False,  # a string of Modelica is no HTML
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        undefined=jinja2.StrictUndefined,
     )
     environment.filters["quoted"] = _quoted
     laws = _forms(model.laws)
@@ -153,7 +146,7 @@ def _form(name: str, law: FrictionLaw) -> dict[str, Any]:
     starts = [(start_of(m.name), m.unit, f"Start value of {m.name}") for m in form.memory]
     return {
         "name": name,
-        "title": f"Equations of {law_title(law) or law.name}",
+        "title": f"Equations of {title(law)}",
         "parameters": [*coefficients, *starts],
         "states": [(m.name, m.unit) for m in form.memory],
         "equations": found,
