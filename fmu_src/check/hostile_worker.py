@@ -49,14 +49,11 @@ def _write(answer: TextIO, outcome: dict[str, Any]) -> None:
 
 
 def _outcome(plan: dict[str, Any], scenario: str) -> dict[str, Any]:
-    exchange = {"exchange": _exchange, "late": _late, "sizes": _sizes}.get(scenario)
-    master = _Master(plan, exchange=exchange is not None)
+    runs = _EXCHANGES | _SIMULATIONS
+    master = _Master(plan, exchange=scenario in _EXCHANGES)
     try:
         master.begin()
-        if exchange is None:
-            _simulate(master, scenario)
-        else:
-            exchange(master)
+        runs.get(scenario, _stepped)(master, scenario)
         if master.found.get("taken", True):
             master.end()
     except RefusedError as error:
@@ -187,11 +184,6 @@ class _Master:
 # --- co-simulation ----------------------------------------------------------------------------
 
 
-def _simulate(master: _Master, scenario: str) -> None:
-    own = {"refreshed": _refreshed, "repeated": _repeated, "held": _held}
-    own.get(scenario, _stepped)(master, scenario)
-
-
 def _stepped(master: _Master, scenario: str) -> None:
     for step in _steps(scenario, master.step, master.plan["steps"]):
         master.advance(step)
@@ -254,6 +246,9 @@ def _repeated(master: _Master, _scenario: str) -> None:
         master.advance(master.step)
 
 
+_SIMULATIONS = {"refreshed": _refreshed, "repeated": _repeated, "held": _held}
+"""Scenarios that are not made of steps alone."""
+
 # --- model exchange ---------------------------------------------------------------------------
 
 
@@ -264,17 +259,8 @@ class _Stale:
         """Leave the inputs as they are."""
 
 
-def _exchange(master: _Master) -> None:
-    """Hold the inputs over each step of a solver that is as long as ours."""
-    _solve(master, late=False)
-
-
-def _late(master: _Master) -> None:
-    """Do the same, and set them after events only."""
-    _solve(master, late=True)
-
-
-def _solve(master: _Master, *, late: bool) -> None:
+def _solve(master: _Master, scenario: str) -> None:
+    """Hold inputs over each step of a solver, as long as ours; "late" sets them after events."""
     from fmpy.sundials import CVodeSolver
 
     fmu = master.fmu
@@ -314,7 +300,7 @@ def _solve(master: _Master, *, late: bool) -> None:
                     "the inputs are held over the solver's step"
                 )
             master._do("fmi2EnterEventMode", fmu.enterEventMode)
-            if not late:
+            if scenario != "late":
                 master.set_inputs(time)
             _events(master)
             master.set_inputs(time)
@@ -351,7 +337,7 @@ def _events(master: _Master) -> None:
     master._do("fmi2EnterContinuousTimeMode", master.fmu.enterContinuousTimeMode)
 
 
-def _sizes(master: _Master) -> None:
+def _sizes(master: _Master, _scenario: str) -> None:
     """Hand over one state too many; hosts that need one where there is none make one up."""
     _events(master)
     size = master.plan["states"] + 1
@@ -362,6 +348,8 @@ def _sizes(master: _Master) -> None:
     except Exception:  # FMPy raises bare exceptions, too
         master.found["taken"] = False  # and an error has ended the run
 
+
+_EXCHANGES = {"exchange": _solve, "late": _solve, "sizes": _sizes}
 
 if __name__ == "__main__":
     main(sys.argv[1:])

@@ -85,6 +85,11 @@ class _Found:
         self.problems += problems
         return bool(problems)
 
+    def _add_run(self, check: str, found: tuple[list[str], list[str]]) -> None:
+        """Add problems of a check that runs something, and what it did not run."""
+        self._add(check, found[0])
+        self.skipped += found[1]
+
     def check(self, contents: Contents) -> None:
         """Run every check that what was found before lets run."""
         damaged = self._add("archive", contents.problems)
@@ -127,9 +132,7 @@ class _Found:
         if version != "2.0" or damaged:
             self.skipped.append("Hostile master: it runs FMUs of FMI 2.0 whose archive is right.")
             return
-        texts, skipped = hostile.problems(read_description(root), contents, self._folder)
-        self._add("hostile", texts)
-        self.skipped += skipped
+        self._add_run("hostile", hostile.problems(read_description(root), contents, self._folder))
 
     def _check_rules(self, about: Description, more: Iterable[Rule], contents: Contents) -> None:
         self._add("rules", chain.from_iterable(rule(about) for rule in (*_RULES, *more)))
@@ -153,15 +156,11 @@ class _Found:
                     readable.append(name)
         copy = self._folder / "copy.fmu"
         external.write_copy(contents, readable, copy)
-        texts, skipped = external.fmpy(copy, self._folder)
-        self._add("fmpy", texts)
-        self.skipped += skipped
+        self._add_run("fmpy", external.fmpy(copy, self._folder))
         if version != "2.0":
             self.skipped.append(f"VDMCheck2: it is for FMI 2.0, this is FMI {plain(version)}.")
             return
-        texts, skipped = external.vdmcheck2(copy, self._folder, self._vdmcheck)
-        self._add("vdmcheck2", texts)
-        self.skipped += skipped
+        self._add_run("vdmcheck2", external.vdmcheck2(copy, self._folder, self._vdmcheck))
 
 
 def _build(contents: Contents) -> etree._Element | None:
