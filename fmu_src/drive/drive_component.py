@@ -99,6 +99,14 @@ _INPUTS = (
     ("dq_link", "rad/s", "speed of the link, for the flexspline"),
     ("tau_load", "N.m", "load torque, for friction that depends on it"),
 )
+_PARAMETERS = (
+    ("inertia", "kg.m2", "inertia at the motor"),
+    ("stiffness", "N.m/rad", "stiffness of the flexspline; 0: none"),
+    ("damping", "N.m.s/rad", "damping of the flexspline"),
+    ("ratio", "1", "turns of the motor for one turn of the joint"),
+    ("q_start", "rad", "angle at which the motor starts"),
+    ("dq_start", "rad/s", "speed at which the motor starts"),
+)
 _FLEXSPLINE = ("stiffness[{}]", "damping[{}]", "ratio[{}]")
 _OUTPUTS = (
     ("q", "rad", "motor angle", ("q_start[{}]",)),
@@ -144,7 +152,8 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
         *(v for n, unit, text, deps in _OUTPUTS
           for v in _coupled(model.coupling, list(vector(n, "output", unit, text, zeros, deps)))),
         *friction,
-        *_parameters(own, zeros),
+        *(v for n, unit, text in _PARAMETERS
+          for v in vector(n, "fixed", unit, text, getattr(own, n, zeros))),
         scalar("substep", "fixed", "s", "longest inner step", substep),
         choice,
         start_mode(),
@@ -187,19 +196,6 @@ def _of_the_last_step(variable: Variable, inputs: Collection[str]) -> Variable:
     return replace(variable, dependencies=others, initial_dependencies=at_once)
 
 
-def _parameters(own: Motors, zeros: Sequence[float]) -> Iterator[Variable]:
-    yield from vector("inertia", "fixed", "kg.m2", "inertia at the motor", own.inertia)
-    yield from vector(
-        "stiffness", "fixed", "N.m/rad", "stiffness of the flexspline; 0: none", own.stiffness
-    )
-    yield from vector("damping", "fixed", "N.m.s/rad", "damping of the flexspline", own.damping)
-    yield from vector(
-        "ratio", "fixed", "1", "turns of the motor for one turn of the joint", own.ratio
-    )
-    yield from vector("q_start", "fixed", "rad", "angle at which the motor starts", zeros)
-    yield from vector("dq_start", "fixed", "rad/s", "speed at which the motor starts", zeros)
-
-
 def _sources(joint: int, coupling: Coupling | None) -> dict[str, tuple[str, ...]]:
     """Return what the inputs of laws are computed from, before the first step."""
     return {
@@ -236,7 +232,7 @@ def _joints(model: FrictionModel) -> tuple[Joint, ...]:
 
 def equations_to_c(model: FrictionModel, table: Interface) -> str:
     """Return equations.h: functions of each distinct law and where the joints' variables stand."""
-    vectors = [*(n for n, *_ in (*_INPUTS, *_OUTPUTS)), "tau_f", *_NEEDED, "q_start", "dq_start"]
+    vectors = [*(n for n, *_ in (*_INPUTS, *_OUTPUTS)), "tau_f", *(n for n, *_ in _PARAMETERS)]
     places = {name.upper(): f"{name}[1]" for name in vectors}
     places |= {name.upper(): name for name in ("substep", "discretisation", "start_mode")}
     needs = Needs(functions=SOLVER, places=places)
