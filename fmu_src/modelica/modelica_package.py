@@ -18,7 +18,7 @@ from fmu_src.modelica.annotations import joint_html, package_html
 from fmu_src.modelica.printer import FUNCTIONS, Equations, equations, start_of
 from hesr_model.equations.functions import sgn
 from hesr_model.equations.memory import DT
-from hesr_model.errors import ExportError, HesrError
+from hesr_model.errors import ExportError
 from hesr_model.friction.audit.audit import Audit
 from hesr_model.friction.inputs import INPUTS, TAU_LOAD
 from hesr_model.friction.law import MOVING, FrictionLaw, LawForm
@@ -97,7 +97,7 @@ def package(model: FrictionModel, name: str) -> str:
     environment.filters["quoted"] = _quoted
     laws = _forms(model.laws)
     forms = [_form(form, law) for form, law in laws.items()]
-    audits, refused = _audits(model)
+    audits, refused = datasheet.audited(model)
     joints = _joints(model, {law.form: form for form, law in laws.items()}, audits)
     return environment.get_template("modelica.mo.j2").render(
         name=name,
@@ -172,14 +172,6 @@ def _check_names(law: FrictionLaw, found: Equations) -> None:
                 "letters, digits and underscores."
             )
         seen.add(name)
-
-
-def _audits(model: FrictionModel) -> tuple[tuple[Audit, ...], str]:
-    """Return the audit of each joint; none and a sentence where it cannot be done."""
-    try:
-        return datasheet.audits(model, datasheet.ranges(model, reference_motion(model))), ""
-    except HesrError as error:
-        return (), str(error)
 
 
 def _joints(
