@@ -15,7 +15,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TextIO, cast
+from typing import Any, cast
 
 MOST_MEMORY = 4 << 30
 MOST_REPEATS = 20
@@ -40,12 +40,8 @@ def main(arguments: list[str]) -> None:
     plan = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))
     with Path(arguments[1]).open("w", encoding="utf-8") as answer:
         for scenario in plan["scenarios"]:
-            _write(answer, {"scenario": scenario, **_outcome(plan, scenario)})
-
-
-def _write(answer: TextIO, outcome: dict[str, Any]) -> None:
-    answer.write(json.dumps(outcome) + "\n")
-    answer.flush()
+            answer.write(json.dumps({"scenario": scenario, **_outcome(plan, scenario)}) + "\n")
+            answer.flush()
 
 
 def _outcome(plan: dict[str, Any], scenario: str) -> dict[str, Any]:
@@ -77,19 +73,11 @@ class _Master:
 
     def begin(self) -> None:
         """Instantiate and initialise."""
-        from fmpy import calloc, free
-        from fmpy.fmi2 import (
-            FMU2Model,
-            FMU2Slave,
-            fmi2CallbackAllocateMemoryTYPE,
-            fmi2CallbackFreeMemoryTYPE,
-            fmi2CallbackFunctions,
-            fmi2CallbackLoggerTYPE,
-        )
+        from fmpy import calloc, fmi2, free
 
         kind = self.plan["exchange" if self._exchange else "simulation"]
         try:
-            self.fmu = (FMU2Model if self._exchange else FMU2Slave)(
+            self.fmu = (fmi2.FMU2Model if self._exchange else fmi2.FMU2Slave)(
                 guid=self.plan["guid"],
                 modelIdentifier=kind,
                 unzipDirectory=self.plan["folder"],
@@ -97,10 +85,10 @@ class _Master:
             )
         except Exception as error:  # FMPy raises bare exceptions
             raise RefusedError(f"its binary cannot be loaded ({error})") from error
-        callbacks = fmi2CallbackFunctions()
-        callbacks.logger = fmi2CallbackLoggerTYPE(self._hear)
-        callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
-        callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
+        callbacks = fmi2.fmi2CallbackFunctions()
+        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(self._hear)
+        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
+        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
         self._do("fmi2Instantiate", self.fmu.instantiate, callbacks=callbacks)
         self._do("fmi2SetupExperiment", self.fmu.setupExperiment, startTime=0.0)
         self.set_inputs(0.0)
