@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from xml.etree import ElementTree as ET
 
-from fmu_src.interface import Interface, Variable
+from fmu_src.interface import Interface, Role, Variable
 from hesr_model.errors import ExportError
 from hesr_model.robots.owner import Owner
 
@@ -57,6 +57,10 @@ OFFSETS: Mapping[str, float] = {"degC": 273.15}
 
 DEGREES = 180.0 / math.pi
 _EXPERIMENT = 1000
+
+RUNNING: tuple[Role, ...] = ("input", "state")
+STARTING: tuple[Role, ...] = ("input", "fixed", "tunable")
+"""Roles of what unknowns depend on: while a simulation runs, and before it begins."""
 
 _FACTOR = re.compile(r"([A-Za-z]+|1)(-?[0-9]+)?")
 
@@ -147,20 +151,19 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
         "canSerializeFMUstate": "true",
         "providesDirectionalDerivative": str(table.directional_derivatives).lower(),
     }
-    if table.model_exchange:
-        kind = ET.SubElement(root, "ModelExchange", common)
-        kind.set("completedIntegratorStepNotNeeded", "false")
-        _source_files(kind, about)
-    kind = ET.SubElement(
-        root,
-        "CoSimulation",
-        common,
-        canHandleVariableCommunicationStepSize="true",
-        canInterpolateInputs="true",
-        maxOutputDerivativeOrder="0",
-        canRunAsynchronuously="false",
-    )
-    _source_files(kind, about)
+    kinds = {"ModelExchange": {"completedIntegratorStepNotNeeded": "false"}}
+    kinds["CoSimulation"] = {
+        "canHandleVariableCommunicationStepSize": "true",
+        "canInterpolateInputs": "true",
+        "maxOutputDerivativeOrder": "0",
+        "canRunAsynchronuously": "false",
+    }
+    for name, own in kinds.items():
+        if name == "CoSimulation" or table.model_exchange:
+            kind = ET.SubElement(root, name, common | own)
+            files = ET.SubElement(kind, "SourceFiles") if about.sources else kind
+            for source in about.sources:
+                ET.SubElement(files, "File", name=source)
     add_units(root, table)
     _types(root, table)
     add_run(root, about)
@@ -169,20 +172,11 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
         variables.append(_scalar(variable, i, table))
     structure = ET.SubElement(root, "ModelStructure")
     outputs = [v for v in table.variables if v.role in ("output", "on_demand")]
-    _unknowns(structure, "Outputs", outputs, table, ("input", "state"))
-    _unknowns(structure, "Derivatives", table.derivatives, table, ("input", "state"))
+    _unknowns(structure, "Outputs", outputs, table, RUNNING)
+    _unknowns(structure, "Derivatives", table.derivatives, table, RUNNING)
     initial = [v for v in table.variables if v in outputs or v.derivative_of or v.role == "state"]
-    known = ("input", "fixed", "tunable")
-    _unknowns(structure, "InitialUnknowns", initial, table, known, initially=True)
+    _unknowns(structure, "InitialUnknowns", initial, table, STARTING, initially=True)
     return to_bytes(root)
-
-
-def _source_files(kind: ET.Element, about: Description) -> None:
-    if not about.sources:
-        return
-    files = ET.SubElement(kind, "SourceFiles")
-    for source in about.sources:
-        ET.SubElement(files, "File", name=source)
 
 
 def root_element(
@@ -311,7 +305,7 @@ def _unknowns(
     kind: str,
     unknowns: Sequence[Variable],
     table: Interface,
-    known: tuple[str, ...],
+    known: Sequence[Role],
     *,
     initially: bool = False,
 ) -> None:
@@ -319,12 +313,8 @@ def _unknowns(
         return
     parent = ET.SubElement(structure, kind)
     for variable in unknowns:
-        names = table.initially(variable) if initially else variable.dependencies
-        numbers = sorted(
-            table.places[name] + 1
-            for name in dict.fromkeys(names)
-            if table.variables[table.places[name]].role in known
-        )
+        names = table.made_of(variable, known, initially=initially)
+        numbers = sorted({table.places[name] + 1 for name in names})
         ET.SubElement(
             parent,
             "Unknown",

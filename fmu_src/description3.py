@@ -6,6 +6,8 @@ from functools import cached_property
 from xml.etree import ElementTree as ET
 
 from fmu_src.description import (
+    RUNNING,
+    STARTING,
     Description,
     add_run,
     add_units,
@@ -15,7 +17,7 @@ from fmu_src.description import (
     to_bytes,
     values,
 )
-from fmu_src.interface import Array, Interface, Role
+from fmu_src.interface import Array, Interface, Role, scalars
 
 _INDICATORS = "event_indicator"
 
@@ -33,7 +35,7 @@ class Arrays:
             part
             for array in self.table.arrays
             for part in (
-                _parts(array)
+                scalars(array.place, array.elements)
                 if array.elements[0].role == "state" or array.name in self.table.connected
                 else (array,)
             )
@@ -50,13 +52,6 @@ class Arrays:
         for array in self.all:
             extents[array.place] = str(len(array.elements))
         return _EXTENTS.format(", ".join(extents))
-
-
-def _parts(array: Array) -> Iterable[Array]:
-    return (
-        Array(name=v.name, shape=(), place=array.place + i, elements=(v,))
-        for i, v in enumerate(array.elements)
-    )
 
 
 _EXTENTS = """\
@@ -153,13 +148,10 @@ def _structure(root: ET.Element, arrays: Arrays) -> None:
     derivatives = table.derivatives if table.model_exchange else ()
     rates = list(dict.fromkeys(arrays.of[v.name] for v in derivatives))
     states = [a for a in arrays.all if a.elements[0].role == "state"] if derivatives else []
-    moving: tuple[Role, ...] = ("input", "state")
-    _unknowns(structure, "Output", outputs, arrays, moving)
-    _unknowns(structure, "ContinuousStateDerivative", rates, arrays, moving)
-    _unknowns(
-        structure, "InitialUnknown", dict.fromkeys((*outputs, *states, *rates)), arrays,
-        ("input", "fixed", "tunable"), initially=True,
-    )  # fmt: skip
+    _unknowns(structure, "Output", outputs, arrays, RUNNING)
+    _unknowns(structure, "ContinuousStateDerivative", rates, arrays, RUNNING)
+    initial = dict.fromkeys((*outputs, *states, *rates))
+    _unknowns(structure, "InitialUnknown", initial, arrays, STARTING, initially=True)
     if table.indicators and table.model_exchange:
         ET.SubElement(structure, "EventIndicator", valueReference=str(len(table.variables) + 1))
 
@@ -173,15 +165,11 @@ def _unknowns(
     *,
     initially: bool = False,
 ) -> None:
-    table = arrays.table
     for array in unknowns:
-        names = [
-            n for v in array.elements for n in (table.initially(v) if initially else v.dependencies)
-        ]
         places = {
             arrays.of[name].place
-            for name in names
-            if table.variables[table.places[name]].role in known
+            for v in array.elements
+            for name in arrays.table.made_of(v, known, initially=initially)
         }
         ET.SubElement(
             structure, kind, valueReference=str(array.place),

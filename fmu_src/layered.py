@@ -65,15 +65,9 @@ def manifest_files(
     for own in experiments:
         numbers = {"startTime": own.start, "stopTime": own.stop, "tolerance": own.tolerance}
         numbers |= {"stepSize": own.step} if own.step else {}
-        element = ET.SubElement(
-            root,
-            "Experiment",
-            {
-                "name": own.name,
-                "description": own.description,
-                **{name: f"{value:.12g}" for name, value in numbers.items()},
-            },
-        )
+        texts = {name: f"{value:.12g}" for name, value in numbers.items()}
+        about = {"name": own.name, "description": own.description}
+        element = ET.SubElement(root, "Experiment", about | texts)
         files = {
             "Stimuli": own.stimuli, "Parameters": own.parameters, "References": own.references,
         }  # fmt: skip
@@ -82,7 +76,7 @@ def manifest_files(
                 ET.SubElement(element, kind, source=_from_folder(file), type="text/csv")
     played = {e.stimuli: "stimuli" for e in experiments}
     played |= {e.parameters: "parameters of the experiments" for e in experiments if e.parameters}
-    texts = {EXPERIMENTS: to_bytes(root)}
+    own_files = {EXPERIMENTS: to_bytes(root)}
     related = [("experiment/smoke-test", EXPERIMENTS, "application/xml", "how the stimuli are run")]
     for name in members:
         is_table = name.endswith(".csv")
@@ -90,7 +84,7 @@ def manifest_files(
         role = "testcase" if name in played else role
         text = played.get(name, "reference results" if is_table else "how to use these files")
         related.append((role, name, "text/csv" if is_table else "text/plain", text))
-    return {MANIFEST: _manifest(related, {**members, **texts}), **texts}
+    return {MANIFEST: _manifest(related, {**members, **own_files}), **own_files}
 
 
 def _manifest(related: Iterable[tuple[str, ...]], members: Mapping[str, bytes]) -> bytes:

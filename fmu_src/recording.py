@@ -42,19 +42,14 @@ class Recording2(_Recording):
     """
 
     def __init__(self, made: Made) -> None:
-        from fmpy.fmi2 import (
-            FMU2Slave,
-            defaultCallbacks,
-            fmi2CallbackFunctions,
-            fmi2CallbackLoggerTYPE,
-        )
+        from fmpy import fmi2
 
         self._variables = {v.get("name", ""): v for v in made[0].iter("ScalarVariable")}
-        self._slave = _loaded(FMU2Slave, made, made[0].get("guid"))
-        callbacks = fmi2CallbackFunctions()
-        callbacks.logger = fmi2CallbackLoggerTYPE(lambda *_: None)
-        callbacks.allocateMemory = defaultCallbacks.allocateMemory
-        callbacks.freeMemory = defaultCallbacks.freeMemory
+        self._slave = _loaded(fmi2.FMU2Slave, made, made[0].get("guid"))
+        callbacks = fmi2.fmi2CallbackFunctions()
+        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(lambda *_: None)
+        callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
+        callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
         self._slave.instantiate(callbacks=callbacks)
 
     def begin(self, parameters: Mapping[str, float]) -> None:
