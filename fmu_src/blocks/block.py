@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator, Mapping
 
-from fmu_src.blocks.table import content
+from fmu_src.blocks.table import content, vector
 from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, own_size
 from fmu_src.interface import Enumeration, Interface, Variable
 from fmu_src.package import Content, equation_sources
@@ -68,10 +68,9 @@ def _names(component: Component, joint: int) -> dict[str, str]:
 
 
 def _variables(component: Component, joints: list[Joint]) -> Iterator[Variable]:
-    for quantity in component.inputs:
-        for i, joint in enumerate(joints, start=1):
-            yield Variable(name=joint.names[quantity.name], role="input", unit=quantity.unit,
-                           description=f"{quantity.description}, joint {i}")  # fmt: skip
+    zeros = [0.0] * len(joints)
+    for q in component.inputs:
+        yield from vector(q.name, "input", q.unit, q.description, zeros)
     for equation in component.outputs:
         at_once = frozenset() if component.holds else component.sources(equation.symbol)
         initial = component.sources(equation.symbol, starting=True)

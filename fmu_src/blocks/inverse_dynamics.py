@@ -73,11 +73,7 @@ def _tree(robot: RobotModel) -> str:
     rows = []
     motors, gravity = robot.description.motors, robot.description.gravity
     for joint in robot.tree:
-        numbers = (
-            _numbers(joint.rotation.ravel()),
-            _numbers(joint.translation),
-            _numbers(joint.axis),
-        )
+        numbers = map(_numbers, (joint.rotation.ravel(), joint.translation, joint.axis))
         rows.append(f"    {{{joint.parent}, {int(joint.prismatic)}, {', '.join(numbers)}}},")
     return _TREE.format(
         rows="\n".join(rows),

@@ -22,7 +22,7 @@ from hesr_model.friction.inputs import INPUT_UNITS, INPUTS
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained import Range, TrainedRange
 from hesr_model.units import unit_of_joints
 
 _INTERVAL = 1.96  # standard errors to either side hold 95 %
@@ -138,16 +138,19 @@ def _bare(path: str) -> str:
     return PurePosixPath(path.replace("\\", "/")).name
 
 
+def spelled(range_: Range) -> str:
+    """Return a range for people."""
+    low, high = range_
+    return f"{figure(low, 3)} to {figure(high, 3)}"
+
+
 def _trained_rows(
     trained: Sequence[TrainedRange], units: Mapping[str, str]
 ) -> dict[str, list[str]]:
     if not trained:
         return {}
     rows = {
-        f"{name} [{units[name]}]": [
-            f"{figure(getattr(seen, name)[0], 3)} to {figure(getattr(seen, name)[1], 3)}"
-            for seen in trained
-        ]
+        f"{name} [{units[name]}]": [spelled(getattr(seen, name)) for seen in trained]
         for name in _RANGES
     }
     return rows | {"sample time [s]": [figure(seen.sample_time) for seen in trained]}

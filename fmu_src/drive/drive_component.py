@@ -48,12 +48,13 @@ class Motors:
     ratio: tuple[float, ...]
 
 
-_NEEDED: dict[str, tuple[str, str, Callable[[float], bool]]] = {
-    "inertia": ("kg.m2", "a positive number", lambda value: value > 0.0),
-    "stiffness": ("N.m/rad", "a number that is not negative", lambda value: value >= 0.0),
-    "damping": ("N.m.s/rad", "a number that is not negative", lambda value: value >= 0.0),
-    "ratio": ("turns", "a number other than zero", lambda value: value != 0.0),
+_NEEDED: dict[str, tuple[str, str, float, Callable[[float], bool]]] = {
+    "inertia": ("kg.m2", "a positive number", 0.0, lambda value: value > 0.0),
+    "stiffness": ("N.m/rad", "a number that is not negative", 0.0, lambda value: value >= 0.0),
+    "damping": ("N.m.s/rad", "a number that is not negative", 0.0, lambda value: value >= 0.0),
+    "ratio": ("turns", "a number other than zero", 1.0, lambda value: value != 0.0),
 }
+"""Unit, what is needed in words, what is meant where nothing is given, and the test."""
 
 
 def motors(
@@ -71,15 +72,10 @@ def motors(
     ExportError
         If there are not as many values as joints, or one is not what it must be.
     """
-    zeros, ones = (0.0,) * joints, (1.0,) * joints
-    found = Motors(
-        inertia=tuple(map(float, inertia)),
-        stiffness=zeros if stiffness is None else tuple(map(float, stiffness)),
-        damping=zeros if damping is None else tuple(map(float, damping)),
-        ratio=ones if ratio is None else tuple(map(float, ratio)),
-    )
-    for name, (unit, text, sound) in _NEEDED.items():
-        values = getattr(found, name)
+    found = {}
+    given = (inertia, stiffness, damping, ratio)
+    for numbers, (name, (unit, text, usual, sound)) in zip(given, _NEEDED.items(), strict=True):
+        values = (usual,) * joints if numbers is None else tuple(map(float, numbers))
         if len(values) != joints:
             raise ExportError(
                 f"drive: '{name}' has {len(values)} values; needed are {joints}, one for each "
@@ -90,7 +86,8 @@ def motors(
                 raise ExportError(
                     f"drive: '{name}' of joint {joint} is {value:g} {unit}; needed is {text}."
                 )
-    return found
+        found[name] = values
+    return Motors(**found)
 
 
 _INPUTS = (
@@ -207,16 +204,14 @@ def _sources(joint: int, coupling: Coupling | None) -> dict[str, tuple[str, ...]
 
 def _coupled(coupling: Coupling | None, outputs: Sequence[Variable]) -> Iterator[Variable]:
     """Yield one output of all joints; of those at links, with what moves them by a coupling."""
-    for variable in outputs:
+    for link, variable in enumerate(outputs, start=1):
         if coupling is None or not variable.name.startswith("tau_link["):
             yield variable
             continue
-        link = int(variable.name.removeprefix("tau_link[").removesuffix("]"))
-        by_motor = [outputs[i - 1].dependencies for i in adding(link, coupling)]
         found = [
             name
-            for motor, names in zip(adding(link, coupling), by_motor, strict=True)
-            for dependency in names
+            for motor in adding(link, coupling)
+            for dependency in outputs[motor - 1].dependencies
             for name in (
                 mixed(dependency.partition("[")[0], motor, coupling)
                 if dependency.startswith(("q_link[", "dq_link["))

@@ -293,7 +293,7 @@ def joints_of(
                 states=at.states,
                 derivatives=at.derivatives,
                 starts=at.starts,
-                parameters=at.parameters if exposed(law) else (),
+                parameters=at.parameters,
                 constants=() if exposed(law) else tuple(law.values.values()),
                 slope="" if names else f"{SLOPE.name}[{joint}]",
             )

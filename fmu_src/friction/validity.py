@@ -1,7 +1,5 @@
 """Whether the numbers of a law give a torque at all: what divides by zero is told, not exported."""
 
-from collections.abc import Mapping
-
 import sympy
 
 from hesr_model.errors import ExportError
@@ -95,20 +93,11 @@ def _undefined(law: FrictionLaw) -> sympy.Expr | None:
         # Parts before what they are parts of.
         for part in sympy.postorder_traversal(whole):
             if part not in known:
-                known[part] = _value(part, values, known)
+                arguments = (known[argument] for argument in part.args)
+                known[part] = part.func(*arguments) if part.args else values.get(part, part)
                 if isinstance(part, sympy.Expr) and _no_number(known[part]):
                     return part
     return None
-
-
-def _value(
-    part: sympy.Basic,
-    values: Mapping[sympy.Symbol, sympy.Float],
-    known: Mapping[sympy.Basic, sympy.Basic],
-) -> sympy.Basic:
-    if not part.args:
-        return values.get(part, part)
-    return part.func(*(known[argument] for argument in part.args))
 
 
 def _no_number(value: sympy.Basic) -> bool:

@@ -122,6 +122,7 @@ def _of_joint(
     except NoCounterpartError as error:
         slides = model.slides[index]
         missing = error.at_joint(slides=slides)
+        refused = f"law '{model.law}' of joint '{joint}' is not expressible in MJCF: {missing};"
         trained = model.trained[index] if model.trained else None
         try:
             if project:
@@ -129,14 +130,10 @@ def _of_joint(
             else:
                 records(law, trained, model.sample_time)  # so that nothing is promised below
         except HesrError as reason:
-            raise ExportError(
-                f"law '{model.law}' of joint '{joint}' is not expressible in MJCF: {missing}; "
-                f"nor can it be projected: {reason}"
-            ) from reason
+            raise ExportError(f"{refused} nor can it be projected: {reason}") from reason
         if not project:
             raise ExportError(
-                f"law '{model.law}' of joint '{joint}' is not expressible in MJCF: {missing}; "
-                "--project writes the nearest bristles and says how far off they are."
+                f"{refused} --project writes the nearest bristles and says how far off they are."
             ) from error
         found = JointProjection(
             joint=joint,

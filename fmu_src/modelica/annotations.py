@@ -10,7 +10,7 @@ from typing import Any
 
 from fmu_src.documentation import datasheet
 from fmu_src.documentation.datasheet import figure
-from fmu_src.documentation.friction_page import title, training
+from fmu_src.documentation.friction_page import spelled, title, training
 from fmu_src.friction.reference import UNKNOWN_SPEED
 from fmu_src.friction.variable_names import exposed
 from fmu_src.html import rendered
@@ -63,12 +63,9 @@ def joint_html(model: FrictionModel, index: int, audit: Audit | None) -> str:
         intervals=coefficient_lines(law) if law.standard_errors else [],
         start_samples=law.start_samples,
         seen=[
-            f"{name} {figure(getattr(seen, name)[0], 3)} to {figure(getattr(seen, name)[1], 3)} "
-            f"{unit}"
-            for name, unit in INPUT_UNITS.items()
-        ]
-        if seen
-        else [],
+            f"{name} {spelled(getattr(seen, name))} {unit}"
+            for name, unit in (INPUT_UNITS if seen else {}).items()
+        ],
         rmse=figure(model.training_rmse[index], 3) if model.training_rmse else None,
         verdict=datasheet.verdict(audit, known=bool(model.trained)) if audit else "",
     )

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import sympy
 
 from fmu_src.documentation import datasheet
 from fmu_src.documentation.friction_page import title
@@ -184,7 +183,8 @@ def _joints(
         audit = audits[i] if audits else None
         speed = float(np.abs(motion.dq[:, i]).max())
         largest = audit.largest if audit else 0.0
-        jumps = any(part.has(sgn) for part in _parts(law.form))
+        parts = (law.form.output.subs(DT, 0), *(part for m in law.form.memory for part in m.parts))
+        jumps = any(part.has(sgn) for part in parts)
         found.append(
             {
                 "name": f"Joint{i + 1}",
@@ -203,10 +203,6 @@ def _joints(
             }
         )
     return found
-
-
-def _parts(form: LawForm) -> list[sympy.Expr]:
-    return [form.output.subs(DT, 0), *(part for m in form.memory for part in m.parts)]
 
 
 def _modifications(law: FrictionLaw) -> list[str]:
