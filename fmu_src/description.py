@@ -2,11 +2,12 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from xml.etree import ElementTree as ET
 
-from fmu_src.interface import Enumeration, Interface, Variable
+from fmu_src.interface import Interface, Role, Variable
 from hesr_model.errors import ExportError
 from hesr_model.robots.owner import Owner
 
@@ -57,6 +58,10 @@ OFFSETS: Mapping[str, float] = {"degC": 273.15}
 DEGREES = 180.0 / math.pi
 _EXPERIMENT = 1000
 
+RUNNING: tuple[Role, ...] = ("input", "state")
+STARTING: tuple[Role, ...] = ("input", "fixed", "tunable")
+"""Roles of what unknowns depend on: while a simulation runs, and before it begins."""
+
 _FACTOR = re.compile(r"([A-Za-z]+|1)(-?[0-9]+)?")
 
 
@@ -87,10 +92,10 @@ class Description:
     name: str
     identifier: str
     text: str
-    version: str
+    version: str = field(default_factory=lambda: version("hesr"))
     created: str
     step: float
-    sources: tuple[str, ...]
+    sources: tuple[str, ...] = ("all.c",)
     owner: Owner = field(default_factory=Owner)
 
     @property
@@ -104,12 +109,6 @@ def shown_as(unit: str) -> dict[str, str]:
     """Return the attributes that name the quantity of a unit and the unit in which it is shown."""
     found = {"quantity": QUANTITIES.get(unit), "displayUnit": DISPLAY.get(unit)}
     return {name: text for name, text in found.items() if text}
-
-
-def base_unit(unit: str) -> dict[str, str]:
-    """Return the attributes of FMI's BaseUnit; see `si_exponents`."""
-    found = {base: str(exponent) for base, exponent in si_exponents(unit).items()}
-    return found | ({"offset": repr(OFFSETS[unit])} if unit in OFFSETS else {})
 
 
 def si_exponents(unit: str) -> dict[str, int]:
@@ -142,19 +141,7 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
     Outputs and derivatives declare what they depend on, since importers take a missing list for
     "everything" and then see algebraic loops where there are none.
     """
-    root = ET.Element(
-        "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=about.name,
-        guid=guid,
-        description=about.text,
-        version=about.version,
-        generationTool=f"HESR {about.version}",
-        generationDateAndTime=about.created,
-        variableNamingConvention="structured",
-        numberOfEventIndicators=str(table.indicators),
-    )
-    root.attrib.update(about.owner.known)
+    root = root_element(about, "2.0", {"guid": guid}, numberOfEventIndicators=str(table.indicators))
     common = {
         "modelIdentifier": about.identifier,
         "needsExecutionTool": "false",
@@ -164,107 +151,147 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
         "canSerializeFMUstate": "true",
         "providesDirectionalDerivative": str(table.directional_derivatives).lower(),
     }
-    if table.model_exchange:
-        kind = ET.SubElement(root, "ModelExchange", common)
-        kind.set("completedIntegratorStepNotNeeded", "false")
-        _source_files(kind, about)
-    kind = ET.SubElement(
-        root,
-        "CoSimulation",
-        common,
-        canHandleVariableCommunicationStepSize="true",
-        canInterpolateInputs="true",
-        maxOutputDerivativeOrder="0",
-        canRunAsynchronuously="false",
-    )
-    _source_files(kind, about)
-    _units(root, table)
+    kinds = {"ModelExchange": {"completedIntegratorStepNotNeeded": "false"}}
+    kinds["CoSimulation"] = {
+        "canHandleVariableCommunicationStepSize": "true",
+        "canInterpolateInputs": "true",
+        "maxOutputDerivativeOrder": "0",
+        "canRunAsynchronuously": "false",
+    }
+    for name, own in kinds.items():
+        if name == "CoSimulation" or table.model_exchange:
+            kind = ET.SubElement(root, name, common | own)
+            files = ET.SubElement(kind, "SourceFiles") if about.sources else kind
+            for source in about.sources:
+                ET.SubElement(files, "File", name=source)
+    add_units(root, table)
     _types(root, table)
-    categories = ET.SubElement(root, "LogCategories")
-    for name, text in CATEGORIES.items():
-        ET.SubElement(categories, "Category", name=name, description=text)
-    ET.SubElement(root, "DefaultExperiment", about.experiment)
+    add_run(root, about)
     variables = ET.SubElement(root, "ModelVariables")
     for i, variable in enumerate(table.variables):
         variables.append(_scalar(variable, i, table))
     structure = ET.SubElement(root, "ModelStructure")
     outputs = [v for v in table.variables if v.role in ("output", "on_demand")]
-    _unknowns(structure, "Outputs", outputs, table, ("input", "state"))
-    _unknowns(structure, "Derivatives", table.derivatives, table, ("input", "state"))
+    _unknowns(structure, "Outputs", outputs, table, RUNNING)
+    _unknowns(structure, "Derivatives", table.derivatives, table, RUNNING)
     initial = [v for v in table.variables if v in outputs or v.derivative_of or v.role == "state"]
-    known = ("input", "fixed", "tunable")
-    _unknowns(structure, "InitialUnknowns", initial, table, known, initially=True)
+    _unknowns(structure, "InitialUnknowns", initial, table, STARTING, initially=True)
+    return to_bytes(root)
+
+
+def root_element(
+    about: Description, version: str, token: Mapping[str, str], **more: str
+) -> ET.Element:
+    """Return the root of a description: version of FMI, what a host must name, and the FMU."""
+    attributes = {
+        "fmiVersion": version,
+        "modelName": about.name,
+        **token,
+        "description": about.text,
+        "version": about.version,
+        "generationTool": f"HESR {about.version}",
+        "generationDateAndTime": about.created,
+        "variableNamingConvention": "structured",
+        **more,
+        **about.owner.known,
+    }
+    return ET.Element("fmiModelDescription", attributes)
+
+
+def add_units(root: ET.Element, table: Interface) -> None:
+    """Add the definitions of all units."""
+    definitions = ET.SubElement(root, "UnitDefinitions")
+    for name in dict.fromkeys(v.unit for v in table.variables if v.unit):
+        unit = ET.SubElement(definitions, "Unit", name=name)
+        base = {base: str(exponent) for base, exponent in si_exponents(name).items()}
+        if name in OFFSETS:
+            base["offset"] = repr(OFFSETS[name])
+        ET.SubElement(unit, "BaseUnit", base)
+        if display := DISPLAY.get(name):
+            ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(DEGREES))
+
+
+def add_run(root: ET.Element, about: Description) -> None:
+    """Add what a host can log, and the times of the default experiment."""
+    categories = ET.SubElement(root, "LogCategories")
+    for name, text in CATEGORIES.items():
+        ET.SubElement(categories, "Category", name=name, description=text)
+    ET.SubElement(root, "DefaultExperiment", about.experiment)
+
+
+def to_bytes(root: ET.Element) -> bytes:
+    """Return an element and what is in it as the bytes of a file."""
     ET.indent(root)
     written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
     return written + b"\n"
 
 
-def _source_files(kind: ET.Element, about: Description) -> None:
-    if not about.sources:
-        return
-    files = ET.SubElement(kind, "SourceFiles")
-    for source in about.sources:
-        ET.SubElement(files, "File", name=source)
-
-
-def _units(root: ET.Element, table: Interface) -> None:
-    names = dict.fromkeys(v.unit for v in table.variables if v.unit)
-    definitions = ET.SubElement(root, "UnitDefinitions")
-    for name in names:
-        unit = ET.SubElement(definitions, "Unit", name=name)
-        ET.SubElement(unit, "BaseUnit", base_unit(name))
-        if display := DISPLAY.get(name):
-            ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(DEGREES))
-
-
 def _types(root: ET.Element, table: Interface) -> None:
-    enumerations: dict[str, Enumeration] = {
-        v.enumeration.name: v.enumeration for v in table.variables if v.enumeration
-    }
+    enumerations = dict.fromkeys(v.enumeration for v in table.variables if v.enumeration)
     if not enumerations:
         return
     definitions = ET.SubElement(root, "TypeDefinitions")
-    for enumeration in enumerations.values():
+    for enumeration in enumerations:
         choices = ", ".join(f"{i} = {text}" for i, (_, text) in enumerate(enumeration.items, 1))
         simple = ET.SubElement(definitions, "SimpleType", name=enumeration.name)
         simple.set("description", choices)
         ET.SubElement(simple, "Integer", min="1", max=str(len(enumeration.items)))
 
 
-def _scalar(variable: Variable, reference: int, table: Interface) -> ET.Element:
+def common_attributes(variable: Variable, name: str, place: int, text: str) -> dict[str, str]:
+    """Return the attributes that a variable has in both versions, of whatever type it is.
+
+    Parameters
+    ----------
+    variable : itself, or the first element of an array.
+    name, place, text : of the whole; the text of an enumeration is followed by its choices.
+    """
     causality, variability, initial = variable.attributes
-    attributes = {
-        "name": variable.name,
-        "valueReference": str(reference),
-        "description": variable.description,
+    if variable.enumeration:
+        # Where tools show them; `cosim.variables` finds the names of the choices there.
+        names = (f"{i} = {name}" for i, (name, _) in enumerate(variable.enumeration.items, 1))
+        text = f"{text}: {', '.join(names)}"
+    found = {
+        "name": name,
+        "valueReference": str(place),
+        "description": text,
         "causality": causality,
         "variability": variability,
     }
-    if initial:
-        attributes["initial"] = initial
+    return found | ({"initial": initial} if initial else {})
+
+
+def values(elements: Sequence[Variable]) -> dict[str, str]:
+    """Return the attributes that say where the values of a variable begin and lie.
+
+    Parameters
+    ----------
+    elements : of an array, or a single one.
+    """
+    first = elements[0]
+    if first.enumeration:
+        return {
+            "min": "1",
+            "max": str(len(first.enumeration.items)),
+            "start": str(int(first.start)),
+        }
+    found = {}
+    if not (first.computed or first.role == "state"):
+        found["start"] = " ".join(repr(float(v.start)) for v in elements)
+    limits = {"min": first.least, "max": first.greatest}
+    return found | {name: repr(float(limit)) for name, limit in limits.items() if limit is not None}
+
+
+def _scalar(variable: Variable, place: int, table: Interface) -> ET.Element:
+    attributes = common_attributes(variable, variable.name, place, variable.description)
     element = ET.Element("ScalarVariable", attributes)
     if variable.enumeration:
-        # An Integer, since Maestro loads no FMU with an Enumeration and libcosim sets none. The
-        # choices stand in the text that tools show; `cosim.variables` finds their names there.
-        choices = ", ".join(
-            f"{i} = {name}" for i, (name, _) in enumerate(variable.enumeration.items, 1)
-        )
-        element.set("description", f"{variable.description}: {choices}")
-        ET.SubElement(
-            element,
-            "Integer",
-            declaredType=variable.enumeration.name,
-            min="1",
-            max=str(len(variable.enumeration.items)),
-            start=str(int(variable.start)),
-        )
+        # Since Maestro loads no FMU with an Enumeration and libcosim sets none.
+        declared = {"declaredType": variable.enumeration.name}
+        ET.SubElement(element, "Integer", declared | values([variable]))
         return element
     unit = variable.unit or "1"
-    real = {"unit": unit} | shown_as(unit)
-    if not (variable.computed or variable.role == "state"):
-        real["start"] = repr(float(variable.start))
-    limits = {"min": variable.least, "max": variable.greatest}
-    real |= {name: repr(float(limit)) for name, limit in limits.items() if limit is not None}
+    real = {"unit": unit} | shown_as(unit) | values([variable])
     if variable.nominal != 1.0:
         real["nominal"] = repr(variable.nominal)
     if variable.derivative_of:
@@ -276,23 +303,18 @@ def _scalar(variable: Variable, reference: int, table: Interface) -> ET.Element:
 def _unknowns(
     structure: ET.Element,
     kind: str,
-    unknowns: Iterable[Variable],
+    unknowns: Sequence[Variable],
     table: Interface,
-    known: tuple[str, ...],
+    known: Sequence[Role],
     *,
     initially: bool = False,
 ) -> None:
-    unknowns = list(unknowns)
     if not unknowns:
         return
     parent = ET.SubElement(structure, kind)
     for variable in unknowns:
-        names = table.initially(variable) if initially else variable.dependencies
-        numbers = sorted(
-            table.places[name] + 1
-            for name in dict.fromkeys(names)
-            if table.variables[table.places[name]].role in known
-        )
+        names = table.made_of(variable, known, initially=initially)
+        numbers = sorted({table.places[name] + 1 for name in names})
         ET.SubElement(
             parent,
             "Unknown",

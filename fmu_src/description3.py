@@ -6,14 +6,18 @@ from functools import cached_property
 from xml.etree import ElementTree as ET
 
 from fmu_src.description import (
-    CATEGORIES,
-    DEGREES,
-    DISPLAY,
+    RUNNING,
+    STARTING,
     Description,
-    base_unit,
+    add_run,
+    add_units,
+    common_attributes,
+    root_element,
     shown_as,
+    to_bytes,
+    values,
 )
-from fmu_src.interface import Array, Interface, Role
+from fmu_src.interface import Array, Interface, Role, scalars
 
 _INDICATORS = "event_indicator"
 
@@ -31,7 +35,7 @@ class Arrays:
             part
             for array in self.table.arrays
             for part in (
-                _parts(array)
+                scalars(array.place, array.elements)
                 if array.elements[0].role == "state" or array.name in self.table.connected
                 else (array,)
             )
@@ -50,13 +54,6 @@ class Arrays:
         return _EXTENTS.format(", ".join(extents))
 
 
-def _parts(array: Array) -> Iterable[Array]:
-    return (
-        Array(name=v.name, shape=(), place=array.place + i, elements=(v,))
-        for i, v in enumerate(array.elements)
-    )
-
-
 _EXTENTS = """\
 /* Generated: how many elements the variable of FMI 3.0 has that begins at a place, 0 within one. */
 static const int extents[VARIABLES] = {{{}}};
@@ -65,18 +62,7 @@ static const int extents[VARIABLES] = {{{}}};
 
 def to_xml3(table: Interface, about: Description, token: str) -> bytes:
     """Return modelDescription.xml of FMI 3.0."""
-    root = ET.Element(
-        "fmiModelDescription",
-        fmiVersion="3.0",
-        modelName=about.name,
-        instantiationToken=token,
-        description=about.text,
-        version=about.version,
-        generationTool=f"HESR {about.version}",
-        generationDateAndTime=about.created,
-        variableNamingConvention="structured",
-    )
-    root.attrib.update(about.owner.known)
+    root = root_element(about, "3.0", {"instantiationToken": token})
     common = {
         "modelIdentifier": about.identifier,
         "canGetAndSetFMUState": "true",
@@ -89,12 +75,7 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
         root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true",
         hasEventMode="true", mightReturnEarlyFromDoStep=str(table.inner_steps).lower(),
     )  # fmt: skip
-    definitions = ET.SubElement(root, "UnitDefinitions")
-    for name in dict.fromkeys(v.unit for v in table.variables if v.unit):
-        unit = ET.SubElement(definitions, "Unit", name=name)
-        ET.SubElement(unit, "BaseUnit", base_unit(name))
-        if display := DISPLAY.get(name):
-            ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(DEGREES))
+    add_units(root, table)
     # Units and nominal values by types, since fmi-sim knows none at a variable.
     types = ET.SubElement(root, "TypeDefinitions")
     for of, nominal in dict.fromkeys((v.unit, v.nominal) for v in table.variables if v.unit):
@@ -102,10 +83,7 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
         element.attrib.update(shown_as(of))
         if nominal != 1.0:
             element.set("nominal", repr(nominal))
-    categories = ET.SubElement(root, "LogCategories")
-    for name, text in CATEGORIES.items():
-        ET.SubElement(categories, "Category", name=name, description=text)
-    ET.SubElement(root, "DefaultExperiment", about.experiment)
+    add_run(root, about)
     arrays = Arrays(table)
     variables = ET.SubElement(root, "ModelVariables")
     for array in arrays.all:
@@ -123,9 +101,7 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
         )  # fmt: skip
         ET.SubElement(indicator, "Dimension", start=str(table.indicators))
     _structure(root, arrays)
-    ET.indent(root)
-    written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
-    return written + b"\n"
+    return to_bytes(root)
 
 
 def _type_of(unit: str, nominal: float) -> str:
@@ -136,31 +112,12 @@ def _type_of(unit: str, nominal: float) -> str:
 
 def _variable(array: Array, arrays: Arrays) -> ET.Element:
     first = array.elements[0]
-    causality, variability, initial = first.attributes
-    attributes = {
-        "name": array.name,
-        "valueReference": str(array.place),
-        "description": _description(array),
-        "causality": causality,
-        "variability": variability,
-    }
-    if initial:
-        attributes["initial"] = initial
+    text = first.description if first.enumeration else _description(array)
+    attributes = common_attributes(first, array.name, array.place, text)
     if first.enumeration:
-        items = first.enumeration.items
-        choices = ", ".join(f"{i} = {name}" for i, (name, _) in enumerate(items, 1))
-        attributes |= {
-            "description": f"{first.description}: {choices}",
-            "min": "1",
-            "max": str(len(items)),
-            "start": str(int(first.start)),
-        }
-        return ET.Element("Int32", attributes)
+        return ET.Element("Int32", attributes | values(array.elements))
     attributes["declaredType"] = _type_of(first.unit or "1", first.nominal)
-    if not (first.computed or first.role == "state"):
-        attributes["start"] = " ".join(repr(float(v.start)) for v in array.elements)
-    limits = {"min": first.least, "max": first.greatest}
-    attributes |= {name: repr(float(limit)) for name, limit in limits.items() if limit is not None}
+    attributes |= values(array.elements)
     if first.derivative_of:
         attributes["derivative"] = str(arrays.of[first.derivative_of].place)
     element = ET.Element("Float64", attributes)
@@ -191,13 +148,10 @@ def _structure(root: ET.Element, arrays: Arrays) -> None:
     derivatives = table.derivatives if table.model_exchange else ()
     rates = list(dict.fromkeys(arrays.of[v.name] for v in derivatives))
     states = [a for a in arrays.all if a.elements[0].role == "state"] if derivatives else []
-    moving: tuple[Role, ...] = ("input", "state")
-    _unknowns(structure, "Output", outputs, arrays, moving)
-    _unknowns(structure, "ContinuousStateDerivative", rates, arrays, moving)
-    _unknowns(
-        structure, "InitialUnknown", dict.fromkeys((*outputs, *states, *rates)), arrays,
-        ("input", "fixed", "tunable"), initially=True,
-    )  # fmt: skip
+    _unknowns(structure, "Output", outputs, arrays, RUNNING)
+    _unknowns(structure, "ContinuousStateDerivative", rates, arrays, RUNNING)
+    initial = dict.fromkeys((*outputs, *states, *rates))
+    _unknowns(structure, "InitialUnknown", initial, arrays, STARTING, initially=True)
     if table.indicators and table.model_exchange:
         ET.SubElement(structure, "EventIndicator", valueReference=str(len(table.variables) + 1))
 
@@ -211,15 +165,11 @@ def _unknowns(
     *,
     initially: bool = False,
 ) -> None:
-    table = arrays.table
     for array in unknowns:
-        names = [
-            n for v in array.elements for n in (table.initially(v) if initially else v.dependencies)
-        ]
         places = {
             arrays.of[name].place
-            for name in names
-            if table.variables[table.places[name]].role in known
+            for v in array.elements
+            for name in arrays.table.made_of(v, known, initially=initially)
         }
         ET.SubElement(
             structure, kind, valueReference=str(array.place),
@@ -234,6 +184,4 @@ def build_description(about: Description) -> bytes:
     files = ET.SubElement(build, "SourceFileSet", language="C99")
     for source in about.sources:
         ET.SubElement(files, "SourceFile", name=source)
-    ET.indent(root)
-    written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
-    return written + b"\n"
+    return to_bytes(root)

@@ -122,9 +122,11 @@ class Interface:
         seen: set[str] = set()
         for variable in self.variables:
             if not _NAME.fullmatch(variable.name) or variable.name in seen:
+                twice = variable.name in seen
+                odd = "used twice" if twice else "not a structured name of FMI"
                 raise ExportError(
-                    f"variable name '{variable.name}' is {_odd(variable.name in seen)}; needed are "
-                    "distinct names of letters, digits and underscores."
+                    f"variable name '{variable.name}' is {odd}; needed are distinct names of "
+                    "letters, digits and underscores."
                 )
             seen.add(variable.name)
 
@@ -151,10 +153,7 @@ class Interface:
             if name and indices == whole and len(whole) == counts[name]:
                 found.append(Array(name=name, shape=shape, place=places[0], elements=elements))
             else:
-                found += [
-                    Array(name=v.name, shape=(), place=place, elements=(v,))
-                    for place, v in zip(places, elements, strict=True)
-                ]
+                found += scalars(places[0], elements)
         return tuple(found)
 
     @cached_property
@@ -170,6 +169,13 @@ class Interface:
         states = {v.name: v.initial_dependencies for v in self.variables if v.role == "state"}
         direct = (*variable.dependencies, *variable.initial_dependencies)
         return tuple(dict.fromkeys(own for n in direct for own in states.get(n, (n,))))
+
+    def made_of(
+        self, variable: Variable, roles: Sequence[Role], *, initially: bool = False
+    ) -> list[str]:
+        """Return the names in `dependencies`, or in `initially`, of variables of some roles."""
+        names = self.initially(variable) if initially else variable.dependencies
+        return [name for name in names if self.variables[self.places[name]].role in roles]
 
     def first(self, names: Sequence[str]) -> int:
         """Place of the first of `names`, which must stand one after the other."""
@@ -197,6 +203,13 @@ class Array:
     elements: tuple[Variable, ...]
 
 
+def scalars(place: int, elements: Sequence[Variable]) -> list[Array]:
+    """Return variables that stand one after the other from a place on as scalars."""
+    return [
+        Array(name=v.name, shape=(), place=i, elements=(v,)) for i, v in enumerate(elements, place)
+    ]
+
+
 def _split(name: str) -> tuple[str, tuple[int, ...]]:
     """Return the name of an array and the indices of an element; no name for a scalar."""
     array, _, indices = name.removesuffix("]").rpartition("[")
@@ -208,10 +221,6 @@ def _split(name: str) -> tuple[str, tuple[int, ...]]:
 def _alike(variable: Variable) -> tuple[str, object]:
     array, indices = _split(variable.name)
     return array, (len(indices), variable.role, variable.unit, variable.enumeration)
-
-
-def _odd(twice: bool) -> str:
-    return "used twice" if twice else "not a structured name of FMI"
 
 
 def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) -> str:
@@ -234,11 +243,8 @@ def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) 
         for name in (*v.dependencies, *v.initial_dependencies)
     }
     for variable in interface.variables:
-        kind = (
-            f"INTEGER, 1, {len(variable.enumeration.items)}"
-            if variable.enumeration
-            else "REAL, 0, 0"
-        )
+        choices = variable.enumeration
+        kind = f"INTEGER, 1, {len(choices.items)}" if choices else "REAL, 0, 0"
         start = literal(variable.start)
         counts = int(variable.role != "input" or variable.name in used)
         role = "DERIVATIVE" if variable.derivative_of else variable.role.upper()

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from xml.etree import ElementTree as ET
 
+from fmu_src.description import to_bytes
+
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
 EXPERIMENTS = f"{FOLDER}/experiments.xml"
@@ -63,15 +65,9 @@ def manifest_files(
     for own in experiments:
         numbers = {"startTime": own.start, "stopTime": own.stop, "tolerance": own.tolerance}
         numbers |= {"stepSize": own.step} if own.step else {}
-        element = ET.SubElement(
-            root,
-            "Experiment",
-            {
-                "name": own.name,
-                "description": own.description,
-                **{name: f"{value:.12g}" for name, value in numbers.items()},
-            },
-        )
+        texts = {name: f"{value:.12g}" for name, value in numbers.items()}
+        about = {"name": own.name, "description": own.description}
+        element = ET.SubElement(root, "Experiment", about | texts)
         files = {
             "Stimuli": own.stimuli, "Parameters": own.parameters, "References": own.references,
         }  # fmt: skip
@@ -80,7 +76,7 @@ def manifest_files(
                 ET.SubElement(element, kind, source=_from_folder(file), type="text/csv")
     played = {e.stimuli: "stimuli" for e in experiments}
     played |= {e.parameters: "parameters of the experiments" for e in experiments if e.parameters}
-    texts = {EXPERIMENTS: _xml(root)}
+    own_files = {EXPERIMENTS: to_bytes(root)}
     related = [("experiment/smoke-test", EXPERIMENTS, "application/xml", "how the stimuli are run")]
     for name in members:
         is_table = name.endswith(".csv")
@@ -88,7 +84,7 @@ def manifest_files(
         role = "testcase" if name in played else role
         text = played.get(name, "reference results" if is_table else "how to use these files")
         related.append((role, name, "text/csv" if is_table else "text/plain", text))
-    return {MANIFEST: _manifest(related, {**members, **texts}), **texts}
+    return {MANIFEST: _manifest(related, {**members, **own_files}), **own_files}
 
 
 def _manifest(related: Iterable[tuple[str, ...]], members: Mapping[str, bytes]) -> bytes:
@@ -105,7 +101,7 @@ def _manifest(related: Iterable[tuple[str, ...]], members: Mapping[str, bytes]) 
             checksum=hashlib.sha3_256(members[name]).hexdigest(),
             checksumType="SHA3-256",
         )
-    return _xml(root)
+    return to_bytes(root)
 
 
 def _from_folder(member: str) -> str:
@@ -114,9 +110,3 @@ def _from_folder(member: str) -> str:
         return member.removeprefix(f"{FOLDER}/")
     up = len(PurePosixPath(FOLDER).parts) - 1
     return "../" * up + member.removeprefix("extra/")
-
-
-def _xml(root: ET.Element) -> bytes:
-    ET.indent(root)
-    written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
-    return written + b"\n"

@@ -28,30 +28,8 @@ Version = Literal[2, 3]
 _HERE = Path(__file__).parent
 _C = _HERE / "c"
 _EQUATIONS = files("hesr_model") / "equations"
-_GLUE = (
-    "component.h",
-    "component_alone.h",
-    "component_plain.h",
-    "fmi2.c",
-    "fmi2.h",
-    "fmi2_continuous.c",
-    "fmi2_instance.h",
-    "fmi2_state.c",
-    "fmi2_step.c",
-    "fmi2_variables.c",
-    "variable.h",
-)
+_GLUE = ("component*.h", "fmi2*.[ch]", "variable.h")
 _OPTIONAL = ("component_plain.h",)  # only with components that include it
-
-_GLUE_3 = (
-    "fmi3.c",
-    "fmi3.h",
-    "fmi3_absent.c",
-    "fmi3_continuous.c",
-    "fmi3_instance.h",
-    "fmi3_step.c",
-    "fmi3_variables.c",
-)
 
 _ALL_C = """\
 /* The whole FMU as one translation unit: compile this file and no other. */
@@ -123,6 +101,12 @@ def own_source(name: str) -> str:
     return (folder / name).read_text(encoding="utf-8")
 
 
+def equation_sources(header: str) -> dict[str, str]:
+    """Return the C files of a component that is equations, whose equations.h is given."""
+    names = ("coupling.h", "equations.c", "law_math.h")
+    return {name: own_source(name) for name in names} | {"equations.h": header}
+
+
 def write_fmu(
     content: Content,
     path: Path,
@@ -155,7 +139,7 @@ def write_fmu(
     wanted = check_request(path, platforms)
     _require_libraries(content, wanted)
     table, about = content.table, content.about
-    guid, sources = translation_unit(table, about, content.sources, fmi)
+    guid, sources = translation_unit(content, fmi)
     members: dict[str, bytes] = {
         "modelDescription.xml": (to_xml3 if fmi == 3 else to_xml)(table, about, guid),
         "documentation/licenses/license.txt": (_HERE / "templates/license.txt").read_bytes(),
@@ -187,19 +171,10 @@ def write_fmu(
     return path
 
 
-def translation_unit(
-    table: Interface, about: Description, own: Mapping[str, str], fmi: Version = 2
-) -> tuple[str, dict[str, str]]:
-    """Return an FMU's GUID and the texts of all its C files by name; all.c includes the others.
-
-    Parameters
-    ----------
-    table : its variables.
-    about : what the description says of it.
-    own : the component's own files; see `Content.sources`.
-    fmi : version of FMI.
-    """
-    sources = _sources(own, fmi)
+def translation_unit(content: Content, fmi: Version = 2) -> tuple[str, dict[str, str]]:
+    """Return an FMU's GUID and the texts of all its C files by name; all.c includes the others."""
+    table, about = content.table, content.about
+    sources = _sources(content.sources, fmi)
     if fmi == 3:
         sources["extents.h"] = Arrays(table).to_c()
     guid = _guid(table, about, sources)
@@ -251,7 +226,8 @@ def _built(source: Path, identifier: str, target: Target, own: Binary | None) ->
 
 
 def _sources(own: Mapping[str, str], fmi: Version) -> dict[str, str]:
-    glue = (*_GLUE, *_GLUE_3) if fmi == 3 else _GLUE
+    patterns = (*_GLUE, "fmi3*.[ch]") if fmi == 3 else _GLUE
+    glue = [file.name for pattern in patterns for file in sorted(_C.glob(pattern))]
     text = "".join(own.values())
     files = {n: own_source(n) for n in glue if n not in _OPTIONAL or f'"{n}"' in text} | dict(own)
     parts = [name for name in files if name.endswith(".c")]

@@ -5,18 +5,16 @@ their binary for the exporting machine answers to stimuli, so that importers and
 be compared with it. The files follow the FMI cross-check, and FMI-LS-REF names them.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu_src.layered import Experiment, manifest_files
 from fmu_src.recording import Recording2, Recording3
+from hesr_model.equations.over_log import Array
 from hesr_model.support.files import scratch_folder
-
-Array = NDArray[np.float64]
 
 ROWS = 100
 """Steps of the stimuli."""
@@ -178,14 +176,11 @@ def _files(
 
 def table(columns: Mapping[str, Array], digits: int) -> bytes:
     """Return a CSV with a header in quotes, each value with so many significant digits."""
-    return "".join(f"{line}\n" for line in _lines(columns, digits)).encode()
-
-
-def _lines(columns: Mapping[str, Array], digits: int) -> Iterator[str]:
-    yield ",".join(f'"{name}"' for name in columns)
-    for row in zip(*(c.tolist() for c in columns.values()), strict=True):
-        # Adding zero turns a negative zero into a plain one.
-        yield ",".join(f"{value + 0.0:.{digits}g}" for value in row)
+    header = ",".join(f'"{name}"' for name in columns)
+    rows = zip(*(c.tolist() for c in columns.values()), strict=True)
+    # Adding zero turns a negative zero into a plain one.
+    lines = (",".join(f"{value + 0.0:.{digits}g}" for value in row) for row in rows)
+    return "".join(f"{line}\n" for line in (header, *lines)).encode()
 
 
 def options(t: Array, step: float, tolerance: float) -> bytes:

@@ -11,7 +11,29 @@ Made = tuple[ET.Element, str, Path]
 """Root of the description, model identifier, and folder of an unpacked FMU."""
 
 
-class Recording2:
+class _Recording:
+    """What is the same in both versions."""
+
+    _slave: Any
+
+    def initialised(self) -> None:
+        """End the initialisation."""
+        self._slave.exitInitializationMode()
+
+    def step(self, time: float, size: float) -> None:
+        """Go on from a time [s] by a step [s]."""
+        self._slave.doStep(currentCommunicationPoint=time, communicationStepSize=size)
+
+    def end(self) -> None:
+        """Terminate and free the instance."""
+        self._slave.terminate()
+
+    def free(self) -> None:
+        """Free the instance, whatever has become of it."""
+        self._slave.freeInstance()
+
+
+class Recording2(_Recording):
     """An instance of FMI 2.0.
 
     Parameters
@@ -20,19 +42,14 @@ class Recording2:
     """
 
     def __init__(self, made: Made) -> None:
-        from fmpy.fmi2 import (
-            FMU2Slave,
-            defaultCallbacks,
-            fmi2CallbackFunctions,
-            fmi2CallbackLoggerTYPE,
-        )
+        from fmpy import fmi2
 
         self._variables = {v.get("name", ""): v for v in made[0].iter("ScalarVariable")}
-        self._slave = _loaded(FMU2Slave, made, made[0].get("guid"))
-        callbacks = fmi2CallbackFunctions()
-        callbacks.logger = fmi2CallbackLoggerTYPE(lambda *_: None)
-        callbacks.allocateMemory = defaultCallbacks.allocateMemory
-        callbacks.freeMemory = defaultCallbacks.freeMemory
+        self._slave = _loaded(fmi2.FMU2Slave, made, made[0].get("guid"))
+        callbacks = fmi2.fmi2CallbackFunctions()
+        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(lambda *_: None)
+        callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
+        callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
         self._slave.instantiate(callbacks=callbacks)
 
     def begin(self, parameters: Mapping[str, float]) -> None:
@@ -52,10 +69,6 @@ class Recording2:
             if v.get("causality") == "output" and v.get("variability") != "discrete"
         ]  # fmt: skip
 
-    def initialised(self) -> None:
-        """End the initialisation."""
-        self._slave.exitInitializationMode()
-
     def put(self, values: Mapping[str, float]) -> None:
         """Set Reals."""
         self._slave.setReal(self._references(list(values)), list(values.values()))
@@ -65,23 +78,11 @@ class Recording2:
         found: list[float] = self._slave.getReal(self._references(names))
         return found
 
-    def step(self, time: float, size: float) -> None:
-        """Go on from a time [s] by a step [s]."""
-        self._slave.doStep(currentCommunicationPoint=time, communicationStepSize=size)
-
-    def end(self) -> None:
-        """Terminate and free the instance."""
-        self._slave.terminate()
-
-    def free(self) -> None:
-        """Free the instance, whatever has become of it."""
-        self._slave.freeInstance()
-
     def _references(self, names: Sequence[str]) -> list[int]:
         return [_reference(self._variables[name]) for name in names]
 
 
-class Recording3:
+class Recording3(_Recording):
     """An instance of FMI 3.0, whose arrays are set whole: the rest of one stays what it was."""
 
     def __init__(self, made: Made) -> None:
@@ -111,10 +112,6 @@ class Recording3:
         own = [v for v in self._numbers if v.get("causality") == "output"]
         return [name for v in own for name in _elements(v)]
 
-    def initialised(self) -> None:
-        """End the initialisation."""
-        self._slave.exitInitializationMode()
-
     def put(self, values: Mapping[str, float]) -> None:
         """Set numbers."""
         for name, value in values.items():
@@ -131,18 +128,6 @@ class Recording3:
             for reference in dict.fromkeys(reference for reference, _ in places)
         }
         return [float(whole[reference][place]) for reference, place in places]
-
-    def step(self, time: float, size: float) -> None:
-        """Go on from a time [s] by a step [s]."""
-        self._slave.doStep(currentCommunicationPoint=time, communicationStepSize=size)
-
-    def end(self) -> None:
-        """Terminate and free the instance."""
-        self._slave.terminate()
-
-    def free(self) -> None:
-        """Free the instance, whatever has become of it."""
-        self._slave.freeInstance()
 
 
 def _loaded(kind: Callable[..., Any], made: Made, token: str | None) -> Any:

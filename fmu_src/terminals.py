@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 from xml.etree import ElementTree as ET
 
+from fmu_src.description import to_bytes
 from fmu_src.description3 import Arrays
 from fmu_src.interface import Interface
 
@@ -14,7 +15,7 @@ ICON = "terminalsAndIcons/icon.png"
 Kind = Literal["signal", "inflow", "outflow"]
 """Whether a member is passed on, or sums to zero with its like: what flows in, and out."""
 
-_SIZE = 100.0  # of the picture in its own coordinates
+_SIZE = "100"  # of the picture in its own coordinates
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +43,7 @@ def to_terminals(table: Interface, terminals: Sequence[Terminal], *, icon: bool)
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     if icon:
         picture = ET.SubElement(root, "GraphicalRepresentation")
-        corners = {"x1": -_SIZE, "y1": -_SIZE, "x2": _SIZE, "y2": _SIZE}
-        place = {name: f"{value:g}" for name, value in corners.items()}
+        place = {"x1": f"-{_SIZE}", "y1": f"-{_SIZE}", "x2": _SIZE, "y2": _SIZE}
         ET.SubElement(picture, "CoordinateSystem", place, suggestedScalingFactorTo_mm="0.1")
         ET.SubElement(picture, "Icon", place)
     if terminals:
@@ -52,9 +52,7 @@ def to_terminals(table: Interface, terminals: Sequence[Terminal], *, icon: bool)
         for terminal in terminals:
             for index in _indices(terminal, names):
                 _add(parent, terminal, index)
-    ET.indent(root)
-    written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
-    return written + b"\n"
+    return to_bytes(root)
 
 
 def _indices(terminal: Terminal, names: Sequence[str]) -> Iterator[str]:

@@ -2,11 +2,10 @@
 
 from collections.abc import Collection, Iterator, Mapping
 
-from fmu_src.blocks.table import block_description
+from fmu_src.blocks.table import content, vector
 from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, own_size
 from fmu_src.interface import Enumeration, Interface, Variable
-from fmu_src.package import Content, own_source
-from fmu_src.recorded import Stimuli, waves
+from fmu_src.package import Content, equation_sources
 from hesr_model.equations.component import Choice, Component, Parameter, Quantity
 from hesr_model.errors import ExportError
 
@@ -50,23 +49,14 @@ def block(
         model_exchange=free,
         directional_derivatives=free,
     )
-    return Content(
-        table=table,
-        about=block_description(name=name, text=text, step=step),
-        sources={
-            **{
-                source: own_source(source) for source in ("coupling.h", "equations.c", "law_math.h")
-            },
-            "equations.h": equations_header(own, table, Needs(functions=FRICTION)),
-        },
-        members={},
-        stimuli=Stimuli(
-            step=step,
-            inputs=waves({v.name: 1.0 for v in table.variables if v.role == "input"}),
-            parameters={
-                joint.names[name]: value for name, value in example.items() for joint in own
-            },
-        ),
+    header = equations_header(own, table, Needs(functions=FRICTION))
+    return content(
+        table,
+        name=name,
+        text=text,
+        sources=equation_sources(header),
+        step=step,
+        example={joint.names[of]: value for of, value in example.items() for joint in own},
     )
 
 
@@ -78,10 +68,9 @@ def _names(component: Component, joint: int) -> dict[str, str]:
 
 
 def _variables(component: Component, joints: list[Joint]) -> Iterator[Variable]:
-    for quantity in component.inputs:
-        for i, joint in enumerate(joints, start=1):
-            yield Variable(name=joint.names[quantity.name], role="input", unit=quantity.unit,
-                           description=f"{quantity.description}, joint {i}")  # fmt: skip
+    zeros = [0.0] * len(joints)
+    for q in component.inputs:
+        yield from vector(q.name, "input", q.unit, q.description, zeros)
     for equation in component.outputs:
         at_once = frozenset() if component.holds else component.sources(equation.symbol)
         initial = component.sources(equation.symbol, starting=True)

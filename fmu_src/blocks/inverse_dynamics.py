@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fmu_src.blocks.table import content, places, scalar, vector
 from fmu_src.interface import Interface, literal
-from fmu_src.package import Content
+from fmu_src.package import Content, own_source
 from hesr_model.robots.robot import LINK_PARAMETERS, RobotModel
 
 _UNITS = ("kg", *["kg.m"] * 3, *["kg.m2"] * 6)
@@ -58,8 +58,11 @@ def inverse_dynamics(
         table,
         name="InverseDynamics",
         text="Rigid-body torque of a motion, by the recursive Newton-Euler algorithm.",
-        source="inverse_dynamics.c",
-        headers={"places.h": header, "tree.h": _tree(robot)},
+        sources={
+            "inverse_dynamics.c": own_source("inverse_dynamics.c"),
+            "places.h": header,
+            "tree.h": _tree(robot),
+        },
         step=step,
         owner=robot.description.owner,
     )
@@ -70,11 +73,7 @@ def _tree(robot: RobotModel) -> str:
     rows = []
     motors, gravity = robot.description.motors, robot.description.gravity
     for joint in robot.tree:
-        numbers = (
-            _numbers(joint.rotation.ravel()),
-            _numbers(joint.translation),
-            _numbers(joint.axis),
-        )
+        numbers = map(_numbers, (joint.rotation.ravel(), joint.translation, joint.axis))
         rows.append(f"    {{{joint.parent}, {int(joint.prismatic)}, {', '.join(numbers)}}},")
     return _TREE.format(
         rows="\n".join(rows),

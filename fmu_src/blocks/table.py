@@ -1,11 +1,10 @@
 """What the blocks share: vectors of variables, places for their C, and the FMU around both."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from importlib.metadata import version
 
 from fmu_src.description import RELEASED, Description
 from fmu_src.interface import Interface, Role, Variable
-from fmu_src.package import Content, own_source
+from fmu_src.package import Content
 from fmu_src.recorded import Stimuli, waves
 from hesr_model.robots.owner import OURS, Owner
 
@@ -58,8 +57,7 @@ def content(
     *,
     name: str,
     text: str,
-    source: str,
-    headers: Mapping[str, str],
+    sources: Mapping[str, str],
     step: float,
     example: Mapping[str, float] | None = None,
     owner: Owner = OURS,
@@ -71,28 +69,14 @@ def content(
     table : its variables.
     name : of the model; in lower case that of the binaries.
     text : one sentence of description.
-    source : name of its C file.
-    headers : generated headers by name.
+    sources : text of its own C files by name.
     step : preferred step [s].
     example : parameters of its reference results that are not at their start values.
     owner : ours where it holds nothing of a robot.
     """
-    sources = {source: own_source(source)} | dict(headers)
-    about = block_description(name=name, text=text, step=step, owner=owner)
+    about = Description(
+        name=name, identifier=name.lower(), text=text, created=RELEASED, step=step, owner=owner
+    )
     inputs = waves({v.name: 1.0 for v in table.variables if v.role == "input"})
     stimuli = Stimuli(step=step, inputs=inputs, parameters=example or {})
     return Content(table=table, about=about, sources=sources, members={}, stimuli=stimuli)
-
-
-def block_description(*, name: str, text: str, step: float, owner: Owner = OURS) -> Description:
-    """Return what the description of a block says of it; the arguments are those of `content`."""
-    return Description(
-        name=name,
-        identifier=name.lower(),
-        text=text,
-        version=version("hesr"),
-        created=RELEASED,
-        step=step,
-        sources=("all.c",),
-        owner=owner,
-    )

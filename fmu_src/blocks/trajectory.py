@@ -1,12 +1,10 @@
 """The Trajectory FMU: a desired motion, now and some time ahead, chosen by its parameters."""
 
-from functools import singledispatch
-
 import numpy as np
 
 from fmu_src.blocks.table import content, places, scalar, vector
 from fmu_src.interface import Enumeration, Interface, Variable
-from fmu_src.package import Content
+from fmu_src.package import Content, own_source
 from fmu_src.recorded import ROWS
 from hesr_model.errors import ExportError
 from hesr_model.motions.trajectories import Fourier, Sine, Sweep, Trajectory
@@ -85,8 +83,7 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
         table,
         name="Trajectory",
         text="Desired motion of all joints: Fourier series, sine, sweep or chirp.",
-        source="trajectory.c",
-        headers={"motion.h": header},
+        sources={"trajectory.c": own_source("trajectory.c"), "motion.h": header},
         step=step,
         example={
             "kind": 1.0,
@@ -101,7 +98,6 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
     )
 
 
-@singledispatch
 def start_values(motion: Trajectory) -> dict[str, float | str | tuple[float, ...]]:
     """Return the parameters with which the Trajectory FMU makes a motion.
 
@@ -110,46 +106,43 @@ def start_values(motion: Trajectory) -> dict[str, float | str | tuple[float, ...
     ExportError
         If the motion is of another kind, or has more than `HARMONICS` harmonics.
     """
+    match motion:
+        case Fourier():
+            series = _series(motion)
+            offset = tuple(motion.offset)
+            return {"kind": "fourier", "period": motion.period, "offset": offset, **series}
+        case Sine():
+            return {
+                "kind": "sine",
+                "first": motion.frequency,
+                "offset": tuple(motion.offset),
+                "amplitude": tuple(motion.amplitude),
+            }
+        case Sweep():
+            return {
+                "kind": "sweep",
+                "first": motion.first,
+                "last": motion.last,
+                "length": motion.length,
+                "swing_period": motion.swing_period,
+                "offset": tuple(motion.start),
+                "amplitude": tuple(motion.amplitude),
+                "swing": tuple(motion.swing),
+                "swing_phase": tuple(motion.phase),
+            }
     raise ExportError(f"a motion of kind '{type(motion).__name__}' cannot be made by the FMU.")
 
 
-@start_values.register
-def _(motion: Fourier) -> dict[str, float | str | tuple[float, ...]]:
+def _series(motion: Fourier) -> dict[str, float]:
     harmonics = motion.a.shape[1]
     if harmonics > HARMONICS:
         raise ExportError(
             f"a Fourier motion of {harmonics} harmonics cannot be made by the FMU, which has "
             f"{HARMONICS}."
         )
-    series = {
+    return {
         f"{name}[{i + 1},{k + 1}]": float(array[i, k]) if k < harmonics else 0.0
         for name, array in (("a", motion.a), ("b", motion.b))
         for i in range(len(array))
         for k in range(HARMONICS)
-    }
-    return {"kind": "fourier", "period": motion.period, "offset": tuple(motion.offset), **series}
-
-
-@start_values.register
-def _(motion: Sine) -> dict[str, float | str | tuple[float, ...]]:
-    return {
-        "kind": "sine",
-        "first": motion.frequency,
-        "offset": tuple(motion.offset),
-        "amplitude": tuple(motion.amplitude),
-    }
-
-
-@start_values.register
-def _(motion: Sweep) -> dict[str, float | str | tuple[float, ...]]:
-    return {
-        "kind": "sweep",
-        "first": motion.first,
-        "last": motion.last,
-        "length": motion.length,
-        "swing_period": motion.swing_period,
-        "offset": tuple(motion.start),
-        "amplitude": tuple(motion.amplitude),
-        "swing": tuple(motion.swing),
-        "swing_phase": tuple(motion.phase),
     }

@@ -124,17 +124,15 @@ def _of_library(
         needed = " or ".join(expected.machines)
         yield f"it is {is_a}; needed in this folder is {expected.format} for {needed}."
         return
-    texts = [text for part in right for text in _of_part(part, about, kinds, expected, beside)]
+    texts = [
+        text
+        for part in right
+        for text in (*_exports(part, about, kinds), *_needs(part, expected, beside))
+    ]
     yield from dict.fromkeys(texts)
 
 
-def _of_part(
-    part: Mapping[str, Any],
-    about: Description,
-    kinds: list[Kind],
-    expected: Platform,
-    beside: set[str],
-) -> Iterator[str]:
+def _exports(part: Mapping[str, Any], about: Description, kinds: list[Kind]) -> Iterator[str]:
     if not part["shared"]:
         yield "it is a program or object file; needed is a shared library."
     exports = set(part["exports"])
@@ -148,7 +146,6 @@ def _of_part(
     strange = sorted(n for n in exports if n.startswith(own) and n not in functions.KNOWN)
     if strange:
         yield f"it exports {listed(strange)}, which FMI {about.fmi}.0 does not have."
-    yield from _needs(part, expected, beside)
 
 
 def _missing(kind: Kind, exports: set[str]) -> Iterator[str]:

@@ -5,8 +5,8 @@ A number that is none is None here: the schema has reported it.
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 
 from lxml import etree
@@ -16,25 +16,34 @@ KINDS = {"ModelExchange": "model exchange", "CoSimulation": "co-simulation"}
 STRUCTURE = ("Outputs", "Derivatives", "InitialUnknowns")
 """Lists of ModelStructure."""
 
+FLOATS = ("Float32", "Float64")
+"""Types of FMI 3.0 that may be continuous."""
+
 _INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
 _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?INF|NaN")
 
-DEFAULT_INITIAL = {
-    ("parameter", "fixed"): "exact",
-    ("parameter", "tunable"): "exact",
-    ("calculatedParameter", "fixed"): "calculated",
-    ("calculatedParameter", "tunable"): "calculated",
-    ("structuralParameter", "fixed"): "exact",
-    ("structuralParameter", "tunable"): "exact",
-    ("output", "constant"): "exact",
-    ("output", "discrete"): "calculated",
-    ("output", "continuous"): "calculated",
-    ("local", "constant"): "exact",
-    ("local", "fixed"): "calculated",
-    ("local", "tunable"): "calculated",
-    ("local", "discrete"): "calculated",
-    ("local", "continuous"): "calculated",
+_EXACT, _COMPUTED = ("exact",), ("calculated", "approx")
+_ANY = (*_COMPUTED, *_EXACT)
+INITIAL: Mapping[tuple[str, str], tuple[str, ...]] = {
+    ("parameter", "fixed"): _EXACT,
+    ("parameter", "tunable"): _EXACT,
+    ("calculatedParameter", "fixed"): _COMPUTED,
+    ("calculatedParameter", "tunable"): _COMPUTED,
+    ("input", "discrete"): (),
+    ("input", "continuous"): (),
+    ("structuralParameter", "fixed"): _EXACT,
+    ("structuralParameter", "tunable"): _EXACT,
+    ("output", "constant"): _EXACT,
+    ("output", "discrete"): _ANY,
+    ("output", "continuous"): _ANY,
+    ("local", "constant"): _EXACT,
+    ("local", "fixed"): _COMPUTED,
+    ("local", "tunable"): _COMPUTED,
+    ("local", "discrete"): _ANY,
+    ("local", "continuous"): _ANY,
+    ("independent", "continuous"): (),
 }
+"""Allowed values of initial for each causality and variability, the default first."""
 
 
 def integer(text: str | None) -> int | None:
@@ -112,7 +121,8 @@ class Variable:
     @property
     def initial(self) -> str | None:
         """Its `initial`, or the default that causality and variability give."""
-        return self.declared_initial or DEFAULT_INITIAL.get((self.causality, self.variability))
+        allowed = INITIAL.get((self.causality, self.variability), ())
+        return self.declared_initial or next(iter(allowed), None)
 
     def get(self, attribute: str) -> str | None:
         """Return an attribute, the declared type's where it has none of its own."""
@@ -133,11 +143,11 @@ class Unknown:
 class Description:
     """All that the rules look at.
 
-    Of FMI 3.0, `structure` has the names of FMI 2.0; `lists` has those of the file.
+    Of FMI 3.0, `structure` has the names of FMI 2.0; `lists` has their places in the file.
     """
 
-    fmi: int = 2
-    lists: Mapping[str, str] = field(default_factory=lambda: {name: name for name in STRUCTURE})
+    fmi: int
+    lists: Mapping[str, str]
     attributes: Mapping[str, str]
     kinds: tuple[Kind, ...]
     units: tuple[tuple[str, tuple[str, ...]], ...]
@@ -164,7 +174,7 @@ class Description:
     @property
     def continuous(self) -> tuple[str, ...]:
         """The types of which continuous variables are."""
-        return ("Real",) if self.fmi == 2 else ("Float32", "Float64")
+        return ("Real",) if self.fmi == 2 else FLOATS
 
     def variable(self, index: int | None) -> Variable | None:
         """Return the variable of an index that counts from 1, None where there is none."""
@@ -174,34 +184,8 @@ class Description:
 
 
 def read_description(root: etree._Element) -> Description:
-    """Read the element fmiModelDescription."""
-    types = tuple(map(_type, root.findall("TypeDefinitions/SimpleType")))
-    by_name = {t.name: t for t in types}
-    experiment = root.find("DefaultExperiment")
-    return Description(
-        attributes=attributes(root),
-        kinds=tuple(_kind(e) for name in KINDS for e in root.findall(name)),
-        units=tuple(
-            (name_of(u), tuple(map(name_of, u.findall("DisplayUnit"))))
-            for u in root.findall("UnitDefinitions/Unit")
-        ),
-        types=types,
-        categories=tuple(map(name_of, root.findall("LogCategories/Category"))),
-        experiment={} if experiment is None else attributes(experiment),
-        variables=tuple(
-            _variable(i, e, by_name)
-            for i, e in enumerate(root.findall("ModelVariables/ScalarVariable"), start=1)
-        ),
-        structure={
-            name: tuple(_unknowns(root.findall(f"ModelStructure/{name}/Unknown")))
-            for name in STRUCTURE
-        },
-    )
-
-
-def attributes(element: etree._Element) -> dict[str, str]:
-    """Return the attributes of an element."""
-    return {str(name): str(value) for name, value in element.attrib.items()}
+    """Read the element fmiModelDescription of FMI 2.0."""
+    return Reader(root).description()
 
 
 def name_of(element: etree._Element) -> str:
@@ -209,57 +193,106 @@ def name_of(element: etree._Element) -> str:
     return str(element.get("name", ""))
 
 
-def _first(element: etree._Element, names: Sequence[str]) -> etree._Element | None:
-    return next((child for child in element if child.tag in names), None)
+def names_of(elements: Iterable[etree._Element]) -> tuple[str, ...]:
+    """Return the name of each element."""
+    return tuple(map(name_of, elements))
+
+
+def _attributes(element: etree._Element | None) -> dict[str, str]:
+    return {} if element is None else {str(k): str(value) for k, value in element.attrib.items()}
+
+
+class Reader:
+    """Reads the element fmiModelDescription; other versions differ from FMI 2.0 in methods."""
+
+    fmi = 2
+    kinds = tuple(KINDS)
+    lists: Mapping[str, str] = {name: f"ModelStructure/{name}" for name in STRUCTURE}
+    types = "TypeDefinitions/SimpleType"
+    unknown, reference = "/Unknown", "index"
+
+    def __init__(self, root: etree._Element) -> None:
+        self.root = root
+        types = tuple(map(self._type, root.findall(self.types)))
+        self._types, self._by_name = types, {t.name: t for t in types}
+
+    def description(self) -> Description:
+        """Return all that it says."""
+        root = self.root
+        return Description(
+            fmi=self.fmi,
+            lists=self.lists,
+            attributes=_attributes(root),
+            kinds=tuple(
+                Kind(element=name, attributes=_attributes(e), sources=self.sources(e))
+                for name in self.kinds
+                for e in root.findall(name)
+            ),
+            units=tuple(
+                (name_of(u), names_of(u.findall("DisplayUnit")))
+                for u in root.findall("UnitDefinitions/Unit")
+            ),
+            types=self._types,
+            categories=names_of(root.findall("LogCategories/Category")),
+            experiment=_attributes(root.find("DefaultExperiment")),
+            variables=tuple(self.variable(i, e) for i, e in enumerate(self.elements(), start=1)),
+            structure={name: tuple(self._unknowns(place)) for name, place in self.lists.items()},
+        )
+
+    def elements(self) -> list[etree._Element]:
+        """Return the elements of the variables."""
+        return list(self.root.findall("ModelVariables/ScalarVariable"))
+
+    def own(self, element: etree._Element) -> etree._Element | None:
+        """Return the element of the type of a variable or of a type definition."""
+        return next((child for child in element if child.tag in _BASE_TYPES), None)
+
+    def sources(self, kind: etree._Element) -> tuple[str, ...]:
+        """Return the source files of a kind."""
+        return names_of(kind.findall("SourceFiles/File"))
+
+    def number(self, text: str | None) -> int | None:
+        """Return the number of the variable that a text refers to, None where the text is none."""
+        return integer(text)
+
+    def variable(self, index: int, element: etree._Element) -> Variable:
+        """Return a variable by its number and element."""
+        own = self.own(element)
+        given = _attributes(own)
+        return Variable(
+            index=index,
+            name=name_of(element),
+            reference=integer(element.get("valueReference")),
+            causality=element.get("causality", "local"),
+            variability=element.get("variability", "continuous"),
+            declared_initial=element.get("initial"),
+            kind="" if own is None else str(own.tag),
+            own=given,
+            type=self._by_name.get(given.get("declaredType", "")),
+        )
+
+    def _type(self, element: etree._Element) -> SimpleType:
+        own = self.own(element)
+        items = [] if own is None else own.findall("Item")
+        return SimpleType(
+            name=name_of(element),
+            kind="" if own is None else str(own.tag).removesuffix("Type"),
+            attributes=_attributes(own),
+            items=tuple((name_of(item), integer(item.get("value"))) for item in items),
+        )
+
+    def _unknowns(self, place: str) -> Iterator[Unknown]:
+        for element in self.root.findall(place + self.unknown):
+            index = self.number(element.get(self.reference))
+            if index is None:
+                continue
+            known, kinds = element.get("dependencies"), element.get("dependenciesKind")
+            numbers = map(self.number, (known or "").split())
+            yield Unknown(
+                index=index,
+                dependencies=None if known is None else tuple(n for n in numbers if n is not None),
+                kinds=None if kinds is None else tuple(kinds.split()),
+            )
 
 
 _BASE_TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")
-
-
-def _kind(element: etree._Element) -> Kind:
-    return Kind(
-        element=str(element.tag),
-        attributes=attributes(element),
-        sources=tuple(map(name_of, element.findall("SourceFiles/File"))),
-    )
-
-
-def _type(element: etree._Element) -> SimpleType:
-    own = _first(element, _BASE_TYPES)
-    items = [] if own is None else own.findall("Item")
-    return SimpleType(
-        name=name_of(element),
-        kind="" if own is None else str(own.tag),
-        attributes={} if own is None else attributes(own),
-        items=tuple((name_of(item), integer(item.get("value"))) for item in items),
-    )
-
-
-def _variable(index: int, element: etree._Element, types: Mapping[str, SimpleType]) -> Variable:
-    own = _first(element, _BASE_TYPES)
-    given = {} if own is None else attributes(own)
-    return Variable(
-        index=index,
-        name=name_of(element),
-        reference=integer(element.get("valueReference")),
-        causality=element.get("causality", "local"),
-        variability=element.get("variability", "continuous"),
-        declared_initial=element.get("initial"),
-        kind="" if own is None else str(own.tag),
-        own=given,
-        type=types.get(given.get("declaredType", "")),
-    )
-
-
-def _unknowns(elements: Iterable[etree._Element]) -> Iterator[Unknown]:
-    for element in elements:
-        index = integer(element.get("index"))
-        dependencies, kinds = element.get("dependencies"), element.get("dependenciesKind")
-        if index is None:
-            continue
-        numbers = None if dependencies is None else map(integer, dependencies.split())
-        yield Unknown(
-            index=index,
-            dependencies=None if numbers is None else tuple(n for n in numbers if n is not None),
-            kinds=None if kinds is None else tuple(kinds.split()),
-        )

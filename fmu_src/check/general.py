@@ -77,26 +77,27 @@ def experiment(about: Description) -> Iterator[str]:
 
 def definitions(about: Description) -> Iterator[str]:
     """Check that names of definitions are unique."""
-    yield from _repeated("unit", (name for name, _ in about.units))
+    yield from repeated("unit", (name for name, _ in about.units))
     for unit, displays in about.units:
-        yield from _repeated(f"display unit of {quoted(unit)},", displays)
-    yield from _repeated("type", (t.name for t in about.types))
-    yield from _repeated("log category", about.categories)
+        yield from repeated(f"display unit of {quoted(unit)},", displays)
+    yield from repeated("type", (t.name for t in about.types))
+    yield from repeated("log category", about.categories)
     variables = {v.name for v in about.variables}
     for simple in about.types:
         if simple.name in variables:
             yield f"the type {quoted(simple.name)} has the name of a variable."
         who = f"enumeration {quoted(simple.name)}"
-        yield from _repeated(f"item of the {who},", (name for name, _ in simple.items))
+        yield from repeated(f"item of the {who},", (name for name, _ in simple.items))
         for value, times in Counter(value for _, value in simple.items).items():
             if times > 1:
                 yield f"the {who} has {times} items of the value {value}."
 
 
-def _repeated(what: str, names: Iterable[str]) -> Iterator[str]:
+def repeated(what: str, names: Iterable[str], done: str = "defined") -> Iterator[str]:
+    """Yield a sentence for each name that is there more than once."""
     for name, times in Counter(names).items():
         if times > 1:
-            yield f"the {what} {quoted(name)} is defined {times} times."
+            yield f"the {what} {quoted(name)} is {done} {times} times."
 
 
 RULES = (kinds, identity, experiment, definitions)

@@ -15,14 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import Description, Kind, Variable, integer, real
+from hesr_model.equations.over_log import Array
 from hesr_model.support.process import FailedError, run
 from hesr_model.support.text import plain, quoted
-
-Array = NDArray[np.float64]
 
 SECONDS = 300.0
 """Longest run of all scenarios."""

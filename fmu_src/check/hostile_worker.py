@@ -15,7 +15,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TextIO, cast
+from typing import Any, cast
 
 MOST_MEMORY = 4 << 30
 MOST_REPEATS = 20
@@ -40,23 +40,16 @@ def main(arguments: list[str]) -> None:
     plan = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))
     with Path(arguments[1]).open("w", encoding="utf-8") as answer:
         for scenario in plan["scenarios"]:
-            _write(answer, {"scenario": scenario, **_outcome(plan, scenario)})
-
-
-def _write(answer: TextIO, outcome: dict[str, Any]) -> None:
-    answer.write(json.dumps(outcome) + "\n")
-    answer.flush()
+            answer.write(json.dumps({"scenario": scenario, **_outcome(plan, scenario)}) + "\n")
+            answer.flush()
 
 
 def _outcome(plan: dict[str, Any], scenario: str) -> dict[str, Any]:
-    exchange = {"exchange": _exchange, "late": _late, "sizes": _sizes}.get(scenario)
-    master = _Master(plan, exchange=exchange is not None)
+    runs = _EXCHANGES | _SIMULATIONS
+    master = _Master(plan, exchange=scenario in _EXCHANGES)
     try:
         master.begin()
-        if exchange is None:
-            _simulate(master, scenario)
-        else:
-            exchange(master)
+        runs.get(scenario, _stepped)(master, scenario)
         if master.found.get("taken", True):
             master.end()
     except RefusedError as error:
@@ -80,19 +73,11 @@ class _Master:
 
     def begin(self) -> None:
         """Instantiate and initialise."""
-        from fmpy import calloc, free
-        from fmpy.fmi2 import (
-            FMU2Model,
-            FMU2Slave,
-            fmi2CallbackAllocateMemoryTYPE,
-            fmi2CallbackFreeMemoryTYPE,
-            fmi2CallbackFunctions,
-            fmi2CallbackLoggerTYPE,
-        )
+        from fmpy import calloc, fmi2, free
 
         kind = self.plan["exchange" if self._exchange else "simulation"]
         try:
-            self.fmu = (FMU2Model if self._exchange else FMU2Slave)(
+            self.fmu = (fmi2.FMU2Model if self._exchange else fmi2.FMU2Slave)(
                 guid=self.plan["guid"],
                 modelIdentifier=kind,
                 unzipDirectory=self.plan["folder"],
@@ -100,10 +85,10 @@ class _Master:
             )
         except Exception as error:  # FMPy raises bare exceptions
             raise RefusedError(f"its binary cannot be loaded ({error})") from error
-        callbacks = fmi2CallbackFunctions()
-        callbacks.logger = fmi2CallbackLoggerTYPE(self._hear)
-        callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
-        callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
+        callbacks = fmi2.fmi2CallbackFunctions()
+        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(self._hear)
+        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
+        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
         self._do("fmi2Instantiate", self.fmu.instantiate, callbacks=callbacks)
         self._do("fmi2SetupExperiment", self.fmu.setupExperiment, startTime=0.0)
         self.set_inputs(0.0)
@@ -187,11 +172,6 @@ class _Master:
 # --- co-simulation ----------------------------------------------------------------------------
 
 
-def _simulate(master: _Master, scenario: str) -> None:
-    own = {"refreshed": _refreshed, "repeated": _repeated, "held": _held}
-    own.get(scenario, _stepped)(master, scenario)
-
-
 def _stepped(master: _Master, scenario: str) -> None:
     for step in _steps(scenario, master.step, master.plan["steps"]):
         master.advance(step)
@@ -254,6 +234,9 @@ def _repeated(master: _Master, _scenario: str) -> None:
         master.advance(master.step)
 
 
+_SIMULATIONS = {"refreshed": _refreshed, "repeated": _repeated, "held": _held}
+"""Scenarios that are not made of steps alone."""
+
 # --- model exchange ---------------------------------------------------------------------------
 
 
@@ -264,17 +247,8 @@ class _Stale:
         """Leave the inputs as they are."""
 
 
-def _exchange(master: _Master) -> None:
-    """Hold the inputs over each step of a solver that is as long as ours."""
-    _solve(master, late=False)
-
-
-def _late(master: _Master) -> None:
-    """Do the same, and set them after events only."""
-    _solve(master, late=True)
-
-
-def _solve(master: _Master, *, late: bool) -> None:
+def _solve(master: _Master, scenario: str) -> None:
+    """Hold inputs over each step of a solver, as long as ours; "late" sets them after events."""
     from fmpy.sundials import CVodeSolver
 
     fmu = master.fmu
@@ -314,7 +288,7 @@ def _solve(master: _Master, *, late: bool) -> None:
                     "the inputs are held over the solver's step"
                 )
             master._do("fmi2EnterEventMode", fmu.enterEventMode)
-            if not late:
+            if scenario != "late":
                 master.set_inputs(time)
             _events(master)
             master.set_inputs(time)
@@ -351,7 +325,7 @@ def _events(master: _Master) -> None:
     master._do("fmi2EnterContinuousTimeMode", master.fmu.enterContinuousTimeMode)
 
 
-def _sizes(master: _Master) -> None:
+def _sizes(master: _Master, _scenario: str) -> None:
     """Hand over one state too many; hosts that need one where there is none make one up."""
     _events(master)
     size = master.plan["states"] + 1
@@ -362,6 +336,8 @@ def _sizes(master: _Master) -> None:
     except Exception:  # FMPy raises bare exceptions, too
         master.found["taken"] = False  # and an error has ended the run
 
+
+_EXCHANGES = {"exchange": _solve, "late": _solve, "sizes": _sizes}
 
 if __name__ == "__main__":
     main(sys.argv[1:])

@@ -85,6 +85,11 @@ class _Found:
         self.problems += problems
         return bool(problems)
 
+    def _add_run(self, check: str, found: tuple[list[str], list[str]]) -> None:
+        """Add problems of a check that runs something, and what it did not run."""
+        self._add(check, found[0])
+        self.skipped += found[1]
+
     def check(self, contents: Contents) -> None:
         """Run every check that what was found before lets run."""
         damaged = self._add("archive", contents.problems)
@@ -105,8 +110,9 @@ class _Found:
         if known == "2.0":
             self._check_rules(read_description(root), variables.RULES_2, contents)
         elif known == "3":
-            about = read_description3(root, _build(contents))
-            self._check_rules(about, variables.RULES_3, contents)
+            file = contents.files.get(_BUILD)
+            build = markup.parse(_BUILD, file)[0] if file else None
+            self._check_rules(read_description3(root, build), variables.RULES_3, contents)
         else:
             self.skipped.append(
                 "Rules, sources and binaries: looked at in FMI 2.0 and 3.0 only, this is FMI "
@@ -118,18 +124,11 @@ class _Found:
             )
         else:
             self._run_others(contents, version)
-        if self._hostile:
-            self._run_itself(root, contents, known, damaged=damaged)
-
-    def _run_itself(
-        self, root: etree._Element, contents: Contents, version: str, *, damaged: bool
-    ) -> None:
-        if version != "2.0" or damaged:
+        if self._hostile and (known != "2.0" or damaged):
             self.skipped.append("Hostile master: it runs FMUs of FMI 2.0 whose archive is right.")
-            return
-        texts, skipped = hostile.problems(read_description(root), contents, self._folder)
-        self._add("hostile", texts)
-        self.skipped += skipped
+        elif self._hostile:
+            found = hostile.problems(read_description(root), contents, self._folder)
+            self._add_run("hostile", found)
 
     def _check_rules(self, about: Description, more: Iterable[Rule], contents: Contents) -> None:
         self._add("rules", chain.from_iterable(rule(about) for rule in (*_RULES, *more)))
@@ -153,20 +152,11 @@ class _Found:
                     readable.append(name)
         copy = self._folder / "copy.fmu"
         external.write_copy(contents, readable, copy)
-        texts, skipped = external.fmpy(copy, self._folder)
-        self._add("fmpy", texts)
-        self.skipped += skipped
+        self._add_run("fmpy", external.fmpy(copy, self._folder))
         if version != "2.0":
             self.skipped.append(f"VDMCheck2: it is for FMI 2.0, this is FMI {plain(version)}.")
             return
-        texts, skipped = external.vdmcheck2(copy, self._folder, self._vdmcheck)
-        self._add("vdmcheck2", texts)
-        self.skipped += skipped
-
-
-def _build(contents: Contents) -> etree._Element | None:
-    """Return the root of the build description, where there is one that can be read."""
-    return markup.parse(_BUILD, contents.files[_BUILD])[0] if _BUILD in contents.files else None
+        self._add_run("vdmcheck2", external.vdmcheck2(copy, self._folder, self._vdmcheck))
 
 
 def _model(contents: Contents) -> tuple[etree._Element | None, list[str]]:

@@ -79,10 +79,7 @@ def _includes(about: Description, contents: Contents) -> Iterator[str]:
 
 
 def _included(text: bytes) -> list[str]:
-    def without_comment(match: re.Match[bytes]) -> bytes:
-        return match[0] if match[0].startswith(b'"') else b" "
-
-    code = _COMMENT.sub(without_comment, text)
+    code = _COMMENT.sub(lambda match: match[0] if match[0].startswith(b'"') else b" ", text)
     return [name.decode("utf-8", "replace") for name in _INCLUDE.findall(code)]
 
 

@@ -27,7 +27,7 @@ def derivatives(about: Description) -> Iterator[str]:
     extra = [v for v in _listed_variables(about, "Derivatives") if "derivative" not in v.own]
     if extra:
         yield (
-            f"ModelStructure/{about.lists['Derivatives']} lists {listed(v.name for v in extra)}, "
+            f"{about.lists['Derivatives']} lists {listed(v.name for v in extra)}, "
             "which the attribute 'derivative' does not make derivatives."
         )
 
@@ -54,7 +54,7 @@ def initial_unknowns(about: Description) -> Iterator[str]:
     for before, after in pairwise(found if about.fmi == 2 else ()):
         if after.index < before.index:
             yield (
-                f"ModelStructure/InitialUnknowns lists {quoted(after.name)} after "
+                f"{about.lists['InitialUnknowns']} lists {quoted(after.name)} after "
                 f"{quoted(before.name)}; its order is that of the variables."
             )
 
@@ -62,19 +62,12 @@ def initial_unknowns(about: Description) -> Iterator[str]:
 def indices(about: Description) -> Iterator[str]:
     """Check that what the lists refer to exists and is listed once."""
     for name in STRUCTURE:
-        unknowns = about.structure[name]
-        for index, times in Counter(u.index for u in unknowns).items():
+        for index, times in Counter(u.index for u in about.structure[name]).items():
             variable = about.variable(index)
             if variable is None:
-                yield (
-                    f"ModelStructure/{about.lists[name]} lists {about.shown(index)}, which does "
-                    "not exist."
-                )
+                yield f"{about.lists[name]} lists {about.shown(index)}, which does not exist."
             elif times > 1:
-                yield (
-                    f"ModelStructure/{about.lists[name]} lists {quoted(variable.name)} {times} "
-                    "times."
-                )
+                yield f"{about.lists[name]} lists {quoted(variable.name)} {times} times."
 
 
 def dependencies(about: Description) -> Iterator[str]:
@@ -84,7 +77,7 @@ def dependencies(about: Description) -> Iterator[str]:
         silent = [_named(about, u) for u in unknowns if u.dependencies is None]
         if silent:
             yield (
-                f"ModelStructure/{about.lists[name]} gives no dependencies for {listed(silent)}, "
+                f"{about.lists[name]} gives no dependencies for {listed(silent)}, "
                 "so that importers assume all inputs and see algebraic loops."
             )
         for unknown in unknowns:
@@ -92,7 +85,7 @@ def dependencies(about: Description) -> Iterator[str]:
 
 
 def _of_unknown(about: Description, name: str, unknown: Unknown) -> Iterator[str]:
-    who = f"ModelStructure/{about.lists[name]} gives {quoted(_named(about, unknown))}"
+    who = f"{about.lists[name]} gives {quoted(_named(about, unknown))}"
     known = unknown.dependencies
     if unknown.kinds is not None and known is None:
         yield f"{who} kinds of dependencies without dependencies."
@@ -113,10 +106,10 @@ def _compared(about: Description, name: str, needed: list[Variable], why: str) -
     lacking = [v.name for v in needed if v.index not in found]
     extra = found - {v.index for v in needed}
     if lacking:
-        yield f"ModelStructure/{about.lists[name]} lacks {listed(lacking)}; it lists {why}."
+        yield f"{about.lists[name]} lacks {listed(lacking)}; it lists {why}."
     if extra:
         names = [about.variables[i - 1].name for i in sorted(extra)]
-        yield f"ModelStructure/{about.lists[name]} lists {listed(names)}; needed is {why}."
+        yield f"{about.lists[name]} lists {listed(names)}; needed is {why}."
 
 
 def _listed_variables(about: Description, name: str) -> list[Variable]:

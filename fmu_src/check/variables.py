@@ -2,33 +2,11 @@
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import wraps
 
-from fmu_src.check.description import Description, Variable, integer, real
+from fmu_src.check.description import INITIAL, Description, Variable, integer, real
 from hesr_model.support.text import listed, plain, quoted
-
-# Allowed values of initial for each causality and variability; input and independent have none.
-_EXACT, _COMPUTED = {"exact"}, {"calculated", "approx"}
-_ANY = _EXACT | _COMPUTED
-_INITIAL: dict[tuple[str, str], set[str]] = {
-    ("parameter", "fixed"): _EXACT,
-    ("parameter", "tunable"): _EXACT,
-    ("calculatedParameter", "fixed"): _COMPUTED,
-    ("calculatedParameter", "tunable"): _COMPUTED,
-    ("input", "discrete"): set(),
-    ("input", "continuous"): set(),
-    ("structuralParameter", "fixed"): _EXACT,
-    ("structuralParameter", "tunable"): _EXACT,
-    ("output", "constant"): _EXACT,
-    ("output", "discrete"): _ANY,
-    ("output", "continuous"): _ANY,
-    ("local", "constant"): _EXACT,
-    ("local", "fixed"): _COMPUTED,
-    ("local", "tunable"): _COMPUTED,
-    ("local", "discrete"): _ANY,
-    ("local", "continuous"): _ANY,
-    ("independent", "continuous"): set(),
-}
 
 _PART = r"(?:[A-Za-z_][A-Za-z0-9_]*|'(?:[^'\\]|\\.)+')(?:\[[0-9]+(?:,[0-9]+)*\])?"
 _IDENTIFIER = rf"{_PART}(?:\.{_PART})*"
@@ -37,62 +15,74 @@ _STRUCTURED = re.compile(rf"{_IDENTIFIER}|der\({_IDENTIFIER}(?:,[0-9]+)?\)")
 _NUMBERS = ("Real", "Integer", "Enumeration")
 
 
+def _of_each(
+    rule: Callable[[Description, Variable], Iterator[str]],
+) -> Callable[[Description], Iterator[str]]:
+    """Make a rule on all variables of a rule on one, whose sentences go on after its name."""
+
+    @wraps(rule)
+    def of_all(about: Description) -> Iterator[str]:
+        for v in about.variables:
+            for text in rule(about, v):
+                yield f"the variable {quoted(v.name)} {text}"
+
+    return of_all
+
+
 def names(about: Description) -> Iterator[str]:
-    """Check that names are unique and, where that is declared, structured."""
+    """Check that names are unique."""
     every = (name for v in about.variables for name in (v.name, *v.others))
     for name, times in Counter(every).items():
         if times > 1:
             yield f"the variable {quoted(name)} is declared {times} times; names are unique."
-    if about.attributes.get("variableNamingConvention") != "structured":
-        return
-    for variable in about.variables:
-        if not _STRUCTURED.fullmatch(variable.name):
-            yield (
-                f"the variable {quoted(variable.name)} has no structured name, which "
-                "variableNamingConvention promises."
-            )
 
 
-def combinations(about: Description) -> Iterator[str]:
+@_of_each
+def structured_names(about: Description, v: Variable) -> Iterator[str]:
+    """Check that names are structured where that is declared."""
+    promised = about.attributes.get("variableNamingConvention") == "structured"
+    if promised and not _STRUCTURED.fullmatch(v.name):
+        yield "has no structured name, which variableNamingConvention promises."
+
+
+@_of_each
+def combinations(about: Description, v: Variable) -> Iterator[str]:
     """Check that causality, variability and initial go together, and suit the type."""
-    for v in about.variables:
-        shown = quoted(v.name)
-        allowed = _INITIAL.get((v.causality, v.variability))
-        if allowed is None:
-            yield (
-                f"the variable {shown} has causality '{plain(v.causality)}' and variability "
-                f"'{plain(v.variability)}', which do not go together."
-            )
-        elif v.declared_initial and v.declared_initial not in allowed:
-            yield (
-                f"the variable {shown} has initial '{plain(v.declared_initial)}', which does not "
-                f"go with causality '{v.causality}' and variability '{v.variability}'."
-            )
-        if v.variability == "continuous" and v.kind not in (*about.continuous, ""):
-            have = "(the default), which only Real has"
-            if about.fmi == 3:
-                have = "which only Float32 and Float64 have"
-            yield (
-                f"the variable {shown} is of type {v.kind} and has variability 'continuous' {have}."
-            )
-    independent = [v.name for v in about.variables if v.causality == "independent"]
-    if len(independent) > 1:
-        yield f"the variables {listed(independent)} are all independent; there is one at most."
+    allowed = INITIAL.get((v.causality, v.variability))
+    if allowed is None:
+        yield (
+            f"has causality '{plain(v.causality)}' and variability '{plain(v.variability)}', "
+            "which do not go together."
+        )
+    elif v.declared_initial and v.declared_initial not in allowed:
+        yield (
+            f"has initial '{plain(v.declared_initial)}', which does not go with causality "
+            f"'{v.causality}' and variability '{v.variability}'."
+        )
+    if v.variability == "continuous" and v.kind not in (*about.continuous, ""):
+        have = "(the default), which only Real has"
+        if about.fmi == 3:
+            have = "which only Float32 and Float64 have"
+        yield f"is of type {v.kind} and has variability 'continuous' {have}."
 
 
-def start_values(about: Description) -> Iterator[str]:
+def independent(about: Description) -> Iterator[str]:
+    """Check that one variable at most is independent."""
+    found = [v.name for v in about.variables if v.causality == "independent"]
+    if len(found) > 1:
+        yield f"the variables {listed(found)} are all independent; there is one at most."
+
+
+@_of_each
+def start_values(_: Description, v: Variable) -> Iterator[str]:
     """Check that start values are there where they must be and nowhere else but where they may."""
-    for v in about.variables:
-        has = "start" in v.own
-        if demand := None if has else _demand(v):
-            yield f"the variable {quoted(v.name)} has no start value, which its {demand} demands."
-        if has and (v.causality == "independent" or v.initial == "calculated"):
-            bar = (
-                "causality 'independent'"
-                if v.causality == "independent"
-                else "initial 'calculated'"
-            )
-            yield f"the variable {quoted(v.name)} has a start value, which its {bar} forbids."
+    if "start" not in v.own:
+        if demand := _demand(v):
+            yield f"has no start value, which its {demand} demands."
+    elif v.causality == "independent":
+        yield "has a start value, which its causality 'independent' forbids."
+    elif v.initial == "calculated":
+        yield "has a start value, which its initial 'calculated' forbids."
 
 
 def _demand(v: Variable) -> str | None:
@@ -103,55 +93,51 @@ def _demand(v: Variable) -> str | None:
     return f"initial '{v.initial}'" if v.initial in ("exact", "approx") else None
 
 
-def ranges(about: Description) -> Iterator[str]:
+@_of_each
+def ranges(about: Description, v: Variable) -> Iterator[str]:
     """Check that start values lie within min and max or are items, and nominal is positive."""
-    for v in about.variables:
-        if v.kind not in (*_NUMBERS, *about.continuous) and "Int" not in v.kind:
-            continue
-        low, high = (real(v.get(name)) for name in ("min", "max"))
-        starts = [real(text) for text in (v.get("start") or "").split()]
-        shown = quoted(v.name)
-        if low is not None and high is not None and low > high:
-            yield f"the variable {shown} has min {low:.15g}, which is above its max {high:.15g}."
-        elif outside := [
-            start
-            for start in starts
-            if start is not None
-            and ((low is not None and start < low) or (high is not None and start > high))
-        ]:
-            bounds = [f"{k} {x:.15g}" for k, x in (("min", low), ("max", high)) if x is not None]
+    if v.kind not in (*_NUMBERS, *about.continuous) and "Int" not in v.kind:
+        return
+    low, high = (real(v.get(name)) for name in ("min", "max"))
+    starts = [real(text) for text in (v.get("start") or "").split()]
+    if low is not None and high is not None and low > high:
+        yield f"has min {low:.15g}, which is above its max {high:.15g}."
+    elif outside := [
+        start
+        for start in starts
+        if start is not None
+        and ((low is not None and start < low) or (high is not None and start > high))
+    ]:
+        bounds = [f"{k} {x:.15g}" for k, x in (("min", low), ("max", high)) if x is not None]
+        yield (
+            f"has the start value {outside[0]:.15g}, which is outside of its "
+            f"{' and '.join(bounds)}."
+        )
+    nominal = real(v.get("nominal"))
+    if nominal is not None and nominal <= 0:
+        yield f"has the nominal value {nominal:.15g}; it is above 0."
+    if v.kind == "Enumeration" and v.type and v.type.kind == "Enumeration":
+        value = integer(v.own.get("start"))
+        if value is not None and value not in v.type.values:
             yield (
-                f"the variable {shown} has the start value {outside[0]:.15g}, which is outside of "
-                f"its {' and '.join(bounds)}."
+                f"has the start value {value}, which is no item of the enumeration "
+                f"{quoted(v.type.name)}."
             )
-        nominal = real(v.get("nominal"))
-        if nominal is not None and nominal <= 0:
-            yield f"the variable {shown} has the nominal value {nominal:.15g}; it is above 0."
-        if v.kind == "Enumeration" and v.type and v.type.kind == "Enumeration":
-            value = integer(v.own.get("start"))
-            if value is not None and value not in v.type.values:
-                yield (
-                    f"the variable {shown} has the start value {value}, which is no item of the "
-                    f"enumeration {quoted(v.type.name)}."
-                )
 
 
-def types(about: Description) -> Iterator[str]:
+@_of_each
+def types(_: Description, v: Variable) -> Iterator[str]:
     """Check that declared types exist and are of the variable's own type."""
-    for v in about.variables:
-        name = v.own.get("declaredType")
-        if name is None:
-            continue
-        if v.type is None:
-            yield (
-                f"the variable {quoted(v.name)} has the declared type {quoted(name)}, which is "
-                "not defined."
-            )
-        elif v.type.kind != v.kind:
-            yield (
-                f"the variable {quoted(v.name)} is of type {plain(v.kind)}, but its declared type "
-                f"{quoted(name)} is of type {plain(v.type.kind)}."
-            )
+    name = v.own.get("declaredType")
+    if name is None:
+        return
+    if v.type is None:
+        yield f"has the declared type {quoted(name)}, which is not defined."
+    elif v.type.kind != v.kind:
+        yield (
+            f"is of type {plain(v.kind)}, but its declared type {quoted(name)} is of type "
+            f"{plain(v.type.kind)}."
+        )
 
 
 def units(about: Description) -> Iterator[str]:
@@ -175,31 +161,26 @@ def units(about: Description) -> Iterator[str]:
             )
 
 
-def derivatives(about: Description) -> Iterator[str]:
+@_of_each
+def derivatives(about: Description, v: Variable) -> Iterator[str]:
     """Check that what a variable is the derivative of exists and is a continuous Real."""
-    for v in about.variables:
-        if "derivative" not in v.own:
-            continue
-        index = integer(v.own["derivative"])
-        if index is None:
-            continue
-        state = about.variable(index)
-        if state is None:
-            yield (
-                f"the variable {quoted(v.name)} is the derivative of {about.shown(index)}, which "
-                "does not exist."
-            )
-        elif (
-            state is v
-            or state.kind not in about.continuous
-            or state.variability != "continuous"
-            or state.size != v.size
-        ):
-            yield (
-                f"the variable {quoted(v.name)} is the derivative of {quoted(state.name)}, which "
-                f"is no other continuous variable of type {' or '.join(about.continuous)}"
-                f"{'' if about.fmi == 2 else ' and of its size'}."
-            )
+    index = integer(v.own.get("derivative"))
+    if index is None:
+        return
+    state = about.variable(index)
+    if state is None:
+        yield f"is the derivative of {about.shown(index)}, which does not exist."
+    elif (
+        state is v
+        or state.kind not in about.continuous
+        or state.variability != "continuous"
+        or state.size != v.size
+    ):
+        size = "" if about.fmi == 2 else " and of its size"
+        yield (
+            f"is the derivative of {quoted(state.name)}, which is no other continuous variable of "
+            f"type {' or '.join(about.continuous)}{size}."
+        )
 
 
 def aliases(about: Description) -> Iterator[str]:
@@ -237,14 +218,14 @@ def references(about: Description) -> Iterator[str]:
             )
 
 
-def sizes(about: Description) -> Iterator[str]:
+@_of_each
+def sizes(_: Description, v: Variable) -> Iterator[str]:
     """Check that an array has one start value, or one for each element."""
-    for v in about.variables:
-        given = len((v.own.get("start") or "").split())
-        if v.size is None:
-            yield f"the variable {quoted(v.name)} has a dimension whose size is not known."
-        elif v.kind not in ("String", "Binary") and given > 1 and given != v.size:
-            yield f"the variable {quoted(v.name)} has {given} start values for {v.size} elements."
+    given = len((v.own.get("start") or "").split())
+    if v.size is None:
+        yield "has a dimension whose size is not known."
+    elif v.kind not in ("String", "Binary") and given > 1 and given != v.size:
+        yield f"has {given} start values for {v.size} elements."
 
 
 def _settable(v: Variable) -> bool:
@@ -254,7 +235,9 @@ def _settable(v: Variable) -> bool:
 
 RULES = (
     names,
+    structured_names,
     combinations,
+    independent,
     start_values,
     ranges,
     types,

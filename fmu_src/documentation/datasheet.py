@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmu_src.friction.reference import UNKNOWN_SPEED
+from fmu_src.friction.reference import UNKNOWN_SPEED, reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, errors, torques
 from hesr_model.equations.functions import lowered
 from hesr_model.equations.over_log import Array
-from hesr_model.errors import SimulationError
+from hesr_model.errors import HesrError, SimulationError
 from hesr_model.friction.audit.audit import REACH, Audit, audit
 from hesr_model.friction.audit.certificate import Certificate, certify
 from hesr_model.friction.audit.cycles import ENCODER
@@ -72,6 +72,14 @@ def audits(model: FrictionModel, seen: Sequence[TrainedRange]) -> tuple[Audit, .
         If a law has no audit, because it is not stable or not finite in its range.
     """
     return tuple(audit(law, range_) for law, range_ in zip(model.laws, seen, strict=True))
+
+
+def audited(model: FrictionModel) -> tuple[tuple[Audit, ...], str]:
+    """Return the audit of each joint's law, or none and a sentence where it cannot be done."""
+    try:
+        return audits(model, ranges(model, reference_motion(model))), ""
+    except HesrError as error:
+        return (), str(error)
 
 
 def certificates(model: FrictionModel, seen: Sequence[TrainedRange]) -> tuple[Certificate, ...]:

@@ -9,11 +9,9 @@ from fmu_src.documentation import datasheet
 from fmu_src.documentation.datasheet import figure
 from fmu_src.documentation.friction_page import title
 from fmu_src.documentation.mathml import equations
-from fmu_src.friction.reference import reference_motion
 from fmu_src.html import rendered
 from fmu_src.interface import Interface
 from hesr_model.equations.over_log import Array
-from hesr_model.errors import HesrError
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.law import FrictionLaw
@@ -26,7 +24,9 @@ _HOLDS = 0.01  # [N.m]; less counts as nothing
 
 def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
     """Return the page; it needs nothing but itself."""
-    verdicts, refused = _verdicts(model)
+    audits, refused = datasheet.audited(model)
+    verdicts = [datasheet.verdict(a, known=bool(model.trained)) for a in audits]
+    verdicts = verdicts or [""] * len(model.laws)
     return rendered(
         "drive.html.j2",
         about=about,
@@ -90,13 +90,3 @@ def _rest(law: FrictionLaw, *, slides: bool) -> str:
         "At rest this law holds nothing: it forgets where it came to rest, and the joint creeps "
         f"under any {effort}."
     )
-
-
-def _verdicts(model: FrictionModel) -> tuple[list[str], str]:
-    """Return what the audit says of each joint's law, or why there is none."""
-    try:
-        seen = datasheet.ranges(model, reference_motion(model))
-        found = datasheet.audits(model, seen)
-    except HesrError as error:
-        return [""] * len(model.laws), str(error)
-    return [datasheet.verdict(a, known=bool(model.trained)) for a in found], ""

@@ -22,7 +22,7 @@ from hesr_model.friction.inputs import INPUT_UNITS, INPUTS
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained import Range, TrainedRange
 from hesr_model.units import unit_of_joints
 
 _INTERVAL = 1.96  # standard errors to either side hold 95 %
@@ -74,10 +74,12 @@ def to_html(
     )
 
 
-def title(law: FrictionLaw) -> str:
-    """Return what the registry calls a law, or its own name."""
+def title(law: FrictionLaw, otherwise: str | None = None) -> str:
+    """Return what the registry calls a law, or else its own name, or what is given."""
     known = registry()
-    return known[law.name].title if law.name in known else law.name
+    if law.name in known:
+        return known[law.name].title
+    return law.name if otherwise is None else otherwise
 
 
 def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
@@ -85,7 +87,7 @@ def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
         "number": joint,
         "name": name,
         "equations": equations(law),
-        "text": _text(law),
+        "text": form_lines(law.form),
         # Of networks nobody reads the numbers in place.
         "numbers": equations_with_numbers(law) if exposed(law) else [],
         "rows": _rows(law, joint),
@@ -94,16 +96,10 @@ def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
         "states": [m.name for m in law.form.memory],
         "starts": [figure(value, 6) for value in law.start],
         "start_samples": law.start_samples,
-        "switches": [_spelled(str(z)) for z in Jumps(law.form.component).expressions],
+        "switches": [
+            str(z).replace("absolute(", "abs(") for z in Jumps(law.form.component).expressions
+        ],
     }
-
-
-def _text(law: FrictionLaw) -> list[str]:
-    return form_lines(law.form)
-
-
-def _spelled(formula: str) -> str:
-    return formula.replace("absolute(", "abs(")
 
 
 def _rows(law: FrictionLaw, joint: int) -> list[dict[str, str]]:
@@ -142,16 +138,19 @@ def _bare(path: str) -> str:
     return PurePosixPath(path.replace("\\", "/")).name
 
 
+def spelled(range_: Range) -> str:
+    """Return a range for people."""
+    low, high = range_
+    return f"{figure(low, 3)} to {figure(high, 3)}"
+
+
 def _trained_rows(
     trained: Sequence[TrainedRange], units: Mapping[str, str]
 ) -> dict[str, list[str]]:
     if not trained:
         return {}
     rows = {
-        f"{name} [{units[name]}]": [
-            f"{figure(getattr(seen, name)[0], 3)} to {figure(getattr(seen, name)[1], 3)}"
-            for seen in trained
-        ]
+        f"{name} [{units[name]}]": [spelled(getattr(seen, name)) for seen in trained]
         for name in _RANGES
     }
     return rows | {"sample time [s]": [figure(seen.sample_time) for seen in trained]}

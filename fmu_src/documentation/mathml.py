@@ -30,6 +30,10 @@ _TIMES = '<mo lspace="0" rspace="0.17em">&#8290;</mo>'
 _EQUALS, _PLUS, _MINUS = (f'<mo form="infix">{sign}</mo>' for sign in "=+−")
 _FIRST_MINUS = "<mo>−</mo>"
 _EXP = sympy.Function("exp")
+_FUNCTIONS = {
+    "sgn": "sgn", "positive": "max", "larger": "max", "cardinal_sine": "sinc", "clip": "clip",
+}  # fmt: skip
+"""Names of our own functions as they are read."""
 _BETTER = {
     "<mo>&InvisibleTimes;</mo>": _TIMES,
     "<mo>-</mo>": "<mo>−</mo>",
@@ -139,31 +143,22 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
             return power
         return self._row(self._element("mn", mantissa), self._element("mo", "×"), power)
 
-    def _print_sgn(self, expr: sympy.Expr) -> Any:
-        return self._applied("sgn", expr)
-
     def _print_positive(self, expr: sympy.Expr) -> Any:
-        return self._applied("max", expr, sympy.Integer(0))
-
-    def _print_larger(self, expr: sympy.Expr) -> Any:
-        return self._applied("max", expr)
-
-    def _print_cardinal_sine(self, expr: sympy.Expr) -> Any:
-        return self._applied("sinc", expr)
-
-    def _print_clip(self, expr: sympy.Expr) -> Any:
-        return self._applied("clip", expr)
+        return self._applied(expr, sympy.Integer(0))
 
     def _print_absolute(self, expr: sympy.Expr) -> Any:
         bars = (self._element("mo", "|") for _ in range(2))
         return self._row(next(bars), self._print(expr.args[0]), next(bars))
 
-    def _applied(self, name: str, expr: sympy.Expr, *more: sympy.Expr) -> Any:
+    def _applied(self, expr: sympy.Expr, *more: sympy.Expr) -> Any:
+        name = _FUNCTIONS[expr.func.__name__]
         inner = []
         for argument in (*expr.args, *more):
             inner += [self._element("mo", ","), self._print(argument)]
         brackets = (self._element("mo", "("), *inner[1:], self._element("mo", ")"))
         return self._row(self._element("mi", name), self._row(*brackets))
+
+    _print_sgn = _print_larger = _print_cardinal_sine = _print_clip = _applied
 
     def _row(self, *children: Any) -> Any:
         row = self.dom.createElement("mrow")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu_src.friction.reference import reference_motion
+from hesr_model.equations.over_log import Array
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.model import FrictionModel
 from hesr_model.units import unit_of_joints
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from PIL.Image import Image
 
-Array = NDArray[np.float64]
 Loop = tuple[Array, Array]
 """Velocity and torque over one period, each (K,)."""
 

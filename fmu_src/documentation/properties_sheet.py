@@ -35,24 +35,19 @@ def section(found: Properties, *, sliding: Sequence[bool] = ()) -> str:
         "properties.html.j2",
         joints=[joint.joint for joint in found.joints],
         tau_load=f"{figure(found.tau_load, _DIGITS)} {unit_of_joints('N.m', sliding)}",
-        sizes=[
-            [
-                (name, _size(value, unit_of_joint(unit, slides=s)))
-                for name, value, unit in _sizes(joint)
-            ]
-            for joint, s in zip(found.joints, slides, strict=True)
-        ],
+        sizes=[_sizes(joint, s) for joint, s in zip(found.joints, slides, strict=True)],
         properties=[_property(found, e, sliding) for e in EXPECTATIONS.values()],
     )
 
 
-def _sizes(joint: JointProperties) -> list[tuple[str, float | None, str]]:
-    return [
+def _sizes(joint: JointProperties, slides: bool) -> list[tuple[str, str]]:
+    rows = (
         ("trained speed", joint.speed, "rad/s"),
         ("friction level", joint.level, "N.m"),
         ("deflection", 1e3 * joint.deflection, "mrad"),
         ("inertia", joint.inertia, "kg.m2"),
-    ]
+    )
+    return [(name, _size(value, unit_of_joint(unit, slides=slides))) for name, value, unit in rows]
 
 
 def _size(value: float | None, unit: str) -> str:

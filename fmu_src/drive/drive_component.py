@@ -40,11 +40,6 @@ class Motors:
     stiffness : (n,) of the flexspline [N.m/rad], on the joint's side of the gear; 0 for none.
     damping : (n,) of the flexspline [N.m.s/rad].
     ratio : (n,) turns of the motor for one of the joint; not 0.
-
-    Raises
-    ------
-    ExportError
-        If a list is not as long as the others, or a number is not what it must be.
     """
 
     inertia: tuple[float, ...]
@@ -52,27 +47,14 @@ class Motors:
     damping: tuple[float, ...]
     ratio: tuple[float, ...]
 
-    def __post_init__(self) -> None:
-        for name, (unit, text, sound) in _NEEDED.items():
-            values = getattr(self, name)
-            if len(values) != len(self.inertia):
-                raise ExportError(
-                    f"drive: '{name}' has {len(values)} values; needed are {len(self.inertia)}, "
-                    "one for each joint."
-                )
-            for joint, value in enumerate(values, start=1):
-                if not (isfinite(value) and sound(value)):
-                    raise ExportError(
-                        f"drive: '{name}' of joint {joint} is {value:g} {unit}; needed is {text}."
-                    )
 
-
-_NEEDED: dict[str, tuple[str, str, Callable[[float], bool]]] = {
-    "inertia": ("kg.m2", "a positive number", lambda value: value > 0.0),
-    "stiffness": ("N.m/rad", "a number that is not negative", lambda value: value >= 0.0),
-    "damping": ("N.m.s/rad", "a number that is not negative", lambda value: value >= 0.0),
-    "ratio": ("turns", "a number other than zero", lambda value: value != 0.0),
+_NEEDED: dict[str, tuple[str, str, float, Callable[[float], bool]]] = {
+    "inertia": ("kg.m2", "a positive number", 0.0, lambda value: value > 0.0),
+    "stiffness": ("N.m/rad", "a number that is not negative", 0.0, lambda value: value >= 0.0),
+    "damping": ("N.m.s/rad", "a number that is not negative", 0.0, lambda value: value >= 0.0),
+    "ratio": ("turns", "a number other than zero", 1.0, lambda value: value != 0.0),
 }
+"""Unit, what is needed in words, what is meant where nothing is given, and the test."""
 
 
 def motors(
@@ -90,17 +72,22 @@ def motors(
     ExportError
         If there are not as many values as joints, or one is not what it must be.
     """
-    if len(inertia) != joints:
-        raise ExportError(
-            f"drive: 'inertia' has {len(inertia)} values; needed are {joints}, one for each joint."
-        )
-    zeros, ones = (0.0,) * joints, (1.0,) * joints
-    return Motors(
-        inertia=tuple(map(float, inertia)),
-        stiffness=zeros if stiffness is None else tuple(map(float, stiffness)),
-        damping=zeros if damping is None else tuple(map(float, damping)),
-        ratio=ones if ratio is None else tuple(map(float, ratio)),
-    )
+    found = {}
+    given = (inertia, stiffness, damping, ratio)
+    for numbers, (name, (unit, text, usual, sound)) in zip(given, _NEEDED.items(), strict=True):
+        values = (usual,) * joints if numbers is None else tuple(map(float, numbers))
+        if len(values) != joints:
+            raise ExportError(
+                f"drive: '{name}' has {len(values)} values; needed are {joints}, one for each "
+                "joint."
+            )
+        for joint, value in enumerate(values, start=1):
+            if not (isfinite(value) and sound(value)):
+                raise ExportError(
+                    f"drive: '{name}' of joint {joint} is {value:g} {unit}; needed is {text}."
+                )
+        found[name] = values
+    return Motors(**found)
 
 
 _INPUTS = (
@@ -108,6 +95,14 @@ _INPUTS = (
     ("q_link", "rad", "angle of the link, for the flexspline"),
     ("dq_link", "rad/s", "speed of the link, for the flexspline"),
     ("tau_load", "N.m", "load torque, for friction that depends on it"),
+)
+_PARAMETERS = (
+    ("inertia", "kg.m2", "inertia at the motor"),
+    ("stiffness", "N.m/rad", "stiffness of the flexspline; 0: none"),
+    ("damping", "N.m.s/rad", "damping of the flexspline"),
+    ("ratio", "1", "turns of the motor for one turn of the joint"),
+    ("q_start", "rad", "angle at which the motor starts"),
+    ("dq_start", "rad/s", "speed at which the motor starts"),
 )
 _FLEXSPLINE = ("stiffness[{}]", "damping[{}]", "ratio[{}]")
 _OUTPUTS = (
@@ -154,7 +149,8 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
         *(v for n, unit, text, deps in _OUTPUTS
           for v in _coupled(model.coupling, list(vector(n, "output", unit, text, zeros, deps)))),
         *friction,
-        *_parameters(own, zeros),
+        *(v for n, unit, text in _PARAMETERS
+          for v in vector(n, "fixed", unit, text, getattr(own, n, zeros))),
         scalar("substep", "fixed", "s", "longest inner step", substep),
         choice,
         start_mode(),
@@ -197,19 +193,6 @@ def _of_the_last_step(variable: Variable, inputs: Collection[str]) -> Variable:
     return replace(variable, dependencies=others, initial_dependencies=at_once)
 
 
-def _parameters(own: Motors, zeros: Sequence[float]) -> Iterator[Variable]:
-    yield from vector("inertia", "fixed", "kg.m2", "inertia at the motor", own.inertia)
-    yield from vector(
-        "stiffness", "fixed", "N.m/rad", "stiffness of the flexspline; 0: none", own.stiffness
-    )
-    yield from vector("damping", "fixed", "N.m.s/rad", "damping of the flexspline", own.damping)
-    yield from vector(
-        "ratio", "fixed", "1", "turns of the motor for one turn of the joint", own.ratio
-    )
-    yield from vector("q_start", "fixed", "rad", "angle at which the motor starts", zeros)
-    yield from vector("dq_start", "fixed", "rad/s", "speed at which the motor starts", zeros)
-
-
 def _sources(joint: int, coupling: Coupling | None) -> dict[str, tuple[str, ...]]:
     """Return what the inputs of laws are computed from, before the first step."""
     return {
@@ -221,16 +204,14 @@ def _sources(joint: int, coupling: Coupling | None) -> dict[str, tuple[str, ...]
 
 def _coupled(coupling: Coupling | None, outputs: Sequence[Variable]) -> Iterator[Variable]:
     """Yield one output of all joints; of those at links, with what moves them by a coupling."""
-    for variable in outputs:
+    for link, variable in enumerate(outputs, start=1):
         if coupling is None or not variable.name.startswith("tau_link["):
             yield variable
             continue
-        link = int(variable.name.removeprefix("tau_link[").removesuffix("]"))
-        by_motor = [outputs[i - 1].dependencies for i in adding(link, coupling)]
         found = [
             name
-            for motor, names in zip(adding(link, coupling), by_motor, strict=True)
-            for dependency in names
+            for motor in adding(link, coupling)
+            for dependency in outputs[motor - 1].dependencies
             for name in (
                 mixed(dependency.partition("[")[0], motor, coupling)
                 if dependency.startswith(("q_link[", "dq_link["))
@@ -246,7 +227,7 @@ def _joints(model: FrictionModel) -> tuple[Joint, ...]:
 
 def equations_to_c(model: FrictionModel, table: Interface) -> str:
     """Return equations.h: functions of each distinct law and where the joints' variables stand."""
-    vectors = [*(n for n, *_ in (*_INPUTS, *_OUTPUTS)), "tau_f", *_NEEDED, "q_start", "dq_start"]
+    vectors = [*(n for n, *_ in (*_INPUTS, *_OUTPUTS)), "tau_f", *(n for n, *_ in _PARAMETERS)]
     places = {name.upper(): f"{name}[1]" for name in vectors}
     places |= {name.upper(): name for name in ("substep", "discretisation", "start_mode")}
     needs = Needs(functions=SOLVER, places=places)

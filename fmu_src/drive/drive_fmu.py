@@ -1,25 +1,19 @@
 """A friction model and its motors in, an FMU out: torque in, speed and angle out."""
 
-import json
-import re
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
-from fmu_src.description import Description
 from fmu_src.documentation.drive_page import to_html
 from fmu_src.drive.drive_component import SUBSTEP, Motors, equations_to_c, interface, motors
-from fmu_src.friction.embedded_model import EMBEDDED_MODEL
-from fmu_src.friction.friction_fmu import date_of
-from fmu_src.friction.validity import require_no_temperature, require_numbers
+from fmu_src.friction.embedded_model import embedding
+from fmu_src.friction.friction_fmu import description_of
+from fmu_src.friction.validity import require_exportable
 from fmu_src.package import Content, Version, check_request, own_source, write_fmu
 from fmu_src.recorded import ROWS, Stimuli, waves
 from fmu_src.terminals import Terminal
-from hesr_model.artifacts import model_to_json
 from hesr_model.friction.model import FrictionModel
-from hesr_model.robots.owner import Owner
 from hesr_model.support.progress import Progress, silent
 
 FLANGE = Terminal(
@@ -97,33 +91,25 @@ def content(
     bare: bool = False,
 ) -> Content:
     """Return the FMU of a drive, before it is compiled; arguments are those of `export_drive`."""
-    require_no_temperature(model, "a drive")
-    require_numbers(model)
+    require_exportable(model, "a drive")
     own = motors(
         len(model.laws), inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio
     )
     table = interface(model, own)
-    about = Description(
+    about = description_of(
+        model,
         name=f"Drive of {model.robot} with {model.law}",
-        identifier=re.sub(r"\W", "_", f"drive_{model.law}", flags=re.ASCII),
+        identifier=f"drive_{model.law}",
         text=f"Motors of {len(model.joints)} joints under friction: torque in, speed and angle "
         "out.",
-        version=version("hesr"),
-        created=date_of(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
         step=SUBSTEP,
-        sources=("all.c",),
-        owner=Owner.of(model.provenance),
     )
     names = ("balance.h", "coupling.h", "drive.c", "law_math.h", "root.h")
     sources = {name: own_source(name) for name in names}
-    members = (
-        {}
-        if bare
-        else {
-            "documentation/index.html": to_html(model, table, about).encode(),
-            EMBEDDED_MODEL: (json.dumps(model_to_json(model), indent=2) + "\n").encode(),
-        }
-    )
+    members = {}
+    if not bare:
+        members["documentation/index.html"] = to_html(model, table, about).encode()
+        members |= embedding(model)
     return Content(
         table=table,
         about=about,

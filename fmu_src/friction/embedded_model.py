@@ -1,15 +1,21 @@
 """The friction model that an FMU of ours carries beside its code, for whoever wants to know it."""
 
+import json
 from pathlib import Path
 
 from fmu_src.archive import MOST_TEXT, Archive
-from hesr_model.artifacts import model_from_json
+from hesr_model.artifacts import model_from_json, model_to_json
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.bounded import parse_json
 
 EMBEDDED_MODEL = "resources/friction_model.json"
 """Where the model stands in the archive; the FMU itself does not read it."""
+
+
+def embedding(model: FrictionModel) -> dict[str, bytes]:
+    """Return the member of an archive that has the model, by its name."""
+    return {EMBEDDED_MODEL: (json.dumps(model_to_json(model), indent=2) + "\n").encode()}
 
 
 def embedded_model(fmu: Path) -> FrictionModel | None:

@@ -3,17 +3,18 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from math import inf
+from typing import Any
 
 import numpy as np
 import sympy
 
 from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, indicators, own_size
+from fmu_src.friction.validity import discretisation_of
 from fmu_src.friction.variable_names import exposed, place
-from fmu_src.interface import Enumeration, Interface, Variable
+from fmu_src.interface import Enumeration, Interface, Role, Variable
 from hesr_model.equations.component import Component, Equation, Quantity, Relaxation
 from hesr_model.equations.memory import Element
 from hesr_model.equations.program import beginning, begun, sources
-from hesr_model.errors import ExportError
 from hesr_model.friction.band import COVERAGE, GREATEST, LEAST, NUMBERS, start_values
 from hesr_model.friction.banded import band_equations
 from hesr_model.friction.inputs import DQ, INPUTS, QUANTITIES, TAU_LOAD
@@ -66,8 +67,13 @@ POWER = Equation(
 )
 """An output that every friction FMU can have."""
 
-SLOPE = f"d{TORQUE}_d{DQ.name}"
-"""Name of the slope of the torque over the velocity."""
+SLOPE = Quantity(
+    name=f"d{TORQUE}_d{DQ.name}",
+    unit="N.m.s/rad",
+    description="slope of tau[{number}] over dq[{number}] held over the last step, the states "
+    "following; in model exchange that at the last event, the states at rest",
+)
+"""Of the torque over the velocity."""
 
 
 def component(law: FrictionLaw, more: Iterable[Equation] = (), *, band: bool = False) -> Component:
@@ -100,36 +106,25 @@ def interface(
     ExportError
         If the laws' names are not names in FMI, or their discretisations differ.
     """
-    numbered = list(enumerate(zip(model.joints, model.slides, strict=True), start=1))
-    inputs = [
-        _of_joint(model, quantity, joint, name, slides, role="input")
-        for quantity in QUANTITIES
-        for joint, (name, slides) in numbered
-    ]
     joints = joints_of(model, more, band=band)
-    outputs = [
-        _of_joint(
-            model,
-            equation,
-            joint,
-            name,
-            slides,
-            role="output",
-            dependencies=_output_dependencies(model, joints, joint, equation),
-        )
-        for equation in joints[0].component.outputs
-        for joint, (name, slides) in numbered
+    numbers = range(1, len(joints) + 1)
+    given = joints[0].component.outputs
+    made_of = {(e, i): _output_dependencies(model, joints, i, e) for e in given for i in numbers}
+    inputs = [
+        of_joint(model, quantity, i, "input", nominal=_trained_size(model, quantity, i))
+        for quantity in QUANTITIES
+        for i in numbers
     ]
-    slopes = [
-        Variable(
-            name=f"{SLOPE}[{joint}]",
-            role="on_demand",
-            description=f"slope of tau[{joint}] over dq[{joint}] held over the last step, the "
-            "states following; in model exchange that at the last event, the states at rest",
-            unit=unit_of_joint("N.m.s/rad", slides=slides),
-            dependencies=_output_dependencies(model, joints, joint, joints[0].component.outputs[0]),
+    outputs = [
+        of_joint(
+            model, equation, i, "output", nominal=_trained_size(model, equation, i),
+            dependencies=made_of[equation, i],
         )
-        for joint, (_, slides) in numbered
+        for equation in given
+        for i in numbers
+    ]  # fmt: skip
+    slopes = [
+        of_joint(model, SLOPE, i, "on_demand", dependencies=made_of[given[0], i]) for i in numbers
     ]
     choice = discretisation(
         model,
@@ -185,42 +180,46 @@ def _output_dependencies(
     return tuple(dict.fromkeys(found))
 
 
-def _of_joint(
-    model: FrictionModel, quantity: Quantity, joint: int, name: str, slides: bool, *, role: str,
-    dependencies: tuple[str, ...] = (),
-) -> Variable:  # fmt: skip
-    seen = model.trained[joint - 1] if model.trained else None
+def of_joint(
+    model: FrictionModel, quantity: Quantity, joint: int, role: Role, **more: Any
+) -> Variable:
+    """Return the variable of one joint for what every joint has.
+
+    Parameters
+    ----------
+    model : for the names of its joints, and whether they slide.
+    quantity : with the unit of a joint that turns.
+    joint : number of the joint, from 1.
+    role, more : attributes of the variable.
+    """
+    slides = model.slides[joint - 1]
     return Variable(
         name=f"{quantity.name}[{joint}]",
-        role="input" if role == "input" else "output",
-        description=quantity.description.format(joint=name, effort=_EFFORT[slides]),
+        role=role,
+        description=quantity.description.format(
+            joint=model.joints[joint - 1], effort=_EFFORT[slides], number=joint
+        ),
         unit=unit_of_joint(quantity.unit, slides=slides),
-        nominal=_usual(max(map(abs, getattr(seen, quantity.name, (0.0,))))),
-        dependencies=dependencies,
+        **more,
     )
+
+
+def _trained_size(model: FrictionModel, quantity: Quantity, joint: int) -> float:
+    seen = model.trained[joint - 1] if model.trained else None
+    return _usual(max(map(abs, getattr(seen, quantity.name, (0.0,)))))
 
 
 def discretisation(model: FrictionModel, description: str) -> Variable:
     """Return the parameter that says how states are integrated.
 
-    Raises
-    ------
-    ExportError
-        If the discretisations of the laws differ.
+    Errors are those of `discretisation_of`.
     """
-    found = {law.discretisation for law in model.laws if law.form.relaxations}
-    if len(found) > 1:
-        raise ExportError(
-            f"friction model '{model.law}': its joints use both exact and Euler integration; "
-            "needed is one for all joints."
-        )
-    choice = found.pop() if found else "exact"
     return Variable(
         name="discretisation",
         role="fixed",
         description=description,
         enumeration=DISCRETISATION,
-        start=1.0 + ("exact", "euler").index(choice),
+        start=1.0 + ("exact", "euler").index(discretisation_of(model)),
     )
 
 
@@ -238,17 +237,11 @@ def start_mode() -> Variable:
 def scales(model: FrictionModel) -> Iterator[Variable]:
     """Yield the factors on Coulomb and on viscous friction, one of each for every joint."""
     for scale in SCALES:
-        for i, (joint, law) in enumerate(zip(model.joints, model.laws, strict=True), start=1):
-            idle = scale == VISCOUS and not has_viscous(law.form)
-            yield Variable(
-                name=f"{scale.name}[{i}]",
-                role="tunable",
-                description=scale.description.format(joint=joint)
-                + ("; its law has no such term" if idle else ""),
-                unit=scale.unit,
-                start=1.0,
-                least=0.0,
-            )
+        for i, law in enumerate(model.laws, start=1):
+            own = of_joint(model, scale, i, "tunable", start=1.0, least=0.0)
+            if scale == VISCOUS and not has_viscous(law.form):
+                own = replace(own, description=f"{own.description}; its law has no such term")
+            yield own
 
 
 def band_numbers(model: FrictionModel) -> Iterator[Variable]:
@@ -262,17 +255,10 @@ def band_numbers(model: FrictionModel) -> Iterator[Variable]:
         least=LEAST,
         greatest=GREATEST,
     )
-    rows = list(enumerate(zip(model.joints, model.laws, model.slides, strict=True), start=1))
     for number in NUMBERS:
-        for i, (joint, law, slides) in rows:
-            yield Variable(
-                name=f"{number.name}[{i}]",
-                role="tunable",
-                description=number.description.format(joint=joint),
-                unit=unit_of_joint(number.unit, slides=slides),
-                start=start_values(law.band)[number.name] if law.band else 0.0,
-                least=0.0,
-            )
+        for i, law in enumerate(model.laws, start=1):
+            start = start_values(law.band)[number.name] if law.band else 0.0
+            yield of_joint(model, number, i, "tunable", start=start, least=0.0)
 
 
 def joints_of(
@@ -307,16 +293,20 @@ def joints_of(
                 states=at.states,
                 derivatives=at.derivatives,
                 starts=at.starts,
-                parameters=at.parameters if exposed(law) else (),
+                parameters=at.parameters,
                 constants=() if exposed(law) else tuple(law.values.values()),
-                slope="" if names else f"{SLOPE}[{joint}]",
+                slope="" if names else f"{SLOPE.name}[{joint}]",
             )
         )
     return tuple(found)
 
 
 def dependencies(
-    joint: Joint, symbol: sympy.Symbol, inputs: Mapping[str, tuple[str, ...]] | None = None
+    joint: Joint,
+    symbol: sympy.Symbol,
+    inputs: Mapping[str, tuple[str, ...]] | None = None,
+    *,
+    starting: bool = False,
 ) -> tuple[str, ...]:
     """Return the variables of which an equation or a derivative of a joint is made.
 
@@ -325,10 +315,15 @@ def dependencies(
     joint : the joint.
     symbol : what is asked for; where a state begins (`program.begun`) is made of start values.
     inputs : variables of which an input is made, where it is none itself.
+    starting : before the first step.
     """
     own = joint.component
     beginnings = beginning(own.memory, own.settling)
-    used = sources(beginnings, symbol) if symbol in beginnings else own.sources(symbol)
+    used = (
+        sources(beginnings, symbol)
+        if symbol in beginnings
+        else own.sources(symbol, starting=starting)
+    )
     found: list[str] = []
     for quantity in (*own.inputs, *own.shared):
         if quantity.symbol in used:

@@ -1,12 +1,11 @@
 """A friction model in, an FMU out."""
 
-import json
 import os
 import re
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +18,20 @@ from fmu_src.documentation.live.section import live_data
 from fmu_src.documentation.live.wasm import wasm
 from fmu_src.documentation.picture import model_png
 from fmu_src.documentation.properties_sheet import section
-from fmu_src.friction.embedded_model import EMBEDDED_MODEL
+from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_component import POWER, equations_to_c, interface
 from fmu_src.friction.reference import reference_files
 from fmu_src.friction.sampled import adaptive_equations, thermal_equations
 from fmu_src.friction.validity import require_numbers
 from fmu_src.interface import Interface
-from fmu_src.package import Content, Version, check_request, own_source, translation_unit, write_fmu
-from hesr_model.artifacts import model_to_json
+from fmu_src.package import (
+    Content,
+    Version,
+    check_request,
+    equation_sources,
+    translation_unit,
+    write_fmu,
+)
 from hesr_model.equations.component import Equation
 from hesr_model.errors import ExportError
 from hesr_model.friction.audit.properties import Properties
@@ -109,12 +114,7 @@ def export_bare(
 
     Arguments and errors are those of `export_fmu`.
     """
-    if model.thermal:
-        whole = thermal_content(model, beside=band)
-        return write_fmu(whole, path, platforms=platforms, fmi=fmi)
-    table, about, sources = _component(model, band=band)
-    members = {EMBEDDED_MODEL: _embedded(model)}  # of which measured torques find the start
-    bare = Content(table=table, about=about, sources=sources, members=members)
+    bare = thermal_content(model, beside=band) if model.thermal else _component(model, band=band)
     return write_fmu(bare, path, platforms=platforms, fmi=fmi)
 
 
@@ -126,8 +126,8 @@ def live_of(model: FrictionModel) -> dict[str, Any]:
     ExportError
         If the model cannot be expressed in C or FMI, or the compiler fails.
     """
-    table, about, sources = _component(model)
-    return live_data(model, table, wasm(translation_unit(table, about, sources)[1]))
+    bare = _component(model)
+    return live_data(model, bare.table, wasm(translation_unit(bare)[1]))
 
 
 def content(
@@ -139,39 +139,34 @@ def content(
     body: PageBody | None = None,
 ) -> Content:
     """Return the FMU of a friction model, before it is compiled."""
-    table, about, sources = _component(model, (POWER,) if power else (), band=band)
+    bare = _component(model, (POWER,) if power else (), band=band)
     with ThreadPoolExecutor(max_workers=1) as pool:
         # The compiler is a process of its own; the picture is drawn beside it.
-        module = pool.submit(wasm, translation_unit(table, about, sources)[1])
+        module = pool.submit(wasm, translation_unit(bare)[1])
         picture = model_png(model)
-        live = live_section(live_data(model, table, module.result()))
+        live = live_section(live_data(model, bare.table, module.result()))
         live += log_section(model, body) + live_assets(log=True)
     page = section(properties, sliding=model.sliding) if properties else ""
-    return Content(
-        table=table,
-        about=about,
-        sources=sources,
-        members={
-            "model.png": picture,
-            "documentation/index.html": to_html(
-                model, table, about, live=live, properties=page
-            ).encode(),
-            EMBEDDED_MODEL: _embedded(model),
-            **reference_files(model, about.identifier),
-        },
-    )
+    html = to_html(model, bare.table, bare.about, live=live, properties=page)
+    members = {
+        "model.png": picture,
+        "documentation/index.html": html.encode(),
+        **bare.members,
+        **reference_files(model, bare.about.identifier),
+    }
+    return replace(bare, members=members)
 
 
 def _component(
     model: FrictionModel, more: tuple[Equation, ...] = (), *, band: bool = False
-) -> tuple[Interface, Description, dict[str, str]]:
-    """Return the variables, the description and the own C files of a model's FMU."""
+) -> Content:
+    """Return a model's FMU with no pages."""
     require_numbers(model)
     if band:
         model.require_band()
     table = interface(model, more, band=band)
     about = _about(model, "friction", "from their motion")
-    return table, about, _sources(equations_to_c(model, table, more, band=band))
+    return _bare(model, about, table, equations_to_c(model, table, more, band=band))
 
 
 def adaptive_content(model: FrictionModel) -> Content:
@@ -183,7 +178,9 @@ def adaptive_content(model: FrictionModel) -> Content:
         If the model is none that can follow friction.
     """
     about = _about(model, "adaptive", "that follow what is measured")
-    return _sampled(model, about, *adaptive_equations(model))
+    table, header = adaptive_equations(model)
+    require_numbers(model)
+    return _bare(model, about, table, header)
 
 
 def thermal_content(model: FrictionModel, *, beside: bool = False) -> Content:
@@ -200,37 +197,41 @@ def thermal_content(model: FrictionModel, *, beside: bool = False) -> Content:
             "power, band, properties and rigid body; the model that 'hesr thermal' was given does."
         )
     about = _about(model, "friction", "from their motion and temperature")
-    return _sampled(model, about, *thermal_equations(model))
-
-
-def _sampled(model: FrictionModel, about: Description, table: Interface, header: str) -> Content:
+    table, header = thermal_equations(model)
     require_numbers(model)
+    return _bare(model, about, table, header)
+
+
+def _bare(model: FrictionModel, about: Description, table: Interface, header: str) -> Content:
+    # Measured torques find the start of the model that it carries.
     return Content(
-        table=table,
-        about=about,
-        sources=_sources(header),
-        members={EMBEDDED_MODEL: _embedded(model)},
+        table=table, about=about, sources=equation_sources(header), members=embedding(model)
     )
 
 
-def _embedded(model: FrictionModel) -> bytes:
-    return (json.dumps(model_to_json(model), indent=2) + "\n").encode()
-
-
-def _sources(header: str) -> dict[str, str]:
-    sources = {name: own_source(name) for name in ("coupling.h", "equations.c", "law_math.h")}
-    return sources | {"equations.h": header}
-
-
 def _about(model: FrictionModel, kind: str, text: str) -> Description:
-    return Description(
+    return description_of(
+        model,
         name=f"{kind.capitalize()} of {model.robot} by {model.law}",
-        identifier=re.sub(r"\W", "_", f"{kind}_{model.law}", flags=re.ASCII),
+        identifier=f"{kind}_{model.law}",
         text=f"Joint friction torque of {len(model.joints)} joints {text}.",
-        version=version("hesr"),
-        created=date_of(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
         step=model.sample_time,
-        sources=("all.c",),
+    )
+
+
+def description_of(
+    model: FrictionModel, *, name: str, identifier: str, text: str, step: float
+) -> Description:
+    """Return the description of an FMU of a model, of the model's date and owner.
+
+    Attributes are those of `Description`; of the identifier, what is none in C is replaced.
+    """
+    return Description(
+        name=name,
+        identifier=re.sub(r"\W", "_", identifier, flags=re.ASCII),
+        text=text,
+        created=date_of(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        step=step,
         owner=Owner.of(model.provenance),
     )
 

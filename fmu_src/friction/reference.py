@@ -8,18 +8,16 @@ are a check of the FMU.
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu_src.friction.settings import CONTINUOUS, SHOWN, Motion, torques
 from fmu_src.layered import Experiment, manifest_files
 from fmu_src.recorded import WAYS, options, table
+from hesr_model.equations.over_log import Array
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained import TrainedRange
 from hesr_model.units import unit_of_joint
-
-Array = NDArray[np.float64]
 
 UNKNOWN_SPEED = 1.2
 """Amplitude of the velocity [rad/s] where the trained range is not known: that of Table I."""
@@ -152,7 +150,7 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
     members = {
         "extra/README.txt": text.encode(),
         **_members(stepped, motion, torque, 14, step, _SAME),
-        f"{stepped}_shown.csv": _torques(motion, shown, 14),
+        f"{stepped}_shown.csv": _table(motion, {"tau": shown}, 14),
         **_members(solved, smooth, fine, 8, 0.0, _CLOSE),
     }
     experiments = [
@@ -221,18 +219,18 @@ def _rounded(motion: Motion) -> Motion:
 def _members(
     stem: str, motion: Motion, torque: Array, digits: int, step: float, tolerance: float
 ) -> Mapping[str, bytes]:
-    columns = {
-        f"{symbol.name}[{i}]": column
-        for symbol in INPUTS
-        for i, column in enumerate(getattr(motion, symbol.name).T, start=1)
-    }
+    inputs = {symbol.name: getattr(motion, symbol.name) for symbol in INPUTS}
     return {
-        f"{stem}_in.csv": table({"time": motion.t, **columns}, 12),
-        f"{stem}_ref.csv": _torques(motion, torque, digits),
+        f"{stem}_in.csv": _table(motion, inputs, 12),
+        f"{stem}_ref.csv": _table(motion, {"tau": torque}, digits),
         f"{stem}_ref.opt": options(motion.t, step, tolerance),
     }
 
 
-def _torques(motion: Motion, torque: Array, digits: int) -> bytes:
-    columns = {f"tau[{i}]": column for i, column in enumerate(torque.T, start=1)}
+def _table(motion: Motion, values: Mapping[str, Array], digits: int) -> bytes:
+    columns = {
+        f"{name}[{i}]": column
+        for name, rows in values.items()
+        for i, column in enumerate(rows.T, start=1)
+    }
     return table({"time": motion.t, **columns}, digits)

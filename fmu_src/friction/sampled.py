@@ -9,10 +9,15 @@ sample is state of the FMU.
 from collections.abc import Iterator
 from dataclasses import replace
 
-import sympy
-
 from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, indicators, own_size
-from fmu_src.friction.friction_component import START_MODE, law_variables, scales, start_mode
+from fmu_src.friction.friction_component import (
+    START_MODE,
+    dependencies,
+    law_variables,
+    of_joint,
+    scales,
+    start_mode,
+)
 from fmu_src.friction.variable_names import place
 from fmu_src.interface import Interface, Variable
 from hesr_model.equations.component import Component, Parameter
@@ -86,44 +91,21 @@ def _joint(model: FrictionModel, i: int, own: Component) -> Joint:
 
 
 def _signals(model: FrictionModel, joints: list[Joint]) -> Iterator[Variable]:
-    numbered = list(enumerate(zip(joints, model.joints, model.slides, strict=True), start=1))
     own = joints[0].component
-    for quantity in (*own.inputs, *own.outputs):
-        for i, (joint, name, slides) in numbered:
-            if quantity == ADAPT:
-                if i == 1:
-                    yield Variable(name=ADAPT.name, role="input", unit="1", start=1.0, switch=True,
-                                   description=ADAPT.description)  # fmt: skip
-                continue
-            output = quantity in own.outputs
-            yield Variable(
-                name=joint.names[quantity.name],
-                role="output" if output else "input",
-                description=quantity.description.format(
-                    joint=name, effort="force" if slides else "torque", number=i
-                ),
-                unit=unit_of_joint(quantity.unit, slides=slides),
-                start=_reference(model, i) if quantity == TEMPERATURE else 0.0,
-                initial_dependencies=_initial(joint, quantity.symbol) if output else (),
-            )
-
-
-def _reference(model: FrictionModel, i: int) -> float:
-    """Return the temperature at which a law is as it was fitted [degC]."""
-    return model.thermal[i - 1].reference
-
-
-def _initial(joint: Joint, symbol: sympy.Symbol) -> tuple[str, ...]:
-    """Return the variables of which something is made before the first step.
-
-    Afterwards it is held: it moves by steps, not with what is set between them.
-    """
-    own = joint.component
-    used = own.sources(symbol, starting=True)
-    variables = [joint.names[q.name] for q in (*own.inputs, *own.shared) if q.symbol in used]
-    variables += [name for m, name in zip(own.memory, joint.states, strict=True) if m.state in used]
-    parameters = zip(own.parameters, joint.parameters, strict=True)
-    return (*variables, *(name for p, name in parameters if p.symbol in used))
+    for quantity in own.inputs:
+        if quantity == ADAPT:
+            yield Variable(name=ADAPT.name, role="input", unit="1", start=1.0, switch=True,
+                           description=ADAPT.description)  # fmt: skip
+            continue
+        for i, _ in enumerate(joints, start=1):
+            # A law is as it was fitted at the reference.
+            start = model.thermal[i - 1].reference if quantity == TEMPERATURE else 0.0
+            yield of_joint(model, quantity, i, "input", start=start)
+    for quantity in own.outputs:
+        for i, joint in enumerate(joints, start=1):
+            # Afterwards it is held: it moves by steps, not with what is set between them.
+            at_start = dependencies(joint, quantity.symbol, starting=True)
+            yield of_joint(model, quantity, i, "output", initial_dependencies=at_start)
 
 
 def _own(
@@ -137,7 +119,7 @@ def _own(
         for variable in law_variables(law, i, known):
             element = elements.get(variable.name)
             if element is not None:
-                at_start = _initial(joint, element.derivative)
+                at_start = dependencies(joint, element.derivative, starting=True)
                 variable = replace(variable, initial_dependencies=at_start)
             yield variable
         for name, parameter in zip(

@@ -125,19 +125,12 @@ def _torque(
 ) -> Array:
     if setting == "direct":
         return _predicted(law, t, inputs)
-    if setting == "hold":
-        return _predicted(law, t, [np.concatenate([u[:1], u[:-1]]) for u in inputs])
-    if setting == SHOWN:
-        return _shown(law, t, inputs)
+    if setting in ("hold", SHOWN):
+        held = [np.concatenate([u[:1], u[:-1]]) for u in inputs]
+        return _predicted(law, t, held, inputs if setting == SHOWN else None)
     if setting == "linear":
         return _read_at_rows(law, t, inputs, 1)
     return _read_at_rows(replace(law, discretisation="exact"), t, inputs, substeps)
-
-
-def _shown(law: FrictionLaw, t: Array, inputs: Sequence[Array]) -> Array:
-    """Step with the inputs of the row before, and read once those of the row are set."""
-    held = [np.concatenate([u[:1], u[:-1]]) for u in inputs]
-    return _predicted(law, t, held, inputs)
 
 
 def _read_at_rows(law: FrictionLaw, t: Array, inputs: Sequence[Array], substeps: int) -> Array:

@@ -1,7 +1,5 @@
 """Whether the numbers of a law give a torque at all: what divides by zero is told, not exported."""
 
-from collections.abc import Mapping
-
 import sympy
 
 from hesr_model.errors import ExportError
@@ -36,34 +34,48 @@ def require_numbers(model: FrictionModel) -> None:
             )
 
 
-def require_uncoupled(model: FrictionModel, form: str) -> None:
-    """Refuse a model whose friction sits on motors that turn with several joints.
+def require_exportable(model: FrictionModel, form: str, *, coupled: bool = True) -> None:
+    """Refuse a model that a form other than its FMU cannot say.
+
+    Parameters
+    ----------
+    model : one law for each joint.
+    form : in which its friction would stay as it is, whatever the temperature.
+    coupled : whether motors that turn with several joints can be said in it.
 
     Raises
     ------
     ExportError
-        Naming the law, and `form`, which has one law for each joint by itself.
+        Naming the law and the form; or as `require_numbers` does.
     """
-    if model.coupling:
+    if model.coupling and not coupled:
         raise ExportError(
             f"law '{model.law}': motors of '{model.robot}' turn with several joints, which {form} "
             "cannot say; export it as an FMU (--format fmu, or drive)."
         )
-
-
-def require_no_temperature(model: FrictionModel, form: str) -> None:
-    """Refuse a model that follows temperature.
-
-    Raises
-    ------
-    ExportError
-        Naming the law, and `form`, in which friction stays as it is.
-    """
     if model.thermal:
         raise ExportError(
             f"law '{model.law}' follows temperature, which {form} cannot; export it as an FMU "
             "(--format fmu), or the model that 'hesr thermal' was given."
         )
+    require_numbers(model)
+
+
+def discretisation_of(model: FrictionModel) -> str:
+    """Return how the states of all joints are integrated, "exact" or "euler".
+
+    Raises
+    ------
+    ExportError
+        If the discretisations of the laws differ.
+    """
+    found = {law.discretisation for law in model.laws if law.form.relaxations}
+    if len(found) > 1:
+        raise ExportError(
+            f"friction model '{model.law}': its joints use both exact and Euler integration; "
+            "needed is one for all joints."
+        )
+    return found.pop() if found else "exact"
 
 
 def shown(expression: sympy.Expr) -> str:
@@ -81,20 +93,11 @@ def _undefined(law: FrictionLaw) -> sympy.Expr | None:
         # Parts before what they are parts of.
         for part in sympy.postorder_traversal(whole):
             if part not in known:
-                known[part] = _value(part, values, known)
+                arguments = (known[argument] for argument in part.args)
+                known[part] = part.func(*arguments) if part.args else values.get(part, part)
                 if isinstance(part, sympy.Expr) and _no_number(known[part]):
                     return part
     return None
-
-
-def _value(
-    part: sympy.Basic,
-    values: Mapping[sympy.Symbol, sympy.Float],
-    known: Mapping[sympy.Basic, sympy.Basic],
-) -> sympy.Basic:
-    if not part.args:
-        return values.get(part, part)
-    return part.func(*(known[argument] for argument in part.args))
 
 
 def _no_number(value: sympy.Basic) -> bool:

@@ -30,9 +30,7 @@ def place(law: FrictionLaw, joint: int) -> Place:
         states=tuple(f"{r.name}[{joint}]" for r in law.form.memory),
         derivatives=tuple(f"der({r.name}[{joint}])" for r in law.form.memory),
         starts=tuple(f"{r.name}_start[{joint}]" for r in law.form.memory),
-        parameters=tuple(f"joint[{joint}].{name}" for name in law.values)
-        if exposed(law)
-        else scales_of(joint),
+        parameters=tuple(f"joint[{joint}].{name}" for name in law.values) if exposed(law) else (),
     )
 
 

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-from fmu_src.friction.validity import require_no_temperature, require_numbers, require_uncoupled
+from fmu_src.friction.validity import require_exportable
 from fmu_src.mjcf.parts import JointFriction, NoCounterpartError, Wave, parts_of
 from fmu_src.mjcf.projection import Misfit, projected, records
 from hesr_model.errors import ExportError, HesrError
@@ -101,9 +101,7 @@ def export_mjcf_law(
     """
     if path.suffix.lower() != ".xml":
         raise ExportError(f"{path}: the name of an MJCF ends in .xml.")
-    require_uncoupled(model, "an MJCF of one actuator per joint")
-    require_no_temperature(model, "an MJCF of one actuator per joint")
-    require_numbers(model)
+    require_exportable(model, "an MJCF of one actuator per joint", coupled=False)
     with written_whole(path) as temporary:
         joints = [
             _of_joint(model, index, project)
@@ -124,6 +122,7 @@ def _of_joint(
     except NoCounterpartError as error:
         slides = model.slides[index]
         missing = error.at_joint(slides=slides)
+        refused = f"law '{model.law}' of joint '{joint}' is not expressible in MJCF: {missing};"
         trained = model.trained[index] if model.trained else None
         try:
             if project:
@@ -131,14 +130,10 @@ def _of_joint(
             else:
                 records(law, trained, model.sample_time)  # so that nothing is promised below
         except HesrError as reason:
-            raise ExportError(
-                f"law '{model.law}' of joint '{joint}' is not expressible in MJCF: {missing}; "
-                f"nor can it be projected: {reason}"
-            ) from reason
+            raise ExportError(f"{refused} nor can it be projected: {reason}") from reason
         if not project:
             raise ExportError(
-                f"law '{model.law}' of joint '{joint}' is not expressible in MJCF: {missing}; "
-                "--project writes the nearest bristles and says how far off they are."
+                f"{refused} --project writes the nearest bristles and says how far off they are."
             ) from error
         found = JointProjection(
             joint=joint,

@@ -134,8 +134,7 @@ class _Motion:
         own = f"its state '{relaxation.name}'"
         if _uses_inputs(scale) or _number(scale, values, f"the drive of {own}") <= 0.0:
             raise NoCounterpartError(
-                f"its state '{relaxation.name}' is driven by {shown(drive)}, a bristle by the "
-                "velocity itself"
+                f"{own} is driven by {shown(drive)}, a bristle by the velocity itself"
             )
         peaks = [e for e in rate.atoms(sympy.exp) if _uses_inputs(e)]
         stribeck = _stribeck_velocity(peaks[0], values, own) if len(peaks) == 1 else None
@@ -146,8 +145,8 @@ class _Motion:
         shaped = not peaks or stribeck is not None
         if not shaped or speed in slope.free_symbols or _uses_inputs(slope):
             raise NoCounterpartError(
-                f"its state '{relaxation.name}' relaxes at the rate {shown(rate)}, a bristle in "
-                "proportion to the speed with one Stribeck peak at most"
+                f"{own} relaxes at the rate {shown(rate)}, a bristle in proportion to the speed "
+                "with one Stribeck peak at most"
             )
         peak = peaks[0] if peaks else None
         return cls(scale=scale, rate=slope, peak=peak, stribeck=stribeck)
@@ -184,7 +183,8 @@ class _Torque:
                 self._add_linear(symbol, factor)
                 return
         if not states and not _uses_inputs(term):
-            self.waves.append(_constant(_number(term, self.values, "a term of its torque")))
+            torque = _number(term, self.values, "a term of its torque")
+            self.waves.append(Wave(amplitude=-torque, poles=0.0, phase=math.pi / 2.0))
         elif not states and (wave := _wave(term, self.values)):
             self.waves.append(wave)
         elif TAU_LOAD in term.free_symbols:
@@ -200,10 +200,6 @@ class _Torque:
             self.viscous += _number(factor, self.values, "its viscous friction")
         else:
             self.forces[symbol] = self.forces.get(symbol, sympy.Integer(0)) + factor
-
-
-def _constant(torque: float) -> Wave:
-    return Wave(amplitude=-torque, poles=0.0, phase=math.pi / 2.0)
 
 
 def _wave(term: sympy.Expr, values: Values) -> Wave | None:
@@ -238,8 +234,8 @@ def _bristle(
         return None
     if found <= 0.0:
         raise NoCounterpartError(
-            f"the torque of its state '{relaxation.name}' has the factor {found:g} {{unit}}, and "
-            "the stiffness of a bristle is positive",
+            f"the torque of {own} has the factor {found:g} {{unit}}, and the stiffness of a "
+            "bristle is positive",
             "N.m/rad",
         )
     if motion.rate == 0:
@@ -247,16 +243,15 @@ def _bristle(
     level = sympy.cancel(stiffness / motion.rate)
     if not level.is_polynomial(_PEAK) or sympy.degree(level, _PEAK) > 1:
         raise NoCounterpartError(
-            f"the sliding torque of its state '{relaxation.name}' is "
-            f"{shown(level.subs(_PEAK, motion.peak))}, a bristle's a constant with a Stribeck peak"
+            f"the sliding torque of {own} is {shown(level.subs(_PEAK, motion.peak))}, a bristle's "
+            "a constant with a Stribeck peak"
         )
     coulomb, static = (
         _number(level.subs(_PEAK, peak), values, f"the sliding torque of {own}") for peak in (0, 1)
     )
     if not (coulomb > 0.0 and static > 0.0):
         raise NoCounterpartError(
-            f"its state '{relaxation.name}' slides at {coulomb:g} to {static:g} {{unit}}, a "
-            "bristle at more than 0",
+            f"{own} slides at {coulomb:g} to {static:g} {{unit}}, a bristle at more than 0",
             "N.m",
         )
     # Without a peak both levels are the same, whatever the velocity beside them.

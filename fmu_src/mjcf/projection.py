@@ -90,7 +90,12 @@ def records(
 
     Arguments and errors are those of `projected`.
     """
-    slow, fast = _motions(trained_speed(trained))
+    # With wide and narrow loops up to the speed.
+    peak, middle = np.array([trained_speed(trained)]), np.zeros(1)
+    slow, fast = (
+        random_fourier(seed=seed, harmonics=10, period=period, peak_velocity=peak, offset=middle)
+        for seed, period in ((2, 40.0), (1, 20.0))
+    )
     return _record(law, slow, trained, sample_time), _record(law, fast, trained, sample_time)
 
 
@@ -103,14 +108,6 @@ def misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:
         rmse=rmse(difference),
         relative=float(np.max(np.abs(difference))) / largest if largest else 0.0,
     )
-
-
-def _motions(speed: float) -> tuple[Trajectory, Trajectory]:
-    """Return a motion to fit and another to try, with wide and narrow loops up to a speed."""
-    peak, middle = np.array([speed]), np.zeros(1)
-    slow = random_fourier(seed=2, harmonics=10, period=40.0, peak_velocity=peak, offset=middle)
-    fast = random_fourier(seed=1, harmonics=10, period=20.0, peak_velocity=peak, offset=middle)
-    return slow, fast
 
 
 def _record(

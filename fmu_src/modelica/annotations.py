@@ -6,25 +6,19 @@ plain: no style, no MathML, ASCII only.
 
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
-
-import jinja2
 
 from fmu_src.documentation import datasheet
 from fmu_src.documentation.datasheet import figure
-from fmu_src.documentation.friction_page import training
+from fmu_src.documentation.friction_page import spelled, title, training
 from fmu_src.friction.reference import UNKNOWN_SPEED
 from fmu_src.friction.variable_names import exposed
+from fmu_src.html import rendered
 from hesr_model.friction.audit.audit import Audit
 from hesr_model.friction.equation import coefficient_lines
 from hesr_model.friction.equation import equations as equations_with_numbers
 from hesr_model.friction.inputs import INPUT_UNITS
-from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import registry
-
-TEMPLATES = Path(__file__).parents[1] / "templates"
 
 
 def package_html(
@@ -63,36 +57,20 @@ def joint_html(model: FrictionModel, index: int, audit: Audit | None) -> str:
     return _page(
         "modelica_joint.html.j2",
         joint=model.joints[index],
-        title=law_title(law),
+        title=title(law, ""),
         # Of networks nobody reads the numbers in place.
         numbers=equations_with_numbers(law) if exposed(law) else [],
         intervals=coefficient_lines(law) if law.standard_errors else [],
         start_samples=law.start_samples,
         seen=[
-            f"{name} {figure(getattr(seen, name)[0], 3)} to {figure(getattr(seen, name)[1], 3)} "
-            f"{unit}"
-            for name, unit in INPUT_UNITS.items()
-        ]
-        if seen
-        else [],
+            f"{name} {spelled(getattr(seen, name))} {unit}"
+            for name, unit in (INPUT_UNITS if seen else {}).items()
+        ],
         rmse=figure(model.training_rmse[index], 3) if model.training_rmse else None,
         verdict=datasheet.verdict(audit, known=bool(model.trained)) if audit else "",
     )
 
 
-def law_title(law: FrictionLaw) -> str:
-    """Return what people call a law; nothing where it is not of the registry."""
-    known = registry()
-    return known[law.name].title if law.name in known else ""
-
-
 def _page(template: str, **values: Any) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    page = environment.get_template(template).render(**values)
+    page = rendered(template, **values)
     return f"<html>\n{page}</html>".encode("ascii", "xmlcharrefreplace").decode("ascii")

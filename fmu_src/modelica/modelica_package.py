@@ -5,19 +5,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
-import sympy
 
 from fmu_src.documentation import datasheet
+from fmu_src.documentation.friction_page import title
 from fmu_src.friction.friction_component import nominal
 from fmu_src.friction.reference import reference_motion
-from fmu_src.friction.validity import require_no_temperature, require_numbers, require_uncoupled
-from fmu_src.modelica.annotations import TEMPLATES, joint_html, law_title, package_html
+from fmu_src.friction.validity import require_exportable
+from fmu_src.html import code_templates
+from fmu_src.modelica.annotations import joint_html, package_html
 from fmu_src.modelica.printer import FUNCTIONS, Equations, equations, start_of
 from hesr_model.equations.functions import sgn
 from hesr_model.equations.memory import DT
-from hesr_model.errors import ExportError, HesrError
+from hesr_model.errors import ExportError
 from hesr_model.friction.audit.audit import Audit
 from hesr_model.friction.inputs import INPUTS, TAU_LOAD
 from hesr_model.friction.law import MOVING, FrictionLaw, LawForm
@@ -84,27 +84,19 @@ def package(model: FrictionModel, name: str) -> str:
                 f"Modelica: joint '{joint}' slides, and the package has rotational flanges; export "
                 "its law as a friction FMU (--format fmu), which Modelica tools import."
             )
-    require_uncoupled(model, "a Modelica package")
-    require_no_temperature(model, "a Modelica package")
-    require_numbers(model)
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
+    require_exportable(model, "a Modelica package", coupled=False)
+    environment = code_templates(
         block_start_string="<%",
         block_end_string="%>",
         variable_start_string="<<",
         variable_end_string=">>",
         comment_start_string="<#",
         comment_end_string="#>",
-        autoescape=False,  # a string of Modelica is no HTML
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        undefined=jinja2.StrictUndefined,
     )
     environment.filters["quoted"] = _quoted
     laws = _forms(model.laws)
     forms = [_form(form, law) for form, law in laws.items()]
-    audits, refused = _audits(model)
+    audits, refused = datasheet.audited(model)
     joints = _joints(model, {law.form: form for form, law in laws.items()}, audits)
     return environment.get_template("modelica.mo.j2").render(
         name=name,
@@ -153,7 +145,7 @@ def _form(name: str, law: FrictionLaw) -> dict[str, Any]:
     starts = [(start_of(m.name), m.unit, f"Start value of {m.name}") for m in form.memory]
     return {
         "name": name,
-        "title": f"Equations of {law_title(law) or law.name}",
+        "title": f"Equations of {title(law)}",
         "parameters": [*coefficients, *starts],
         "states": [(m.name, m.unit) for m in form.memory],
         "equations": found,
@@ -181,14 +173,6 @@ def _check_names(law: FrictionLaw, found: Equations) -> None:
         seen.add(name)
 
 
-def _audits(model: FrictionModel) -> tuple[tuple[Audit, ...], str]:
-    """Return the audit of each joint; none and a sentence where it cannot be done."""
-    try:
-        return datasheet.audits(model, datasheet.ranges(model, reference_motion(model))), ""
-    except HesrError as error:
-        return (), str(error)
-
-
 def _joints(
     model: FrictionModel, names: Mapping[LawForm, str], audits: Sequence[Audit]
 ) -> list[dict[str, Any]]:
@@ -199,7 +183,8 @@ def _joints(
         audit = audits[i] if audits else None
         speed = float(np.abs(motion.dq[:, i]).max())
         largest = audit.largest if audit else 0.0
-        jumps = any(part.has(sgn) for part in _parts(law.form))
+        parts = (law.form.output.subs(DT, 0), *(part for m in law.form.memory for part in m.parts))
+        jumps = any(part.has(sgn) for part in parts)
         found.append(
             {
                 "name": f"Joint{i + 1}",
@@ -218,10 +203,6 @@ def _joints(
             }
         )
     return found
-
-
-def _parts(form: LawForm) -> list[sympy.Expr]:
-    return [form.output.subs(DT, 0), *(part for m in form.memory for part in m.parts)]
 
 
 def _modifications(law: FrictionLaw) -> list[str]:

@@ -38,6 +38,7 @@ class _Printer(LanguagePrinter):
     def __init__(self, derivatives: Mapping[sympy.Symbol, str]) -> None:
         super().__init__(derivatives)
         self.known_functions = {name: name for name in FUNCTIONS}
+        self.known_functions |= {"sgn": "sign", "absolute": "abs"}
 
     def _print_Pow(self, expr: sympy.Pow) -> str:
         base = self.parenthesize(expr.base, PRECEDENCE["Pow"])
@@ -67,12 +68,6 @@ class _Printer(LanguagePrinter):
         above, below, otherwise = expr.args
         first, second = self._print(above / below), self._print(otherwise)
         return f"(if {self._print(below)} > 0 then {first} else {second})"
-
-    def _print_sgn(self, expr: sympy.Expr) -> str:
-        return f"sign({self._print(expr.args[0])})"
-
-    def _print_absolute(self, expr: sympy.Expr) -> str:
-        return f"abs({self._print(expr.args[0])})"
 
 
 @dataclass(frozen=True, kw_only=True)

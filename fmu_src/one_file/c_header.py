@@ -6,19 +6,16 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
 from fmu_src.equations.c_functions import Functions
 from fmu_src.equations.header import Joint
 from fmu_src.friction.friction_component import joints_of
-from fmu_src.friction.validity import require_no_temperature, require_numbers, require_uncoupled
+from fmu_src.friction.validity import require_exportable
+from fmu_src.html import code_templates
 from fmu_src.interface import literal
 from fmu_src.one_file.reference import write_beside
 from fmu_src.package import own_source
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
-
-TEMPLATES = Path(__file__).parents[1] / "templates"
 
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _LANES = 8
@@ -62,9 +59,7 @@ def export_c(model: FrictionModel, path: Path) -> Path:
 
 def header(model: FrictionModel, name: str) -> str:
     """Return the text of the header, whose names begin with `name`."""
-    require_uncoupled(model, "one C header")
-    require_no_temperature(model, "one C header")
-    require_numbers(model)
+    require_exportable(model, "one C header", coupled=False)
     joints = joints_of(model)
     distinct = list(dict.fromkeys(j.component for j in joints))
     functions = [Functions(c, f"{name}_law_{i}") for i, c in enumerate(distinct, start=1)]
@@ -82,7 +77,7 @@ def header(model: FrictionModel, name: str) -> str:
             *([own.rates()] if euler and own.component.memory else []),
         )
     ]
-    text = templates().get_template("law.h.j2").render(
+    text = code_templates().get_template("law.h.j2").render(
         name=name,
         title=_comment(f"Friction of {model.robot} by {model.law}"),
         version=version("hesr"),
@@ -96,18 +91,6 @@ def header(model: FrictionModel, name: str) -> str:
         coefficients=sum(len(law.values) for law in model.laws),
     )  # fmt: skip
     return _with_prefix(text)
-
-
-def templates() -> jinja2.Environment:
-    """Return the templates of files of code."""
-    return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        autoescape=False,  # code is no HTML
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        undefined=jinja2.StrictUndefined,
-    )
 
 
 def _rows(

@@ -27,7 +27,7 @@ from hesr_model.friction.law import LawForm
 
 _SHARED = ("exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "sqrt")
 _ARCS = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2"}
-_OWN = ("positive", "larger", "clip", "exceeds")
+_OWN = ("positive", "larger", "clip", "exceeds", "over")
 
 _HALF = sympy.Rational(1, 2)
 _HIGH_BITS = 12
@@ -79,9 +79,6 @@ class _Printer(LanguagePrinter):
 
     def _print_decay(self, expr: sympy.Function) -> str:
         return f"_decay({self._print(expr.args[0])})"
-
-    def _print_over(self, expr: sympy.Function) -> str:
-        return f"_over({', '.join(map(self._print, expr.args))})"
 
     def _print_share(self, expr: sympy.Function) -> str:
         z, e, _ = map(self._print, expr.args)

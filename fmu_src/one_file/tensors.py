@@ -5,8 +5,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-from fmu_src.friction.validity import require_no_temperature, require_numbers
-from fmu_src.one_file.c_header import templates
+from fmu_src.friction.validity import discretisation_of, require_exportable
+from fmu_src.html import code_templates
 from fmu_src.one_file.reference import write_beside
 from fmu_src.one_file.tensor_printer import begin_function, law_function
 from hesr_model.errors import ExportError
@@ -57,14 +57,8 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
         If the model has no finite numbers, or a law a function that there is none of for tensors,
         or its joints use both exact and Euler integration.
     """
-    require_no_temperature(model, "a file of tensors")
-    require_numbers(model)
-    used = {law.discretisation for law in model.laws if law.form.relaxations}
-    if len(used) > 1:
-        raise ExportError(
-            f"friction model '{model.law}': its joints use both exact and Euler integration; "
-            "needed is one for all joints."
-        )
+    require_exportable(model, "a file of tensors")
+    discretisation = discretisation_of(model)
     groups: dict[LawForm, list[int]] = {}
     for i, law in enumerate(model.laws):
         groups.setdefault(law.form, []).append(i)
@@ -72,14 +66,14 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
         _law(f"_law_{n}", form, joints, [model.laws[i] for i in joints])
         for n, (form, joints) in enumerate(groups.items(), start=1)
     ]
-    return templates().get_template(f"law_{library}.py.j2").render(
+    return code_templates().get_template(f"law_{library}.py.j2").render(
         title=_text(f"Friction of {model.robot} by {model.law}"),
         library=_TITLES[library],
         version=version("hesr"),
         joints=tuple(model.joints),
         slides=any(model.slides),
         sample_time=model.sample_time,
-        euler="euler" in used,
+        euler=discretisation == "euler",
         laws=laws,
     )  # fmt: skip
 

@@ -45,7 +45,7 @@ class PageBody:
     @property
     def files(self) -> dict[str, str]:
         """Return the texts of its C files by name, which say all of it but the cut-off."""
-        return translation_unit(self.fmu.table, self.fmu.about, self.fmu.sources)[1]
+        return translation_unit(self.fmu)[1]
 
     def data(self, joints: Sequence[str]) -> dict[str, Any]:
         """Return what a page needs: the module, and the connectors of each joint.

@@ -11,7 +11,7 @@ import sympy
 from fmu_src.documentation.live.wasm import packed
 from fmu_src.documentation.mathml import symbol
 from fmu_src.friction.reference import trained_speed
-from fmu_src.friction.variable_names import exposed, place, scales_of
+from fmu_src.friction.variable_names import place, scales_of
 from fmu_src.interface import Interface
 from hesr_model.friction.inputs import INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw, LawForm
@@ -127,7 +127,7 @@ def _motion(law: FrictionLaw, seen: TrainedRange | None, step: float) -> Iterato
 
 
 def _coefficients(law: FrictionLaw, joint: int, table: Interface) -> Iterator[Knob]:
-    own = place(law, joint).parameters if exposed(law) else ()
+    own = place(law, joint).parameters
     names = (*own, *scales_of(joint))
     for name, coefficient in zip_longest(names, law.form.coefficients if own else ()):
         reference = table.places[name]
