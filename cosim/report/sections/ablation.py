@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from cosim.report.markup import Pictures, Section, joined, paragraph, table
 from cosim.report.results import Results
-from cosim.tables.table import ResultTable, TableRow, number, title
+from cosim.tables.table import ResultTable, number, row_of, title
 
 _STEPS = (
     ("parfam_v", "parfam_h", "hysteresis state"),
@@ -41,8 +41,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                     caption=caption,
                     head=("variant", *results.joints),
                     rows=[
-                        TableRow(head=title(law), cells=[number(e) for e in laws[law].rmse])
-                        for law in ladder
+                        row_of(title(law), *(number(e) for e in laws[law].rmse)) for law in ladder
                     ],
                 )
             )
@@ -56,9 +55,8 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                     words=(1,),
                     head=("from, to", "adds", *results.joints),
                     rows=[
-                        TableRow(
-                            head=f"{title(a)} → {title(b)}",
-                            cells=(what, *_changes(laws[a].rmse, laws[b].rmse)),
+                        row_of(
+                            f"{title(a)} → {title(b)}", what, *_changes(laws[a].rmse, laws[b].rmse)
                         )
                         for a, b, what in steps
                     ],

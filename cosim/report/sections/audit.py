@@ -3,7 +3,7 @@
 from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
 from cosim.report.results import Results
 from cosim.tables.laws import audit
-from cosim.tables.table import ResultTable, TableCell, TableRow, fixed, number, title
+from cosim.tables.table import ResultTable, TableCell, fixed, number, row_of, title
 from fmu_src.documentation.datasheet import certificates, certified
 from hesr_model.friction.audit.audit import Audit
 from hesr_model.friction.audit.cycles import ENCODER
@@ -43,17 +43,15 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                         *(f"chatter {short}" for short in results.joints),
                     ),
                     rows=[
-                        TableRow(
-                            head=title(law),
-                            cells=[
-                                *(
-                                    TableCell(text="none", value=0.0)
-                                    if passive(a)
-                                    else number(a.generated, 2)
-                                    for a in of_law
-                                ),
-                                *(fixed(a.chatter, 2) for a in of_law),
-                            ],
+                        row_of(
+                            title(law),
+                            *(
+                                TableCell(text="none", value=0.0)
+                                if passive(a)
+                                else number(a.generated, 2)
+                                for a in of_law
+                            ),
+                            *(fixed(a.chatter, 2) for a in of_law),
                         )
                         for law, of_law in found.items()
                     ],
@@ -66,7 +64,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                         caption="Passivity of each law and joint",
                         head=("law", "joint", "certificate"),
                         rows=[
-                            TableRow(head=title(law), cells=(joint, certified(c, slides=slides)))
+                            row_of(title(law), joint, certified(c, slides=slides))
                             for law in found
                             for model in (results.models[law],)
                             for joint, c, slides in zip(

@@ -6,7 +6,7 @@ from markupsafe import Markup
 
 from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
 from cosim.report.results import Results
-from cosim.tables.table import ResultTable, TableRow
+from cosim.tables.table import ResultTable, row_of
 
 
 def section(results: Results, pictures: Pictures) -> Section:
@@ -39,7 +39,7 @@ def section(results: Results, pictures: Pictures) -> Section:
                         caption="SHA-256 of what the results come from",
                         head=("file", "SHA-256"),
                         rows=[
-                            TableRow(head=name, cells=[Markup("<code>{}</code>").format(digest)])
+                            row_of(name, Markup("<code>{}</code>").format(digest))
                             for name, digest in files
                         ],
                         numeric=False,
