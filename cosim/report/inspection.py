@@ -90,10 +90,8 @@ def _joints(proposal: Proposal) -> Markup:
     caption = (
         "Joints that move, with the proposed robot file: ‘dq slope’ is velocity from the position "
         "over the logged one, ‘gravity / model’ the measured gravity torque over that of the "
-        "model, "
-        "‘friction’ the torque that goes with the velocity, in N.m, and how many standard "
-        "errors it "
-        "is from zero"
+        "model, ‘friction’ the torque that goes with the velocity, in N.m, and how many standard "
+        "errors it is from zero"
     )
     return table(ResultTable(caption=caption, head=("log: joint", *HEAD[2:]), rows=rows))
 

@@ -27,40 +27,28 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     variants = [name for name in results.run.variants if name in laws]
     if not steps and not variants:
         return None
-    parts = []
+    tables = []
     if variants:
         whole = results.run.variants[variants[-1]]
         ladder = [*variants, *([whole] if whole in laws else [])]
-        caption = (
-            f"{test}: RMSE [{results.unit('N.m')}] of the variants, each with one part more than "
-            "that above it"
-        )
-        parts.append(
-            table(
-                ResultTable(
-                    caption=caption,
-                    head=("variant", *results.joints),
-                    rows=[
-                        row_of(title(law), *(number(e) for e in laws[law].rmse)) for law in ladder
-                    ],
-                )
+        tables.append(
+            ResultTable(
+                caption=f"{test}: RMSE [{results.unit('N.m')}] of the variants, each with one part "
+                "more than that above it",
+                head=("variant", *results.joints),
+                rows=[row_of(title(law), *(number(e) for e in laws[law].rmse)) for law in ladder],
             )
         )
     if steps:
-        caption = f"{test}: change of the RMSE when one thing is added; less is better"
-        parts.append(
-            table(
-                ResultTable(
-                    caption=caption,
-                    words=(1,),
-                    head=("from, to", "adds", *results.joints),
-                    rows=[
-                        row_of(
-                            f"{title(a)} → {title(b)}", what, *_changes(laws[a].rmse, laws[b].rmse)
-                        )
-                        for a, b, what in steps
-                    ],
-                )
+        tables.append(
+            ResultTable(
+                caption=f"{test}: change of the RMSE when one thing is added; less is better",
+                words=(1,),
+                head=("from, to", "adds", *results.joints),
+                rows=[
+                    row_of(f"{title(a)} → {title(b)}", what, *_changes(laws[a].rmse, laws[b].rmse))
+                    for a, b, what in steps
+                ],
             )
         )
     return Section(
@@ -71,7 +59,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                 "Which part of a law pays on this robot. A part that costs is shown as well: with "
                 "more inputs a law can also learn what is not there."
             ),
-            *parts,
+            *map(table, tables),
         ),
     )
 

@@ -22,6 +22,39 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     found = results.audits
     if not found:
         return None
+    energy = ResultTable(
+        caption="Most energy that a law gives in a closed cycle [J], and the chatter of its torque "
+        f"at rest [{results.unit('N.m')}]",
+        head=(
+            "law",
+            *(f"energy {short}" for short in results.joints),
+            *(f"chatter {short}" for short in results.joints),
+        ),
+        rows=[
+            row_of(
+                title(law),
+                *(
+                    TableCell(text="none", value=0.0) if passive(a) else number(a.generated, 2)
+                    for a in of_law
+                ),
+                *(fixed(a.chatter, 2) for a in of_law),
+            )
+            for law, of_law in found.items()
+        ],
+    )
+    proofs = ResultTable(
+        caption="Passivity of each law and joint",
+        head=("law", "joint", "certificate"),
+        rows=[
+            row_of(title(law), joint, certified(c, slides=slides))
+            for law in found
+            for model in (results.models[law],)
+            for joint, c, slides in zip(
+                results.joints, certificates(model, model.trained), model.slides, strict=True
+            )
+        ],
+        numeric=False,
+    )
     return Section(
         key="audit",
         title="Passivity audit",
@@ -32,52 +65,8 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                 f"under encoder noise of {1e6 * ENCODER:.0f} {results.unit('µrad')}. Laws that "
                 "give energy are no friction of a simulated plant, whatever their RMSE."
             ),
-            table(
-                ResultTable(
-                    caption="Most energy that a law gives in a closed cycle [J], and the chatter "
-                    "of "
-                    f"its torque at rest [{results.unit('N.m')}]",
-                    head=(
-                        "law",
-                        *(f"energy {short}" for short in results.joints),
-                        *(f"chatter {short}" for short in results.joints),
-                    ),
-                    rows=[
-                        row_of(
-                            title(law),
-                            *(
-                                TableCell(text="none", value=0.0)
-                                if passive(a)
-                                else number(a.generated, 2)
-                                for a in of_law
-                            ),
-                            *(fixed(a.chatter, 2) for a in of_law),
-                        )
-                        for law, of_law in found.items()
-                    ],
-                )
-            ),
-            details(
-                "Certificates: proven, refuted by a cycle, or open",
-                table(
-                    ResultTable(
-                        caption="Passivity of each law and joint",
-                        head=("law", "joint", "certificate"),
-                        rows=[
-                            row_of(title(law), joint, certified(c, slides=slides))
-                            for law in found
-                            for model in (results.models[law],)
-                            for joint, c, slides in zip(
-                                results.joints,
-                                certificates(model, model.trained),
-                                model.slides,
-                                strict=True,
-                            )
-                        ],
-                        numeric=False,
-                    )
-                ),
-            ),
+            table(energy),
+            details("Certificates: proven, refuted by a cycle, or open", table(proofs)),
             details(
                 "All figures of every law",
                 *(table(audit(law, found[law], results.sliding)) for law in found),

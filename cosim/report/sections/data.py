@@ -30,6 +30,21 @@ def section(results: Results, pictures: Pictures) -> Section:
     gears = (
         f" Gear ratios: {', '.join(f'{g:g}' for g in run.gear_ratio)}." if run.gear_ratio else ""
     )
+    logs = ResultTable(
+        caption="Logs, and what they served for; no log of a test set was trained on",
+        words=(1,),
+        head=("log", "served for", "rows", "duration [s]", "rate [Hz]"),
+        rows=[
+            row_of(
+                log.name,
+                _roles(log.roles),
+                number(log.rows, max(3, len(str(log.rows)))),
+                number(log.duration, 4),
+                number(log.rate, 4),
+            )
+            for log in run.logs
+        ],
+    )
     return Section(
         key="data",
         title="Robot, data and their health",
@@ -37,23 +52,7 @@ def section(results: Results, pictures: Pictures) -> Section:
             paragraph(f"Robot {run.robot}, model {run.model}, joints {joints}.{gears}"),
             paragraph(source),
             _health(results),
-            table(
-                ResultTable(
-                    caption="Logs, and what they served for; no log of a test set was trained on",
-                    words=(1,),
-                    head=("log", "served for", "rows", "duration [s]", "rate [Hz]"),
-                    rows=[
-                        row_of(
-                            log.name,
-                            _roles(log.roles),
-                            number(log.rows, max(3, len(str(log.rows)))),
-                            number(log.duration, 4),
-                            number(log.rate, 4),
-                        )
-                        for log in run.logs
-                    ],
-                )
-            ),
+            table(logs),
         ),
     )
 

@@ -32,8 +32,7 @@ def section(results: Results, pictures: Pictures) -> Section:
                 '<math><mover><mi>q</mi><mo class="dot">˙</mo></mover></math> is the velocity of '
                 "the joint, <math><mi>q</mi></math> its position, <math><msub><mi>τ</mi><mi>load"
                 "</mi></msub></math> its rigid-body torque; a dot is a derivative in time. The "
-                "files "
-                "in laws/ hold every digit."
+                "files in laws/ hold every digit."
             )
         )
     ]

@@ -73,8 +73,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
         html=joined(
             paragraph(
                 "The paper's law sees, beside the velocity, a state h that follows the direction "
-                "of "
-                "motion with a delay (its eq. 9): dh/dt = α (tanh(β dq) − h). Fitted (α [1/s], "
+                "of motion with a delay (its eq. 9): dh/dt = α (tanh(β dq) − h). Fitted (α [1/s], "
                 f"β [{results.unit('s/rad')}]): {values}."
             ),
             pictures.figure(

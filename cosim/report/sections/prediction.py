@@ -100,8 +100,7 @@ def _traces(results: Results, pictures: Pictures, test: str, log: SavedLog) -> M
         chart,
         f"Friction torque on {what} (left) and the RMS error of the laws over {MOVING:g} s "
         "(right), as Fig. 4 of the paper. Look at the reversals, where laws without a memory err "
-        "most. The view that "
-        f"zooms shows the whole log. Shown: {names}.",
+        f"most. The view that zooms shows the whole log. Shown: {names}.",
         alt=f"Friction torque over time on {log.name} for each joint, measured and predicted by "
         f"{names}; beside it the moving error, with peaks at velocity reversals.",
     )

@@ -38,8 +38,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     parts = [
         paragraph(
             "The arm itself as a co-simulation: trajectory, rigid body, friction, controller and "
-            "the "
-            "MuJoCo arm, each an FMU of native C. "
+            "the MuJoCo arm, each an FMU of native C. "
             f"{results.loop.tracking[0].rmse.shape[0]} random Fourier motions; errors are those of "
             "the true position."
         ),
