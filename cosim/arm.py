@@ -1,9 +1,5 @@
 """The twin's arm as an FMU, behind the interface of the Python arm."""
 
-from pathlib import Path
-from types import TracebackType
-from typing import Self
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -16,42 +12,28 @@ _MEASURED = ("q", "tau_meas")
 
 
 class FmuArm:
-    """An arm under velocity command, run as an FMU; a context manager.
+    """An arm under velocity command, run as an FMU.
 
     It measures by itself: `measured` is what its noisy outputs say at the instant reached.
 
     Parameters
     ----------
-    fmu : of the signals in models/uf850/arm.toml.
+    component : FMU of the signals in models/uf850/arm.toml, loaded.
     plant : joints, sample rate and noise.
     limits : lowest and highest position (n, 2) [rad].
     """
 
-    def __init__(self, fmu: Path, plant: Plant, limits: Array) -> None:
+    def __init__(self, component: Component, plant: Plant, limits: Array) -> None:
         self.plant, self.limits = plant, limits
         self.seed = plant.noise.seed
         self.measured: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
         """Position [rad] and torque [N.m] with their noise, (n,) each."""
-        self._component = Component(fmu, name="arm")
+        self._component = component
         self._steps = 0
-
-    def __enter__(self) -> Self:
-        """Load the FMU."""
-        component = self._component.__enter__()
-        joints = range(1, len(self.plant.joints) + 1)
+        joints = range(1, len(plant.joints) + 1)
         names = [f"{signal}[{i}]" for signal in (*_TRUE, *_MEASURED) for i in joints]
         self._outputs = component.batch(names)
         self._command = component.batch([f"dq_cmd[{i}]" for i in joints])
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Free it."""
-        self._component.__exit__(kind, error, trace)
 
     def reset(self, q0: ArrayLike) -> ArmOutput:
         """Put the arm at rest at `q0` (n,) [rad]; see `fmu_src.arm.plant.Arm.reset`."""

@@ -5,8 +5,9 @@ Logs are checked as the command line checks them: what cannot be right raises, n
 what is odd is logged.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -155,7 +156,7 @@ def fit(
     """Fit a friction law to logs; the rigid body is identified from them where not given."""
     from hesr_model.friction.fitting.fit import fit as fit_law
 
-    records, model = records_of(logs, robot, rigid_body, accept)
+    records, model, _ = records_of(logs, robot, rigid_body, accept)
     fitted = fit_law(law, *records, seed=seed, options=options, robot=model.description.name)
     owner = model.description.owner.known
     return replace(fitted, provenance={**fitted.provenance, "owner": owner}) if owner else fitted
@@ -338,11 +339,8 @@ def export(
     ExportError
         If the model cannot be written so.
     """
-    from importlib import import_module
-
     if format not in _WRITERS:
         raise ConfigError(f"the format is '{format}'; allowed are {', '.join(_WRITERS)}.")
-    module, _, name = _WRITERS[format].partition(":")
     path = path_of(output, "an output")
     if (robot is None) != (rigid_body is None):
         raise ConfigError("'robot' and 'rigid_body' go together; only one of them was given.")
@@ -350,7 +348,7 @@ def export(
         if format != "fmu":
             raise ConfigError(f"'rigid_body' is for the page of an FMU, the format is '{format}'.")
         options["body"] = page_body(robot, rigid_body)
-    getattr(import_module(module), name)(model_given(model), path, **options)
+    writer(format)(model_given(model), path, **options)
     return path
 
 
@@ -364,6 +362,13 @@ _WRITERS = {
     "jax": "fmu_src.one_file.tensors:export_jax",
     "ssv": "cosim.package.parameter_set:export_ssv",
 }
+
+
+def writer(format: str) -> Callable[..., Any]:  # noqa: A002  # as --format
+    """Return the function of a format of `export`."""
+    module, _, name = _WRITERS[format].partition(":")
+    function: Callable[..., Any] = getattr(import_module(module), name)
+    return function
 
 
 def check(fmu: AnyPath, *, vdmcheck: AnyPath | None = None, hostile: bool = False) -> "Report":

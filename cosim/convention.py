@@ -145,10 +145,8 @@ def run(fmu: Path, motion: Motion, setting: str) -> Array:
     with Component(fmu) as component:
         inputs, outputs = component.batch(names), component.batch([f"tau[{i}]" for i in joints])
         follow = component.slopes(names)
-        component.enter_initialisation(time=float(motion.t[0]))
         inputs.values[:] = rows[0]
-        inputs.write()
-        component.exit_initialisation()
+        component.initialise(time=float(motion.t[0]), inputs=inputs)
         torque[0] = outputs.read()
         for k, (time, step) in enumerate(zip(motion.t.tolist(), steps.tolist(), strict=False)):
             inputs.values[:] = rows[k + 1 if setting == "direct" else k]

@@ -1,5 +1,6 @@
 """What calls in Python are given: logs, robots, bodies and models, each itself or its file."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.described import RobotLike, model_of
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support.files import path_of
+from hesr_model.support.progress import Progress, counted, silent
 
 if TYPE_CHECKING:
     from fmu_src.documentation.live.body import PageBody
@@ -27,7 +29,9 @@ Body = RigidBody | AnyPath
 Model = FrictionModel | AnyPath
 
 
-def logs_of(logs: Log | Sequence[Log], robot: RobotLike | None) -> list[RobotLog]:
+def logs_of(
+    logs: Log | Sequence[Log], robot: RobotLike | None, progress: Progress = silent
+) -> list[RobotLog]:
     """Return logs, those read that are given by their paths.
 
     Raises
@@ -40,7 +44,7 @@ def logs_of(logs: Log | Sequence[Log], robot: RobotLike | None) -> list[RobotLog
         (log.robot for log in several if isinstance(log, RobotLog) and log.robot), None
     )  # fmt: skip
     read = []
-    for log in several:
+    for log in counted(several, progress):
         if isinstance(log, RobotLog):
             read.append(log)
             continue
@@ -97,19 +101,39 @@ def records_of(
     robot: RobotLike | None,
     rigid_body: Body | None,
     accept: Sequence[str],
-) -> tuple[list[list[FrictionRecord]], RobotModel]:
-    """Return the friction in each log [log][joint], and the robot."""
-    read = logs_of(logs, robot)
+    progress: Progress = silent,
+) -> tuple[list[list[FrictionRecord]], RobotModel, list[Finding]]:
+    """Return the friction in each log [log][joint], the robot, and what is odd in the logs."""
+    read = logs_of(logs, robot, progress)
     model = robot_of(robot, read)
-    examined(read, model, accept)
+    findings = examined(read, model, accept)
     body = body_of(rigid_body, read, model)
-    return [friction_records(part, model, body) for part in parts_of(read)], model
+    return [friction_records(part, model, body) for part in parts_of(read)], model, findings
 
 
 def examined(logs: Sequence[RobotLog], model: RobotModel, accept: Sequence[str]) -> list[Finding]:
     """Check logs on their robot; what cannot be right raises, what is odd is told and returned."""
     require_different(logs)
     return told(checked(logs, model, accept))
+
+
+def telling_apart(namings: Sequence[Sequence[str]], what: str) -> Sequence[str]:
+    """Return the first of several ways to name things that gives each a name of its own.
+
+    Parameters
+    ----------
+    namings : (ways, things) names.
+    what : has been done with the things, for the error.
+
+    Raises
+    ------
+    ConfigError
+        If none does, naming what is there twice.
+    """
+    for names in namings:
+        if len(set(names)) == len(names):
+            return names
+    raise ConfigError(f"'{Counter(namings[-1]).most_common(1)[0][0]}' is {what} twice.")
 
 
 def model_given(model: Model) -> FrictionModel:

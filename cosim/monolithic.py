@@ -7,16 +7,14 @@ the FMUs' C takes part. What does not depend on measurements is computed for the
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cosim.batch import Array
 from cosim.closed_loop import Gains, Scheme, preview
 from fmu_src.arm.plant import Arm, Plant
 from hesr_model.friction.evaluate import Stepper, predict
 from hesr_model.friction.model import FrictionModel
 from hesr_model.motions.trajectories import Trajectory
 from hesr_model.robots.robot import RobotModel
-
-Array = NDArray[np.float64]
 
 _ROUNDING = 1e-9  # [s] by which a time may miss the instant at which the motion begins
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.describe import Predictions
 from cosim.scoring import (
     ORACLE,
     Comparison,
@@ -52,6 +51,10 @@ _log = logging.getLogger(__name__)
 
 LogRecords = Mapping[str, Sequence[Sequence[FrictionRecord]]]
 """Records of every log, by its name, [part][joint]: a log with gaps has several parts."""
+
+
+Predictions = Mapping[str, Mapping[str, Sequence[Sequence[Array]]]]
+"""Friction torques of each test set, by law, [joint][log], (N,) each [N.m]."""
 
 
 def records_of(names: Iterable[str], records: LogRecords) -> list[list[FrictionRecord]]:
@@ -288,16 +291,18 @@ class Job:
         found = identify(forward, model, reversed_logs=backward, physical=self.study.physical)
         self.progress("identifying the rigid body", 1, 1)
         refinement, refined = self.study.refinement, {}
-        for _ in range(refinement.rounds if refinement else 0):
-            names = self.study.logs.training
+        if refinement is None:
+            return found, {}
+        training, law = {name: logs[name] for name in self.study.logs.training}, refinement.law
+        for _ in range(refinement.rounds):
             records = {
-                name: [friction_records(part, model, found) for part in logs[name].parts()]
-                for name in names
+                name: [friction_records(part, model, found) for part in log.parts()]
+                for name, log in training.items()
             }
-            law = refinement.law if refinement else ""
             friction = self.fit(records, (law,), "refining the rigid body", {})[law]
-            if refinement and refinement.kind == "output_error":
-                together = refine(model, found, friction, smoothed([logs[x] for x in names], model))
+            if refinement.kind == "output_error":
+                moved = smoothed(list(training.values()), model)
+                together = refine(model, found, friction, moved)
                 found, refined = together.body, {law: together.friction}
             else:
                 found = identify_again(forward, model, found, friction, reversed_logs=backward)

@@ -229,9 +229,8 @@ def _played(fmu: Path, experiment: Experiment, way: str) -> Array:
             inputs.values[:] = rows[k]
             inputs.write()
 
-        component.enter_initialisation(time=float(t[0]), start=experiment.parameters)
-        set_row(0)
-        component.exit_initialisation()
+        inputs.values[:] = rows[0]
+        component.initialise(time=float(t[0]), start=experiment.parameters, inputs=inputs)
         answers[0] = outputs.read()
         for k in range(1, len(t)):
             set_row(k if way == "direct" else k - 1)

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cosim.batch import Array
 from cosim.given import body_of, logs_of, page_body, robot_of
 from hesr_model.errors import FitError, TableError
 from hesr_model.friction.equation import equations
@@ -25,8 +25,6 @@ from hesr_model.support.files import path_of
 
 if TYPE_CHECKING:
     from cosim.figures.chart import Figure
-
-Array = NDArray[np.float64]
 Record = Sequence[FrictionRecord]
 """Of all joints in one log."""
 
@@ -124,7 +122,11 @@ class FrictionRegressor:
             If the data do not determine the law.
         """
         estimator(self.law)
-        self._require_target()
+        if self.target not in _TARGETS:
+            raise TableError(
+                f"the target of a friction regressor is '{self.target}'; allowed are "
+                f"{' and '.join(_TARGETS)}."
+            )
         if (logs := self._logs(X)) is not None:
             if y is not None:
                 raise TableError("y was given beside logs, which hold the measured torque.")
@@ -304,13 +306,6 @@ class FrictionRegressor:
         if self.target == "friction":
             return friction
         return friction + np.column_stack([record.tau_load for record in records])
-
-    def _require_target(self) -> None:
-        if self.target not in _TARGETS:
-            raise TableError(
-                f"the target of a friction regressor is '{self.target}'; allowed are "
-                f"{' and '.join(_TARGETS)}."
-            )
 
     def _fitted(self) -> FrictionModel:
         if hasattr(self, "model_"):

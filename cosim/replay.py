@@ -16,7 +16,7 @@ from hesr_model.friction.thermal import TEMPERATURE, THERMOMETER
 
 
 def replay(
-    fmu: Path,
+    fmu: Path | Component,
     t: ArrayLike,
     dq: ArrayLike,
     q: ArrayLike | None = None,
@@ -33,7 +33,7 @@ def replay(
 
     Parameters
     ----------
-    fmu : a friction FMU.
+    fmu : a friction FMU; one that is loaded already is reset where it has been used.
     t : (N,) time [s], increasing.
     dq : (N, n) joint velocity [rad/s].
     q : (N, n) joint position [rad]; zero where not given.
@@ -52,27 +52,14 @@ def replay(
     SimulationError
         If the log does not fit the FMU, or the FMU fails.
     """
-    with Component(fmu) as component:
-        return replayed(
-            component, t, dq, q, tau_load, start, temperature=temperature, output=output
-        )
-
-
-def replayed(
-    component: Component,
-    t: ArrayLike,
-    dq: ArrayLike,
-    q: ArrayLike | None = None,
-    tau_load: ArrayLike | None = None,
-    start: Mapping[str, float] | None = None,
-    *,
-    temperature: ArrayLike | None = None,
-    output: str = TORQUE,
-) -> Array:
-    """Do what `replay` does with an FMU that is loaded, and reset it where it has been used."""
-    fmu, time = component.fmu, np.asarray(t, dtype=float)
+    if isinstance(fmu, Path):
+        with Component(fmu) as component:
+            return replay(
+                component, t, dq, q, tau_load, start, temperature=temperature, output=output
+            )
+    component, time = fmu, np.asarray(t, dtype=float)
     if not len(time):
-        raise SimulationError(f"{fmu}: the log to be replayed has no samples.")
+        raise SimulationError(f"{component.fmu}: the log to be replayed has no samples.")
     names = {v.name for v in component.description.modelVariables}
     joints = sum(name.startswith("tau[") for name in names)
     zero, indices = np.zeros((len(time), joints)), range(1, joints + 1)
@@ -86,25 +73,23 @@ def replayed(
     for name, part in zip(given, parts, strict=True):
         if part.shape != zero.shape:
             raise SimulationError(
-                f"{fmu}: '{name}' has the shape {part.shape}; needed is {zero.shape}, "
+                f"{component.fmu}: '{name}' has the shape {part.shape}; needed is {zero.shape}, "
                 f"{len(time)} samples of {joints} joints."
             )
     if np.any(np.diff(time) <= 0.0):
         row = int(np.argmax(np.diff(time) <= 0.0)) + 1
-        raise SimulationError(f"{fmu}: time does not increase at row {row} of the log.")
+        raise SimulationError(f"{component.fmu}: time does not increase at row {row} of the log.")
     inputs = component.batch([f"{name}[{i}]" for name in given for i in indices])
     outputs = component.batch([f"{output}[{i}]" for i in indices])
     rows = np.hstack(parts)
     torque = np.empty_like(zero)
     if component.used:
         component.reset()
-    component.enter_initialisation(time=float(time[0]), start=start)
     inputs.values[:] = rows[0]
-    inputs.write()
-    component.exit_initialisation()
+    component.initialise(time=float(time[0]), start=start, inputs=inputs)
     torque[0] = outputs.read()
     torque[1:] = through(component, inputs, outputs, time[:-1], np.diff(time), rows[1:])
-    require_finite(fmu, time, torque)
+    require_finite(component.fmu, time, torque)
     return torque
 
 

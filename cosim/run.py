@@ -5,12 +5,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from cosim.describe import Predictions, save_run
+from cosim.describe import save_run
 from cosim.health import told, write_findings
 from cosim.pipeline import Job, LogRecords, records_of
 from cosim.saved import TRUTHS
+from cosim.scored import Scored
 from cosim.scoring import Comparison, Errors
 from cosim.simulated import SIMULATION, simulate_tests
 from cosim.study import Study
@@ -41,38 +42,6 @@ QUICK_LAWS = ("stribeck", "lugre", "parfam_h")
 
 _WORK = ("cosim.scoring", "hesr_model.friction.fitting.fit")
 """Modules that the first work of a run needs."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scored:
-    """What a run makes until its laws are scored on the test logs.
-
-    Attributes
-    ----------
-    job : the steps of the study.
-    robot : its model.
-    rigid_body : the identified rigid body.
-    files, logs, records : of every log, by name; records by part of the log and joint.
-    models : fitted model of each law.
-    left_out : why a law of the study was not fitted, by law.
-    source : provenance of the laws.
-    fmus : path of each law's FMU.
-    comparisons : scores of the FMUs on each test set.
-    predictions : their torques there.
-    """
-
-    job: Job
-    robot: RobotModel
-    rigid_body: RigidBody
-    files: Mapping[str, Path]
-    logs: Mapping[str, RobotLog]
-    records: LogRecords
-    models: Mapping[str, FrictionModel]
-    left_out: Mapping[str, str]
-    source: Mapping[str, Any]
-    fmus: Mapping[str, Path]
-    comparisons: Mapping[str, Comparison]
-    predictions: Predictions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,20 +149,8 @@ def run_study(
                 gear_ratio=job.robot.gear_ratio is not None,
             )
             write_verdict(folder, words)
-            save_run(
-                folder,
-                study=study,
-                command=_command(path, platforms, quick=quick),
-                quick=quick,
-                robot=job.robot,
-                files=run.files,
-                logs=run.logs,
-                records=records,
-                predictions=run.predictions,
-                models=models,
-                left_out=run.left_out,
-                source=run.source,
-            )
+            command = _command(path, platforms, quick=quick)
+            save_run(folder, run, command=command, quick=quick)
         shutil.rmtree(kept, ignore_errors=True)
         from cosim.report import write_report  # draws, which takes long to load
 

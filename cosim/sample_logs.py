@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cosim.batch import Array
 from hesr_model.errors import RobotError
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
@@ -22,8 +22,6 @@ from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.rigid_body.identification import LEAST_PEAK
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support.files import sha256
-
-Array = NDArray[np.float64]
 
 RATE = 200.0
 """[Hz]"""

@@ -12,7 +12,6 @@ from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.friction.banded import predict_band
 from hesr_model.friction.evaluate import first_states
 from hesr_model.friction.inputs import INPUTS
-from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import BandScore, score, score_band, time_band
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import record_start
@@ -248,21 +247,19 @@ def _band_scores(
 ) -> dict[str, tuple[BandScore, ...]]:
     return {
         name: tuple(
-            score_band(of_joint, predicted, _bands(law, of_joint, predicted))
+            score_band(
+                of_joint,
+                predicted,
+                [
+                    predict_band(law, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load, torque=torque)
+                    for r, torque in zip(of_joint, predicted, strict=True)
+                ],
+            )
             for law, of_joint, predicted in zip(model.laws, records, predictions[name], strict=True)
         )
         for name, model in models.items()
         if model.banded
     }
-
-
-def _bands(
-    law: FrictionLaw, records: Sequence[FrictionRecord], predicted: Sequence[Array]
-) -> list[tuple[Array, Array]]:
-    return [
-        predict_band(law, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load, torque=torque)
-        for r, torque in zip(records, predicted, strict=True)
-    ]
 
 
 def _runs(law: str) -> bool:

@@ -3,8 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from fmpy.model_description import ModelDescription
 
@@ -90,14 +89,9 @@ class Component:
             self._cleanup = cleanup.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *ended: Any) -> None:
         """Free the instance, unload the library and remove the unpacked files."""
-        self._cleanup.__exit__(kind, error, trace)
+        self._cleanup.__exit__(*ended)
 
     def _unpack(self, folder: Path) -> bool:
         """Unpack what is needed here; return whether the FMU is known as one of ours."""
@@ -160,6 +154,7 @@ class Component:
         time: float = 0.0,
         stop: float | None = None,
         start: Mapping[str, float | str] | None = None,
+        inputs: Buffer | None = None,
     ) -> None:
         """Set parameters, start values and inputs, and go through the initialisation.
 
@@ -167,8 +162,11 @@ class Component:
         ----------
         time, stop : start and end of the experiment [s].
         start : values of parameters, states and inputs by name.
+        inputs : batch that is written while the FMU is being initialised.
         """
         self.enter_initialisation(time=time, stop=stop, start=start)
+        if inputs is not None:
+            inputs.write()
         self.exit_initialisation()
 
     def enter_initialisation(

@@ -16,11 +16,7 @@ from hesr_model.robots.model_file import driven_joints, joints_of
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.files import folder_written_whole, is_empty, models_folder
 
-_TEMPLATES = {
-    "robot.toml": "robot.toml.j2",
-    "study.toml": "study.toml.j2",
-    "README.txt": "README.txt.j2",
-}
+_FILES = ("robot.toml", "study.toml", "README.txt")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +71,8 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> Started:
     with folder_written_whole(folder) as temporary:
         shutil.copyfile(model, temporary / model.name)
         texts = _environment()
-        for file, template in _TEMPLATES.items():
-            text = texts.get_template(template).render(
+        for file in _FILES:
+            text = texts.get_template(f"{file}.j2").render(
                 name=name,
                 study=name,
                 folder=folder.as_posix(),

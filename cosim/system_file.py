@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from cosim.system import ComponentSpec, SystemSpec
+from cosim.system import SystemSpec
 from hesr_model.support.files import written_whole
 
 
@@ -38,7 +38,8 @@ def _lines(spec: SystemSpec, folder: Path) -> Iterator[str]:
         yield f"{key} = {_value(getattr(spec, key))}"
     for component in spec.components:
         yield from ("", "[[components]]", f"name = {_value(component.name)}")
-        yield f"fmu = {_value(_relative(component, folder))}"
+        fmu = Path(os.path.relpath(component.fmu.resolve(), folder)).as_posix()
+        yield f"fmu = {_value(fmu)}"
         if component.step is not None:
             yield f"step = {_value(component.step)}"
         if component.start:
@@ -46,10 +47,6 @@ def _lines(spec: SystemSpec, folder: Path) -> Iterator[str]:
     for table in ("connections", "limits"):
         if pairs := getattr(spec, table):
             yield from ("", f"[{table}]", *_pairs(pairs))
-
-
-def _relative(component: ComponentSpec, folder: Path) -> str:
-    return Path(os.path.relpath(component.fmu.resolve(), folder)).as_posix()
 
 
 def _pairs(table: Any) -> Iterator[str]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.arena.arena import Ground
 from cosim.batch import Array
-from cosim.replay import replayed
+from cosim.replay import replay
 from cosim.slave import Component
 from cosim.studies.properties.battery import Subject, measure
 from cosim.studies.properties.bench import FrictionBench
@@ -77,12 +77,12 @@ def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
             )
         columns = [_columns(part) for part in ground.records]
         begin = time.perf_counter()
-        torques = [replayed(component, **part) for part in columns]
+        torques = [replay(component, **part) for part in columns]
         seconds = time.perf_counter() - begin
         steps = sum(len(part) for part in torques)
         used = ["dq"]
         for name in _OPTIONAL:
-            without = (replayed(component, **part | {name: None}) for part in columns)
+            without = (replay(component, **part | {name: None}) for part in columns)
             if any(np.any(one != torque) for one, torque in zip(without, torques, strict=True)):
                 used.append(name)
     # Of a foreign FMU nobody knows whether it is the law that it carries.

@@ -1,6 +1,5 @@
 """The leaderboard: all entries of an arena, scored and ranked within classes of inputs."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -8,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.arena.arena import KINDS, Arena, Ground, Kind, read_grounds
+from cosim.arena.arena import KINDS, Arena, Kind, read_grounds
 from cosim.arena.entry import Entry, Tried, tried
 from cosim.arena.score import Interval, Judge
-from cosim.batch import Array
+from cosim.given import telling_apart
 from hesr_model.errors import ConfigError
 from hesr_model.friction.audit.properties import Properties
 from hesr_model.support import parallel
@@ -122,10 +121,7 @@ def entries_of(given: Sequence[str], arena: Arena) -> list[Entry]:
             robot, file = robots[0], text
         found.append((robot, Path(file)))
     namings = [[fmu.stem for _, fmu in found], [f"{r}={fmu}" for r, fmu in found]]
-    names = next((n for n in namings if max(Counter(n).values(), default=1) == 1), None)
-    if names is None:
-        twice = Counter(namings[-1]).most_common(1)[0][0]
-        raise ConfigError(f"'{twice}' is entered twice.")
+    names = telling_apart(namings, "entered")
     return [Entry(name=n, fmu=fmu, robot=r) for n, (r, fmu) in zip(names, found, strict=True)]
 
 
@@ -174,7 +170,16 @@ def run_arena(
         warm_up=arena.warm_up,
         block=arena.block,
         classes=dict(arena.classes),
-        robots=tuple(_robot(name, grounds[name], judge) for name, judge in judges.items()),
+        robots=tuple(
+            ScoredRobot(
+                name=name,
+                joints=ground.model.description.joints,
+                sliding=tuple(joint.prismatic for joint in ground.model.tree),
+                tau_std=tuple(map(float, judges[name].tau_std)),
+                rigid_body=ground.body.robot,
+            )
+            for name, ground in grounds.items()
+        ),
         logs=tuple(
             ScoredLog(
                 name=log.file.stem,
@@ -194,16 +199,6 @@ def run_arena(
     )
 
 
-def _robot(name: str, ground: Ground, judge: Judge) -> ScoredRobot:
-    return ScoredRobot(
-        name=name,
-        joints=ground.model.description.joints,
-        sliding=tuple(joint.prismatic for joint in ground.model.tree),
-        tau_std=tuple(map(float, judge.tau_std)),
-        rigid_body=ground.body.robot,
-    )
-
-
 def _group(arena: Arena, entry: Entry, of_entry: Tried) -> str:
     """Return the smallest class whose inputs are enough for an entry, the first of equal ones."""
     holding = [n for n, may in arena.classes.items() if set(of_entry.inputs) <= {*may, "dq"}]
@@ -220,7 +215,10 @@ def _ranked(
 ) -> list[Standing]:
     """Return the standings of a class, the least error first."""
     errors = {entry.name: judge.errors(of_entry.torques) for entry, of_entry in members}
-    size = {name: _mean_square(judge, of_entry) for name, of_entry in errors.items()}
+    size = {
+        name: float(np.mean(np.square(np.vstack(of_entry) / judge.tau_std)))
+        for name, of_entry in errors.items()
+    }
     ranked = sorted(members, key=lambda member: size[member[0].name])
     leader = ranked[0][0].name
     kinds = [kind for kind in KINDS if kind in arena.scores]
@@ -248,7 +246,3 @@ def _ranked(
             )
         )
     return found
-
-
-def _mean_square(judge: Judge, errors: Sequence[Array]) -> float:
-    return float(np.mean(np.square(np.vstack(errors) / judge.tau_std)))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from cosim.arena.leaderboard import Leaderboard, ScoredRobot
+from cosim.arena.leaderboard import Leaderboard
 from cosim.report.markup import Section, details, joined, paragraph, table, write_sections
 from cosim.tables import arena as tables
 from cosim.tables.properties import legend, properties
@@ -42,15 +42,12 @@ def write_page(board: Leaderboard, path: Path) -> None:
 
 def _standings(board: Leaderboard) -> Markup:
     parts = []
-    for robot, whole in zip(_entered(board), tables.standings(board), strict=True):
+    entered = [r for r in board.robots if any(s.robot == r.name for s in board.standings)]
+    for robot, whole in zip(entered, tables.standings(board), strict=True):
         kinds = next(s.relative for s in board.standings if s.robot == robot.name)
         inner = (table(tables.by_joint(board, robot, kind)) for kind in kinds)
         parts += [table(whole), details(f"{robot.name}, joint by joint", *inner)]
     return joined(*parts)
-
-
-def _entered(board: Leaderboard) -> list[ScoredRobot]:
-    return [r for r in board.robots if any(s.robot == r.name for s in board.standings)]
 
 
 def _rules(board: Leaderboard) -> Markup:

@@ -3,7 +3,7 @@
 import sys
 from typing import NoReturn
 
-from cosim.cli import (
+from cosim.cli import (  # noqa: F401  # each registers its commands
     arena,
     audit,
     check,
@@ -29,30 +29,7 @@ from cosim.cli.app import app
 from cosim.cli.console import ended_by_signals
 from cosim.cli.last_resort import errors_said, home_where_needed, plain_where_needed
 
-__all__ = [
-    "app",
-    "arena",
-    "audit",
-    "check",
-    "constants",
-    "excite",
-    "export",
-    "fleet",
-    "inspect",
-    "interop",
-    "job",
-    "main",
-    "monitor",
-    "new",
-    "package",
-    "properties",
-    "report",
-    "simulate",
-    "steps",
-    "sweep",
-    "thermal",
-    "view",
-]
+__all__ = ["app", "main"]
 
 
 def main() -> NoReturn:

@@ -11,7 +11,8 @@ import typer
 from typer.core import TyperGroup
 
 from cosim.cli.console import command_output
-from hesr_model.support.progress import Stages, counted
+from hesr_model.errors import ConfigError
+from hesr_model.support.progress import Stages
 
 if TYPE_CHECKING:
     from cosim.scoring import Records
@@ -19,8 +20,9 @@ if TYPE_CHECKING:
     from hesr_model.robots.robot import RobotModel
 
 
-__all__ = ["Accept", "Body", "Json", "Logs", "Output", "Platforms", "Robot", "Trust", "app",
-           "read_records", "trusted"]  # fmt: skip
+__all__ = ["Accept", "Body", "Folder", "Json", "Logs", "Output", "Platforms", "Result", "Robot",
+           "System", "Table", "Trust", "Workers", "app", "read_records", "require_table",
+           "trusted"]  # fmt: skip
 
 _EPILOG = """\b
 Exit codes:
@@ -150,7 +152,24 @@ Robot = Annotated[Path, typer.Option("--robot", metavar="ROBOT.toml", help="Robo
 Body = Annotated[
     Path, typer.Option("--rigid-body", metavar="FILE", help="Result of 'hesr identify'.")
 ]
+System = Annotated[
+    Path, typer.Argument(metavar="SYSTEM.toml", help="FMUs, connections, steps; or an SSP.")
+]
+Result = Annotated[
+    Path, typer.Argument(metavar="RESULT", help="Folder that 'hesr run' has written.")
+]
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")]
+Table = Annotated[
+    Path, typer.Option("-o", "--output", metavar="FILE", help="CSV or Parquet file to write.")
+]
+Folder = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="FOLDER", help="Folder; default: results/NAME."),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option("--workers", metavar="N", min=1, help="Processes; default: one a core."),
+]
 Accept = Annotated[
     list[str] | None,
     typer.Option(
@@ -192,6 +211,12 @@ def trusted(fmus: Iterable[Path], *, trust: bool) -> None:
                 remember(fmu)
 
 
+def require_table(path: Path) -> None:
+    """Refuse to write results into a file of another kind."""
+    if path.suffix.lower() not in (".csv", ".parquet", ".pq"):
+        raise ConfigError(f"{path}: results are written as .csv or .parquet.")
+
+
 def read_records(
     logs: list[Path],
     robot: Path,
@@ -200,19 +225,14 @@ def read_records(
     accepted: list[str] | None = None,
 ) -> "tuple[Records, RobotModel, list[Finding]]":
     """Return the friction records [joint][log], the robot's model, and what is odd in the logs."""
-    from cosim.given import examined
+    from cosim.given import records_of
     from cosim.scoring import by_joint
     from hesr_model.artifacts import read_rigid_body
-    from hesr_model.logs.robot_log import RobotLog, parts_of
-    from hesr_model.rigid_body.residual import friction_records
     from hesr_model.robots.robot import RobotDescription, RobotModel
 
-    description = RobotDescription.read(robot)
-    model = RobotModel(description)
+    model = RobotModel(RobotDescription.read(robot))
     body = read_rigid_body(rigid_body)
-    read = [
-        RobotLog.read(log, description) for log in counted(logs, partial(progress, "reading logs"))
-    ]
-    findings = examined(read, model, accepted or ())
-    records = by_joint([friction_records(log, model, body) for log in parts_of(read)])
-    return records, model, findings
+    records, _, findings = records_of(
+        logs, model, body, accepted or (), partial(progress, "reading logs")
+    )
+    return by_joint(records), model, findings

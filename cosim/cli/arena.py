@@ -34,13 +34,11 @@ def arena(
 
     Example: hesr arena arena.toml lugre.fmu theirs.fmu -o leaderboard.html
     """
-    from rich.console import Console
-
     from cosim.arena.arena import Arena
     from cosim.arena.leaderboard import FORMAT, entries_of, run_arena
     from cosim.arena.page import write_page
     from cosim.tables.arena import standings
-    from cosim.tables.terminal import Drawn
+    from cosim.tables.terminal import show
     from hesr_model.support.typed_json import to_json
 
     read = Arena.read(file)
@@ -50,7 +48,5 @@ def arena(
         board = run_arena(read, entered, progress=partial(progress, "scoring entries"))
     write_page(board, output)
     answer(json_file, {"format": FORMAT, **to_json(board)})
-    console = Console()
-    for table in standings(board):
-        console.print(Drawn(table))
-    console.print(f"The leaderboard is {output}.", soft_wrap=True, highlight=False)
+    show(*standings(board))
+    typer.echo(f"The leaderboard is {output}.")

@@ -89,16 +89,14 @@ def check(
         typer.echo(f"{fmu}: {report.verdict}")
     found = {}
     if convention:
-        from rich.console import Console
-
         from cosim.convention import measure
         from cosim.tables.laws import convention as table
-        from cosim.tables.terminal import Drawn
+        from cosim.tables.terminal import show
 
         for fmu in fmus:
             with working(f"measuring {fmu.name}"):
                 found[fmu] = measure(fmu)
-            Console().print(Drawn(table(fmu.name, found[fmu])))
+            show(table(fmu.name, found[fmu]))
     if json_file is not None:
         from hesr_model.support.typed_json import to_json
 

@@ -13,13 +13,16 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Stages
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, ProgressColumn
 
 INTERRUPTED = 130
 """Exit code, as shells give it: 128 and the number of the signal."""
@@ -183,10 +186,8 @@ def shown_progress() -> Iterator[Stages]:
 
     It is drawn where that is a terminal, logged with --verbose, and left out with --quiet.
     """
-    from rich.console import Console
     from rich.progress import (
         BarColumn,
-        Progress,
         TaskID,
         TaskProgressColumn,
         TextColumn,
@@ -195,17 +196,13 @@ def shown_progress() -> Iterator[Stages]:
     )
 
     tasks: dict[str, TaskID] = {}
-    console, wanted = Console(stderr=True), _output.get()
-    with Progress(
+    with _drawn(
         TextColumn("{task.description}"),
         BarColumn(20),
         TaskProgressColumn(),
         TimeElapsedColumn(),
         TextColumn("left:"),
         TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=wanted.quiet or wanted.verbose or not console.is_terminal,
     ) as shown:
 
         def tell(what: str, done: int, total: int) -> None:
@@ -220,21 +217,23 @@ def shown_progress() -> Iterator[Stages]:
 @contextmanager
 def working(what: str) -> Iterator[None]:
     """Show on standard error that work goes on, where nobody knows how much there is."""
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    console, wanted = Console(stderr=True), _output.get()
     _log.info("%s", what)
-    with Progress(
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        TimeElapsedColumn(),
-        console=console,
-        transient=True,
-        disable=wanted.quiet or wanted.verbose or not console.is_terminal,
-    ) as shown:
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    with _drawn(*columns) as shown:
         shown.add_task(what, total=None)
         yield
+
+
+def _drawn(*columns: "ProgressColumn") -> "Progress":
+    """Return what draws progress on standard error, where that is a terminal that shall have it."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console, wanted = Console(stderr=True), _output.get()
+    hidden = wanted.quiet or wanted.verbose or not console.is_terminal
+    return Progress(*columns, console=console, transient=True, disable=hidden)
 
 
 @contextmanager

@@ -6,17 +6,14 @@ from typing import Annotated
 
 import typer
 
-from cosim.cli.app import app
+from cosim.cli.app import Table, app
 from cosim.cli.console import shown_progress
 
 
 @app.command()
 def excite(
     robot: Annotated[Path, typer.Argument(metavar="ROBOT.toml", help="Robot file.")],
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--output", metavar="FILE", help="CSV or Parquet file to write."),
-    ],
+    output: Table,
     settings: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="Limits, harmonics, periods.")
     ] = None,

@@ -1,6 +1,6 @@
 """The command that writes a friction model, or a robot, for other tools."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +13,9 @@ from hesr_model.errors import ConfigError
 
 if TYPE_CHECKING:
     from fmu_src.package import Version
+
+
+_VERSIONS: "Mapping[str, Version]" = {"2": 2, "3": 3}
 
 
 @app.command()
@@ -128,6 +131,8 @@ def export(
             raise ConfigError(f"{option} is for an MJCF, a file in .xml; '{model}' is none.")
     if python and platform is not None:
         raise ConfigError("--platform is for native FMUs; with --python there is no such choice.")
+    if fmi not in _VERSIONS:
+        raise ConfigError(f"--fmi is '{fmi}'; versions of FMI are 2 and 3.")
     motor = {"inertia": inertia, "stiffness": stiffness, "damping": damping, "ratio": ratio}
     with shown_progress() as progress:
         request = Request(
@@ -139,7 +144,7 @@ def export(
             power=power,
             band=band,
             adaptive=adaptive,
-            fmi=_version(fmi),
+            fmi=_VERSIONS[fmi],
             robot=robot,
             rigid_body=rigid_body,
             progress=progress,
@@ -181,11 +186,3 @@ def _refuse_others(
         raise ConfigError(
             "--adaptive goes with none of --power, --band, --properties and --rigid-body."
         )
-
-
-def _version(text: str) -> "Version":
-    if text == "2":
-        return 2
-    if text == "3":
-        return 3
-    raise ConfigError(f"--fmi is '{text}'; versions of FMI are 2 and 3.")

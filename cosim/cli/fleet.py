@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.cli.app import Json, app
+from cosim.cli.app import Folder, Json, Workers, app
 from cosim.cli.console import answer, shown_progress
 
 
@@ -14,14 +14,8 @@ def fleet(
     file: Annotated[
         Path, typer.Argument(metavar="FLEET.toml", help="Types of robots, and their logs.")
     ],
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FOLDER", help="Folder; default: results/NAME."),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option("--workers", metavar="N", min=1, help="Processes; default: one a core."),
-    ] = None,
+    output: Folder = None,
+    workers: Workers = None,
     json_file: Json = None,
 ) -> None:
     """Find which of many robots deviate from their type.
@@ -32,12 +26,10 @@ def fleet(
 
     Example: hesr fleet fleet.toml -o results/fleet
     """
-    from rich.console import Console
-
     from cosim.fleet.run import PAGE, run_fleet
     from cosim.fleet.study import FleetStudy
     from cosim.tables import fleet as tables
-    from cosim.tables.terminal import Drawn
+    from cosim.tables.terminal import show
     from hesr_model.support.typed_json import to_json
 
     folder = output or Path("results") / FleetStudy.read(file).name
@@ -55,12 +47,8 @@ def fleet(
             "not_used": {r.robot: [*filter(None, [r.failure]), *r.refused] for r in broken},
         },
     )
-    console = Console()
-    for table in tables.all_tables(found):
-        console.print(Drawn(table))
+    show(*tables.all_tables(found))
     if found.reused:
-        console.print(f"{found.reused} of {len(found.robots)} robots were there already.")
-    console.print(
-        f"Everything is in {folder}; look at {folder / PAGE}.", soft_wrap=True, highlight=False
-    )
+        show(f"{found.reused} of {len(found.robots)} robots were there already.")
+    typer.echo(f"Everything is in {folder}; look at {folder / PAGE}.")
     raise typer.Exit(1 if broken else 0)

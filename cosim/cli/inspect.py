@@ -89,38 +89,34 @@ def inspect(
 def _print(proposal: "Proposal") -> None:
     from rich.console import Console
 
-    from cosim.tables.table import ResultTable, TableRow
-    from cosim.tables.terminal import Drawn
+    from cosim.tables.table import ResultTable, TableRow, row_of
+    from cosim.tables.terminal import show
     from hesr_model.health.proposal import HEAD, summary_rows
 
-    console = Console()
     for log in proposal.logs:
         count = len(log.gaps)
         gaps = f", {count} gap{'s' * (count > 1)}" if count else ""
         dropped = f", {log.dropped} rows left out" if log.dropped else ""
-        console.print(
+        Console().print(
             f"{log.name}: {len(log.t)} rows, {log.t[-1] - log.t[0]:.1f} s, {log.rate:.4g} Hz, "
             f"jitter {100 * log.jitter:.0f} %{gaps}{dropped}",
             highlight=False,
         )
     by_log: dict[str, list[TableRow]] = {}
     for name, joint, *cells in summary_rows(proposal):
-        by_log.setdefault(name, []).append(TableRow(head=joint, cells=cells))
-    for name, rows in by_log.items():
-        console.print(Drawn(ResultTable(caption=name, head=HEAD[1:], rows=rows)))
+        by_log.setdefault(name, []).append(row_of(joint, *cells))
+    show(*(ResultTable(caption=name, head=HEAD[1:], rows=rows) for name, rows in by_log.items()))
     told = {
         "As given": proposal.first,
         "With the proposed robot file": proposal.examination.findings if proposal.reasons else (),
     }
     for heading, findings in told.items():
         if findings:
-            console.print(f"{heading}:")
+            show(f"{heading}:")
         for finding in findings:
             mark = "WRONG" if finding.severity == "refusal" else "odd"
-            console.print(
-                f"  {mark}: {finding.sentence}", highlight=False, soft_wrap=True, markup=False
-            )
+            typer.echo(f"  {mark}: {finding.sentence}")
     if not proposal.first:
-        console.print("Nothing wrong or odd was found.")
+        show("Nothing wrong or odd was found.")
     for key, reason in proposal.reasons.items():
-        console.print(f"  proposed: {key}: {reason}", highlight=False, soft_wrap=True, markup=False)
+        typer.echo(f"  proposed: {key}: {reason}")

@@ -38,13 +38,11 @@ def interop(
 
     Example: hesr interop Friction.fmu --json matrix.json
     """
-    from rich.console import Console
-
     from cosim.interop.case import Alone
     from cosim.interop.engine import DEFAULT_TOOLS, Tools
     from cosim.interop.matrix import compare
     from cosim.interop.table import notes, table
-    from cosim.tables.terminal import Drawn
+    from cosim.tables.terminal import show
 
     with (
         TemporaryDirectory(prefix="hesr-") as folder,
@@ -55,7 +53,7 @@ def interop(
         trusted(fmus, trust=trust)
         chosen = Tools(folder=tools or DEFAULT_TOOLS)
         matrix = compare([case], chosen, progress=partial(progress, case.name))
-    Console().print(Drawn(table(matrix)))
+    show(table(matrix))
     for note in notes(matrix):
         typer.echo(note)
     answer(json_file, matrix.to_json())

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.cli.app import Accept, Json, Platforms, app
+from cosim.cli.app import Accept, Folder, Json, Platforms, app
 from cosim.cli.console import Interrupted, answer, answer_file, shown_progress
 
 
@@ -17,10 +17,7 @@ def run(
     study: Annotated[
         Path | None, typer.Argument(metavar="STUDY.toml", help="Default: the digital twin.")
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FOLDER", help="Folder; default: results/NAME."),
-    ] = None,
+    output: Folder = None,
     platform: Platforms = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Stribeck, LuGre and ParFam-H only.")
@@ -52,7 +49,7 @@ def run(
     from cosim.tables import loop, properties
     from cosim.tables.laws import rigid_body
     from cosim.tables.scores import MEASURES, errors, other_truths
-    from cosim.tables.terminal import Drawn
+    from cosim.tables.terminal import show
     from hesr_model.artifacts import write_json
     from hesr_model.support.files import models_folder
     from hesr_model.support.typed_json import to_json
@@ -84,37 +81,31 @@ def run(
                     "closed_loop": to_json(outcome.loop) if outcome.loop else None,
                 },
             )
-    console = Console()
     sliding = next(iter(outcome.models.values())).sliding
-    console.print(rigid_body(outcome.rigid_body, sliding))
+    show(rigid_body(outcome.rigid_body, sliding))
     inputs = input_classes(outcome.models)
     for name, comparison in outcome.comparisons.items():
-        for measure in MEASURES:
-            console.print(Drawn(errors(name, comparison, measure, inputs, sliding)))
+        show(*(errors(name, comparison, measure, inputs, sliding) for measure in MEASURES))
     if outcome.truths:
-        console.print(Drawn(other_truths(outcome.comparisons, outcome.truths, outcome.truth)))
-    for table in loop.outcome(outcome.loop) if outcome.loop else ():
-        console.print(Drawn(table))
+        show(other_truths(outcome.comparisons, outcome.truths, outcome.truth))
+    if outcome.loop:
+        show(*loop.outcome(outcome.loop))
     if outcome.properties:
-        console.print(Drawn(properties.properties(outcome.properties)))
-        console.print(Drawn(properties.legend(sliding)))
-    console.print("The figures are those of the FMUs, run through FMPy over the test logs:")
+        show(properties.properties(outcome.properties), properties.legend(sliding))
+    show("The figures are those of the FMUs, run through FMPy over the test logs:")
     for fmu in outcome.fmus.values():
-        console.print(f"  {fmu}", soft_wrap=True, highlight=False)
+        typer.echo(f"  {fmu}")
     for sentence in outcome.verdict.sentences:
-        console.print(sentence, highlight=False, markup=False)
-    report = folder / "report.html"
-    console.print(f"Everything is in {folder}; look at {report}.", soft_wrap=True, highlight=False)
+        Console().print(sentence, highlight=False, markup=False)
+    typer.echo(f"Everything is in {folder}; look at {folder / 'report.html'}.")
 
 
 def _seeds(path: Path, folder: Path, seeds: int, *, quick: bool, json_file: Path | None) -> None:
     """Score laws over draws, write what comes out and print its tables."""
-    from rich.console import Console
-
     from cosim.run import QUICK_LAWS
     from cosim.studies.seeds import run_seeds
     from cosim.tables.seeds import over_draws
-    from cosim.tables.terminal import Drawn
+    from cosim.tables.terminal import show
     from hesr_model.artifacts import write_json
     from hesr_model.support.typed_json import to_json
 
@@ -130,9 +121,7 @@ def _seeds(path: Path, folder: Path, seeds: int, *, quick: bool, json_file: Path
         write_json(folder / "seeds.json", to_json(found))
         if wanted:
             write_json(wanted, to_json(found))
-    console = Console()
-    for table in over_draws(found):
-        console.print(Drawn(table))
+    show(*over_draws(found))
 
 
 @contextmanager
@@ -162,13 +151,11 @@ def laws(json_file: Json = None) -> None:
 
     Example: hesr laws --json laws.json
     """
-    from rich.console import Console
-
     from cosim.tables.laws import laws as table
-    from cosim.tables.terminal import Drawn
+    from cosim.tables.terminal import show
     from hesr_model.friction.registry import registry
 
-    Console().print(Drawn(table()))
+    show(table())
     answer(
         json_file,
         {name: {"title": law.title, "equation": law.as_text()} for name, law in registry().items()},

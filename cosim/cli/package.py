@@ -1,19 +1,16 @@
 """The command that makes one file of a system of FMUs: package."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cosim.cli.app import Output, app
+from cosim.cli.app import Output, System, app
 from cosim.cli.console import working
 
 
 @app.command()
 def package(
-    system: Annotated[
-        Path, typer.Argument(metavar="SYSTEM.toml", help="FMUs, connections, steps; or an SSP.")
-    ],
+    system: System,
     output: Output,
     ssp: Annotated[
         str | None, typer.Option("--ssp", metavar="VERSION", help="1.0 (default) or 2.0.")

@@ -1,6 +1,5 @@
 """The command that asks whether laws behave as friction does: properties."""
 
-from collections import Counter
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,6 +8,7 @@ import typer
 
 from cosim.cli.app import Json, Trust, app, trusted
 from cosim.cli.console import answer_file, shown_progress
+from cosim.cli.given_law import given_law
 from cosim.cli.numbers import numbers
 from hesr_model.errors import ConfigError
 
@@ -53,11 +53,9 @@ def properties(
     """
     from math import isfinite
 
-    from rich.console import Console
-
     from cosim.studies.properties.battery import run_battery
     from cosim.tables import properties as tables
-    from cosim.tables.terminal import Drawn
+    from cosim.tables.terminal import show
     from hesr_model.friction.audit.properties import write_properties
 
     if not isfinite(load):
@@ -69,47 +67,26 @@ def properties(
         named = {s.name: of_law for s, of_law in zip(subjects, found, strict=True)}
         if wanted is not None:
             write_properties(wanted, named)
-    console = Console()
-    console.print(Drawn(tables.properties(named)))
     sliding = [slides for s in subjects if s.model for slides in s.model.slides]
-    console.print(Drawn(tables.legend(sliding)))
+    show(tables.properties(named), tables.legend(sliding))
     if why:
-        console.print(Drawn(tables.reasons(named)))
+        show(tables.reasons(named))
 
 
 def _subjects(laws: list[str], inertia: tuple[float, ...] | None) -> "list[Subject]":
     """Read models and FMUs; named by their law, else by their file, else by its path."""
+    from cosim.given import telling_apart
     from cosim.studies.properties.battery import Subject
-    from fmu_src import BUILT_IN, model_file
-    from fmu_src.friction.embedded_model import embedded_model
-    from hesr_model.artifacts import read_model
-
-    subjects = []
-    for law in laws:
-        fmu = Path(law) if Path(law).suffix.lower() == ".fmu" else None
-        if fmu is None and law not in BUILT_IN and Path(law).suffix.lower() != ".json":
-            raise ConfigError(
-                f"'{law}' is neither a friction model (.json), nor an FMU (.fmu), nor one of "
-                f"{', '.join(BUILT_IN)}."
-            )
-        model = embedded_model(fmu) if fmu else read_model(model_file(law))
-        subjects.append((law, Subject(name="", model=model, fmu=fmu, inertia=inertia)))
-    return _named(subjects)
-
-
-def _named(subjects: "list[tuple[str, Subject]]") -> "list[Subject]":
-    from dataclasses import replace
-
     from fmu_src import BUILT_IN
 
-    namings = [
-        [s.model.law if s.model and text not in BUILT_IN else Path(text).stem
-         for text, s in subjects],
-        [Path(text).stem for text, _ in subjects],
-        [text for text, _ in subjects],
-    ]  # fmt: skip
-    names = next((n for n in namings if max(Counter(n).values()) == 1), None)
-    if names is None:
-        twice = Counter(namings[-1]).most_common(1)[0][0]
-        raise ConfigError(f"'{twice}' is given twice.")
-    return [replace(s, name=name) for name, (_, s) in zip(names, subjects, strict=True)]
+    given = [given_law(law) for law in laws]
+    stems = [Path(law).stem for law in laws]
+    by_law = [
+        model.law if model and law not in BUILT_IN else stem
+        for law, stem, (model, _) in zip(laws, stems, given, strict=True)
+    ]
+    names = telling_apart([by_law, stems, laws], "given")
+    return [
+        Subject(name=name, model=model, fmu=fmu, inertia=inertia)
+        for name, (model, fmu) in zip(names, given, strict=True)
+    ]

@@ -5,15 +5,13 @@ from typing import Annotated
 
 import typer
 
-from cosim.cli.app import app
+from cosim.cli.app import Result, app
 from cosim.cli.console import shown_progress
 
 
 @app.command()
 def report(
-    result: Annotated[
-        Path, typer.Argument(metavar="RESULT", help="Folder that 'hesr run' has written.")
-    ],
+    result: Result,
     output: Annotated[
         Path | None,
         typer.Option(

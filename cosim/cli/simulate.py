@@ -2,11 +2,11 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from cosim.cli.app import Trust, app, trusted
+from cosim.cli.app import System, Table, Trust, app, require_table, trusted
 from cosim.cli.console import shown_progress
 
 if TYPE_CHECKING:
@@ -15,13 +15,8 @@ if TYPE_CHECKING:
 
 @app.command()
 def simulate(
-    system: Annotated[
-        Path, typer.Argument(metavar="SYSTEM.toml", help="FMUs, connections, steps; or an SSP.")
-    ],
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--output", metavar="FILE", help="CSV or Parquet file to write."),
-    ],
+    system: System,
+    output: Table,
     trust: Trust = False,
 ) -> None:
     """Run a system of FMUs and write the signals that it observes.
@@ -29,10 +24,8 @@ def simulate(
     Example: hesr simulate loop.toml -o result.csv
     """
     from cosim.package.read import opened_system
-    from hesr_model.errors import ConfigError
 
-    if output.suffix.lower() not in (".csv", ".parquet", ".pq"):
-        raise ConfigError(f"{output}: results are written as .csv or .parquet.")
+    require_table(output)
     with opened_system(system) as spec:
         trusted((component.fmu for component in spec.components), trust=trust)
         _simulate(spec, system, output)

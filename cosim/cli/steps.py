@@ -22,7 +22,6 @@ from cosim.cli.app import (
 from cosim.cli.console import answer, shown_progress
 from hesr_model.errors import ConfigError
 from hesr_model.support.bounded import parse_toml
-from hesr_model.support.progress import counted
 
 if TYPE_CHECKING:
     from cosim.scoring import Comparison, Records
@@ -76,12 +75,11 @@ def identify(
 
     Example: hesr identify excitation.csv --robot robot.toml -o rigid_body.json
     """
-    from cosim.given import examined
+    from cosim.given import examined, logs_of
     from cosim.health import told
     from cosim.tables.laws import rigid_body as summary
     from hesr_model.artifacts import provenance, read_model, read_rigid_body, write_rigid_body
     from hesr_model.health.fitted import check_body
-    from hesr_model.logs.robot_log import RobotLog
     from hesr_model.rigid_body.identification import identify as identify_rigid_body
     from hesr_model.rigid_body.payload import identify_payload, loaded
     from hesr_model.rigid_body.refinement import identify_again
@@ -102,10 +100,7 @@ def identify(
         description = RobotDescription.read(robot)
         model = RobotModel(description)
         counterparts = reversed_logs or []
-        read = [
-            RobotLog.read(log, description)
-            for log in counted([*logs, *counterparts], partial(progress, "reading logs"))
-        ]
+        read = logs_of([*logs, *counterparts], description, partial(progress, "reading logs"))
         findings = examined(read, model, accept or ())
         forward, backward = read[: len(logs)], read[len(logs) :]
         progress("identifying", 0, 1)
@@ -214,13 +209,11 @@ def evaluate(
 
     Example: hesr evaluate test.csv --robot robot.toml --rigid-body rigid_body.json law.json
     """
-    from rich.console import Console
-
     from cosim.health import told
     from cosim.scoring import compare, input_classes, predict_models
     from cosim.simulated import simulate_laws
     from cosim.tables.scores import position_errors
-    from cosim.tables.terminal import Drawn
+    from cosim.tables.terminal import show
     from hesr_model.artifacts import read_model, read_rigid_body
     from hesr_model.health.fitted import check_owner
     from hesr_model.support.typed_json import to_json
@@ -248,7 +241,7 @@ def evaluate(
     _print_scores("evaluation", scores, records, inputs)
     if simulated is not None:
         sliding = [of_joint[0].sliding for of_joint in records]
-        Console().print(Drawn(position_errors("evaluation", simulated, sliding)))
+        show(position_errors("evaluation", simulated, sliding))
     for name, model in named.items():
         _print_audit(name, model, records)
 
@@ -268,20 +261,15 @@ def replay(
     Example: hesr replay law.fmu test.csv --robot robot.toml --rigid-body rigid_body.json
     """
     from cosim.scoring import compare, predict_fmu
+    from hesr_model.support.typed_json import to_json
 
     trusted([fmu], trust=trust)
     with shown_progress() as progress:
         records, _, _ = read_records(logs, robot, rigid_body, progress, accept)
         progress(f"replaying {fmu.name}", 0, 1)
         scores = compare(records, {fmu.stem: predict_fmu(fmu, records)})
-    _answer_scores(json_file, scores)
-    _print_scores("replay", scores, records)
-
-
-def _answer_scores(json_file: Path | None, scores: "Comparison") -> None:
-    from hesr_model.support.typed_json import to_json
-
     answer(json_file, to_json(scores))
+    _print_scores("replay", scores, records)
 
 
 def _options(pairs: list[str]) -> dict[str, Any]:
@@ -301,16 +289,13 @@ def _options(pairs: list[str]) -> dict[str, Any]:
 def _print_scores(
     name: str, scores: "Comparison", records: "Records", inputs: dict[str, str] | None = None
 ) -> None:
-    from rich.console import Console
-
     from cosim.tables.scores import MEASURES, bands, errors
-    from cosim.tables.terminal import Drawn
+    from cosim.tables.terminal import show
 
     sliding = [of_joint[0].sliding for of_joint in records]
-    for measure in MEASURES:
-        Console().print(Drawn(errors(name, scores, measure, inputs, sliding)))
+    show(*(errors(name, scores, measure, inputs, sliding) for measure in MEASURES))
     if scores.bands:
-        Console().print(Drawn(bands(name, scores)))
+        show(bands(name, scores))
 
 
 def _print_law(model: "FrictionModel") -> None:
@@ -333,10 +318,8 @@ def _print_law(model: "FrictionModel") -> None:
 
 
 def _print_audit(name: str, model: "FrictionModel", records: "Records | None" = None) -> None:
-    from rich.console import Console
-
     from cosim.tables import laws
-    from cosim.tables.terminal import Drawn
+    from cosim.tables.terminal import show
     from hesr_model.friction.audit.audit import audit
     from hesr_model.friction.trained import outside
     from hesr_model.rigid_body.residual import all_at_friction
@@ -345,7 +328,7 @@ def _print_audit(name: str, model: "FrictionModel", records: "Records | None" = 
         return
     pairs = list(zip(model.laws, model.trained, strict=True))
     audits = [audit(law, trained) for law, trained in pairs]
-    Console().print(Drawn(laws.audit(name, audits, model.sliding)))
+    show(laws.audit(name, audits, model.sliding))
     if records is not None:
         records = [[replace(r, coupling=model.coupling) for r in of_joint] for of_joint in records]
         found = [

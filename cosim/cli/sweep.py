@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.cli.app import Json, app
+from cosim.cli.app import Json, Workers, app, require_table
 from cosim.cli.console import answer, shown_progress
 
 
@@ -23,10 +23,7 @@ def sweep(
             help="Folder, or the file of --replay; default: results/NAME.",
         ),
     ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option("--workers", metavar="N", min=1, help="Processes; default: one a core."),
-    ] = None,
+    workers: Workers = None,
     cluster: Annotated[
         str | None,
         typer.Option(
@@ -50,12 +47,10 @@ def sweep(
     if run is not None:
         _replay(study, run, output)
         return
-    from rich.console import Console
-
     from cosim.sweep.run import PAGE, run_sweep
     from cosim.sweep.study import SweepStudy
     from cosim.tables import swept as tables
-    from cosim.tables.terminal import Drawn
+    from cosim.tables.terminal import show
 
     folder = output or Path("results") / SweepStudy.read(study).name
     with shown_progress() as progress:
@@ -75,30 +70,20 @@ def sweep(
             },
         },
     )
-    console = Console()
-    console.print(Drawn(tables.outputs(found)))
-    for table in tables.sensitivities(found):
-        console.print(Drawn(table))
+    show(tables.outputs(found), *tables.sensitivities(found))
     if found.reused:
-        console.print(f"{found.reused} of {len(values.failures)} runs were there already.")
+        show(f"{found.reused} of {len(values.failures)} runs were there already.")
     for k, one in enumerate(found.plan.study.outputs):
-        console.print(
-            f"Worst by {one.name}: hesr sweep {study} --replay {found.worst(k)[0]} -o run.csv",
-            soft_wrap=True,
-            highlight=False,
-        )
-    console.print(
-        f"Everything is in {folder}; look at {folder / PAGE}.", soft_wrap=True, highlight=False
-    )
+        run = found.worst(k)[0]
+        typer.echo(f"Worst by {one.name}: hesr sweep {study} --replay {run} -o run.csv")
+    typer.echo(f"Everything is in {folder}; look at {folder / PAGE}.")
 
 
 def _replay(study: Path, run: int, output: Path | None) -> None:
     from cosim.sweep.run import replay
-    from hesr_model.errors import ConfigError
 
     file = output or Path(f"run{run}.csv")
-    if file.suffix.lower() not in (".csv", ".parquet", ".pq"):
-        raise ConfigError(f"{file}: results are written as .csv or .parquet.")
+    require_table(file)
     plan, result = replay(study, run)
     if len(result.t):
         result.write(file)

@@ -6,15 +6,13 @@ from typing import Annotated
 
 import typer
 
-from cosim.cli.app import app
+from cosim.cli.app import Result, app
 from cosim.cli.console import shown_progress, working
 
 
 @app.command()
 def view(
-    result: Annotated[
-        Path, typer.Argument(metavar="RESULT", help="Folder that 'hesr run' has written.")
-    ],
+    result: Result,
     law: Annotated[
         list[str] | None,
         typer.Option(

@@ -1,11 +1,11 @@
-"""What a friction model, or a robot, is written as: one function for each format."""
+"""What a friction model, or a robot, is written as, and what each format is told."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -16,6 +16,7 @@ from hesr_model.support.progress import Progress, Stages
 if TYPE_CHECKING:
     from fmu_src.documentation.live.body import PageBody
     from fmu_src.package import Version
+    from hesr_model.friction.audit.properties import Properties
     from hesr_model.friction.model import FrictionModel
 
 
@@ -91,9 +92,14 @@ def write_law(model: str, kind: Format, request: Request) -> None:
     file = model_file(model)
 
     def write() -> None:
+        from cosim.commands import writer
         from hesr_model.artifacts import read_model
 
-        _WRITERS[kind](read_model(file), request)
+        law = read_model(file)
+        written = writer(kind)(law, request.output, **_options(law, kind, request))
+        if kind is Format.MJCF:
+            for line in written.lines():
+                typer.echo(line)
 
     if kind in (Format.FMU, Format.DRIVE) and not request.properties:
         options = {
@@ -116,49 +122,32 @@ def write_law(model: str, kind: Format, request: Request) -> None:
         export_ssv(read_model(file), request.output.with_suffix(".ssv"))
 
 
-def _fmu(model: "FrictionModel", request: Request) -> None:
-    from fmu_src import export_fmu
+def _options(model: "FrictionModel", kind: Format, request: Request) -> dict[str, Any]:
+    """Return what the function of a format is given besides the model and the file."""
+    if kind is Format.MJCF:
+        return {"project": request.project, "progress": request.building}
+    if kind not in (Format.FMU, Format.DRIVE):
+        return {}
+    options: dict[str, Any] = {"platforms": request.platforms, "fmi": request.fmi}
+    if kind is Format.DRIVE:
+        joints = len(model.joints)
+        options |= {name: _of_joints(name, text, joints) for name, text in request.motor.items()}
+        if options["inertia"] is None:
+            raise ConfigError("--format drive needs --inertia, the rotors' inertia in kg.m2.")
+    else:
+        options |= {name: getattr(request, name) for name in ("power", "band", "adaptive", "body")}
+        options["properties"] = _properties(model, request) if request.properties else None
+    return options | {"progress": request.building}
 
-    found = None
-    if request.properties:
-        from cosim.studies.properties.battery import Subject, run_battery
 
-        [found] = run_battery(
-            [Subject(name=model.law, model=model)],
-            progress=partial(request.progress, "testing the law"),
-        )
-    export_fmu(
-        model,
-        request.output,
-        platforms=request.platforms,
-        properties=found,
-        power=request.power,
-        band=request.band,
-        adaptive=request.adaptive,
-        body=request.body,
-        progress=request.building,
-        fmi=request.fmi,
+def _properties(model: "FrictionModel", request: Request) -> "Properties":
+    from cosim.studies.properties.battery import Subject, run_battery
+
+    [found] = run_battery(
+        [Subject(name=model.law, model=model)],
+        progress=partial(request.progress, "testing the law"),
     )
-
-
-def _drive(model: "FrictionModel", request: Request) -> None:
-    from fmu_src.drive.drive_fmu import export_drive
-
-    motor = {name: _of_joints(name, text, len(model.joints))
-             for name, text in request.motor.items()}  # fmt: skip
-    if motor["inertia"] is None:
-        raise ConfigError("--format drive needs --inertia, the rotors' inertia in kg.m2.")
-    export_drive(
-        model,
-        request.output,
-        inertia=motor["inertia"],
-        stiffness=motor["stiffness"],
-        damping=motor["damping"],
-        ratio=motor["ratio"],
-        platforms=request.platforms,
-        progress=request.building,
-        fmi=request.fmi,
-    )
+    return found
 
 
 def _of_joints(name: str, text: str | None, joints: int) -> Sequence[float] | None:
@@ -172,55 +161,3 @@ def _of_joints(name: str, text: str | None, joints: int) -> Sequence[float] | No
             "one for each, or one for all."
         )
     return values * joints
-
-
-def _mjcf(model: "FrictionModel", request: Request) -> None:
-    from fmu_src.mjcf.mjcf_file import export_mjcf_law
-
-    report = export_mjcf_law(
-        model, request.output, project=request.project, progress=request.building
-    )
-    for line in report.lines():
-        typer.echo(line)
-
-
-def _modelica(model: "FrictionModel", request: Request) -> None:
-    from fmu_src.modelica.modelica_package import export_modelica
-
-    export_modelica(model, request.output)
-
-
-def _c(model: "FrictionModel", request: Request) -> None:
-    from fmu_src.one_file.c_header import export_c
-
-    export_c(model, request.output)
-
-
-def _torch(model: "FrictionModel", request: Request) -> None:
-    from fmu_src.one_file.tensors import export_torch
-
-    export_torch(model, request.output)
-
-
-def _jax(model: "FrictionModel", request: Request) -> None:
-    from fmu_src.one_file.tensors import export_jax
-
-    export_jax(model, request.output)
-
-
-def _ssv(model: "FrictionModel", request: Request) -> None:
-    from cosim.package.parameter_set import export_ssv
-
-    export_ssv(model, request.output)
-
-
-_WRITERS: Mapping[Format, Callable[["FrictionModel", Request], None]] = {
-    Format.FMU: _fmu,
-    Format.DRIVE: _drive,
-    Format.MJCF: _mjcf,
-    Format.MODELICA: _modelica,
-    Format.C: _c,
-    Format.TORCH: _torch,
-    Format.JAX: _jax,
-    Format.SSV: _ssv,
-}

@@ -9,11 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Figure  # for type hints of pages, too
 from matplotlib.lines import Line2D
 from matplotlib.typing import LineStyleType
-from numpy.typing import NDArray
 
+from cosim.batch import Array
 from cosim.figures.style import INK, SOFT, Stroke, style_axis, styled
-
-Array = NDArray[np.float64]
 
 _COLUMNS = 520
 """Of a line over the whole width, each with its least and its greatest value; more are not seen."""

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from cosim.batch import Array
 from cosim.figures.chart import Line, legend, plot
 from cosim.figures.style import SERIES, style_axis, styled
-
-Array = NDArray[np.float64]
 
 _ROW, _BINS = 1.55, 40
 _LEAST = 1e-9
@@ -24,16 +22,11 @@ class JointView:
 
     Attributes
     ----------
-    name, unit
-        Of the joint and its velocity.
-    velocities
-        Over time [s].
-    friction
-        Torque that the model leaves [N.m; N] over velocity; None without a model.
-    covered
-        (N,) velocities of all logs.
-    loads
-        (N,) gravity torques [N.m; N] of all logs; None without a model.
+    name, unit : of the joint and its velocity.
+    velocities : over time [s].
+    friction : torque that the model leaves [N.m; N] over velocity; None without a model.
+    covered : (N,) velocities of all logs.
+    loads : (N,) gravity torques [N.m; N] of all logs; None without a model.
     """
 
     name: str

@@ -3,15 +3,12 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from cosim.batch import Array
 from hesr_model.motions.excitation import Excitation
 from hesr_model.support.files import written_whole
-
-Array = NDArray[np.float64]
 
 _ROW_HEIGHT = 1.8
 _WIDTH = 9.0
@@ -23,10 +20,8 @@ def excitation(path: Path, designed: Excitation, joints: Sequence[str]) -> None:
 
     Parameters
     ----------
-    path
-        Picture to write, in the format of its suffix.
-    joints
-        Names, from base to tip.
+    path : picture to write, in the format of its suffix.
+    joints : names, from base to tip.
 
     Raises
     ------

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, NullLocator, ScalarFormatter
 from numpy.typing import NDArray
 
+from cosim.batch import Array
 from cosim.figures.chart import Line, plot, proxy
 from cosim.figures.style import INK, SERIES, SOFT, style_axis, styled
-
-Array = NDArray[np.float64]
+from cosim.scoring import Ratio
 
 _MARKERS = ("o", "s", "^", "D", "v", "P")
 _FINE = tuple(0.05 * k for k in range(10, 41))
@@ -26,15 +26,6 @@ _REACH = 0.25
 _SEEN = 700  # measured points of a loop; more are not seen behind the law
 
 
-@dataclass(frozen=True, kw_only=True)
-class Interval:
-    """A value and the interval around it."""
-
-    value: float
-    low: float
-    high: float
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sheet:
     """Axes whose lines go to and fro: their heading, the names of their axes, and their lines."""
@@ -45,13 +36,12 @@ class Sheet:
     lines: tuple[Line, ...]
 
 
-def sheets(panels: Sequence[Sheet], *, columns: int = 3, height: float = 2.6) -> Figure:
+def sheets(panels: Sequence[Sheet]) -> Figure:
     """Draw sheets beside each other, with a legend below each."""
-    rows = ceil(len(panels) / columns)
     with styled():
-        figure = Figure(figsize=(9.0, height * rows + 0.35), layout="constrained")
-        axes = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axis, panel in zip(axes, panels, strict=False):
+        figure = Figure(figsize=(9.0, 2.95), layout="constrained")
+        axes = figure.subplots(1, len(panels))
+        for axis, panel in zip(axes, panels, strict=True):
             for line in panel.lines:
                 plot(axis, line)
             axis.set_title(panel.title)
@@ -64,8 +54,6 @@ def sheets(panels: Sequence[Sheet], *, columns: int = 3, height: float = 2.6) ->
                 columnspacing=1.0, fontsize=8,
             )  # fmt: skip
             style_axis(axis)
-        for axis in axes[len(panels) :]:
-            axis.set_visible(False)
     return figure
 
 
@@ -111,7 +99,7 @@ def loops(
     return figure
 
 
-def ratios(laws: Mapping[str, Sequence[Interval]], joints: Sequence[str], *, x: str) -> Figure:
+def ratios(laws: Mapping[str, Sequence[Ratio]], joints: Sequence[str], *, x: str) -> Figure:
     """Draw a dot with its interval for each law and joint, on a logarithmic axis around 1."""
     with styled():
         figure = Figure(figsize=(9.0, 0.34 * len(laws) + 1.1), layout="constrained")
@@ -120,7 +108,11 @@ def ratios(laws: Mapping[str, Sequence[Interval]], joints: Sequence[str], *, x: 
         for k, (joint, offset) in enumerate(zip(joints, offsets, strict=True)):
             found = [row[k] for row in laws.values()]
             values = np.array([f.value for f in found])
-            spread = np.array([[f.value - f.low, f.high - f.value] for f in found]).T
+            # What has no interval has one of no length.
+            low, high = np.array(
+                [[f.value if end is None else end for end in (f.low, f.high)] for f in found]
+            ).T
+            spread = np.array([values - low, high - values])
             axis.errorbar(
                 values, np.arange(len(found)) + offset, xerr=np.maximum(spread, 0.0),
                 fmt=_MARKERS[k % len(_MARKERS)], color=SERIES[k % len(SERIES)], markersize=4.0,

@@ -4,11 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from cosim.batch import Array
 from cosim.figures.style import SERIES, SOFT, style_axis, styled
-
-Array = NDArray[np.float64]
 
 _BINS = 40
 _WIDTH = 7.2  # [in]

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from cosim.batch import Array
 from cosim.fleet.result import BODY, JointResult, RobotResult
 from cosim.fleet.study import FleetStudy, Member
 from cosim.package.parameter_set import export_ssv
+from cosim.scoring import by_joint
 from fmu_src.friction.variable_names import exposed
 from hesr_model.artifacts import read_json, write_json, write_model, write_rigid_body
 from hesr_model.errors import ArtifactError, FitError, HesrError, LogError
@@ -136,7 +138,7 @@ class _Robot:
         if not stream.fits:  # a joint that is always slow: its slowest rows are others
             stream, sample = self._collected(stream.slow)
         body = stream.body(sample, self._where)
-        records = [list(of) for of in zip(*(self._records(m, body) for m in sample), strict=True)]
+        records = by_joint([motion_records(m, self._model, body) for m in sample])
         source = {
             "robot": member.name,
             "fleet": study.name,
@@ -209,15 +211,12 @@ class _Robot:
             raise LogError("; ".join(f"{f.sentence.removesuffix('.')} [{f.check}]" for f in wrong))
         self._findings = merged([*self._findings, *found])
 
-    def _records(self, motion: Motion, body: RigidBody) -> Sequence[Any]:
-        return motion_records(motion, self._model, body)
-
     def _joints(self, models: Mapping[str, FrictionModel], body: RigidBody) -> list[JointResult]:
         """Read all logs once more, for errors and trends."""
         plain = replace(body, covariance=None)  # whose spread nobody asks for here
         found: dict[tuple[str, int], dict[str, _Day]] = {}
         for parts in self._motions():
-            logs = [at_friction(self._records(part, plain)) for part in parts]
+            logs = [at_friction(motion_records(part, self._model, plain)) for part in parts]
             for law, model in models.items():
                 for joint, own in enumerate(model.laws):
                     predicted = np.concatenate([predict_record(own, r[joint]) for r in logs])
@@ -230,7 +229,7 @@ class _Robot:
         ]
 
 
-def _day(predicted: np.typing.NDArray[np.float64], tau: np.typing.NDArray[np.float64]) -> _Day:
+def _day(predicted: Array, tau: Array) -> _Day:
     own = own_of_log(predicted, tau, ("level", "offset"))
     return _Day(
         rows=len(tau),

@@ -6,7 +6,7 @@ from pathlib import Path
 from cosim.fleet.across import changed, compared
 from cosim.fleet.result import Fleet
 from cosim.fleet.robot import look_at, read_result
-from cosim.fleet.study import FleetStudy, Member, members
+from cosim.fleet.study import FleetStudy, members
 from cosim.fleet.table import write_table
 from cosim.fleet.types import ROBOTS, write_types
 from cosim.sweep.store import taken
@@ -15,7 +15,7 @@ from hesr_model.health.examine import CHECKS
 from hesr_model.health.findings import require_known
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support import parallel
-from hesr_model.support.progress import Stages, silent
+from hesr_model.support.progress import Stages, counted, silent
 
 ABOUT, TABLE, PAGE = "fleet.json", "fleet.parquet", "fleet.html"
 
@@ -48,7 +48,10 @@ def run_fleet(
         require_known(kind.accept, CHECKS)
     robots = members(study, path)
     with taken(output, ROBOTS, ABOUT, {"key": study.name}):
-        reused = _each(robots, study, output, workers, partial(progress, study.name))
+        jobs = [partial(look_at, robot, study, output / ROBOTS / robot.name) for robot in robots]
+        with parallel.results_of(jobs, workers) as done_before:
+            each = counted(jobs, partial(progress, study.name))
+            reused = sum(next(done_before) for _ in each)
         results = tuple(read_result(output / ROBOTS / robot.name) for robot in robots)
         z, deviants = compared(results, study.level)
         found = Fleet(
@@ -66,21 +69,3 @@ def run_fleet(
 
         write_page(found, output / PAGE)
     return found
-
-
-def _each(
-    robots: list[Member],
-    study: FleetStudy,
-    output: Path,
-    workers: int | None,
-    progress: "partial[None]",
-) -> int:
-    """Look at each robot; return how many were done already."""
-    jobs = [partial(look_at, robot, study, output / ROBOTS / robot.name) for robot in robots]
-    reused = 0
-    progress(0, len(jobs))
-    with parallel.results_of(jobs, workers) as results:
-        for done, was_there in enumerate(results, start=1):
-            reused += was_there
-            progress(done, len(jobs))
-    return reused

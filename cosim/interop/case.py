@@ -6,13 +6,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cosim.batch import Array
 from cosim.slave import Component
 from cosim.system import SystemSpec
 from cosim.wiring import Wiring
-
-Array = NDArray[np.float64]
 
 _INDEX = re.compile(r"\[\d+(,\d+)*\]$")
 

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.interop.case import Alone, Array
+from cosim.batch import Array
+from cosim.interop.case import Alone
 from cosim.scalars import arrays_of
 from cosim.slave import Component
 from cosim.system import Value

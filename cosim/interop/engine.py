@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.interop.case import Alone, Array, Run, Together
+from cosim.batch import Array
+from cosim.interop.case import Alone, Run, Together
 from cosim.interop.reference import Coupling
 from hesr_model.support.process import FailedError, run
 
@@ -70,6 +71,10 @@ class Tools:
         if not (folder / "version").is_file():
             raise SkippedError(f"there is no {folder}")
         return self.program("java"), folder.resolve()
+
+    def java_version(self, name: str) -> str:
+        """Return the version of an engine's jars."""
+        return (self.java(name)[1] / "version").read_text(encoding="utf-8").strip()
 
     @property
     def _python(self) -> Path:

@@ -1,15 +1,17 @@
 """Every engine on every case: how far it is from what it should give, or why it was not run."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 
-from cosim.interop.case import Alone, Array, Case, Run, Together, deviation
+from cosim.batch import Array
+from cosim.interop.case import Alone, Case, Run, Together, deviation
 from cosim.interop.engine import Engine, SkippedError, Tools
 from cosim.interop.engines import ENGINES
-from cosim.interop.reference import alone, together
+from cosim.interop.reference import Coupling, alone, together
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.process import FailedError
 from hesr_model.support.progress import Progress, counted, silent
@@ -113,28 +115,21 @@ def compare(
     HesrError
         If a case cannot be run by our own code.
     """
-    expected = References()
+    expected = cache(reference)
     rows = [_row(engine, cases, tools, expected) for engine in counted(engines, progress)]
     return EngineMatrix(cases=cases, rows=rows)
 
 
-class References:
-    """Results of our own code, each computed once."""
-
-    def __init__(self) -> None:
-        self._known: dict[Any, Mapping[str, Array]] = {}
-
-    def of(self, case: Case, engine: Engine) -> Mapping[str, Array]:
-        """Return what an engine should give for a case: (N,) of each signal in its unit."""
-        key = (id(case), None if isinstance(case, Alone) else engine.coupling)
-        if key not in self._known:
-            self._known[key] = (
-                alone(case) if isinstance(case, Alone) else together(case, engine.coupling)
-            )
-        return self._known[key]
+Expected = Callable[[Case, Coupling], Mapping[str, Array]]
+"""What `reference` is, or that which remembers what it gave."""
 
 
-def _row(engine: Engine, cases: Sequence[Case], tools: Tools, expected: References) -> EngineRow:
+def reference(case: Case, coupling: Coupling) -> Mapping[str, Array]:
+    """Return what our own code gives for a case: (N,) of each signal in its unit."""
+    return alone(case) if isinstance(case, Alone) else together(case, coupling)
+
+
+def _row(engine: Engine, cases: Sequence[Case], tools: Tools, expected: Expected) -> EngineRow:
     try:
         version = engine.find(tools)
     except (SkippedError, FailedError) as error:
@@ -143,10 +138,10 @@ def _row(engine: Engine, cases: Sequence[Case], tools: Tools, expected: Referenc
     return EngineRow(engine=engine, version=version, cells=cells)
 
 
-def run_cell(engine: Engine, case: Case, tools: Tools, expected: References) -> EngineResult:
+def run_cell(engine: Engine, case: Case, tools: Tools, expected: Expected) -> EngineResult:
     """Run an engine on a case and compare it with what it should give."""
     # Ours is first: a case that cannot be run at all is no engine's fault, and some never end.
-    reference = expected.of(case, engine)
+    ours = expected(case, engine.coupling if isinstance(case, Together) else Coupling())
     try:
         run = _run(engine, case, tools)
     except SkippedError as error:
@@ -154,7 +149,7 @@ def run_cell(engine: Engine, case: Case, tools: Tools, expected: References) -> 
     except FailedError as error:
         return EngineResult(failure=str(error))
     return EngineResult(
-        deviation=deviation(run, reference),
+        deviation=deviation(run, ours),
         tolerance=case.tolerance,
         seconds=run.seconds,
     )

@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Literal
 
 import numpy as np
 
-from cosim.interop.case import Alone, Array, Together
+from cosim.batch import Array
+from cosim.interop.case import Alone, Together
+from cosim.native import through
 from cosim.slave import Component
 from cosim.wiring import Element, Wiring
 
@@ -47,53 +48,34 @@ def alone(case: Alone) -> dict[str, Array]:
     with Component(case.fmu) as component:
         inputs, outputs = component.batch(list(case.inputs)), component.batch(list(case.outputs))
         rows = np.column_stack([*case.inputs.values(), np.zeros(case.steps + 1)])[:, :-1]
-        component.enter_initialisation(stop=case.stop, start=case.start)
-        for k in range(case.steps + 1):
-            inputs.values[:] = rows[max(k - 1, 0)]
-            inputs.write()
-            if k > 0:
-                component.step((k - 1) * case.step, case.step)
-            else:
-                component.exit_initialisation()
-            found[k] = outputs.read()
+        inputs.values[:] = rows[0]
+        component.initialise(stop=case.stop, start=case.start, inputs=inputs)
+        found[0] = outputs.read()
+        times, sizes = case.times[:-1], np.full(case.steps, case.step)
+        found[1:] = through(component, inputs, outputs, times, sizes, rows[:-1])
     return dict(zip(case.outputs, found.T, strict=True))
 
 
 def together(case: Together, coupling: Coupling) -> dict[str, Array]:
     """Return the signals of a system, (steps + 1,) each in its unit."""
-    with _System(case, coupling) as system:
-        return system.run()
+    with ExitStack() as cleanup:
+        slaves = {
+            c.name: cleanup.enter_context(Component(c.fmu, name=c.name))
+            for c in case.spec.components
+        }
+        return _System(case, coupling, slaves).run()
 
 
 class _System:
-    """The FMUs of a case, coupled; a context manager that frees them."""
+    """The FMUs of a case, coupled."""
 
-    def __init__(self, case: Together, coupling: Coupling) -> None:
-        self._case, self._coupling = case, coupling
+    def __init__(self, case: Together, coupling: Coupling, slaves: Mapping[str, Component]) -> None:
+        self._case, self._coupling, self._slaves = case, coupling, slaves
         parts = (signal.partition(".") for signal in case.signals)
         self._signals: list[Element] = [(name, variable) for name, _, variable in parts]
         self._values: dict[Element, float] = {}
-        self._cleanup = ExitStack()
-
-    def __enter__(self) -> "_System":
-        spec = self._case.spec
-        with ExitStack() as cleanup:
-            self._slaves = {
-                c.name: cleanup.enter_context(Component(c.fmu, name=c.name))
-                for c in spec.components
-            }
-            variables = {name: slave.variables for name, slave in self._slaves.items()}
-            self._wiring = Wiring(spec, variables, Path(spec.name))
-            self._cleanup = cleanup.pop_all()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._cleanup.__exit__(kind, error, trace)
+        variables = {name: slave.variables for name, slave in slaves.items()}
+        self._wiring = Wiring(case.spec, variables, Path(case.spec.name))
 
     def run(self) -> dict[str, Array]:
         """Return the signals, one value more than there are steps."""

@@ -162,26 +162,15 @@ def _holding(identifier: str, step: float, platform: str, runtime: str) -> bytes
 
 
 def _runtime(folder: str, name: str) -> bytes:
-    file = _container_fmu().parent / "binaries" / folder / name
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise _no_runtime() from error
-
-
-def _container_fmu() -> Path:
     try:
         from fmpy import container_fmu
-    except ImportError as error:
-        raise _no_runtime() from error
-    return Path(container_fmu.__file__)
 
-
-def _no_runtime() -> ExportError:
-    return ExportError(
-        f"FMPy {distribution('fmpy').version} comes without the runtime of a container; needed is "
-        "FMPy 0.3.32 or newer."
-    )
+        return (Path(container_fmu.__file__).parent / "binaries" / folder / name).read_bytes()
+    except (ImportError, OSError) as error:
+        raise ExportError(
+            f"FMPy {distribution('fmpy').version} comes without the runtime of a container; needed "
+            "is FMPy 0.3.32 or newer."
+        ) from error
 
 
 def _configuration(contents: SystemContents, exposed: list[Exposed], guid: str) -> bytes:

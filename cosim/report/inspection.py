@@ -5,20 +5,18 @@ from pathlib import Path
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
+from cosim.batch import Array
 from cosim.figures.chart import Line
 from cosim.figures.coverage import JointView, joints
-from cosim.figures.style import MEASURED, SERIES, Stroke, svg, write_svg
-from cosim.report.markup import Pictures, Section, joined, paragraph, table, write_sections
-from cosim.tables.table import ResultTable, TableRow
+from cosim.figures.style import MEASURED, SERIES, Stroke, write_svg
+from cosim.report.markup import Pictures, Section, joined, listing, paragraph, table, write_sections
+from cosim.tables.table import ResultTable, row_of
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.examine import Examination
 from hesr_model.health.findings import Finding
 from hesr_model.health.proposal import HEAD, Proposal, robot_file, summary_rows
 from hesr_model.health.unseen import unseen
-
-Array = NDArray[np.float64]
 
 _POINTS = 700
 """Of a line; more are not seen."""
@@ -65,12 +63,9 @@ def _summary(proposal: Proposal) -> Markup:
         left = "what is left is" if after else "nothing of it is left."
         parts += [paragraph(f"With the robot file that is proposed below {left}"), _listed(after)]
     rows = [
-        TableRow(
-            head=log.name,
-            cells=(
-                str(len(log.t)), f"{log.t[-1] - log.t[0]:.1f}", f"{log.rate:.4g}",
-                f"{100 * log.jitter:.0f}", str(len(log.gaps)), str(log.dropped),
-            ),
+        row_of(
+            log.name, str(len(log.t)), f"{log.t[-1] - log.t[0]:.1f}", f"{log.rate:.4g}",
+            f"{100 * log.jitter:.0f}", str(len(log.gaps)), str(log.dropped),
         )
         for log in proposal.logs
     ]  # fmt: skip
@@ -80,28 +75,23 @@ def _summary(proposal: Proposal) -> Markup:
 
 def _listed(findings: Sequence[Finding]) -> Markup:
     items = [
-        Markup('<li><strong class="{}">{}.</strong> {}</li>').format(
+        Markup('<strong class="{}">{}.</strong> {}').format(
             "fail" if f.severity == "refusal" else "pass",
             "Wrong" if f.severity == "refusal" else "Odd",
             f.sentence,
         )
         for f in findings
     ]
-    return Markup("<ul>{}</ul>").format(Markup("").join(items)) if items else Markup()
+    return listing(items) if items else Markup()
 
 
 def _joints(proposal: Proposal) -> Markup:
-    rows = [
-        TableRow(head=f"{log}: {joint}", cells=cells)
-        for log, joint, *cells in summary_rows(proposal)
-    ]
+    rows = [row_of(f"{log}: {joint}", *cells) for log, joint, *cells in summary_rows(proposal)]
     caption = (
         "Joints that move, with the proposed robot file: ‘dq slope’ is velocity from the position "
         "over the logged one, ‘gravity / model’ the measured gravity torque over that of the "
-        "model, "
-        "‘friction’ the torque that goes with the velocity, in N.m, and how many standard "
-        "errors it "
-        "is from zero"
+        "model, ‘friction’ the torque that goes with the velocity, in N.m, and how many standard "
+        "errors it is from zero"
     )
     return table(ResultTable(caption=caption, head=("log: joint", *HEAD[2:]), rows=rows))
 
@@ -112,8 +102,8 @@ def _drawn(proposal: Proposal, pictures: Pictures) -> Markup:
         return paragraph("The stamps do not allow a picture.")
     if not (views := _views(proposal)):
         return paragraph("No joint moves.")
-    return pictures.drawing(
-        "joints", Markup(svg(joints(views), "joints")),
+    return pictures.shown(
+        "joints", joints(views),
         f"Log {_longest(proposal)[1].log.name}, joint by joint: velocity as logged and as it "
         "follows from the smoothed position; torque that the model does not explain over velocity, "
         "which is friction and rises from left to right; and how many rows of all logs there are "
@@ -136,7 +126,8 @@ def _views(proposal: Proposal) -> list[JointView]:
     return [
         JointView(
             name=proposal.robot.joints[j],
-            unit=_unit(proposal, int(j)),
+            # Without a model it is not known whether it slides.
+            unit="m/s" if j in proposal.sliding else "rad/s",
             velocities=_velocities(part, int(j)),
             friction=_friction(examination, k, int(j)),
             covered=np.concatenate([each.v[:, j] for each in examination.parts]),
@@ -144,11 +135,6 @@ def _views(proposal: Proposal) -> list[JointView]:
         )
         for j in np.flatnonzero(part.moves)
     ]
-
-
-def _unit(proposal: Proposal, j: int) -> str:
-    """Return the unit of a joint's velocity; without a model it is not known whether it slides."""
-    return "m/s" if j in proposal.sliding else "rad/s"
 
 
 def _loads(examination: Examination, j: int) -> Array | None:
@@ -193,11 +179,10 @@ def _unseen(proposal: Proposal) -> Markup:
         by_word.setdefault(what, []).append(joint)
     if not by_word:
         return paragraph("The logs hold rests, reversals, slow motion and loads of every joint.")
-    items = (
-        Markup("<li><strong>{}:</strong> {}.</li>").format(", ".join(names), what)
+    return listing(
+        Markup("<strong>{}:</strong> {}.").format(", ".join(names), what)
         for what, names in by_word.items()
     )
-    return Markup("<ul>{}</ul>").format(Markup("").join(items))
 
 
 def _file(proposal: Proposal, path: Path) -> Markup:

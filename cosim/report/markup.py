@@ -1,7 +1,7 @@
 """Parts of the page: sections, tables, figures and numbers."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
@@ -59,9 +59,15 @@ class Pictures:
         caption : what is to be seen.
         alt : what it shows, for readers who cannot see it.
         """
-        from cosim.figures.style import svg, write
+        from cosim.figures.style import write
 
         write(picture, self.folder / key)
+        return self.shown(key, picture, caption, alt=alt)
+
+    def shown(self, key: str, picture: "Figure", caption: str, *, alt: str) -> Markup:
+        """Return a figure that stands in the page only."""
+        from cosim.figures.style import svg
+
         return self.drawing(key, Markup(svg(picture, key)), caption, alt=alt)
 
     def chart(self, key: str, chart: "Chart", caption: str, *, alt: str) -> Markup:
@@ -132,6 +138,13 @@ def paragraph(text: str | Markup, *, note: bool = False) -> Markup:
 def heading(text: str) -> Markup:
     """Return a heading within a section."""
     return Markup("<h3>{}</h3>").format(text)
+
+
+def listing(items: Iterable[str | Markup]) -> Markup:
+    """Return items one below the other."""
+    return Markup("<ul>{}</ul>").format(
+        Markup("").join(Markup("<li>{}</li>").format(item) for item in items)
+    )
 
 
 def details(summary: str, *parts: Markup) -> Markup:

@@ -6,9 +6,9 @@ import numpy as np
 from markupsafe import Markup
 
 from cosim.figures.chart import Chart, Line, Panel, drawn
-from cosim.figures.style import SERIES, Stroke, svg
+from cosim.figures.style import SERIES, Stroke
 from cosim.report.markup import Pictures, Section, joined, paragraph, table, write_sections
-from cosim.tables.table import ResultTable, TableRow
+from cosim.tables.table import ResultTable, row_of
 from hesr_model.friction.adaptive.monitor import Watched
 
 _TRENDS = (
@@ -47,10 +47,9 @@ def _alarms(watched: Watched) -> Markup:
     if not watched.alarms:
         return paragraph("None.")
     rows = [
-        TableRow(
-            head=f"{alarm.log}: {alarm.joint}",
-            cells=(f"{alarm.time:.1f}", alarm.kind, "more" if alarm.sign > 0 else "less",
-                   alarm.points_to),
+        row_of(
+            f"{alarm.log}: {alarm.joint}", f"{alarm.time:.1f}", alarm.kind,
+            "more" if alarm.sign > 0 else "less", alarm.points_to,
         )
         for alarm in watched.alarms
     ]  # fmt: skip
@@ -82,8 +81,8 @@ def _trends(watched: Watched, pictures: Pictures) -> Markup:
             )
             rows.append((Panel(title=title, y="", lines=lines, marks=marks if not rows else ()),))
         chart = Chart(x="t [s], logs one after the other", rows=tuple(rows), height=1.2)
-        drawings.append(pictures.drawing(
-            f"trend-{j + 1}", Markup(svg(drawn(chart), f"trend-{j + 1}")),
+        drawings.append(pictures.shown(
+            f"trend-{j + 1}", drawn(chart),
             f"Joint {joint}: factors on its Coulomb and viscous friction, and its offset.",
             alt=f"Level, viscous factor and offset of {joint} over time, with bands.",
         ))  # fmt: skip
@@ -92,12 +91,12 @@ def _trends(watched: Watched, pictures: Pictures) -> Markup:
 
 def _states(watched: Watched) -> Markup:
     rows = [
-        TableRow(
-            head=f"{s.log}: {s.joint}",
-            cells=(f"{s.level:.3f} ± {2 * s.level_sd:.3f}",
-                   f"{s.viscosity:.3f} ± {2 * s.viscosity_sd:.3f}",
-                   f"{s.offset:.3g} ± {2 * s.offset_sd:.2g}",
-                   f"{s.rmse_fixed:.3g}", f"{s.rmse:.3g}", f"{100 * s.learning:.0f}"),
+        row_of(
+            f"{s.log}: {s.joint}",
+            f"{s.level:.3f} ± {2 * s.level_sd:.3f}",
+            f"{s.viscosity:.3f} ± {2 * s.viscosity_sd:.3f}",
+            f"{s.offset:.3g} ± {2 * s.offset_sd:.2g}",
+            f"{s.rmse_fixed:.3g}", f"{s.rmse:.3g}", f"{100 * s.learning:.0f}",
         )
         for s in watched.states
     ]  # fmt: skip

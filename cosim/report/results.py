@@ -72,6 +72,12 @@ class Results:
         """Whether each joint slides; empty if all turn."""
         return next((model.sliding for model in self.models.values()), ())
 
+    @property
+    def numbered(self) -> list[tuple[int, str, str]]:
+        """Number, from 1, short name and name of each joint."""
+        names = zip(self.joints, self.run.joints, strict=True)
+        return [(k, short, name) for k, (short, name) in enumerate(names, start=1)]
+
     def unit(self, unit: str, joint: int | None = None) -> str:
         """Return a unit as it is for all joints, or for the one of an index."""
         sliding = self.sliding if joint is None else self.sliding[joint : joint + 1]

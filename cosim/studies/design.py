@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from cosim.batch import Array
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.logs.tables import write_table
 from hesr_model.motions.excitation import (
@@ -22,8 +22,6 @@ from hesr_model.support.config import read_toml
 from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Progress, silent
 
-Array = NDArray[np.float64]
-
 _COMPARED = 200
 _TABLES = {".csv", ".parquet", ".pq"}
 
@@ -34,14 +32,11 @@ class Design:
 
     Attributes
     ----------
-    excitation
-        The motion.
-    random_condition
-        Median condition number of W_b over 200 random motions within the same limits.
-    forward, backward
-        Setpoints of the motion and of its time-reversed counterpart.
-    picture
-        Position and velocity with their limits.
+    excitation : the motion.
+    random_condition : median condition number of W_b over 200 random motions within the same
+        limits.
+    forward, backward : setpoints of the motion and of its time-reversed counterpart.
+    picture : position and velocity with their limits.
     """
 
     excitation: Excitation
@@ -67,14 +62,10 @@ def design(
 
     Parameters
     ----------
-    robot
-        Robot file.
-    output
-        CSV or Parquet file.
-    settings
-        TOML of `hesr_model.motions.excitation.ExcitationSettings`; the defaults if left out.
-    progress
-        Told how many descents are done.
+    robot : robot file.
+    output : CSV or Parquet file.
+    settings : TOML of `hesr_model.motions.excitation.ExcitationSettings`; the defaults if left out.
+    progress : told how many descents are done.
 
     Raises
     ------

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cosim.batch import Array
 from cosim.closed_loop import Gains, Scheme, preview
 from cosim.slave import Component
 from cosim.system import Value
@@ -28,8 +28,6 @@ from hesr_model.friction.thermal import Thermal
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import RobotModel
-
-Array = NDArray[np.float64]
 
 SCHEME = Scheme(compensation="servo_inversion")
 LOAD = "payload"
@@ -177,10 +175,14 @@ class Drifted:
 
     def fixed(self, model: FrictionModel) -> Array:
         """Return the torque (N, n) of a model that knows of no drift [N.m]."""
-        columns = zip(model.laws, self.dq_d.T, self.q_d.T, self.tau_rigid.T, strict=True)
-        return np.column_stack(
-            [predict(law, t=self.t, dq=v, q=q, tau_load=load) for law, v, q, load in columns]
-        )
+        return _predicted(model, self.t, self.q_d, self.dq_d, self.tau_rigid)
+
+
+def _predicted(model: FrictionModel, t: Array, q: Array, dq: Array, tau_load: Array) -> Array:
+    """Return the torque (N, n) of the laws alone [N.m]."""
+    columns = zip(model.laws, dq.T, q.T, tau_load.T, strict=True)
+    found = [predict(law, t=t, dq=v, q=x, tau_load=load) for law, v, x, load in columns]
+    return np.column_stack(found)
 
 
 FeedForward = Callable[[Drifted, int], FrictionModel]
@@ -304,10 +306,7 @@ def _torques(
     """Return the torque of a model over some rows, run from a little before them."""
     before = max(rows.start - 400, 0)
     own = slice(before, rows.stop)
-    q, dq, rigid = (values[own] for values in ahead)
-    columns = zip(model.laws, dq.T, q.T, rigid.T, strict=True)
-    found = [predict(law, t=t[own], dq=v, q=x, tau_load=load) for law, v, x, load in columns]
-    return np.column_stack(found)[rows.start - before :]
+    return _predicted(model, t[own], *(values[own] for values in ahead))[rows.start - before :]
 
 
 @dataclass(frozen=True, kw_only=True)

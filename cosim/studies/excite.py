@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arm import FmuArm
+from cosim.batch import Array
+from cosim.slave import Component
 from cosim.studies.motions import Motions, names_of
 from fmu_src.arm.plant import Arm, ArmOutput, Noise, Plant
 from hesr_model.errors import ConfigError
@@ -19,8 +20,6 @@ from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.tables import write_table
 from hesr_model.motions.trajectories import Trajectory
 from hesr_model.support.files import written_whole
-
-Array = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
 
@@ -33,13 +32,10 @@ class Recording:
 
     Attributes
     ----------
-    log
-        Noisy position and torque, and the velocity that follows from the position: central
+    log : noisy position and torque, and the velocity that follows from the position: central
         differences over two samples, so that it is noisy, but not late.
-    truth
-        Without noise, (N, n) each, at the times of the log.
-    desired
-        (N, n) position that was commanded [rad].
+    truth : without noise, (N, n) each, at the times of the log.
+    desired : (N, n) position that was commanded [rad].
     """
 
     log: RobotLog
@@ -64,16 +60,11 @@ def excite(
 
     Parameters
     ----------
-    motions
-        What to run.
-    plant
-        The arm.
-    folder
-        Where the logs go, as ``<name>.csv``; created if need be.
-    seed
-        Of the noise, in place of the plant file's.
-    fmu
-        The arm as an FMU, which then gives the logs; the arm in Python where left out.
+    motions : what to run.
+    plant : the arm.
+    folder : where the logs go, as ``<name>.csv``; created if need be.
+    seed : of the noise, in place of the plant file's.
+    fmu : the arm as an FMU, which then gives the logs; the arm in Python where left out.
 
     Returns
     -------
@@ -106,7 +97,8 @@ def recordings(
     with ExitStack() as cleanup:
         arm: Arm | FmuArm = Arm(plant)
         if fmu is not None:
-            arm = cleanup.enter_context(FmuArm(fmu, plant, arm.limits))
+            component = cleanup.enter_context(Component(fmu, name="arm"))
+            arm = FmuArm(component, plant, arm.limits)
         for motion in motions.motions:
             forward = motion.trajectory()
             both = (forward, forward.time_reversed())
@@ -124,11 +116,9 @@ def record(
 
     Parameters
     ----------
-    noise
-        Its seed is combined with `name`, so that every log has noise of its own, whatever other
+    noise : its seed is combined with `name`, so that every log has noise of its own, whatever other
         logs are recorded beside it.
-    unlogged
-        Time that is run before the log begins [s].
+    unlogged : time that is run before the log begins [s].
 
     Raises
     ------
@@ -162,12 +152,8 @@ def record(
             measured.append(arm.measured)
         output = arm.step(command, 1 / rate)
     kept = outputs[first:]
-    truth = ArmOutput(
-        q=np.array([sample.q for sample in kept]),
-        dq=np.array([sample.dq for sample in kept]),
-        tau_meas=np.array([sample.tau_meas for sample in kept]),
-        tau_f_true=np.array([sample.tau_f_true for sample in kept]),
-    )
+    names = ("q", "dq", "tau_meas", "tau_f_true")
+    truth = ArmOutput(**{x: np.array([getattr(sample, x) for sample in kept]) for x in names})
     if isinstance(arm, FmuArm):
         q, tau = (np.array(values) for values in zip(*measured[first:], strict=True))
     else:  # the arm in Python has no noise of its own

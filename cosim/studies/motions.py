@@ -15,10 +15,8 @@ class _Motion(Config):
 
     Attributes
     ----------
-    name
-        Of the log, and of its file.
-    also_reversed
-        Whether the time-reversed motion is run, too, as ``<name>_reversed``.
+    name : of the log, and of its file.
+    also_reversed : whether the time-reversed motion is run, too, as ``<name>_reversed``.
     """
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
@@ -35,8 +33,8 @@ class FourierMotion(_Motion):
 
     Attributes
     ----------
-    periods, unlogged_periods
-        How many periods are run, and how many of the first ones are not logged.
+    periods, unlogged_periods : how many periods are run, and how many of the first ones are not
+        logged.
     """
 
     kind: Literal["fourier"]

@@ -114,13 +114,9 @@ def run_overcompensation(
     offset = np.array(loop.tracking.offset)
     still = LoopMotion.of(Sine(offset=offset, amplitude=np.zeros(len(offset)), frequency=1.0))
     rows = [
-        LoopRow(
-            scheme=overdone,
-            law=law,
-            setting=loop.setting(law, overdone),
-        )
+        loop.row(law, replace(scheme, friction_gain=factor))
         for law, scheme in cases
-        for overdone in [replace(scheme, friction_gain=factor) for factor in FACTORS]
+        for factor in FACTORS
     ]
     found = track(
         rows,
@@ -167,16 +163,11 @@ def _changed(setting: Setting, payloads: Mapping[float, Path]) -> Iterator[tuple
         yield f"friction x {scale:g}", replace(setting, arm={"friction_scale": scale})
     for latency in LATENCIES:
         changed = gains.model_copy(update={"latency": latency})
-        yield (
-            f"latency {1e3 * latency:g} ms",
-            replace(setting, arm={"latency": latency}, gains=changed),
-        )
+        late = replace(setting, arm={"latency": latency}, gains=changed)
+        yield f"latency {1e3 * latency:g} ms", late
     for error in GAIN_ERRORS:
         wrong = {name: tuple(error * g for g in getattr(gains, name)) for name in ("Kv", "Ki")}
-        yield (
-            f"servo gains x {error:g}",
-            replace(setting, gains=gains.model_copy(update=wrong)),
-        )
+        yield f"servo gains x {error:g}", replace(setting, gains=gains.model_copy(update=wrong))
     noise = tuple(NOISE * sigma for sigma in setting.noise)
     yield f"torque noise x {NOISE:g}", replace(setting, arm={"tau_meas_noise": noise})
 

@@ -11,9 +11,9 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from cosim.batch import Array
 from cosim.scoring import ORACLE, Errors, by_joint, predict_models
 from cosim.studies.excite import record
 from cosim.studies.motions import FourierMotion, Motion, Motions, SweepMotion, names_of
@@ -29,8 +29,6 @@ from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support import parallel
 from hesr_model.support.progress import Progress, counted, silent
-
-Array = NDArray[np.float64]
 
 LEAST = 2
 """Draws that have a scatter."""

@@ -14,7 +14,7 @@ from pydantic import Field
 from cosim.batch import Array
 from cosim.closed_loop import Law, NamedScheme, Scheme, Setting, system
 from cosim.loaded import HERE
-from cosim.master import Master, Result
+from cosim.master import Master
 from cosim.studies.traces import Trace
 from cosim.system import Value
 from fmu_src.blocks.trajectory import start_values
@@ -168,9 +168,10 @@ def _tracked(
     with Master(spec, loaded=HERE) as master:
         for motion in motions:
             result = master.run(start={"trajectory": motion.parameters, "arm": {"q0": motion.q0}})
-            error = result.vector("trajectory.q") - result.vector("arm.q_true")
+            q_d, q = (result.vector(name) for name in ("trajectory.q", "arm.q_true"))
+            error = q_d - q
             if traced and trace is None:
-                trace = _trace(result)
+                trace = Trace(t=result.t, q_d=q_d, q=q)
             if result.failure:
                 failures.append(str(result.failure))
                 error = np.full((1, len(limits)), np.nan)
@@ -184,10 +185,6 @@ def _tracked(
         failures=tuple(failures),
         trace=trace,
     )
-
-
-def _trace(result: Result) -> Trace:
-    return Trace(t=result.t, q_d=result.vector("trajectory.q"), q=result.vector("arm.q_true"))
 
 
 def _keys(

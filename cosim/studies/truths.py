@@ -17,7 +17,7 @@ from cosim.study import Study
 from hesr_model.errors import FitError
 from hesr_model.friction.fitting.fit import fit_models
 from hesr_model.support.files import scratch_folder
-from hesr_model.support.progress import Progress, silent
+from hesr_model.support.progress import Progress, counted, silent
 
 
 def under_truths(
@@ -40,12 +40,7 @@ def under_truths(
         If there is no such truth, or its logs do not allow the run.
     """
     names = study.twin.truths if study.twin else ()
-    found = {}
-    progress(0, len(names))
-    for k, truth in enumerate(names, start=1):
-        found[truth] = _under(study, path, truth, laws)
-        progress(k, len(names))
-    return found
+    return {truth: _under(study, path, truth, laws) for truth in counted(names, progress)}
 
 
 def _under(study: Study, path: Path, truth: str, laws: Sequence[str]) -> Errors:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 
-from cosim.figures.style import svg
 from cosim.figures.swept import distributions, shares
 from cosim.report.markup import Pictures, Section, joined, paragraph, table, write_sections
 from cosim.tables import swept as tables
@@ -61,9 +60,9 @@ def write_page(swept: "Swept", path: Path, study: Path) -> None:
 
 def _outputs(swept: "Swept", pictures: Pictures) -> Markup:
     names = [output.name for output in swept.plan.study.outputs]
-    drawn = pictures.drawing(
+    drawn = pictures.shown(
         "distributions",
-        Markup(svg(distributions(names, swept.table.outputs), "distributions")),
+        distributions(names, swept.table.outputs),
         "Distribution of each output over the runs; dashed: 5, 50 and 95 % quantiles.",
         alt="A histogram of each output.",
     )
@@ -90,9 +89,9 @@ def _sensitivities(swept: "Swept", pictures: Pictures) -> Markup:
     for k, (one, listed) in enumerate(found):
         intervals = np.stack([one.first_interval, one.total_interval])
         figure = shares(swept.plan.study.names, one.first, one.total, intervals)
-        drawn = pictures.drawing(
+        drawn = pictures.shown(
             f"shares-{k}",
-            Markup(svg(figure, f"shares-{k}")),
+            figure,
             f"Shares of the variance of {one.output}.",
             alt="Two bars for each input.",
         )

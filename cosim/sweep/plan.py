@@ -91,13 +91,14 @@ def _targets(study: SweepStudy, spec: SystemSpec, path: Path) -> list[Target]:
         for name in one.variables:
             component, _, variable = name.partition(".")
             base = _base(spec, component, variable, path) if one.factor else None
+            whole = bool(one.values) and all(float(value).is_integer() for value in one.values)
             found.append(
                 Target(
                     component=component,
                     variable=variable,
                     column=column,
                     base=base,
-                    integer=one.integer or _whole(one.values),
+                    integer=one.integer or whole,
                 )
             )
     column = len(study.inputs)
@@ -107,10 +108,6 @@ def _targets(study: SweepStudy, spec: SystemSpec, path: Path) -> list[Target]:
             found.append(Target(component=component, variable=variable, column=column))
             column += 1
     return found
-
-
-def _whole(values: tuple[float, ...]) -> bool:
-    return bool(values) and all(float(value).is_integer() for value in values)
 
 
 def _base(spec: SystemSpec, component: str, variable: str, path: Path) -> tuple[float, ...]:

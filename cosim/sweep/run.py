@@ -8,7 +8,7 @@ from pathlib import Path
 from cosim.master import Master, Result
 from cosim.sweep.plan import Plan, planned
 from cosim.sweep.sensitivity import Sensitivity, sensitivities
-from cosim.sweep.store import Store, Table, opened
+from cosim.sweep.store import ABOUT, RUNS, Store, Table, taken
 from cosim.sweep.swept import Swept
 from cosim.sweep.work import Rows, release, run_rows
 from hesr_model.errors import ConfigError, SimulationError
@@ -45,7 +45,8 @@ def run_sweep(
     try:
         plan = planned(path)
         outputs = tuple(one.name for one in plan.study.outputs)
-        with opened(output, plan.about(), plan.study.names, outputs) as store:
+        store = Store(output, plan.study.names, outputs)
+        with taken(output, RUNS, ABOUT, plan.about()):
             left = [k for k in plan.firsts if not store.has(k, plan.chunk(k))]
             reused = len(plan.values) - sum(len(plan.chunk(k)) for k in left)
             _run(plan, store, left, workers, cluster, partial(progress, plan.study.name))

@@ -38,7 +38,7 @@ class Table:
 
 
 class Store:
-    """The folder of a sweep; made by `opened`.
+    """The folder of a sweep, once it is `taken`.
 
     Parameters
     ----------
@@ -96,27 +96,6 @@ class Store:
             outputs=numbers(self._outputs),
             failures=tuple(found.column("failure").to_pylist()),
         )
-
-
-@contextmanager
-def opened(
-    folder: Path, about: Mapping[str, Any], inputs: tuple[str, ...], outputs: tuple[str, ...]
-) -> Iterator[Store]:
-    """Yield the store in a folder, which keeps others out.
-
-    Parameters
-    ----------
-    folder : of the results.
-    about : the sweep; its "key" changes with anything that the results depend on.
-    inputs, outputs : names of the columns.
-
-    Raises
-    ------
-    HesrError
-        As `taken`.
-    """
-    with taken(folder, RUNS, ABOUT, about):
-        yield Store(folder, inputs, outputs)
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from itertools import groupby
 from cosim.arena.arena import Kind
 from cosim.arena.leaderboard import Leaderboard, ScoredRobot, Standing
 from cosim.arena.score import Interval
-from cosim.tables.table import ResultTable, TableCell, TableRow, decimals, fixed, joints, number
+from cosim.tables.table import ResultTable, TableCell, decimals, fixed, joints, number, row_of
 from hesr_model.units import unit_of_joints
 
 _HEADS = {"all": "all rows", "moving": "moving", "reversals": "reversals", "rests": "rests"}
@@ -25,7 +25,7 @@ def standings(board: Leaderboard) -> Iterator[ResultTable]:
         for group, members in groupby(of_robot, key=lambda s: s.group):
             listed = list(members)
             alone = sum(s.leads for s in listed) == 1
-            rows.append(TableRow(head=f"inputs {group}"))
+            rows.append(row_of(f"inputs {group}"))
             for standing in listed:
                 cells = [
                     _cell(standing.relative[kind], best=alone and standing.leads and kind == "all")
@@ -37,7 +37,7 @@ def standings(board: Leaderboard) -> Iterator[ResultTable]:
                 if timed and standing.step is not None:
                     cells.append(number(1e6 * standing.step, 2))
                 name = f"{standing.name} (foreign)" if standing.foreign else standing.name
-                rows.append(TableRow(head=name, cells=cells))
+                rows.append(row_of(name, *cells))
         yield ResultTable(
             caption=f"{board.arena}, {robot.name}: error of the torque over the size of friction, "
             "with 95\u00a0% intervals",
@@ -65,12 +65,9 @@ def by_joint(board: Leaderboard, robot: ScoredRobot, kind: Kind) -> ResultTable:
         caption=f"{robot.name}: RMSE of the torque [{unit}], {_HEADS[kind]}",
         head=("entry", *joints(len(robot.joints))),
         rows=[
-            TableRow(head="(std of friction)", quiet=True, cells=spread),
+            row_of("(std of friction)", *spread, quiet=True),
             *(
-                TableRow(
-                    head=s.name,
-                    cells=[fixed(v, n) for v, n in zip(row, places, strict=True)],
-                )
+                row_of(s.name, *(fixed(v, n) for v, n in zip(row, places, strict=True)))
                 for s, row in zip(of_robot, values, strict=True)
             ),
         ],
@@ -83,8 +80,7 @@ def logs(board: Leaderboard) -> ResultTable:
         caption="Logs",
         head=("log", "robot", "SHA-256", "from", "licence"),
         rows=[
-            TableRow(head=log.name, cells=[log.robot, log.sha256, log.source, log.licence])
-            for log in board.logs
+            row_of(log.name, log.robot, log.sha256, log.source, log.licence) for log in board.logs
         ],
         numeric=False,
     )
@@ -96,8 +92,7 @@ def entries(standings: Sequence[Standing]) -> ResultTable:
         caption="Entries",
         head=("entry", "robot", "law", "inputs", "SHA-256"),
         rows=[
-            TableRow(head=s.name, cells=[s.robot, s.law or "–", ", ".join(s.inputs), s.sha256])
-            for s in standings
+            row_of(s.name, s.robot, s.law or "–", ", ".join(s.inputs), s.sha256) for s in standings
         ],
         numeric=False,
     )

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from cosim.fleet.result import BODY
-from cosim.tables.table import ResultTable, TableCell, TableRow, fixed, number
+from cosim.tables.table import ResultTable, TableCell, fixed, number, row_of
 from hesr_model.inference.deviation import ENOUGH
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def types(fleet: "Fleet") -> ResultTable:
     return ResultTable(
         caption=f"Fleet {fleet.name}",
         head=("type", "robots", "deviate", "got worse", "with findings", "not all used"),
-        rows=[TableRow(head=t, cells=[fixed(c[t], 0) for c in counts]) for t in sorted(counts[0])],
+        rows=[row_of(t, *(fixed(c[t], 0) for c in counts)) for t in sorted(counts[0])],
         note=note,
     )
 
@@ -47,12 +47,9 @@ def types(fleet: "Fleet") -> ResultTable:
 def deviants(fleet: "Fleet") -> ResultTable:
     """Return which numbers of which robots are unlike those of their type."""
     rows = [
-        TableRow(
-            head=d.robot,
-            cells=[
-                "rigid body" if d.law == BODY else d.law, d.joint or "–", d.name,
-                number(d.value, 4), number(d.median, 4), fixed(d.z, 1), _p(d.p),
-            ],
+        row_of(
+            d.robot, "rigid body" if d.law == BODY else d.law, d.joint or "–", d.name,
+            number(d.value, 4), number(d.median, 4), fixed(d.z, 1), _p(d.p),
         )
         for d in fleet.deviants[:_MOST]
     ]  # fmt: skip
@@ -69,12 +66,9 @@ def deviants(fleet: "Fleet") -> ResultTable:
 def changes(fleet: "Fleet") -> ResultTable:
     """Return what has changed over days, what got worse first."""
     rows = [
-        TableRow(
-            head=c.robot,
-            cells=[
-                c.law, c.joint, c.kind, _share(c.change, 1), _share(c.per_day, 2), _p(c.p),
-                "yes" if c.worse else "no", c.points_to,
-            ],
+        row_of(
+            c.robot, c.law, c.joint, c.kind, _share(c.change, 1), _share(c.per_day, 2), _p(c.p),
+            "yes" if c.worse else "no", c.points_to,
         )
         for c in fleet.changes[:_MOST]
     ]  # fmt: skip
@@ -97,7 +91,7 @@ def broken(fleet: "Fleet") -> ResultTable:
     return ResultTable(
         caption="Not used",
         head=("robot", "why"),
-        rows=[TableRow(head=name, cells=[text]) for name, text in sentences],
+        rows=[row_of(name, text) for name, text in sentences],
         numeric=False,
     )
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from cosim.tables.table import ResultTable, TableRow, fixed, joints, title
+from cosim.tables.table import ResultTable, fixed, joints, row_of, title
 from hesr_model.friction.audit.audit import Audit
 from hesr_model.friction.inputs import INPUT_UNITS
 from hesr_model.friction.registry import registry
@@ -20,10 +20,7 @@ def laws() -> ResultTable:
     return ResultTable(
         caption="",
         head=("name", "law", "equation"),
-        rows=[
-            TableRow(head=name, cells=(entry.title, entry.as_text()))
-            for name, entry in registry().items()
-        ],
+        rows=[row_of(name, entry.title, entry.as_text()) for name, entry in registry().items()],
         numeric=False,
     )
 
@@ -42,10 +39,7 @@ def audit(name: str, audits: Sequence[Audit], sliding: Sequence[bool] = ()) -> R
     return ResultTable(
         caption=f"Audit of {title(name)}",
         head=("", *joints(len(audits))),
-        rows=[
-            TableRow(head=label, cells=cells)
-            for label, cells in audit_rows(audits, sliding).items()
-        ],
+        rows=[row_of(label, *cells) for label, cells in audit_rows(audits, sliding).items()],
     )
 
 
@@ -65,10 +59,10 @@ def convention(name: str, found: "Convention") -> ResultTable:
         ("against the replay of a log", found.replay),
         ("against continuous time", found.continuous),
     ):
-        rows.append(TableRow(head=truth))
+        rows.append(row_of(truth))
         for setting, of_joints in by_setting.items():
-            cells = [fixed(e.rmse, 3, notes=_notes(e.rmse_reversal)) for e in of_joints]
-            rows.append(TableRow(head=setting, cells=cells))
+            cells = [fixed(e.rmse, 3, notes=(fixed(e.rmse_reversal, 3).text,)) for e in of_joints]
+            rows.append(row_of(setting, *cells))
     return ResultTable(
         caption=f"{name}: RMSE [{torque}] of all rows; small: within 0.1 s of reversals",
         head=("inputs", *joints(len(found.joints))),
@@ -77,10 +71,6 @@ def convention(name: str, found: "Convention") -> ResultTable:
         f"{', '.join(f'{v:.3g}' for v in found.speeds)} {speed}, in steps of {found.step:g} s. "
         + "; ".join(f"{way}: {text}" for way, text in SETTINGS.items()),
     )
-
-
-def _notes(error: float | None) -> tuple[str, ...]:
-    return (fixed(error, 3).text,)
 
 
 def leaving(

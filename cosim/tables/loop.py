@@ -10,12 +10,12 @@ from cosim.closed_loop import StandIn
 from cosim.tables.table import (
     ResultTable,
     TableCell,
-    TableRow,
     decimals,
     fixed,
     joints,
     named,
     number,
+    row_of,
     title,
 )
 
@@ -40,12 +40,12 @@ def tracking(caption: str, rows: "Sequence[Tracked]") -> ResultTable:
     one = all(len(row.rmse) == 1 for row in rows)
     table_rows, digits = [], places(rows)
     for scheme in dict.fromkeys(row.scheme for row in rows):
-        table_rows.append(TableRow(head=scheme.title))
+        table_rows.append(row_of(scheme.title))
         for row in rows:
             if row.scheme == scheme:
                 beside = row.last[0] if one else row.spread
                 cells = [mrad(*part) for part in zip(row.mean, digits, beside, strict=True)]
-                table_rows.append(TableRow(head=named(row.law), cells=cells))
+                table_rows.append(row_of(named(row.law), *cells))
     small = "mean error of its last tenth" if one else "spread over the motions"
     return ResultTable(
         caption=f"{caption}; small: {small}",
@@ -69,7 +69,7 @@ def sweeps(rows: "Sequence[Tracked]") -> list[ResultTable]:
                 caption=f"{scheme.title}: RMSE of the worst joint [mrad] under changes",
                 head=("change", *map(named, laws)),
                 rows=[
-                    TableRow(head=change, cells=[mrad(found[change, law], 2) for law in laws])
+                    row_of(change, *(mrad(found[change, law], 2) for law in laws))
                     for change in dict.fromkeys(change for change, _ in found)
                 ],
             )
@@ -83,11 +83,9 @@ def overcompensation(found: "Sequence[Overcompensation]") -> ResultTable:
         caption="Factor on the friction torque from which the arm at rest begins to cycle",
         head=("law and scheme", "factor"),
         rows=[
-            TableRow(
-                head=f"{title(one.law)}: {one.scheme.title}",
-                cells=[
-                    TableCell(text="none up to 3") if one.factor is None else number(one.factor, 2)
-                ],
+            row_of(
+                f"{title(one.law)}: {one.scheme.title}",
+                TableCell(text="none up to 3") if one.factor is None else number(one.factor, 2),
             )
             for one in found
         ],

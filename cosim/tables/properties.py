@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cosim.tables.table import ResultTable, TableCell, TableRow, joints, title
+from cosim.tables.table import ResultTable, TableCell, joints, row_of, title
 from hesr_model.friction.audit.expectations import EXPECTATIONS, Expectation
 from hesr_model.friction.audit.properties import Finding, Properties
 from hesr_model.units import unit_of_joints
@@ -26,7 +26,7 @@ def properties(found: Mapping[str, Properties], *, full: bool = False) -> Result
         "✗ not",
         head=("law", *(e.title if full else e.short for e in EXPECTATIONS.values())),
         rows=[
-            TableRow(head=title(name), cells=[_cell(of_law, e) for e in EXPECTATIONS.values()])
+            row_of(title(name), *(_cell(of_law, e) for e in EXPECTATIONS.values()))
             for name, of_law in found.items()
         ],
     )
@@ -41,7 +41,7 @@ def legend(sliding: Sequence[bool] = ()) -> ResultTable:
     for e in EXPECTATIONS.values():
         who = "; ".join(f"{s.who} {s.year}" for s in e.sources)
         said = f"{e.shows} [{unit_of_joints(e.unit, sliding)}]. {e.expected} ({who})"
-        rows.append(TableRow(head=e.short, cells=[said]))
+        rows.append(row_of(e.short, said))
     return ResultTable(caption="", head=("column", "shows"), rows=rows, numeric=False)
 
 
@@ -49,7 +49,7 @@ def reasons(found: Mapping[str, Properties]) -> ResultTable:
     """Return why joints fail, or what else was found, law by law."""
     rows = []
     for name, of_law in found.items():
-        rows.append(TableRow(head=title(name)))
+        rows.append(row_of(title(name)))
         for key, expectation in EXPECTATIONS.items():
             by_reason: dict[str, list[str]] = {}
             names = joints(len(of_law.joints))
@@ -57,7 +57,7 @@ def reasons(found: Mapping[str, Properties]) -> ResultTable:
                 if said := joint.findings[key].reason:
                     by_reason.setdefault(said, []).append(short)
             rows += [
-                TableRow(head=expectation.short, cells=[" ".join(where), said])
+                row_of(expectation.short, " ".join(where), said)
                 for said, where in by_reason.items()
             ]
     return ResultTable(caption="Why", head=("property", "joint", "found"), rows=rows, numeric=False)

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 from cosim.scoring import ORACLE, REFERENCE, Comparison, Errors, Ratio
 from cosim.simulated import Simulated
-from cosim.tables.table import ResultTable, TableRow, decimals, fixed, joints, named, title
+from cosim.tables.table import ResultTable, decimals, fixed, joints, named, row_of, title
 from hesr_model.units import unit_of_joints
 
 MEASURES = {
@@ -47,15 +47,15 @@ def errors(
     rows = []
     if whole:
         cells = [fixed(s, n) for s, n in zip(scores.tau_std, places, strict=True)]
-        rows.append(TableRow(head="(std of friction)", quiet=True, cells=cells))
+        rows.append(row_of("(std of friction)", *cells, quiet=True))
     ranked = sorted(values, key=lambda law: _relative(scores, law))
     for label, laws in _by_inputs(ranked, inputs).items():
         if label is not None:
-            rows.append(TableRow(head=f"inputs {label}" if label else "for comparison"))
+            rows.append(row_of(f"inputs {label}" if label else "for comparison"))
         rows += [
-            TableRow(
-                head=named(law),
-                cells=[
+            row_of(
+                named(law),
+                *(
                     fixed(
                         value,
                         places[k],
@@ -63,7 +63,7 @@ def errors(
                         notes=_notes(ratios[law][k]) if law in ratios else (),
                     )
                     for k, value in enumerate(values[law])
-                ],
+                ),
             )
             for law in laws
         ]
@@ -91,9 +91,9 @@ def bands(name: str, scores: Comparison) -> ResultTable:
     """
     ranked = sorted(scores.bands, key=lambda law: _relative(scores, law))
     rows = [
-        TableRow(
-            head=named(law),
-            cells=[
+        row_of(
+            named(law),
+            *(
                 fixed(
                     100.0 * band.held,
                     1,
@@ -106,7 +106,7 @@ def bands(name: str, scores: Comparison) -> ResultTable:
                     ),
                 )
                 for band in scores.bands[law]
-            ],
+            ),
         )
         for law in ranked
     ]
@@ -153,11 +153,9 @@ def other_truths(
         "over joints and test sets",
         head=("law", *truths),
         rows=[
-            TableRow(
-                head=named(law),
-                cells=[
-                    fixed(m, 3, best=m == best) for m, best in zip(means[law], least, strict=True)
-                ],
+            row_of(
+                named(law),
+                *(fixed(m, 3, best=m == best) for m, best in zip(means[law], least, strict=True)),
             )
             for law in ranked
         ],
@@ -201,9 +199,9 @@ def position_errors(name: str, found: Simulated, sliding: Sequence[bool] = ()) -
             law: [None if e is None else 1e3 * e for e in of_law] for law, of_law in errors.items()
         }
         places = [decimals(column) for column in zip(*scaled.values(), strict=True)]
-        rows.append(TableRow(head=heading))
+        rows.append(row_of(heading))
         rows += [
-            TableRow(head=named(law), cells=[fixed(e, n) for e, n in zip(row, places, strict=True)])
+            row_of(named(law), *(fixed(e, n) for e, n in zip(row, places, strict=True)))
             for law, row in scaled.items()
         ]
     unit = unit_of_joints("mrad", sliding)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from cosim.studies.seeds import Seeds, Spread
-from cosim.tables.table import ResultTable, TableCell, TableRow, joints, named, title
+from cosim.tables.table import ResultTable, TableCell, joints, named, row_of, title
 
 
 def over_draws(found: Seeds) -> Iterator[ResultTable]:
@@ -19,7 +19,7 @@ def over_draws(found: Seeds) -> Iterator[ResultTable]:
                 caption=f"{what}, {draws}",
                 head=head,
                 rows=[
-                    TableRow(head=named(law), cells=[_cell(s) for s in spreads])
+                    row_of(named(law), *(_cell(s) for s in spreads))
                     for law, spreads in rows.items()
                 ],
             )

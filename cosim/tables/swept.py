@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cosim.tables.table import ResultTable, TableCell, TableRow
+from cosim.batch import Array
+from cosim.tables.table import ResultTable, TableCell, row_of
 
 if TYPE_CHECKING:
     from cosim.sweep.swept import Swept
@@ -21,7 +22,7 @@ def outputs(swept: "Swept") -> ResultTable:
     for output, values in zip(swept.plan.study.outputs, swept.table.outputs.T, strict=True):
         found = values[np.isfinite(values)]
         numbers = (found.mean(), found.std(), *np.quantile(found, _QUANTILES), found.max())
-        rows.append(TableRow(head=output.name, cells=[_cell(value) for value in numbers]))
+        rows.append(row_of(output.name, *(_cell(value) for value in numbers)))
     failed = sum(map(bool, swept.table.failures))
     note = f"{failed} of {len(swept.table.failures)} runs failed." if failed else ""
     head = ("output", "mean", "std", *(f"{100 * q:.0f} %" for q in _QUANTILES), "largest")
@@ -36,7 +37,7 @@ def worst(swept: "Swept", k: int, path: Path) -> ResultTable:
         inputs = [_cell(value) for value in swept.table.inputs[run]]
         command = f"hesr sweep {shlex.quote(path.name)} --replay {run} -o run{run}.csv"
         value = swept.table.failures[run] or _cell(swept.table.outputs[run, k])
-        rows.append(TableRow(head=f"{run}", cells=[value, *inputs, command]))
+        rows.append(row_of(f"{run}", value, *inputs, command))
     return ResultTable(
         caption=f"Worst runs by {name}",
         head=("run", name, *study.names, "again by"),
@@ -49,12 +50,10 @@ def sensitivities(swept: "Swept") -> Iterator[ResultTable]:
     """Yield what each output depends on."""
     for one in swept.sensitivities:
         rows = [
-            TableRow(
-                head=name,
-                cells=[
-                    _with(one.first[i], one.first_interval[i]),
-                    _with(one.total[i], one.total_interval[i]),
-                ],
+            row_of(
+                name,
+                _with(one.first[i], one.first_interval[i]),
+                _with(one.total[i], one.total_interval[i]),
             )
             for i, name in enumerate(swept.plan.study.names)
         ]
@@ -69,6 +68,6 @@ def _cell(value: float) -> TableCell:
     return TableCell(text=f"{value:.4g}", value=float(value))
 
 
-def _with(value: float, interval: "np.typing.NDArray[np.float64]") -> TableCell:
+def _with(value: float, interval: Array) -> TableCell:
     low, high = interval
     return TableCell(text=f"{value:.3f}", value=float(value), notes=(f"{low:.3f} to {high:.3f}",))

@@ -55,6 +55,11 @@ class TableRow:
     quiet: bool = False
 
 
+def row_of(head: str | Markup, *cells: TableCell | str | Markup, quiet: bool = False) -> TableRow:
+    """Return a row; without cells it is a heading over the rows below."""
+    return TableRow(head=head, cells=cells, quiet=quiet)
+
+
 @dataclass(frozen=True, kw_only=True)
 class ResultTable:
     """A table.
@@ -107,13 +112,11 @@ def named(law: str) -> str:
     return title(law)
 
 
-def number(
-    value: float | None, digits: int = 3, *, best: bool = False, notes: tuple[str, ...] = ()
-) -> TableCell:
+def number(value: float | None, digits: int = 3, *, notes: tuple[str, ...] = ()) -> TableCell:
     """Return the cell of a number, rounded to so many significant digits."""
     if value is None or value != value:
         return TableCell(text="–")
-    return TableCell(text=rounded(value, digits), value=value, best=best, notes=notes)
+    return TableCell(text=rounded(value, digits), value=value, notes=notes)
 
 
 def fixed(

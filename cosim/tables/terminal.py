@@ -14,6 +14,13 @@ from hesr_model.friction.audit.properties import MARKS
 _COLOURS = {"pass": "green", "fail": "red"}
 
 
+def show(*shown: "ResultTable | str") -> None:
+    """Print tables, and what is said between them."""
+    console = Console()
+    for one in shown:
+        console.print(Drawn(one) if isinstance(one, ResultTable) else one)
+
+
 class Drawn:
     """A table, to be printed by rich; no figure of it is ever cut.
 

@@ -1,9 +1,9 @@
 """Which runs of a closed loop are shown, from the results of a study alone."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
@@ -98,28 +98,24 @@ def choose(folder: Path, choice: Choice) -> Shown:
 
 def _telling(runs: Mapping[str, Trace]) -> list[str]:
     """Return what shows best what a law is good for: none beside the best one."""
-    errors = {law: _error(trace) for law, trace in runs.items() if law not in set(StandIn)}
+    errors = {
+        law: float(np.sqrt(np.mean((trace.q - trace.q_d) ** 2)))
+        for law, trace in runs.items()
+        if law not in set(StandIn)
+    }
     best = min(errors, key=lambda law: errors[law], default=None)
     chosen = [law for law in (StandIn.BODY_ONLY, best) if law in runs]
     return [law for law in chosen if law is not None] or list(runs)[:1]
-
-
-def _error(trace: Trace) -> float:
-    return float(np.sqrt(np.mean((trace.q - trace.q_d) ** 2)))
 
 
 def _mjcf(fmu: Path) -> str:
     if not fmu.is_file():
         raise ArtifactError(f"{fmu}: no such file; the arm cannot be shown without it.")
     with Archive(fmu) as archive:
-        text = archive.read(_MODEL) if _MODEL in archive.names else b""
-    try:
-        return text.decode("utf-8") or _none(fmu)
-    except UnicodeDecodeError:
-        return _none(fmu)
-
-
-def _none(fmu: Path) -> NoReturn:
+        content = archive.read(_MODEL) if _MODEL in archive.names else b""
+    with suppress(UnicodeDecodeError):
+        if text := content.decode("utf-8"):
+            return text
     raise ArtifactError(f"{fmu}: holds no {_MODEL}, the arm that is to be shown.")
 
 

@@ -96,14 +96,15 @@ def _draw(spec: Any, length: float, paint: Paint) -> None:
     """Add a capsule for each link, a cylinder for each turning joint, a ball at the end."""
     radius = _LINK * length * paint.thick
     for body in _below(spec.worldbody):
-        for start, end in _links(body, length):
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-                fromto=[*start, *end],
-                size=[radius, 0.0, 0.0],
-                rgba=paint.links,
-                mass=0.0,
-            )
+        for child in body.bodies:
+            if np.linalg.norm(child.pos) > _SMALL * length:
+                body.add_geom(
+                    type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                    fromto=[0.0, 0.0, 0.0, *child.pos],
+                    size=[radius, 0.0, 0.0],
+                    rgba=paint.links,
+                    mass=0.0,
+                )
         for joint in body.joints:
             turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE
             half = (1.2 if turns else 2.0) * radius * np.array(joint.axis)
@@ -121,12 +122,6 @@ def _draw(spec: Any, length: float, paint: Paint) -> None:
                 rgba=paint.end,
                 mass=0.0,
             )
-
-
-def _links(body: Any, length: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    for child in body.bodies:
-        if np.linalg.norm(child.pos) > _SMALL * length:
-            yield np.zeros(3), np.array(child.pos)
 
 
 def _below(body: Any) -> Iterator[Any]:

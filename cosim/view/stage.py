@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.batch import Array
+from cosim.studies.traces import Trace
 from cosim.view.runs import Choice, Shown
 from cosim.view.skeleton import Colour, Paint, arm, reach
-
-Array = NDArray[np.float64]
 
 WIDTH, HEIGHT = 1280, 720  # of a video
 
@@ -75,34 +75,27 @@ class Stage:
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self._arms = [
-            self._place(k, spots[k], label, run.t, run.q_d, run.q, shown.joints, high[2])
+            self._place(k, spots[k], label, run, shown.joints, high[2])
             for k, (label, run) in enumerate(shown.runs.items())
         ]
         self._paths = [self._path(one) for one in self._arms]
         self.camera = _camera(low, high, spots)
 
     def _place(
-        self,
-        k: int,
-        spot: float,
-        label: str,
-        t: Array,
-        q_d: Array,
-        q: Array,
-        joints: Sequence[str],
-        top: float,
+        self, k: int, spot: float, label: str, run: Trace, joints: Sequence[str], top: float
     ) -> _Placed:
         def addresses(prefix: str) -> NDArray[np.intp]:
             found = [self.model.joint(f"{prefix}/{name}").qposadr[0] for name in joints]
             return np.array(found, dtype=np.intp)
 
-        errors = ", ".join(f"{1e3 * e:.2g}" for e in np.sqrt(np.mean((q - q_d) ** 2, axis=0)))
+        off = run.q - run.q_d
+        errors = ", ".join(f"{1e3 * e:.2g}" for e in np.sqrt(np.mean(off**2, axis=0)))
         ends = [_end(self.model, f"{prefix}{k}/", joints[-1]) for prefix in ("commanded", "actual")]
         return _Placed(
             label=(label, f"{errors} mrad"),
-            t=t,
-            q_d=q_d,
-            q=q_d + self._magnify * (q - q_d),
+            t=run.t,
+            q_d=run.q_d,
+            q=run.q_d + self._magnify * off,
             ghost=addresses(f"commanded{k}"),
             solid=addresses(f"actual{k}"),
             ends=(ends[0], ends[1]),

@@ -1,6 +1,7 @@
 """The matrix of engines and cases; printed at the end of the run."""
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,14 @@ from rich.console import Console
 from cosim.interop.case import Alone, Case
 from cosim.interop.engine import Engine, SkippedError, Tools
 from cosim.interop.engines import ENGINES
-from cosim.interop.matrix import EngineMatrix, EngineResult, EngineRow, References, run_cell
+from cosim.interop.matrix import (
+    EngineMatrix,
+    EngineResult,
+    EngineRow,
+    Expected,
+    reference,
+    run_cell,
+)
 from cosim.interop.table import notes, table
 from cosim.tables.terminal import Drawn
 from hesr_model.support.process import FailedError
@@ -58,14 +66,14 @@ def versions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Alone,
 
 
 @pytest.fixture(scope="session")
-def references() -> References:
-    return References()
+def references() -> Expected:
+    return cache(reference)
 
 
 @pytest.fixture
 def cell(
     tools: Tools,
-    references: References,
+    references: Expected,
     request: pytest.FixtureRequest,
 ) -> Callable[[Engine, str | Case], EngineResult]:
     """Run an engine that is there on a case, and keep it for the table."""

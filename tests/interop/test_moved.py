@@ -14,7 +14,7 @@ from cosim.interop.case import Case, Run, Together, deviation
 from cosim.interop.engine import Engine, Tools, given_together, read_signals
 from cosim.interop.engines import ENGINES
 from cosim.interop.engines.ecos import parameter_sets
-from cosim.interop.matrix import References
+from cosim.interop.matrix import Expected
 
 HOSTS = Path(cosim.interop.__file__).with_name("hosts")
 OURS = ("hesr_model", "fmu_src", "cosim", "mujoco", "pinocchio")
@@ -45,7 +45,7 @@ def test_the_closed_loop_runs_where_hesr_is_not(
     python: Path,
     need: Callable[[Engine], None],
     cases: Mapping[str, Case],
-    references: References,
+    references: Expected,
     tmp_path: Path,
 ) -> None:
     engine = next(e for e in ENGINES if e.name == name)
@@ -62,4 +62,4 @@ def test_the_closed_loop_runs_where_hesr_is_not(
     ended = bare(python, tmp_path, PYTHON[name], "case.json")
     assert ended.returncode == 0, ended.stderr
     run = Run(signals=read_signals(tmp_path / "result.csv"), first=int(name == "FMPy"))
-    assert deviation(run, references.of(case, engine)) <= case.tolerance
+    assert deviation(run, references(case, engine.coupling)) <= case.tolerance

@@ -14,10 +14,6 @@ from cosim.interop.engine import (
 )
 
 
-def _find(tools: Tools) -> str:
-    return (tools.java("fmi4j")[1] / "version").read_text(encoding="utf-8").strip()
-
-
 def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
     require_fmi_2(case)
     java, jars = tools.java("fmi4j")
@@ -28,4 +24,9 @@ def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
     return Run(signals=read_signals(folder / "result.tsv", "\t"))
 
 
-FMI4J = Engine(name="FMI4j", install="make interop, with Maven and a JDK", find=_find, alone=_alone)
+FMI4J = Engine(
+    name="FMI4j",
+    install="make interop, with Maven and a JDK",
+    find=lambda tools: tools.java_version("fmi4j"),
+    alone=_alone,
+)

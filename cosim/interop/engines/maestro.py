@@ -13,10 +13,6 @@ from cosim.wiring import Element
 _NANOSECONDS = re.compile(r"Interpretation time: (\d+)")
 
 
-def _find(tools: Tools) -> str:
-    return (tools.java("maestro")[1] / "version").read_text(encoding="utf-8").strip()
-
-
 def _together(tools: Tools, case: Together, folder: Path) -> Run:
     java, jars = tools.java("maestro")
     (folder / "system.json").write_text(json.dumps(_multi_model(case)), encoding="utf-8")
@@ -64,5 +60,8 @@ def _logged(signals: Iterable[tuple[str, str, str]]) -> dict[str, list[str]]:
 
 
 MAESTRO = Engine(
-    name="Maestro", install="make interop, with Maven and Java", find=_find, together=_together
+    name="Maestro",
+    install="make interop, with Maven and Java",
+    find=lambda tools: tools.java_version("maestro"),
+    together=_together,
 )

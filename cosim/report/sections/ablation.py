@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from cosim.report.markup import Pictures, Section, joined, paragraph, table
 from cosim.report.results import Results
-from cosim.tables.table import ResultTable, TableRow, number, title
+from cosim.tables.table import ResultTable, number, row_of, title
 
 _STEPS = (
     ("parfam_v", "parfam_h", "hysteresis state"),
@@ -27,42 +27,28 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     variants = [name for name in results.run.variants if name in laws]
     if not steps and not variants:
         return None
-    parts = []
+    tables = []
     if variants:
         whole = results.run.variants[variants[-1]]
         ladder = [*variants, *([whole] if whole in laws else [])]
-        caption = (
-            f"{test}: RMSE [{results.unit('N.m')}] of the variants, each with one part more than "
-            "that above it"
-        )
-        parts.append(
-            table(
-                ResultTable(
-                    caption=caption,
-                    head=("variant", *results.joints),
-                    rows=[
-                        TableRow(head=title(law), cells=[number(e) for e in laws[law].rmse])
-                        for law in ladder
-                    ],
-                )
+        tables.append(
+            ResultTable(
+                caption=f"{test}: RMSE [{results.unit('N.m')}] of the variants, each with one part "
+                "more than that above it",
+                head=("variant", *results.joints),
+                rows=[row_of(title(law), *(number(e) for e in laws[law].rmse)) for law in ladder],
             )
         )
     if steps:
-        caption = f"{test}: change of the RMSE when one thing is added; less is better"
-        parts.append(
-            table(
-                ResultTable(
-                    caption=caption,
-                    words=(1,),
-                    head=("from, to", "adds", *results.joints),
-                    rows=[
-                        TableRow(
-                            head=f"{title(a)} → {title(b)}",
-                            cells=(what, *_changes(laws[a].rmse, laws[b].rmse)),
-                        )
-                        for a, b, what in steps
-                    ],
-                )
+        tables.append(
+            ResultTable(
+                caption=f"{test}: change of the RMSE when one thing is added; less is better",
+                words=(1,),
+                head=("from, to", "adds", *results.joints),
+                rows=[
+                    row_of(f"{title(a)} → {title(b)}", what, *_changes(laws[a].rmse, laws[b].rmse))
+                    for a, b, what in steps
+                ],
             )
         )
     return Section(
@@ -73,7 +59,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                 "Which part of a law pays on this robot. A part that costs is shown as well: with "
                 "more inputs a law can also learn what is not there."
             ),
-            *parts,
+            *map(table, tables),
         ),
     )
 

@@ -3,7 +3,7 @@
 from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
 from cosim.report.results import Results
 from cosim.tables.laws import audit
-from cosim.tables.table import ResultTable, TableCell, TableRow, fixed, number, title
+from cosim.tables.table import ResultTable, TableCell, fixed, number, row_of, title
 from fmu_src.documentation.datasheet import certificates, certified
 from hesr_model.friction.audit.audit import Audit
 from hesr_model.friction.audit.cycles import ENCODER
@@ -22,6 +22,39 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     found = results.audits
     if not found:
         return None
+    energy = ResultTable(
+        caption="Most energy that a law gives in a closed cycle [J], and the chatter of its torque "
+        f"at rest [{results.unit('N.m')}]",
+        head=(
+            "law",
+            *(f"energy {short}" for short in results.joints),
+            *(f"chatter {short}" for short in results.joints),
+        ),
+        rows=[
+            row_of(
+                title(law),
+                *(
+                    TableCell(text="none", value=0.0) if passive(a) else number(a.generated, 2)
+                    for a in of_law
+                ),
+                *(fixed(a.chatter, 2) for a in of_law),
+            )
+            for law, of_law in found.items()
+        ],
+    )
+    proofs = ResultTable(
+        caption="Passivity of each law and joint",
+        head=("law", "joint", "certificate"),
+        rows=[
+            row_of(title(law), joint, certified(c, slides=slides))
+            for law in found
+            for model in (results.models[law],)
+            for joint, c, slides in zip(
+                results.joints, certificates(model, model.trained), model.slides, strict=True
+            )
+        ],
+        numeric=False,
+    )
     return Section(
         key="audit",
         title="Passivity audit",
@@ -32,54 +65,8 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                 f"under encoder noise of {1e6 * ENCODER:.0f} {results.unit('µrad')}. Laws that "
                 "give energy are no friction of a simulated plant, whatever their RMSE."
             ),
-            table(
-                ResultTable(
-                    caption="Most energy that a law gives in a closed cycle [J], and the chatter "
-                    "of "
-                    f"its torque at rest [{results.unit('N.m')}]",
-                    head=(
-                        "law",
-                        *(f"energy {short}" for short in results.joints),
-                        *(f"chatter {short}" for short in results.joints),
-                    ),
-                    rows=[
-                        TableRow(
-                            head=title(law),
-                            cells=[
-                                *(
-                                    TableCell(text="none", value=0.0)
-                                    if passive(a)
-                                    else number(a.generated, 2)
-                                    for a in of_law
-                                ),
-                                *(fixed(a.chatter, 2) for a in of_law),
-                            ],
-                        )
-                        for law, of_law in found.items()
-                    ],
-                )
-            ),
-            details(
-                "Certificates: proven, refuted by a cycle, or open",
-                table(
-                    ResultTable(
-                        caption="Passivity of each law and joint",
-                        head=("law", "joint", "certificate"),
-                        rows=[
-                            TableRow(head=title(law), cells=(joint, certified(c, slides=slides)))
-                            for law in found
-                            for model in (results.models[law],)
-                            for joint, c, slides in zip(
-                                results.joints,
-                                certificates(model, model.trained),
-                                model.slides,
-                                strict=True,
-                            )
-                        ],
-                        numeric=False,
-                    )
-                ),
-            ),
+            table(energy),
+            details("Certificates: proven, refuted by a cycle, or open", table(proofs)),
             details(
                 "All figures of every law",
                 *(table(audit(law, found[law], results.sliding)) for law in found),

@@ -22,8 +22,8 @@ def section(results: Results, pictures: Pictures) -> Section | None:
             paragraph(
                 "Thirteen experiments on the FMUs, the same for every law. No law has to pass "
                 "all of them; which ones it fails is what its user has to know. A cell has a mark "
-                "for each joint: "
-                "✓ as the field expects of friction, ✗ not, n/a where the question does not arise."
+                "for each joint: ✓ as the field expects of friction, ✗ not, n/a where the question "
+                "does not arise."
             ),
             table(properties(results.properties, full=True)),
             *(

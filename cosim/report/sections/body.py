@@ -5,7 +5,7 @@ from markupsafe import Markup
 from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
 from cosim.report.results import Results
 from cosim.saved import SavedLog
-from cosim.tables.table import ResultTable, TableRow, number, rounded
+from cosim.tables.table import ResultTable, number, rounded, row_of
 from hesr_model.rigid_body.identification import RigidBody
 
 _INTERVAL = 1.96
@@ -56,9 +56,7 @@ def _figure(results: Results, pictures: Pictures, log: SavedLog) -> Markup:
                 ),
             ),
         )
-        for k, (short, name) in enumerate(
-            zip(results.joints, results.run.joints, strict=True), start=1
-        )
+        for k, short, name in results.numbered
     )
     return pictures.chart(
         "rigid_body",
@@ -77,10 +75,7 @@ def _parameters(body: RigidBody) -> ResultTable:
         "what depends on it",
         head=("parameter", "value", "± 95 %"),
         rows=[
-            TableRow(
-                head=body.names[k],
-                cells=(number(body.parameters[k], 4), number(_INTERVAL * error, 2)),
-            )
+            row_of(body.names[k], number(body.parameters[k], 4), number(_INTERVAL * error, 2))
             for k, error in zip(body.base, body.standard_errors, strict=True)
         ],
     )

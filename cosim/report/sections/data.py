@@ -3,9 +3,9 @@
 from markupsafe import Markup
 
 from cosim.health import read_findings
-from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
+from cosim.report.markup import Pictures, Section, details, joined, listing, paragraph, table
 from cosim.report.results import Results
-from cosim.tables.table import ResultTable, TableRow, number
+from cosim.tables.table import ResultTable, number, row_of
 
 _FEW = 3  # findings that stand open
 
@@ -26,11 +26,24 @@ def section(results: Results, pictures: Pictures) -> Section:
             "friction and noise of plausible size. What is learnt from them says nothing about a "
             "real robot."
         )
-    joints = ", ".join(
-        f"{short} {name}" for short, name in zip(results.joints, run.joints, strict=True)
-    )
+    joints = ", ".join(f"{short} {name}" for _, short, name in results.numbered)
     gears = (
         f" Gear ratios: {', '.join(f'{g:g}' for g in run.gear_ratio)}." if run.gear_ratio else ""
+    )
+    logs = ResultTable(
+        caption="Logs, and what they served for; no log of a test set was trained on",
+        words=(1,),
+        head=("log", "served for", "rows", "duration [s]", "rate [Hz]"),
+        rows=[
+            row_of(
+                log.name,
+                _roles(log.roles),
+                number(log.rows, max(3, len(str(log.rows)))),
+                number(log.duration, 4),
+                number(log.rate, 4),
+            )
+            for log in run.logs
+        ],
     )
     return Section(
         key="data",
@@ -39,25 +52,7 @@ def section(results: Results, pictures: Pictures) -> Section:
             paragraph(f"Robot {run.robot}, model {run.model}, joints {joints}.{gears}"),
             paragraph(source),
             _health(results),
-            table(
-                ResultTable(
-                    caption="Logs, and what they served for; no log of a test set was trained on",
-                    words=(1,),
-                    head=("log", "served for", "rows", "duration [s]", "rate [Hz]"),
-                    rows=[
-                        TableRow(
-                            head=log.name,
-                            cells=(
-                                _roles(log.roles),
-                                number(log.rows, max(3, len(str(log.rows)))),
-                                number(log.duration, 4),
-                                number(log.rate, 4),
-                            ),
-                        )
-                        for log in run.logs
-                    ],
-                )
-            ),
+            table(logs),
         ),
     )
 
@@ -67,9 +62,7 @@ def _health(results: Results) -> Markup:
     findings = sorted(read_findings(results.folder), key=lambda finding: not finding.logs)
     if not findings:
         return paragraph("The checks of logs and fits found nothing wrong or odd.")
-    items = Markup("<ul>{}</ul>").format(
-        Markup("").join(Markup("<li>{}</li>").format(found.sentence) for found in findings)
-    )
+    items = listing(found.sentence for found in findings)
     said = f"The checks found {len(findings)} odd thing{'s' if len(findings) > 1 else ''}"
     if len(findings) <= _FEW:
         return joined(paragraph(f"{said}:"), items)

@@ -13,7 +13,7 @@ from cosim.report.markup import (
     table,
 )
 from cosim.report.results import Results
-from cosim.tables.table import PAPERS, ResultTable, TableCell, TableRow, number, title
+from cosim.tables.table import PAPERS, ResultTable, TableCell, number, row_of, title
 from fmu_src.documentation.mathml import equations, symbol
 from fmu_src.friction.variable_names import exposed
 from hesr_model.friction.model import FrictionModel
@@ -32,8 +32,7 @@ def section(results: Results, pictures: Pictures) -> Section:
                 '<math><mover><mi>q</mi><mo class="dot">˙</mo></mover></math> is the velocity of '
                 "the joint, <math><mi>q</mi></math> its position, <math><msub><mi>τ</mi><mi>load"
                 "</mi></msub></math> its rigid-body torque; a dot is a derivative in time. The "
-                "files "
-                "in laws/ hold every digit."
+                "files in laws/ hold every digit."
             )
         )
     ]
@@ -68,16 +67,14 @@ def _rows(results: Results, model: FrictionModel) -> ResultTable:
         words=(1,),
         head=("coefficient", "unit", *results.joints),
         rows=[
-            TableRow(
-                head=Markup("{} {}").format(Markup(symbol(name)), c.description),
-                cells=(
-                    "–" if c.unit == "1" else c.unit,
-                    *(
-                        number(law.values[name], 4, notes=_notes(law.standard_errors.get(name)))
-                        if name in law.values
-                        else TableCell(text="–")
-                        for law in model.laws
-                    ),
+            row_of(
+                Markup("{} {}").format(Markup(symbol(name)), c.description),
+                "–" if c.unit == "1" else c.unit,
+                *(
+                    number(law.values[name], 4, notes=_notes(law.standard_errors.get(name)))
+                    if name in law.values
+                    else TableCell(text="–")
+                    for law in model.laws
                 ),
             )
             for name, c in coefficients.items()

@@ -38,7 +38,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     widths = tuple(
         Line(name=_times(f), x=dq, y=h, stroke=stroke)
         for f, stroke in zip(_FACTORS, three, strict=True)
-        for dq, h in [_loop(_changed(first, alpha=f * alpha), speed)]
+        for dq, h in [_loop(replace(first, values={**first.values, "alpha": f * alpha}), speed)]
     )
     colours = strokes(list(results.joints))
     fitted = tuple(
@@ -73,8 +73,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
         html=joined(
             paragraph(
                 "The paper's law sees, beside the velocity, a state h that follows the direction "
-                "of "
-                "motion with a delay (its eq. 9): dh/dt = α (tanh(β dq) − h). Fitted (α [1/s], "
+                "of motion with a delay (its eq. 9): dh/dt = α (tanh(β dq) − h). Fitted (α [1/s], "
                 f"β [{results.unit('s/rad')}]): {values}."
             ),
             pictures.figure(
@@ -94,10 +93,6 @@ def section(results: Results, pictures: Pictures) -> Section | None:
 
 def _times(factor: float) -> str:
     return {0.25: "a quarter", 1.0: "as fitted", 4.0: "four times"}[factor]
-
-
-def _changed(law: FrictionLaw, **values: float) -> FrictionLaw:
-    return replace(law, values={**law.values, **values})
 
 
 def _loop(law: FrictionLaw, speed: float) -> tuple[Array, Array]:

@@ -18,9 +18,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     torques = results.torques(log)
     rows = torques["t"] - torques["t"][0] <= _SPAN
     parts = []
-    for k, (short, name) in enumerate(
-        zip(results.joints, results.run.joints, strict=True), start=1
-    ):
+    for k, short, name in results.numbered:
         dq = torques[f"dq{k}"][rows]
         measured = (torques[f"tau{k}"] - torques[f"tau_rb{k}"])[rows]
         laws = {

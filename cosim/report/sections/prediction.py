@@ -7,10 +7,11 @@ from cosim.report.markup import Pictures, Section, details, heading, joined, par
 from cosim.report.results import Results
 from cosim.report.sections.traces import WINDOW as MOVING
 from cosim.report.sections.traces import torque_chart
+from cosim.saved import SavedLog
 from cosim.scoring import input_classes
 from cosim.tables.scores import MEASURES, errors, other_truths, position_errors
 from cosim.tables.scores import bands as band_table
-from cosim.tables.table import PAPERS, ResultTable, TableRow, named, number, title
+from cosim.tables.table import PAPERS, ResultTable, named, number, row_of, title
 
 _WINDOW = 10.0  # [s] of a picture; the view that zooms shows all
 
@@ -64,7 +65,7 @@ def _of_test(results: Results, pictures: Pictures, test: str, *, first: bool) ->
     log = results.log_of(test)
     split = {band.test for band in results.run.bands}
     if log is not None and first:
-        shown.append(_traces(results, pictures, test))
+        shown.append(_traces(results, pictures, test, log))
     if test in results.simulated:
         found = position_errors(test, results.simulated[test], results.sliding)
         shown.append(details("As simulators: torque in, position out", table(found)))
@@ -72,7 +73,8 @@ def _of_test(results: Results, pictures: Pictures, test: str, *, first: bool) ->
         shown.append(details("Do the bands hold what they say?", table(band_table(test, scores))))
     shown.append(details("Moving rows and reversals by themselves", *parts))
     if log is not None and not first and test not in split:
-        shown.append(details(f"Torque over time on ‘{test}’", _traces(results, pictures, test)))
+        traces = _traces(results, pictures, test, log)
+        shown.append(details(f"Torque over time on ‘{test}’", traces))
     return shown
 
 
@@ -88,10 +90,7 @@ def _shown(results: Results) -> list[str]:
     return laws if len(laws) > 1 else results.key_laws[:3]
 
 
-def _traces(results: Results, pictures: Pictures, test: str) -> Markup:
-    log = results.log_of(test)
-    if log is None:
-        return Markup()
+def _traces(results: Results, pictures: Pictures, test: str, log: SavedLog) -> Markup:
     window = (0.0, _WINDOW) if log.duration > 1.5 * _WINDOW else None
     chart = torque_chart(results, log, _shown(results), window=window)
     what = f"the first {_WINDOW:g} s of {log.name}" if window else log.name
@@ -101,8 +100,7 @@ def _traces(results: Results, pictures: Pictures, test: str) -> Markup:
         chart,
         f"Friction torque on {what} (left) and the RMS error of the laws over {MOVING:g} s "
         "(right), as Fig. 4 of the paper. Look at the reversals, where laws without a memory err "
-        "most. The view that "
-        f"zooms shows the whole log. Shown: {names}.",
+        f"most. The view that zooms shows the whole log. Shown: {names}.",
         alt=f"Friction torque over time on {log.name} for each joint, measured and predicted by "
         f"{names}; beside it the moving error, with peaks at velocity reversals.",
     )
@@ -138,7 +136,7 @@ def _paper(results: Results) -> Markup:
             "robot",
             head=("law", *results.joints),
             rows=[
-                TableRow(head=named(law), cells=[number(v, 4) for v in values])
+                row_of(named(law), *(number(v, 4) for v in values))
                 for law, values in paper.TABLE_II.items()
             ],
         )

@@ -6,7 +6,7 @@ from markupsafe import Markup
 
 from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
 from cosim.report.results import Results
-from cosim.tables.table import ResultTable, TableRow
+from cosim.tables.table import ResultTable, row_of
 
 
 def section(results: Results, pictures: Pictures) -> Section:
@@ -19,6 +19,12 @@ def section(results: Results, pictures: Pictures) -> Section:
     for file in results.provenance.get("files", ()):
         if file["sha256"] not in logs:
             files[file["name"], file["sha256"]] = None
+    hashes = ResultTable(
+        caption="SHA-256 of what the results come from",
+        head=("file", "SHA-256"),
+        rows=[row_of(name, Markup("<code>{}</code>").format(digest)) for name, digest in files],
+        numeric=False,
+    )
     return Section(
         key="provenance",
         title="Provenance",
@@ -28,24 +34,10 @@ def section(results: Results, pictures: Pictures) -> Section:
             ),
             paragraph(
                 "The same logs, seed and versions give the same laws bit for bit on the same "
-                "machine. "
-                "Beside this page: the laws as JSON (laws/), the FMUs (fmus/), all scores "
+                "machine. Beside this page: the laws as JSON (laws/), the FMUs (fmus/), all scores "
                 "(evaluation.json), and the figures as PDF and PNG (figures/)."
             ),
-            details(
-                "Hashes of the files",
-                table(
-                    ResultTable(
-                        caption="SHA-256 of what the results come from",
-                        head=("file", "SHA-256"),
-                        rows=[
-                            TableRow(head=name, cells=[Markup("<code>{}</code>").format(digest)])
-                            for name, digest in files
-                        ],
-                        numeric=False,
-                    )
-                ),
-            ),
+            details("Hashes of the files", table(hashes)),
             paragraph(f"Zooming by Bokeh {version('bokeh')} (BSD 3-Clause).", note=True),
         ),
     )

@@ -18,8 +18,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
             paragraph(
                 "The same loop when the arm is not what was identified: payloads, warm and cold "
                 "friction, latency, wrong servo gains, more noise. A run that left the joint "
-                "limits "
-                "is ‘stopped’."
+                "limits is ‘stopped’."
             ),
             details("The paper’s scheme", *changes[:1]),
             *changes[1:],

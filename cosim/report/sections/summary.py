@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
+from cosim.batch import Array
 from cosim.closed_loop import Scheme, StandIn
-from cosim.figures.plots import Interval, ratios
+from cosim.figures.plots import ratios
 from cosim.health import read_findings
-from cosim.report.markup import Pictures, joined, paragraph, render
+from cosim.report.markup import Pictures, joined, listing, paragraph, render
 from cosim.report.results import Results
 from cosim.report.sections.audit import passive
 from cosim.report.sections.tracking import of_scheme, outer
@@ -47,9 +47,7 @@ def summary(results: Results, pictures: Pictures) -> Markup:
         ),
         render("tiles.html.j2", tiles=tiles),
         _picture(results, pictures),
-        Markup("<ul>{}</ul>").format(
-            Markup("").join(Markup("<li>{}</li>").format(said) for said in _honest(results))
-        ),
+        listing(_honest(results)),
     )
 
 
@@ -95,7 +93,7 @@ def _count(n: int, what: str) -> str:
     return f"{n} {what}{'s' if n != 1 else ''}"
 
 
-def _listed(values: Sequence[float] | NDArray[np.float64], digits: int = 3) -> str:
+def _listed(values: Sequence[float] | Array, digits: int = 3) -> str:
     """Return the figures of few joints, or the range over many, as exact as the largest needs."""
     places = decimals([max(values)], digits)
     shown = values if len(values) <= _FEW else (min(values), max(values))
@@ -172,17 +170,7 @@ def _picture(results: Results, pictures: Pictures) -> Markup:
     scores = results.comparisons[test].ratios
     if not scores.laws:
         return Markup()
-    laws = {
-        title(law): [
-            Interval(
-                value=r.value,
-                low=r.value if r.low is None else r.low,
-                high=r.value if r.high is None else r.high,
-            )
-            for r in row
-        ]
-        for law, row in scores.laws.items()
-    }
+    laws = {title(law): row for law, row in scores.laws.items()}
     reference = "its reference" if scores.references else title(scores.reference)
     return pictures.figure(
         "ratios",

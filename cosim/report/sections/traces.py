@@ -41,9 +41,7 @@ def torque_chart(
     t = torques["t"]
     styles = strokes(results.key_laws)
     rows = []
-    for k, (short, name) in enumerate(
-        zip(results.joints, results.run.joints, strict=True), start=1
-    ):
+    for k, short, name in results.numbered:
         measured = torques[f"tau{k}"] - torques[f"tau_rb{k}"]
         predicted = {law: torques[f"{law}.tau_f{k}"] for law in laws}
         rows.append(

@@ -21,7 +21,7 @@ from cosim.report.markup import (
 )
 from cosim.report.results import Results
 from cosim.tables.loop import mrad, places, tracking
-from cosim.tables.table import ResultTable, TableCell, TableRow, named, title
+from cosim.tables.table import ResultTable, TableCell, named, row_of, title
 
 if TYPE_CHECKING:
     from cosim.studies.traces import Trace
@@ -38,8 +38,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     parts = [
         paragraph(
             "The arm itself as a co-simulation: trajectory, rigid body, friction, controller and "
-            "the "
-            "MuJoCo arm, each an FMU of native C. "
+            "the MuJoCo arm, each an FMU of native C. "
             f"{results.loop.tracking[0].rmse.shape[0]} random Fourier motions; errors are those of "
             "the true position."
         ),
@@ -101,15 +100,13 @@ def _beside_paper(results: Results) -> ResultTable:
         caption="Tracking: RMSE [mrad], mean over the motions, torque error scheme",
         head=("torque model", *beside, *results.joints),
         rows=[
-            TableRow(
-                head=named(law),
-                cells=[
-                    *(
-                        TableCell(text="") if v is None else mrad(v, 1)
-                        for v in (paper.TABLE_III.get(law, none) if with_paper else ())
-                    ),
-                    *(mrad(v, 1, best=v == b) for v, b in zip(rows[law].mean, best, strict=True)),
-                ],
+            row_of(
+                named(law),
+                *(
+                    TableCell(text="") if v is None else mrad(v, 1)
+                    for v in (paper.TABLE_III.get(law, none) if with_paper else ())
+                ),
+                *(mrad(v, 1, best=v == b) for v, b in zip(rows[law].mean, best, strict=True)),
                 quiet=law in _BOUNDS,
             )
             for law in _ordered(rows)
@@ -125,13 +122,13 @@ def _inverse(results: Results) -> ResultTable:
         caption="Tracking: RMSE [mrad], mean over the motions, servo inversion",
         head=("torque model", *results.joints, *(f"{j} with loop" for j in results.joints)),
         rows=[
-            TableRow(
-                head=named(law),
-                cells=[
+            row_of(
+                named(law),
+                *(
                     mrad(v, n, best=v == b)
                     for rows, best, digits in columns
                     for v, b, n in zip(rows[law].mean, best, digits, strict=True)
-                ],
+                ),
                 quiet=law in _BOUNDS,
             )
             for law in _ordered(bare)

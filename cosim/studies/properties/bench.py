@@ -84,12 +84,10 @@ class FrictionBench:
         chosen = {DISCRETISATION: _EXACT} if exact and self.exact else {}
         if unmoved and self._settles:
             chosen[START_MODE] = GIVEN
-        component.enter_initialisation(start=chosen)
         self._inputs.values[:n] = 0.0 if dq is None else dq
         self._inputs.values[n : 2 * n] = self.places
         self._inputs.values[2 * n :] = load
-        self._inputs.write()
-        component.exit_initialisation()
+        component.initialise(start=chosen, inputs=self._inputs)
         self._time = 0.0
         return self._outputs.read().copy()
 
@@ -192,13 +190,11 @@ class DriveBench:
         }
         if substep is not None:
             start["substep"] = substep
-        component.enter_initialisation(start=start)
         self._inputs.values[:] = 0.0
         self._inputs.values[:n] = torque
         self._inputs.values[n : 2 * n] = self.places
         self._inputs.values[3 * n :] = load
-        self._inputs.write()
-        component.exit_initialisation()
+        component.initialise(start=start, inputs=self._inputs)
         self._time = 0.0
 
     def step(self, dt: float) -> Array:

@@ -4,11 +4,11 @@ import numpy as np
 
 from cosim.batch import Array
 from cosim.studies.properties.bench import FrictionBench
-from cosim.studies.properties.curves import curve
+from cosim.studies.properties.findings import curve, figures, plot
 from cosim.studies.properties.scale import SLIDING, Scale
 from hesr_model.errors import SimulationError
 from hesr_model.friction.audit.expectations import STEP
-from hesr_model.friction.audit.properties import Figure, Finding, Plot
+from hesr_model.friction.audit.properties import Finding
 
 LEAST, MOST = 5e-5, 0.1
 """Steps between which the largest one is looked for [s]."""
@@ -120,28 +120,20 @@ def _judged(
     slope: float,
     shown: Array,
 ) -> Finding:
-    figures = (
-        Figure(name="largest step without chatter", value=largest, unit="s"),
-        Figure(name="2 J / slope at rest", value=predicted, unit="s"),
-        Figure(name="slope at rest", value=slope, unit="N.m.s/rad"),
+    measured = figures(
+        ("largest step without chatter", None if driven else largest, "s"),
+        ("2 J / slope at rest", predicted, "s"),
+        ("slope at rest", slope, "N.m.s/rad"),
     )
     end = min(len(shown), int(0.2 / STEP))
     t = STEP * np.arange(end, dtype=float)
-    plot = Plot(
-        x="time",
-        y="velocity",
-        units=("s", "rad/s"),
-        curves=(curve("at 1 ms", t, np.nan_to_num(shown[:end]), most=200),),
-    )
+    drawn = plot("time", "velocity", curve("at 1 ms", t, np.nan_to_num(shown[:end]), most=200))
     if driven:
         return Finding(
             verdict="not applicable",
-            figures=(
-                Figure(name="largest step without chatter", value=None, unit="s"),
-                *figures[1:],
-            ),
+            figures=measured,
             reason="Whatever the step, the joint does not come to a stop: the law drives it.",
-            plot=plot,
+            plot=drawn,
         )
     if largest is None:
         reason = f"It chatters at {1e3 * LEAST:g} ms already, the least step tried."
@@ -151,7 +143,7 @@ def _judged(
         reason = "No chatter up to the largest step tried." if largest == MOST else ""
     return Finding(
         verdict="pass" if largest is not None and largest >= STEP else "fail",
-        figures=figures,
+        figures=measured,
         reason=reason,
-        plot=plot,
+        plot=drawn,
     )

@@ -4,10 +4,10 @@ import numpy as np
 
 from cosim.batch import Array
 from cosim.studies.properties.bench import DriveBench
-from cosim.studies.properties.curves import curve
+from cosim.studies.properties.findings import curve, judged, plot
 from cosim.studies.properties.scale import Scale
 from hesr_model.friction.audit.expectations import PASSIVE
-from hesr_model.friction.audit.properties import Figure, Finding, Plot
+from hesr_model.friction.audit.properties import Finding
 
 AMPLITUDES = (0.02, 0.5, 2.0)
 """Of the torque, in friction levels: far within pre-sliding, half of it, and sliding."""
@@ -56,24 +56,14 @@ def dissipation(bench: DriveBench, scale: Scale, peaks: Array, loaded: Array) ->
             for j in np.flatnonzero(given > worst):
                 worst[j], at[j] = given[j], share
                 shown[j] = (q[-_ROWS:, j] - bench.places[j], tau[-_ROWS:, j])
-    return [_judged(float(worst[j]), float(at[j]), *shown[j]) for j in range(bench.joints)]
+    return [_given(float(worst[j]), float(at[j]), *shown[j]) for j in range(bench.joints)]
 
 
-def _judged(given: float, share: float, q: Array, tau: Array) -> Finding:
-    gives = given > PASSIVE
-    return Finding(
-        verdict="fail" if gives else "pass",
-        figures=(
-            Figure(name="most energy given in a cycle", value=max(0.0, given), unit="J"),
-            Figure(name="amplitude of the torque, of the level", value=share, unit="1"),
-        ),
-        reason=f"Under a torque of {share:g} levels it gives {given:.3g} J a cycle."
-        if gives
-        else "",
-        plot=Plot(
-            x="position",
-            y="torque",
-            units=("mrad", "N.m"),
-            curves=(curve("", 1e3 * q, tau, closed=True),),
-        ),
+def _given(given: float, share: float, q: Array, tau: Array) -> Finding:
+    said = f"Under a torque of {share:g} levels it gives {given:.3g} J a cycle."
+    return judged(
+        ("most energy given in a cycle", max(0.0, given), "J"),
+        ("amplitude of the torque, of the level", share, "1"),
+        wrong=[said] if given > PASSIVE else [],
+        plot=plot("position", "torque", curve("", 1e3 * q, tau, closed=True)),
     )

@@ -4,10 +4,10 @@ import numpy as np
 
 from cosim.batch import Array
 from cosim.studies.properties.bench import DriveBench
-from cosim.studies.properties.curves import curve
+from cosim.studies.properties.findings import curve, judged, plot
 from cosim.studies.properties.scale import Scale
 from hesr_model.friction.audit.expectations import FALLS, HELD
-from hesr_model.friction.audit.properties import Figure, Finding, Plot
+from hesr_model.friction.audit.properties import Finding
 
 RAMPS = (10.0, 3.0, 1.0, 0.3)
 """Times in which ramps of torque reach the friction level [s]."""
@@ -69,10 +69,9 @@ def _ramp(bench: DriveBench, scale: Scale, seconds: float) -> tuple[Array, Array
 
 def _broken(peaks: Array, ways: Array, level: float) -> Finding:
     if np.isnan(peaks).any():
-        return Finding(
-            verdict="fail",
-            figures=(Figure(name="fall of the break-away torque", value=None, unit="1"),),
-            reason=f"The joint does not slide below {_HIGHEST:g} times its friction level.",
+        return judged(
+            ("fall of the break-away torque", None, "1"),
+            wrong=[f"The joint does not slide below {_HIGHEST:g} times its friction level."],
         )
     fall = float((peaks[0] - peaks[-1]) / peaks[0]) if peaks[0] > 0.0 else 0.0
     wrong = []
@@ -88,22 +87,13 @@ def _broken(peaks: Array, ways: Array, level: float) -> Finding:
             f"It falls by {fall:.1%} only." if fall > 1e-3 else "It does not fall with the rate."
         )
     rates = level / np.array(RAMPS)
-    return Finding(
-        verdict="fail" if wrong else "pass",
-        figures=(
-            Figure(name="fall of the break-away torque", value=fall, unit="1"),
-            Figure(name="break-away torque on the slowest ramp", value=float(peaks[0]), unit="N.m"),
-            Figure(name="break-away torque on the fastest ramp", value=float(peaks[-1]),
-                   unit="N.m"),
-        ),
-        reason=" ".join(wrong),
-        plot=Plot(
-            x="log10 rate",
-            y="break-away",
-            units=("N.m/s", "N.m"),
-            curves=(curve("", np.log10(rates), peaks),),
-        ),
-    )  # fmt: skip
+    return judged(
+        ("fall of the break-away torque", fall, "1"),
+        ("break-away torque on the slowest ramp", float(peaks[0]), "N.m"),
+        ("break-away torque on the fastest ramp", float(peaks[-1]), "N.m"),
+        wrong=wrong,
+        plot=plot("log10 rate", "break-away", curve("", np.log10(rates), peaks)),
+    )
 
 
 def hold(bench: DriveBench, scale: Scale) -> list[Finding]:
@@ -146,29 +136,14 @@ def _drifting(t: Array, q: Array) -> list[Finding]:
         drift = float(of_joint[-1] - of_joint[0])
         rate = float(np.diff(of_joint[len(of_joint) // 2 :]).sum() / (t[-1] - t[len(t) // 2]))
         if not np.isfinite(drift):
-            found.append(
-                Finding(
-                    verdict="fail",
-                    figures=(Figure(name="drift in a minute", value=None, unit="rad"),),
-                    reason="The joint runs away.",
-                )
-            )
+            found.append(judged(("drift in a minute", None, "rad"), wrong=["The joint runs away."]))
             continue
-        moves = abs(drift) > HELD
         found.append(
-            Finding(
-                verdict="fail" if moves else "pass",
-                figures=(
-                    Figure(name="drift in a minute", value=drift, unit="rad"),
-                    Figure(name="rate of the second half", value=rate, unit="rad/s"),
-                ),
-                reason="It creeps." if moves else "",
-                plot=Plot(
-                    x="time",
-                    y="moved",
-                    units=("s", "mrad"),
-                    curves=(curve("", t, 1e3 * (of_joint - of_joint[0]), most=60),),
-                ),
+            judged(
+                ("drift in a minute", drift, "rad"),
+                ("rate of the second half", rate, "rad/s"),
+                wrong=["It creeps."] if abs(drift) > HELD else [],
+                plot=plot("time", "moved", curve("", t, 1e3 * (of_joint - of_joint[0]), most=60)),
             )
         )
     return found

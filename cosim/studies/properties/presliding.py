@@ -9,10 +9,10 @@ import numpy as np
 
 from cosim.batch import Array
 from cosim.studies.properties.bench import FrictionBench
-from cosim.studies.properties.curves import curve
+from cosim.studies.properties.findings import curve, judged, plot
 from cosim.studies.properties.scale import Scale
 from hesr_model.friction.audit.expectations import CLOSED, INNER, RATE, SMOOTH
-from hesr_model.friction.audit.properties import Figure, Finding, Plot
+from hesr_model.friction.audit.properties import Finding
 
 PERIOD, SLOW_PERIOD = 4.0, 40.0
 """Of the loops [s]."""
@@ -46,7 +46,7 @@ def presliding(bench: FrictionBench, scale: Scale) -> list[Finding]:
     """Move the joints to and fro by their deflection, fast and ten times slower."""
     fast, slow = (_loop(bench, scale, period, scale.load) for period in (PERIOD, SLOW_PERIOD))
     return [
-        _judged(fast[:, joint], slow[:, joint], float(amplitude))
+        _slid(fast[:, joint], slow[:, joint], float(amplitude))
         for joint, amplitude in enumerate(scale.deflection)
     ]
 
@@ -150,7 +150,7 @@ def _area(tau: Array, amplitude: float) -> float:
     return float(np.trapezoid(np.append(tau, tau[0]), np.append(x, x[0])))
 
 
-def _judged(fast: Array, slow: Array, amplitude: float) -> Finding:
+def _slid(fast: Array, slow: Array, amplitude: float) -> Finding:
     half = len(_BRANCH)
     height = float(np.ptp(fast))
     area, slow_area = (_area(tau, amplitude) for tau in (fast, slow))
@@ -175,24 +175,18 @@ def _judged(fast: Array, slow: Array, amplitude: float) -> Finding:
             "velocity and time, not of position."
         )
     x = _positions(amplitude)
-    return Finding(
-        verdict="fail" if wrong else "pass",
-        figures=(
-            Figure(name="stiffness after a reversal", value=stiffness, unit="N.m/rad"),
-            Figure(name="area of the loop", value=area, unit="J"),
-            Figure(name="area at a tenth of the speed, relative", value=ratio, unit="1"),
-            Figure(name="jump at a reversal, of the height", value=share, unit="1"),
-            Figure(name="amplitude", value=amplitude, unit="rad"),
-        ),
-        reason=" ".join(wrong),
-        plot=Plot(
-            x="position",
-            y="torque",
-            units=("mrad", "N.m"),
-            curves=(
-                curve(f"{PERIOD:g} s", 1e3 * x, fast, closed=True),
-                curve(f"{SLOW_PERIOD:g} s", 1e3 * x, slow, closed=True),
-            ),
+    return judged(
+        ("stiffness after a reversal", stiffness, "N.m/rad"),
+        ("area of the loop", area, "J"),
+        ("area at a tenth of the speed, relative", ratio, "1"),
+        ("jump at a reversal, of the height", share, "1"),
+        ("amplitude", amplitude, "rad"),
+        wrong=wrong,
+        plot=plot(
+            "position",
+            "torque",
+            curve(f"{PERIOD:g} s", 1e3 * x, fast, closed=True),
+            curve(f"{SLOW_PERIOD:g} s", 1e3 * x, slow, closed=True),
         ),
     )
 
@@ -233,26 +227,17 @@ def _remembered(
         wrong.append("A law without a state has no memory.")
     turn = 2.0 * _TURN - 1.0
     into = turn - way
-    return Finding(
-        verdict="fail" if wrong else "pass",
-        figures=(
-            Figure(
-                name="miss of the closed inner loop, of the height",
-                # A loop as high as the outer one closes because nothing is kept: no merit.
-                value=None if depth > INNER else miss,
-                unit="1",
-            ),
-            Figure(name="largest difference after it, of the height", value=onwards, unit="1"),
-            Figure(name="height of the inner loop, of the outer", value=depth, unit="1"),
-        ),
-        reason=" ".join(wrong),
-        plot=Plot(
-            x="position",
-            y="torque",
-            units=("mrad", "N.m"),
-            curves=(
-                curve("outer", 1e3 * amplitude * (2.0 * _BRANCH - 1.0), outer),
-                curve("inner", 1e3 * amplitude * into, inner),
-            ),
+    # A loop as high as the outer one closes because nothing is kept: no merit.
+    closes = None if depth > INNER else miss
+    return judged(
+        ("miss of the closed inner loop, of the height", closes, "1"),
+        ("largest difference after it, of the height", onwards, "1"),
+        ("height of the inner loop, of the outer", depth, "1"),
+        wrong=wrong,
+        plot=plot(
+            "position",
+            "torque",
+            curve("outer", 1e3 * amplitude * (2.0 * _BRANCH - 1.0), outer),
+            curve("inner", 1e3 * amplitude * into, inner),
         ),
     )

@@ -4,7 +4,7 @@ import numpy as np
 
 from cosim.batch import Array
 from cosim.studies.properties.bench import FrictionBench
-from cosim.studies.properties.curves import curve
+from cosim.studies.properties.findings import curve, judged, plot
 from cosim.studies.properties.scale import Scale
 from hesr_model.friction.audit.attack import loaded_motions
 from hesr_model.friction.audit.cycles import (
@@ -17,7 +17,7 @@ from hesr_model.friction.audit.cycles import (
     encoder_noise,
 )
 from hesr_model.friction.audit.expectations import PASSIVE, QUIET, WIDTH
-from hesr_model.friction.audit.properties import Figure, Finding, Plot
+from hesr_model.friction.audit.properties import Finding
 from hesr_model.friction.trained import TrainedRange
 
 _SLOWEST, _FASTEST = 0.01, 0.11  # of the one-way motion, as shares of the trained speed
@@ -74,18 +74,13 @@ def _lagging(dq: Array, fast: Array, slow: Array, level: float) -> Finding:
         if abs(width) <= abs(slow_width):
             wrong.append("Faster changes of the speed do not widen the loop.")
     curves = (curve(f"{p:g} s", dq, tau) for p, tau in zip(_PERIODS, (fast, slow), strict=True))
-    return Finding(
-        verdict="fail" if wrong else "pass",
-        figures=(
-            Figure(name="width of the loop at 1 Hz, + if acceleration is above", value=width,
-                   unit="N.m"),
-            Figure(name="width at 0.02 Hz", value=slow_width, unit="N.m"),
-            Figure(name="slope of the curve where it is widest", value=float(slope[row]),
-                   unit="N.m.s/rad"),
-        ),
-        reason=" ".join(wrong),
-        plot=Plot(x="velocity", y="torque", units=("rad/s", "N.m"), curves=tuple(curves)),
-    )  # fmt: skip
+    return judged(
+        ("width of the loop at 1 Hz, + if acceleration is above", width, "N.m"),
+        ("width at 0.02 Hz", slow_width, "N.m"),
+        ("slope of the curve where it is widest", float(slope[row]), "N.m.s/rad"),
+        wrong=wrong,
+        plot=plot("velocity", "torque", *curves),
+    )
 
 
 def chatter(bench: FrictionBench, scale: Scale, trained: list[TrainedRange]) -> list[Finding]:
@@ -100,20 +95,12 @@ def chatter(bench: FrictionBench, scale: Scale, trained: list[TrainedRange]) -> 
         of_joint = tau[settling:, joint]
         deviation = float(np.std(of_joint))
         t = sample * np.arange(_SHOWN, dtype=float)
-        loud = deviation > QUIET * level
+        said = f"That is {deviation / level:.0%} of the friction level."
         found.append(
-            Finding(
-                verdict="fail" if loud else "pass",
-                figures=(
-                    Figure(name="standard deviation of the torque", value=deviation, unit="N.m"),
-                ),
-                reason=f"That is {deviation / level:.0%} of the friction level." if loud else "",
-                plot=Plot(
-                    x="time",
-                    y="torque",
-                    units=("s", "N.m"),
-                    curves=(curve("at rest", t, of_joint[:_SHOWN], most=150),),
-                ),
+            judged(
+                ("standard deviation of the torque", deviation, "N.m"),
+                wrong=[said] if deviation > QUIET * level else [],
+                plot=plot("time", "torque", curve("at rest", t, of_joint[:_SHOWN], most=150)),
             )
         )
     return found
@@ -187,7 +174,7 @@ def _worked(found: list[Cycle]) -> Finding:
     share = min(found, key=lambda c: c.share)
     gives = given > PASSIVE
     swings = f" while the load swings by {worst.swing:.3g} N.m" if worst.swing else ""
-    reason = f"A cycle at {worst.frequency:.2g} Hz gives {given:.3g} J{swings}." if gives else ""
+    said = f"A cycle at {worst.frequency:.2g} Hz gives {given:.3g} J{swings}."
     curves = []
     for frequency in sorted({c.frequency for c in found if not c.swing})[::2]:
         least: dict[float, float] = {}
@@ -196,19 +183,12 @@ def _worked(found: list[Cycle]) -> Finding:
                 least[c.amplitude] = min(least.get(c.amplitude, 1.0), c.share)
         x, y = (np.array(part) for part in zip(*sorted(least.items()), strict=True))
         curves.append(curve(f"{frequency:.2g} Hz", x, y))
-    return Finding(
-        verdict="fail" if gives else "pass",
-        figures=(
-            Figure(name="most energy given in a cycle", value=given, unit="J"),
-            Figure(
-                name="amplitude of that cycle",
-                value=worst.amplitude if gives else None,
-                unit="rad/s",
-            ),
-            Figure(name="least share of the work that is taken", value=share.share, unit="1"),
-            Figure(name="at an amplitude of", value=share.amplitude, unit="rad/s"),
-            Figure(name="at a frequency of", value=share.frequency, unit="Hz"),
-        ),
-        reason=reason,
-        plot=Plot(x="amplitude", y="work taken, share", units=("rad/s", ""), curves=tuple(curves)),
+    return judged(
+        ("most energy given in a cycle", given, "J"),
+        ("amplitude of that cycle", worst.amplitude if gives else None, "rad/s"),
+        ("least share of the work that is taken", share.share, "1"),
+        ("at an amplitude of", share.amplitude, "rad/s"),
+        ("at a frequency of", share.frequency, "Hz"),
+        wrong=[said] if gives else [],
+        plot=plot("amplitude", "work taken, share", *curves),
     )

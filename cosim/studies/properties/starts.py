@@ -4,10 +4,10 @@ import numpy as np
 
 from cosim.batch import Array
 from cosim.studies.properties.bench import FrictionBench
-from cosim.studies.properties.curves import curve
+from cosim.studies.properties.findings import curve, judged, plot
 from cosim.studies.properties.scale import Scale
 from hesr_model.friction.audit.expectations import BEGINS
-from hesr_model.friction.audit.properties import Figure, Finding, Plot
+from hesr_model.friction.audit.properties import Finding
 
 SHARES = np.geomspace(0.05, 1.0, 5)
 """Speeds at which a joint begins, as shares of the trained one."""
@@ -37,20 +37,15 @@ def _begun(speeds: Array, first: Array, steady: Array) -> Finding:
     off = (first - steady) / friction[:, None]
     row, way = np.unravel_index(int(np.argmax(np.abs(off))), off.shape)
     worst, speed = float(off[row, way]), float(speeds[row]) * (-1.0 if way else 1.0)
-    wrong = not abs(worst) <= BEGINS
-    reason = f"At {speed:.3g} rad/s the first torque is off by {worst:.0%}." if wrong else ""
-    return Finding(
-        verdict="fail" if wrong else "pass",
-        figures=(
-            Figure(name="largest difference of the first torque, of the friction",
-                   value=abs(worst), unit="1"),
-            Figure(name="at a velocity of", value=speed, unit="rad/s"),
+    said = f"At {speed:.3g} rad/s the first torque is off by {worst:.0%}."
+    return judged(
+        ("largest difference of the first torque, of the friction", abs(worst), "1"),
+        ("at a velocity of", speed, "rad/s"),
+        wrong=[] if abs(worst) <= BEGINS else [said],  # no number is wrong as well
+        plot=plot(
+            "velocity",
+            "torque",
+            curve("first", speeds, first[:, 0]),
+            curve("steady", speeds, steady[:, 0]),
         ),
-        reason=reason,
-        plot=Plot(
-            x="velocity",
-            y="torque",
-            units=("rad/s", "N.m"),
-            curves=(curve("first", speeds, first[:, 0]), curve("steady", speeds, steady[:, 0])),
-        ),
-    )  # fmt: skip
+    )

@@ -4,10 +4,10 @@ import numpy as np
 
 from cosim.batch import Array
 from cosim.studies.properties.bench import DriveBench
-from cosim.studies.properties.curves import curve
+from cosim.studies.properties.findings import curve, figures, plot
 from cosim.studies.properties.scale import CREEP, Scale
 from hesr_model.friction.audit.expectations import WEAKENING
-from hesr_model.friction.audit.properties import Figure, Finding, Plot
+from hesr_model.friction.audit.properties import Finding
 
 STRETCH = 0.2
 """Stretch of the spring under the friction level [rad]."""
@@ -74,21 +74,15 @@ def _pulled(
         right, why = True, f"its steady curve falls by {falls:.1%} only, where either may be"
     return Finding(
         verdict="pass" if right else "fail",
-        figures=(
-            Figure(name="amplitude of the limit cycle", value=0.5 * last if cycles else 0.0,
-                   unit="rad"),
-            Figure(name="period of the limit cycle", value=period, unit="s"),
-            Figure(name="pulling speed", value=pull, unit="rad/s"),
-            Figure(name="fall of the steady curve, of the level", value=falls, unit="1"),
+        figures=figures(
+            ("amplitude of the limit cycle", 0.5 * last if cycles else 0.0, "rad"),
+            ("period of the limit cycle", period, "s"),
+            ("pulling speed", pull, "rad/s"),
+            ("fall of the steady curve, of the level", falls, "1"),
         ),
         reason=f"{does}; {why}.",
-        plot=Plot(
-            x="time",
-            y="stretch",
-            units=("s", "mrad"),
-            curves=(curve("", t, 1e3 * stretch, most=160),),
-        ),
-    )  # fmt: skip
+        plot=plot("time", "stretch", curve("", t, 1e3 * stretch, most=160)),
+    )
 
 
 def _period(t: Array, over: Array) -> float | None:
