@@ -141,7 +141,7 @@ FMI2_STATUS(fmi2GetInteger)
     return status;
 }
 
-static void put(Memory *memory, fmi2ValueReference vr, double value) {
+static void set_one(Memory *memory, fmi2ValueReference vr, double value) {
     const Variable *variable = variable_of(vr);
     memory->component.v[first_of(vr)] = value;
     memory->component.changed += variable->role != INPUT;
@@ -164,7 +164,7 @@ FMI2_STATUS(fmi2SetReal)
         return refuse_number(instance, function, vr[odd], value[odd]);
     }
     for (size_t i = 0; i < n; i++) {
-        put(&instance->memory, vr[i], value[i]);
+        set_one(&instance->memory, vr[i], value[i]);
     }
     return fmi2OK;
 }
@@ -189,7 +189,7 @@ FMI2_STATUS(fmi2SetInteger)
         }
     }
     for (size_t i = 0; i < n; i++) {
-        put(&instance->memory, vr[i], value[i]);
+        set_one(&instance->memory, vr[i], value[i]);
     }
     return fmi2OK;
 }

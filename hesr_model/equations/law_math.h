@@ -49,7 +49,7 @@ static inline double power_of_two(uint64_t n) {
 
 /* What is left of x without k ln(2); the upper part of ln(2) has so few bits that k times it is
  * exact. */
-static inline double without(double x, double k) {
+static inline double reduced(double x, double k) {
     return (x - k * 0x1.62e42feep-1) - k * 0x1.a39ef35793c76p-33;
 }
 
@@ -71,7 +71,7 @@ static inline double even_exp(double x) {
     const bool vanishes = x < -746.0;
     const double above = vanishes ? -700.0 : x, inside = above > 710.0 ? 710.0 : above;
     const double shifted = inside * 0x1.71547652b82fep+0 + TO_INTEGER;
-    const double e = twice_short(without(inside, shifted - TO_INTEGER), 2.0);
+    const double e = twice_short(reduced(inside, shifted - TO_INTEGER), 2.0);
     /* 2^k is made of two powers, as it may be too large or too small for one, and half of it. */
     const uint64_t n = (bits_of(shifted) + 2047) & 4095, part = n / 2;
     const double half = power_of_two(part - 1024) * power_of_two(n - part - 1024);
@@ -83,7 +83,7 @@ static inline double even_expm1(double x) {
     const double inside = x < -60.0 ? -60.0 : x;
     const double shifted = inside * 0x1.71547652b82fep+0 + TO_INTEGER;
     const double half = power_of_two(bits_of(shifted) - 1);
-    return half * twice_short(without(inside, shifted - TO_INTEGER), 0.0) + (2.0 * half - 1.0);
+    return half * twice_short(reduced(inside, shifted - TO_INTEGER), 0.0) + (2.0 * half - 1.0);
 }
 
 /* The same bits: for one number alone a branch is quicker where it is saturated. */

@@ -3,6 +3,8 @@
 Ratios are of the best of several rounds, taken in turns, so that a busy machine slows both alike.
 """
 
+import shutil
+import subprocess
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,6 +17,8 @@ from threadpoolctl import threadpool_limits
 from cosim.native import through
 from cosim.slave import Component
 from fmu_src import export_fmu
+from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.one_file.c_header import export_c
 from hesr_model.equations.compiled import in_numpy
 from hesr_model.friction.evaluate import predict
 from hesr_model.friction.fitting.declarative import OneForm
@@ -25,6 +29,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.compiler import compile_c
 
 Tell = Callable[[str], None]
 STEP, ROWS, JOINTS = 0.005, 20000, 6
@@ -75,6 +80,50 @@ def test_torque_over_a_log(law: str, fitted: Callable[[str], FrictionLaw], tell:
     tell(f"{law} over a log: {in_c / ROWS * 1e9:.1f} ns a row, NumPy {oracle / in_c:.1f} times")
     expected = plainly()
     assert np.abs(predict(own, **one) - expected).max() <= 1e-13 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("law", [law for law in STUDIED if law not in NETWORKS])
+def test_robots_side_by_side_against_steps_of_the_fmu(
+    law: str, fitted: Callable[[str], FrictionLaw], tmp_path: Path, tell: Tell
+) -> None:
+    """Aim: 5 times with AVX2."""
+    model = FrictionModel(
+        law=law, robot="bench", joints=("j1", "j2", "j3"), laws=(fitted(law),) * 3,
+        sample_time=STEP,
+    )  # fmt: skip
+    export_c(model, tmp_path / "law.h")
+    source = tmp_path / "side_by_side.c"
+    shutil.copy(Path(__file__).with_name(source.name), source)
+    flags = ("-std=gnu99", "-O3", "-march=x86_64_v3", "-ffp-contract=off")
+    compile_c(source, flags, tmp_path / "program", ("-lm",))
+    t = STEP * np.arange(ROWS + 1)
+    dq = np.sin(np.outer(t[:-1], [1.0, 1.3, 1.7]))
+    q = np.cumsum(dq, axis=0) * STEP
+    rows = np.stack([dq, q, 20.0 * np.sin(q)], axis=1).reshape(ROWS, -1)
+    with Component(export_bare(model, tmp_path / "F.fmu")) as component:
+        names = ("dq", "q", "tau_load")
+        inputs = component.batch([f"{name}[{i}]" for name in names for i in (1, 2, 3)])
+        outputs = component.batch([f"tau[{i}]" for i in (1, 2, 3)])
+        component.initialise(start={})
+        found: list[float] = []
+
+        def side_by_side() -> None:
+            told = subprocess.run(
+                [tmp_path / "program", "4096"], capture_output=True, text=True, check=True
+            )
+            found.append(float(told.stdout))
+
+        def stepped() -> None:
+            component.reset()
+            component.initialise(start={})
+            through(component, inputs, outputs, t[:-1], np.diff(t), rows)
+
+        _, by_steps = seconds(side_by_side, stepped)
+    alone = by_steps / ROWS * 1e9
+    tell(
+        f"{law}, three joints: {min(found):.1f} ns for one of 64 robots; set, step and get of "
+        f"the FMU {alone:.0f} ns, {alone / min(found):.1f} times"
+    )
 
 
 @pytest.mark.parametrize(
