@@ -21,13 +21,13 @@ enum {
     LAST_STEP = 1,                           /* length of the last step [s], 0 before the first */
     BEGIN = 2,                               /* time at which it started [s] */
     TICKS = 3,                               /* samples since then; negative where outputs hold */
-    SETTLED_STEP = 4,                        /* length of the step for which numbers are settled */
+    INVARIANT_STEP = 4,                      /* length of the step for which invariants are there */
     USED = OWN_FIXED,                        /* the inputs that were held over the last step */
     BEFORE = USED + JOINTS * MAX_INPUTS,     /* the states before it */
     PREVIOUS = BEFORE + JOINTS * MAX_STATES, /* values at the last sample but one */
-    LATEST = PREVIOUS + JOINTS * MAX_REMEMBERED, /* and at the last */
-    SETTLED = LATEST + JOINTS * MAX_REMEMBERED,  /* what parameters and step make of each other */
-    HELD = SETTLED + JOINTS * MAX_SETTLED,
+    LATEST = PREVIOUS + JOINTS * MAX_REMEMBERED,   /* and at the last */
+    INVARIANTS = LATEST + JOINTS * MAX_REMEMBERED, /* what parameters and step make of each other */
+    HELD = INVARIANTS + JOINTS * MAX_INVARIANTS,
 };
 
 /* By how much of a sample time a sum of steps may miss a sample. */
@@ -66,8 +66,8 @@ static double *previous_of(Component *component, int i) {
     return &component->own[PREVIOUS + i * MAX_REMEMBERED];
 }
 
-static double *settled_of(Component *component, int i) {
-    return &component->own[SETTLED + i * MAX_SETTLED];
+static double *invariants_of(Component *component, int i) {
+    return &component->own[INVARIANTS + i * MAX_INVARIANTS];
 }
 
 static double *latest_of(Component *component, int i) {
@@ -158,28 +158,29 @@ static bool can_relax(const Component *component, double step, Message *why) {
 
 /* Compute what depends on parameters and the length of steps alone, where one of these changes.
  * What is not finite there is not kept, as it could not be saved. */
-static void settle(Component *component, double step, double euler) {
+static void update_invariants(Component *component, double step, double euler) {
     double *own = component->own;
     bool finite = true;
-    if (own[SETTLED_STEP] == step && component->changed == 0.0) {
+    if (own[INVARIANT_STEP] == step && component->changed == 0.0) {
         return;
     }
     for (int i = 0; i < JOINTS; i++) {
-        if (joints[i].settle) {
-            joints[i].settle(place_of(component, i).k, step, euler, settled_of(component, i));
+        if (joints[i].invariants) {
+            joints[i].invariants(place_of(component, i).k, step, euler,
+                                 invariants_of(component, i));
         }
     }
-    for (int i = SETTLED; i < HELD; i++) {
+    for (int i = INVARIANTS; i < HELD; i++) {
         finite = finite && isfinite(own[i]);
     }
-    own[SETTLED_STEP] = step;
+    own[INVARIANT_STEP] = step;
     component->changed = finite ? 0.0 : 1.0;
 }
 
 /* Move the memory of all joints, and compute what is read of it. */
 static void sample(Component *component, double step) {
     const double euler = DISCRETISATION >= 0 && component->v[DISCRETISATION] == EULER;
-    settle(component, step, euler);
+    update_invariants(component, step, euler);
     component->own[LAST_STEP] = step;
     clear_torques(component->v);
     for (int i = 0; i < JOINTS; i++) {
@@ -191,7 +192,7 @@ static void sample(Component *component, double step) {
         memcpy(&component->own[USED + i * MAX_INPUTS], at.u,
                (size_t)joint->inputs * sizeof at.u[0]);
         memcpy(&component->own[BEFORE + i * MAX_STATES], x, (size_t)joint->states * sizeof *x);
-        joint->step(at.k, at.u, at.s, previous_of(component, i), settled_of(component, i), step,
+        joint->step(at.k, at.u, at.s, previous_of(component, i), invariants_of(component, i), step,
                     euler, x, y, latest_of(component, i));
         put_outputs(component->v, i, y);
         if (HOLDS || SAMPLED) { /* component_output does not write derivatives later */
@@ -201,7 +202,7 @@ static void sample(Component *component, double step) {
         }
     }
     if (component->changed > 0.0) {
-        memset(&component->own[SETTLED], 0, (HELD - SETTLED) * sizeof(double));
+        memset(&component->own[INVARIANTS], 0, (HELD - INVARIANTS) * sizeof(double));
     }
 }
 

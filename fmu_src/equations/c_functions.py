@@ -19,8 +19,8 @@ from hesr_model.equations.functions import positive, sgn
 from hesr_model.equations.memory import DT, EULER, Relaxation
 from hesr_model.equations.program import (
     Assignments,
+    Invariants,
     Jumps,
-    Settled,
     Tangent,
     beginning,
     begun,
@@ -240,38 +240,41 @@ class Functions:
         return {**self._moved_targets, **self._reading_targets}
 
     @cached_property
-    def _settled(self) -> Settled:
+    def _invariants(self) -> Invariants:
         """The step, apart from what parameters and its length make of each other in it."""
         program = self.jumps.held(sampled(self.component))
-        return Settled.of(program, self._step_targets.values(), {*self._parameters, DT, EULER})
+        return Invariants.of(program, self._step_targets.values(), {*self._parameters, DT, EULER})
 
     @property
-    def settled(self) -> int:
-        """How many numbers `settle` writes."""
-        return len(self._settled.kept)
+    def invariant_count(self) -> int:
+        """How many numbers `invariants` writes."""
+        return len(self._invariants.kept)
 
-    def settle(self) -> str:
+    def invariants(self) -> str:
         """Write into c what a step needs of parameters and its length alone."""
-        targets = {f"c[{i}]": s for i, s in enumerate(self._settled.kept)}
-        signature = f"{self.name}_settle(IN(k), double dt, double euler, OUT(c))"
-        return _printed(signature, self._settled.once, {}, targets, self._arguments.places)
+        targets = {f"c[{i}]": s for i, s in enumerate(self._invariants.kept)}
+        signature = f"{self.name}_invariants(IN(k), double dt, double euler, OUT(c))"
+        return _printed(signature, self._invariants.once, {}, targets, self._arguments.places)
 
-    def settled_step(self) -> str:
-        """Do as `step`, with what `settle` has written into c."""
-        places = self._arguments.plus(self._settled.kept, "c").places
+    def step(self) -> str:
+        """Move the states x by dt, and write the readings of the end of the step.
+
+        What `invariants` has written is c.
+        """
+        places = self._arguments.plus(self._invariants.kept, "c").places
         signature = (
             f"{self.name}_step(IN(k), IN(u), IN(s), IN(p), IN(c), double dt, double euler, "
             "double *x, OUT(y), OUT(r))"
         )
-        own = self._settled
+        own = self._invariants
         return _printed(signature, own.moving, own.names, self._step_targets, places)
 
     def lanes(self) -> str:
-        """Do as `settled_step` for LANES instances side by side, whose parameters are the same.
+        """Do as `step` for LANES instances side by side, whose parameters are the same.
 
         Signs are not given but found, as there is no event between two steps.
         """
-        own = self._settled
+        own = self._invariants
         places = _Arguments().plus(self._parameters, "k").plus(own.kept, "c").single(DT, "dt")
         places = places.single(EULER, "euler").plus(self._inputs, "u", "[l]")
         places = places.plus(self._states, "x", "[l]")

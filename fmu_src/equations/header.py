@@ -79,12 +79,12 @@ FRICTION: Mapping[str, tuple[Writer, str]] = {
         _pointer("read", f"{_K}, const double *s, const double *x, const double *p, double dt, "
                  "double *dx, double *y, double *r"),
     ),
-    "settle": (
-        Functions.settle,
-        _pointer("settle", "const double *k, double dt, double euler, double *c"),
+    "invariants": (
+        Functions.invariants,
+        _pointer("invariants", "const double *k, double dt, double euler, double *c"),
     ),
     "step": (
-        Functions.settled_step,
+        Functions.step,
         _pointer("step", f"{_K}, const double *s, const double *p, const double *c, double dt, "
                  "double euler, double *x, double *y, double *r"),
     ),
@@ -141,7 +141,7 @@ def own_size(joints: Sequence[Joint]) -> int:
             sizes["MAX_INPUTS"]
             + sizes["MAX_STATES"]
             + 2 * sizes["MAX_REMEMBERED"]
-            + sizes["MAX_SETTLED"]
+            + sizes["MAX_INVARIANTS"]
         )
         + indicators(joints)
     )
@@ -242,19 +242,19 @@ def _sizes(joints: Sequence[Joint]) -> dict[str, int]:
         "MAX_STATES": most(lambda c: len(c.memory)),
         "MAX_OUTPUTS": most(lambda c: len(c.outputs)),
         "MAX_REMEMBERED": max(len(j.component.remembered) for j in joints),
-        "MAX_SETTLED": max(_settled(j.component, j.gathered) for j in joints),
+        "MAX_INVARIANTS": max(_invariants(j.component, j.gathered) for j in joints),
         "MAX_SWITCHES": most(lambda c: len(Functions(c, "").jumps.expressions)),
         "MAX_PARAMETERS": most(lambda c: len(c.parameters)),
     }
 
 
 @cache
-def _settled(component: Component, gathered: bool) -> int:
-    """Return how many numbers of a component are settled, of which finding out takes long."""
+def _invariants(component: Component, gathered: bool) -> int:
+    """Return how many invariants a component has, of which finding out takes long."""
     count = kept(
         "functions",
-        (software(), "settled", str(gathered), repr(component)),
-        lambda: str(Functions(component, "", gathered=gathered).settled).encode(),
+        (software(), "invariants", str(gathered), repr(component)),
+        lambda: str(Functions(component, "", gathered=gathered).invariant_count).encode(),
     )
     return int(count)
 

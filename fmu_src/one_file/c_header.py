@@ -69,8 +69,8 @@ def header(model: FrictionModel, name: str) -> str:
         for own in functions
         for text in (
             own.read(),
-            own.settle(),
-            own.settled_step(),
+            own.invariants(),
+            own.step(),
             *([] if euler else [own.lanes()]),
             *([own.begin()] if own.component.memory else []),
             *([own.switches()] if own.jumps.expressions else []),
@@ -117,7 +117,7 @@ def _rows(
                 "first_state": states,
                 "first_coefficient": coefficients,
                 "switches": len(own.jumps.expressions),
-                "settled": max(own.settled, 1),
+                "invariants": max(own.invariant_count, 1),
                 "names": [m.name for m in law.form.memory],
                 "euler": euler and bool(law.form.relaxations),
             }

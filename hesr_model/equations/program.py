@@ -192,12 +192,12 @@ def sampled(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settled:
+class Invariants:
     """A straight line, apart from what of it need not be computed at every step.
 
     Attributes
     ----------
-    once : what is made of settled symbols alone, in order.
+    once : what is made of fixed symbols alone, in order.
     kept : symbols of these that the rest needs.
     moving : the rest.
     names : short names of symbols that a program assigns.
@@ -210,38 +210,41 @@ class Settled:
 
     @classmethod
     def of(
-        cls, program: Assignments, wanted: Iterable[sympy.Symbol], settled: set[sympy.Symbol]
-    ) -> "Settled":
-        """Separate a program; settled factors and terms are gathered, and rounded as such."""
+        cls, program: Assignments, wanted: Iterable[sympy.Symbol], fixed: Iterable[sympy.Symbol]
+    ) -> "Invariants":
+        """Separate a program; fixed factors and terms are gathered, and rounded as such."""
+        wanted = tuple(wanted)
         lines, names = straight_line(program, wanted)
-        known, parts, moving = set(settled), dict[sympy.Expr, sympy.Symbol](), {}
+        once: dict[sympy.Symbol, sympy.Expr] = {}
+        moving: dict[sympy.Symbol, sympy.Expr] = {}
+        known, parts = set(fixed), dict[sympy.Expr, sympy.Symbol]()
+
+        def symbol_of(part: sympy.Expr) -> sympy.Symbol:
+            if part not in parts:
+                parts[part] = symbol = sympy.Symbol(f"fixed_{len(parts)}", real=True)
+                once[symbol] = part
+                known.add(symbol)
+            return parts[part]
+
+        def separated(expression: sympy.Expr) -> sympy.Expr:
+            """Return an expression with symbols for its parts that are fixed."""
+            if expression.is_Atom:
+                return expression
+            if expression.free_symbols and expression.free_symbols <= known:
+                return symbol_of(expression)
+            rest = list(expression.args)
+            if expression.is_Add or expression.is_Mul:
+                part = expression.func(*(a for a in rest if a.free_symbols <= known))
+                if part.free_symbols and not part.is_Atom:
+                    rest = [symbol_of(part), *(a for a in rest if not a.free_symbols <= known)]
+            return expression.func(*map(separated, rest))
+
         for symbol, expression in lines.items():
             if not expression.is_Atom and expression.free_symbols <= known:
+                once[symbol] = expression
                 parts.setdefault(expression, symbol)
                 known.add(symbol)
             else:
-                moving[symbol] = _without(expression, known, parts)
-        once = {symbol: expression for expression, symbol in parts.items()}
+                moving[symbol] = separated(expression)
         used = set[sympy.Symbol](wanted).union(*(e.free_symbols for e in moving.values()))
         return cls(once=once, kept=tuple(s for s in once if s in used), moving=moving, names=names)
-
-
-def _without(
-    expression: sympy.Expr, settled: set[sympy.Symbol], parts: dict[sympy.Expr, sympy.Symbol]
-) -> sympy.Expr:
-    """Return an expression with a symbol for each part of settled ones, added to the parts."""
-    if expression.is_Atom:
-        return expression
-    fixed = [a for a in expression.args if a.free_symbols <= settled]
-    if expression.is_Add or expression.is_Mul:
-        rest = [a for a in expression.args if a not in fixed]
-        whole = expression.func(*fixed)
-    else:
-        rest, whole = [], expression if len(fixed) == len(expression.args) else sympy.S.One
-    if whole.is_Atom or not whole.free_symbols:
-        return expression.func(*(_without(a, settled, parts) for a in expression.args))
-    if whole not in parts:
-        parts[whole] = sympy.Symbol(f"settled_{len(parts)}", real=True)
-        settled.add(parts[whole])
-    moving = (_without(a, settled, parts) for a in rest)
-    return expression.func(parts[whole], *moving) if rest else parts[whole]

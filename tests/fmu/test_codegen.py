@@ -42,15 +42,15 @@ def test_a_step_is_straight_lines():
     form = LawForm(coefficients=(), memory=(h,), output=sgn(DQ) * h.state + h.derivative)
     assert own(form).step() == (
         "static void law_step(const double *k, const double *u, const double *s, const double *p, "
-        "double dt, double euler, double *x, double *y, double *r)\n"
+        "const double *c, double dt, double euler, double *x, double *y, double *r)\n"
         "{\n"
-        "    (void)k, (void)p, (void)r;\n"
+        "    (void)k, (void)p, (void)c, (void)r;\n"
         "    const double u_0 = u[0];\n"
         "    const double s_0 = s[0];\n"
         "    const double x_0 = x[0];\n"
         "    const double t0 = positive(fabs(u_0));\n"
         "    const double t1 = dt*t0;\n"
-        "    const double t2 = decay(t1, euler);\n"
+        "    const double t2 = quick_decay(t1, euler);\n"
         "    const double t3 = 2*u_0;\n"
         "    const double a_0 = dt*t3*share(t1, t2, euler) + x_0*(t2 + 1);\n"
         "    const double a_1 = -a_0*t0 + t3;\n"
@@ -72,8 +72,10 @@ def test_a_tangent_is_that_of_the_same_lines():
 
 def test_a_stop_is_clipped():
     x = Stop(name="x", unit="1", velocity=DQ, deflection=0.25, bound=TAU_LOAD)
-    text = own(LawForm(coefficients=(), memory=(x,), output=x.state)).step()
-    assert "const double a_0 = clip(4.0*u_0*dt + x_0, positive(u_2));" in text
+    functions = own(LawForm(coefficients=(), memory=(x,), output=x.state))
+    assert "const double a_0 = clip(u_0*c_0 + x_0, positive(u_2));" in functions.step()
+    assert "c[0] = fixed_0;" in functions.invariants()
+    assert "const double fixed_0 = 4.0*dt;" in functions.invariants()
 
 
 def test_numbers_have_every_digit():

@@ -10,7 +10,7 @@ from fmu_src.friction.friction_component import component
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.equations.functions import lowered_program
 from hesr_model.equations.memory import DT, EULER
-from hesr_model.equations.program import Settled, sampled
+from hesr_model.equations.program import Invariants, sampled
 
 
 def moved(h: float, dq: float, step: float, alpha: float, beta: float) -> float:
@@ -18,16 +18,16 @@ def moved(h: float, dq: float, step: float, alpha: float, beta: float) -> float:
     return h * (1.0 - alpha * step) + alpha * np.tanh(beta * dq) * step
 
 
-def test_a_law_apart_from_what_is_settled_is_the_law(fitted) -> None:
+def test_a_law_apart_from_its_invariants_is_the_law(fitted) -> None:
     rng = np.random.default_rng(5)
-    settled = 0
+    invariants = 0
     for name, law in fitted.items():
         own = component(law)
         fixed = {*(q.symbol for q in own.parameters), DT, EULER}
         program = sampled(own)
         wanted = tuple(program)
-        parts = Settled.of(program, wanted, fixed)
-        settled += len(parts.kept)
+        parts = Invariants.of(program, wanted, fixed)
+        invariants += len(parts.kept)
         assert not any(e.is_Atom for e in parts.once.values()), name
         known = {*fixed, *parts.once}
         assert all(e.free_symbols <= known for e in parts.once.values()), name
@@ -44,7 +44,7 @@ def test_a_law_apart_from_what_is_settled_is_the_law(fitted) -> None:
             a, b = (float(r[symbol]) for r in results)
             # Rates of 1e4 are among what cancels.
             assert a == pytest.approx(b, rel=1e-12, abs=1e-10), (name, symbol)
-    assert settled > 20
+    assert invariants > 20
 
 
 def test_a_coefficient_or_step_that_changes_is_taken(table1, binary) -> None:
@@ -95,9 +95,9 @@ def test_what_is_infinite_there_leaves_states_that_can_be_saved(
     assert fmu("DeSerializeFMUstate", c, data, len(data), ctypes.byref(other)) == 0
 
 
-def test_settled_terms_and_factors_have_one_name() -> None:
+def test_invariant_terms_and_factors_have_one_name() -> None:
     a, b, u, y, z = sympy.symbols("a b u y z", real=True)
-    parts = Settled.of({y: u * sympy.exp(-a) / b, z: u + sympy.exp(-a) / b}, [y, z], {a, b})
+    parts = Invariants.of({y: u * sympy.exp(-a) / b, z: u + sympy.exp(-a) / b}, [y, z], {a, b})
     assert len(parts.kept) == 1
     assert parts.moving[y] == u * parts.kept[0]
     assert parts.moving[z] == u + parts.kept[0]
