@@ -18,6 +18,14 @@
 
 #include "interface.h"
 
+/* Of functions that are to be small rather than quick. On Windows isfinite() is a function that
+ * must be inlined. */
+#if defined(__clang__) && !defined(_WIN32)
+#define SELDOM __attribute__((cold, minsize))
+#else
+#define SELDOM
+#endif
+
 typedef struct {
     double v[VARIABLES];           /* Integers and enumerations included */
     double own[OWN > 0 ? OWN : 1]; /* zero at the start; the glue only copies it */

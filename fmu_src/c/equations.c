@@ -158,7 +158,7 @@ static bool can_relax(const Component *component, double step, Message *why) {
 
 /* Compute what depends on parameters and the length of steps alone, where one of these changes.
  * What is not finite there is not kept, as it could not be saved. */
-static void update_invariants(Component *component, double step, double euler) {
+SELDOM static void update_invariants(Component *component, double step, double euler) {
     double *own = component->own;
     bool finite = true;
     if (own[INVARIANT_STEP] == step && component->changed == 0.0) {
@@ -264,7 +264,7 @@ static double slope_of_step(const Component *component, int i) {
     return ty[0];
 }
 
-static void component_demand(Component *component) {
+SELDOM static void component_demand(Component *component) {
     for (int i = 0; COUPLED && i < JOINTS; i++) {
         component->v[joints[i].slope] = 0.0;
     }
@@ -317,7 +317,8 @@ static void component_indicators(const Component *component, double rest, double
     }
 }
 
-static void component_tangent(const Component *component, const double *seed, double *tangent) {
+SELDOM static void component_tangent(const Component *component, const double *seed,
+                                     double *tangent) {
     clear_torques(tangent);
     for (int i = 0; i < JOINTS; i++) {
         const Place at = place_of(component, i);

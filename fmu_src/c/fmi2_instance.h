@@ -97,7 +97,7 @@ static void tell(const Instance *instance, fmi2Status status, const char *catego
 }
 
 /* Say why a call has failed. */
-static void complain(const Instance *instance, const char *format, ...) {
+SELDOM static void complain(const Instance *instance, const char *format, ...) {
     va_list arguments;
     va_start(arguments, format);
     tell(instance, fmi2Error, ERRORS, format, arguments);
@@ -105,7 +105,7 @@ static void complain(const Instance *instance, const char *format, ...) {
 }
 
 /* Refuse a call that has changed nothing, after which the simulation can go on. */
-static fmi2Status refuse(const Instance *instance, const char *format, ...) {
+SELDOM static fmi2Status refuse(const Instance *instance, const char *format, ...) {
     va_list arguments;
     va_start(arguments, format);
     tell(instance, fmi2Discard, DISCARDS, format, arguments);
@@ -114,7 +114,7 @@ static fmi2Status refuse(const Instance *instance, const char *format, ...) {
 }
 
 /* Say what happened, if the host wants to know. */
-static void report(const Instance *instance, const char *format, ...) {
+SELDOM static void report(const Instance *instance, const char *format, ...) {
     va_list arguments;
     if (instance->telling_events) {
         va_start(arguments, format);

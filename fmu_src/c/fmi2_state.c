@@ -37,7 +37,7 @@ static bool is_mode(int mode, int type) {
 }
 
 /* Whether what a host or a solver has set is what it could have set. */
-static bool in_range(const Component *component, Message *why) {
+SELDOM static bool in_range(const Component *component, Message *why) {
     for (int i = 0; i < VARIABLES; i++) {
         const double value = component->v[i], slope = i < SLOPES ? component->slope[i] : 0.0;
         const Role role = variables[i].role;
@@ -60,7 +60,7 @@ static bool in_range(const Component *component, Message *why) {
 }
 
 /* Whether an instance can have such a memory; after a failure there may be any numbers in it. */
-static bool is_possible(const Memory *memory, Message *why) {
+SELDOM static bool is_possible(const Memory *memory, Message *why) {
     const bool typed =
         memory->type == fmi2CoSimulation || (memory->type == fmi2ModelExchange && MODEL_EXCHANGE);
     if (!typed || !is_mode(memory->mode, memory->type) || memory->refusals < 0 ||

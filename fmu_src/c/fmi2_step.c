@@ -17,7 +17,7 @@ static void forget_slopes(Memory *memory) {
 
 /* States move with inputs held; where these have slopes, at their value in the middle, or as the
  * component follows them by inner steps. */
-static bool follow(Memory *memory, void *workspace, double step, Message *why) {
+SELDOM static bool follow(Memory *memory, void *workspace, double step, Message *why) {
     const Component before = memory->component;
     follow_slopes(memory, &before, INNER_STEPS ? 0.0 : 0.5 * step);
     component_event(&memory->component, 0.0, NULL);

@@ -35,6 +35,8 @@ from hesr_model.equations.program import (
 from hesr_model.errors import ExportError
 
 _POWERS = {2: "square", 3: "cube"}
+_SELDOM = ("start", "rates", "invariants", "begin", "begin_tangent", "tangent", "follow")
+"""Functions that are to be small rather than quick."""
 
 
 class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
@@ -403,12 +405,14 @@ def _printed(
     text = " ".join([*reads, *body, *writes])
     unused = [a for a in arguments if not re.search(rf"\b{a}\b", text)]
     silence = [f"{', '.join(f'(void){a}' for a in unused)};"] if unused else []
+    seldom = any(f"_{name}(" in signature for name in _SELDOM)
+    kind = "SELDOM static" if seldom else "static"
     content: Iterable[str] = (*reads, *body, *writes)
     if lanes:
         content = ("for (int l = 0; l < LANES; l++) {", *(f"    {line}" for line in content), "}")
     content = (*silence, *content)
     return "\n".join(
-        [f"static void {signature}", "{", *(f"    {line}" for line in content), "}", ""]
+        [f"{kind} void {signature}", "{", *(f"    {line}" for line in content), "}", ""]
     )
 
 

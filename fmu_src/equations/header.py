@@ -1,5 +1,6 @@
 """equations.h: the functions of a component's equations in C, and where its variables stand."""
 
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -171,11 +172,11 @@ def equations_header(
         c: Functions(c, f"law_{i}", tunable=not first[c].constants, gathered=first[c].gathered)
         for i, c in enumerate(distinct, start=1)
     }
-    texts = [_text(own, needs) for own in functions.values()]
+    texts, names = _written(functions.values(), needs)
     arrays, rows, before = [], [], 0
     for i, joint in enumerate(joints, start=1):
         own = functions[joint.component]
-        rows.append(f"    {{{', '.join(_row(joint, i, own, table, before, needs))}}},")
+        rows.append(f"    {{{', '.join(_row(joint, i, own, table, before, names))}}},")
         arrays += _arrays(joint, i, own, table)
         before += len(own.jumps.expressions)
     sample_time = joints[0].component.sample_time
@@ -204,16 +205,38 @@ def equations_header(
     )
 
 
-def _text(own: Functions, needs: Needs) -> str:
+def _written(
+    components: Iterable[Functions], needs: Needs
+) -> tuple[list[str], dict[str, list[str]]]:
+    """Return the functions of all components, and for each component the names of its own.
+
+    What does the same for two of them is written once.
+    """
+    texts: dict[str, str] = {}
+    by_body: dict[str, str] = {}
+    names: dict[str, list[str]] = {}
+    for own in components:
+        found = _texts(own, needs)
+        for function, text in found.items():
+            name = f"{own.name}_{function}"
+            found[function] = by_body.setdefault(text.replace(name, "", 1), name)
+            if found[function] == name:
+                texts[name] = text
+        refused = f"{own.name}_refused" if _wanted("refused", own) else "NULL"
+        names[own.name] = [refused, *(found.get(n, "NULL") for n in needs.functions)]
+    return list(texts.values()), names
+
+
+def _texts(own: Functions, needs: Needs) -> dict[str, str]:
     """Return the functions of a component, of which writing takes long, or those kept of it."""
     wanted = {name: write for name, (write, _) in needs.functions.items() if _wanted(name, own)}
     about = (own.name, f"{own.tunable} {own.gathered}", repr(own.component))
     made = kept(
         "functions",
         (software(), *wanted, *about),
-        lambda: "\n".join(write(own) for write in wanted.values()).encode(),
+        lambda: json.dumps([write(own) for write in wanted.values()]).encode(),
     )
-    return made.decode()
+    return dict(zip(wanted, json.loads(made), strict=True))
 
 
 def _coupling(coupling: Coupling | None, joints: int) -> str:
@@ -266,7 +289,12 @@ def _gathered(joint: Joint) -> int:
 
 
 def _row(
-    joint: Joint, i: int, own: Functions, table: Interface, before: int, needs: Needs
+    joint: Joint,
+    i: int,
+    own: Functions,
+    table: Interface,
+    before: int,
+    names: Mapping[str, list[str]],
 ) -> list[str]:
     component = joint.component
     states = (*joint.states, *joint.derivatives)
@@ -286,7 +314,7 @@ def _row(
         str(len(own.jumps.expressions)),
         str(before),
         f"{own.name}_names",
-        *(f"{own.name}_{n}" if _wanted(n, own) else "NULL" for n in ("refused", *needs.functions)),
+        *names[own.name],
     ]
 
 

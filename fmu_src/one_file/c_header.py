@@ -21,7 +21,7 @@ _IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _LANES = 8
 """Robots side by side: two vectors of AVX2, one of AVX-512."""
 
-_OWN_MATH = re.compile(r"static inline double (\w+)\(")
+_OWN_MATH = re.compile(r"^(?:static inline|IN_ONE_PLACE) \w+ (\w+)\(", re.MULTILINE)
 
 
 def export_c(model: FrictionModel, path: Path) -> Path:

@@ -27,6 +27,18 @@
 #pragma fp_contract(off)
 #endif
 
+/* What many places ask for is there once; what is seldom called is small rather than quick. */
+#if defined(__GNUC__)
+#define IN_ONE_PLACE static __attribute__((noinline, unused))
+#else
+#define IN_ONE_PLACE static
+#endif
+#if !defined(SELDOM) && defined(__clang__) && !defined(_WIN32)
+#define SELDOM __attribute__((cold, minsize))
+#elif !defined(SELDOM)
+#define SELDOM
+#endif
+
 /* Added to a number below 2^51 it leaves the nearest integer in the last bits. */
 #define TO_INTEGER 0x1.8p52
 
@@ -86,7 +98,7 @@ static inline double even_expm1(double x) {
     return half * twice_short(reduced(inside, shifted - TO_INTEGER), 0.0) + (2.0 * half - 1.0);
 }
 
-/* The same bits: for one number alone a branch is quicker where it is saturated. */
+/* Of one number alone: the same bits, and quicker where it is saturated. */
 static inline double quick_expm1(double x) {
     return x < -60.0 ? -1.0 : even_expm1(x);
 }
@@ -99,7 +111,7 @@ static inline double even_tanh(double x) {
     return tanh_of(even_expm1(-2.0 * fabs(x)), x);
 }
 
-static inline double quick_tanh(double x) {
+IN_ONE_PLACE double quick_tanh(double x) {
     return tanh_of(quick_expm1(-2.0 * fabs(x)), x);
 }
 
