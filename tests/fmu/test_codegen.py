@@ -61,6 +61,17 @@ def test_a_step_is_straight_lines():
     )
 
 
+def test_what_two_laws_share_is_written_once(table1):
+    """Joints 2 and 3 remember alike, by coefficients in the same places."""
+    text = friction.equations_to_c(table1, friction.interface(table1))
+    defined = re.findall(r"^(?:SELDOM )?static void (law_\d_\w+)\(", text, re.MULTILINE)
+    assert "law_3_begin" not in defined
+    rows = [line for line in text.splitlines() if line.startswith("    {") and "_step" in line]
+    found = [re.findall(r"law_\d_(?:begin|step)\b", row) for row in rows]
+    assert found[1:] == [["law_2_step", "law_2_begin"], ["law_3_step", "law_2_begin"]]
+    assert all(name in defined for names in found for name in names)
+
+
 def test_a_tangent_is_that_of_the_same_lines():
     h = Relaxation(name="h", unit="1", drive=2 * DQ, rate=absolute(DQ))
     form = LawForm(coefficients=(), memory=(h,), output=sgn(DQ) * h.state + h.derivative)
