@@ -2,10 +2,11 @@
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from cosim.describe import save_run
 from cosim.health import told, write_findings
@@ -16,10 +17,13 @@ from cosim.scoring import Comparison, Errors
 from cosim.simulated import SIMULATION, simulate_tests
 from cosim.study import Study
 from cosim.verdict import Verdict, verdict, write_verdict
+from fmu_src.documentation.datasheet import ModelAudit
 from fmu_src.documentation.live.body import PageBody
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
-from fmu_src.toolchain import targets
+from fmu_src.toolchain import get_ready, targets
 from hesr_model.artifacts import newest, provenance, write_json, write_model, write_rigid_body
+from hesr_model.equations.rows import vectors
+from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health.examine import checked
 from hesr_model.health.fitted import check_body, check_laws
@@ -28,6 +32,7 @@ from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support import parallel
+from hesr_model.support.cache import USED, since
 from hesr_model.support.files import folder_written_whole, models_folder
 from hesr_model.support.progress import Progress, Stages, counted, silent
 from hesr_model.support.typed_json import to_json
@@ -35,6 +40,8 @@ from hesr_model.support.typed_json import to_json
 if TYPE_CHECKING:
     from cosim.studies.whole_loop import LoopOutcome
     from hesr_model.friction.audit.properties import Properties
+
+Result = TypeVar("Result")
 
 QUICK_LAWS = ("stribeck", "lugre", "parfam_h")
 """Laws of a quick run: the paper's law and its classic baselines."""
@@ -60,6 +67,7 @@ class Outcome:
     loop : what the closed loop gave, None where the study has none.
     truths : errors of the laws under other truths of a twin, by truth, test set and law.
     truth : of the twin; empty for the friction of its MJCF.
+    cached : how many entries of each kind were in the cache, and how many were asked for.
     """
 
     rigid_body: RigidBody
@@ -72,6 +80,7 @@ class Outcome:
     loop: "LoopOutcome | None" = None
     truths: Mapping[str, Errors] = field(default_factory=dict)
     truth: str = ""
+    cached: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
 
 def run_study(
@@ -115,12 +124,12 @@ def run_study(
             twin = study.twin.model_copy(update={"truths": ()})
             study = study.model_copy(update={"twin": twin})
     targets(platforms)
+    used = USED.copy()
     kept = unfinished(output)
     job = Job(study=study, path=path, progress=progress, kept=kept)
-    with parallel.one_pool(*_WORK):
+    with parallel.one_pool(*_WORK, first=(vectors, get_ready)):
         with folder_written_whole(output) as folder:
-            # The battery tells what stands in the documentation, and comes last.
-            run = score_study(job, folder, documented=quick, platforms=platforms, accepted=accepted)
+            run = score_study(job, folder, platforms=platforms, accepted=accepted)
             models, records = run.models, run.records
             tested = {test: records_of(names, records) for test, names in study.logs.test.items()}
             simulated = simulate_tests(models, tested, run.robot, run.rigid_body)
@@ -130,15 +139,13 @@ def run_study(
                 write_json(folder / TRUTHS, truths)
             loop = job.closed_loop(run.robot, run.rigid_body, folder, models)
             found = {} if quick else job.properties(run.robot, run.rigid_body, models, folder)
+            # The battery tells what stands in the documentation, and comes last.
             body = PageBody.of(run.robot, run.rigid_body)
-            _write_all(
-                [
-                    partial(export_fmu, models[law], run.fmus[law], platforms=platforms,
-                            properties=properties, body=body)
-                    for law, properties in found.items()
-                ],
+            audits = _of_each(
+                models,
+                partial(_documented, run.fmus, found, platforms=platforms, body=body),
                 partial(job.progress, "documenting FMUs"),
-            )  # fmt: skip
+            )
             first_test = next(iter(study.logs.test.values()))
             words = verdict(
                 run.comparisons,
@@ -154,7 +161,8 @@ def run_study(
         shutil.rmtree(kept, ignore_errors=True)
         from cosim.report import write_report  # draws, which takes long to load
 
-        write_report(output, progress=job.progress)
+        known = {law: audit for law, audit in audits.items() if audit}
+        write_report(output, audits=known, progress=job.progress)
     return Outcome(
         rigid_body=run.rigid_body,
         comparisons=run.comparisons,
@@ -166,6 +174,7 @@ def run_study(
         loop=loop,
         truths=truths,
         truth=(study.twin and study.twin.truth) or "",
+        cached=since(used),
     )
 
 
@@ -173,7 +182,6 @@ def score_study(
     job: Job,
     folder: Path,
     *,
-    documented: bool = False,
     platforms: Sequence[str] = ("linux64",),
     accepted: Sequence[str] = (),
 ) -> Scored:
@@ -183,7 +191,6 @@ def score_study(
     ----------
     job : the steps of the study.
     folder : there already; body, laws, FMUs, findings and scores are written into it.
-    documented : whether the FMUs hold their documentation, too.
     platforms, accepted : as of `run_study`.
 
     Raises
@@ -219,12 +226,8 @@ def score_study(
     for law, fitted in models.items():
         write_model(folder / "laws" / f"{law}.json", fitted)
     fmus = {law: folder / "fmus" / f"{law}.fmu" for law in models}
-    write: Callable[..., Path] = export_bare
-    if documented:
-        write = partial(export_fmu, body=PageBody.of(model, rigid_body))
-    _write_all(
-        [partial(write, models[law], fmu, platforms=platforms) for law, fmu in fmus.items()],
-        partial(job.progress, "building FMUs"),
+    _of_each(
+        models, partial(_built, fmus, platforms=platforms), partial(job.progress, "building FMUs")
     )
     comparisons, predictions = job.compare(models, records, files, folder / "fmus", runs)
     write_json(folder / "evaluation.json", {name: to_json(c) for name, c in comparisons.items()})
@@ -260,11 +263,34 @@ def _runs(
     return found
 
 
-def _write_all(jobs: Sequence[Callable[[], Path]], progress: Progress) -> None:
-    """Write FMUs, each in a process of its own."""
-    with parallel.results_of(jobs) as written:
-        for _ in counted(jobs, progress):
-            next(written)
+def _built(fmus: Mapping[str, Path], law: str, model: FrictionModel, **more: Any) -> None:
+    export_bare(model, fmus[law], **more)
+
+
+def _documented(
+    fmus: Mapping[str, Path],
+    found: "Mapping[str, Properties]",
+    law: str,
+    model: FrictionModel,
+    **more: Any,
+) -> ModelAudit | None:
+    """Write an FMU with its documentation; return the audit that stands there, if it has one."""
+    audit = None
+    with suppress(SimulationError):
+        audit = ModelAudit.of(model, model.trained)
+    export_fmu(model, fmus[law], properties=found.get(law), audit=audit, **more)
+    return audit
+
+
+def _of_each(
+    models: Mapping[str, FrictionModel],
+    do: Callable[[str, FrictionModel], Result],
+    progress: Progress,
+) -> dict[str, Result]:
+    """Do something with each law, in processes."""
+    jobs = [partial(do, law, fitted) for law, fitted in models.items()]
+    with parallel.results_of(jobs, costs=[fitted.size for fitted in models.values()]) as done:
+        return {law: next(done) for law in counted(list(models), progress)}
 
 
 def unfinished(output: Path) -> Path:

@@ -50,6 +50,9 @@ _ELF = (
     "-fPIC",
     "-Wl,--build-id=none",
     "-Wl,--hash-style=gnu",  # which every loader of these systems reads; the old table is 1 %
+    # The compiler's own helpers take seconds to build, for what no plain C calls.
+    "-nostdlib",
+    "-lc",
     "-lm",
     "-fno-unwind-tables",
     "-fno-asynchronous-unwind-tables",
@@ -134,11 +137,14 @@ def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = 
 # is made of, else `wasm.c`.
 _WASM = ("-target", "wasm32-wasi", "-nostdlib", "-Wl,--no-entry", *CFLAGS, "-Oz", "-g0", "-s")
 _MUSL = "{compiler}/lib/libc/musl"
-_POW = (
-    "pow",
-    "pow_data",
-    "exp_data",
-    *(f"__math_{n}" for n in ("invalid", "oflow", "uflow", "xflow")),
+_POW = tuple(
+    f"{_MUSL}/src/math/{name}.c"
+    for name in (
+        "pow",
+        "pow_data",
+        "exp_data",
+        *(f"__math_{n}" for n in ("invalid", "oflow", "uflow", "xflow")),
+    )
 )
 _WASM_LAST = (
     *(
@@ -147,14 +153,13 @@ _WASM_LAST = (
     ),
     *(f"-isystem{_MUSL}/{name}" for name in ("src/internal", "arch/generic")),
     "-Dhidden=",
-    *(f"{_MUSL}/src/math/{name}.c" for name in _POW),
     str(files("fmu_src") / "c" / "wasm.c"),
     "-lcompiler_rt",
 )
 
 
-def build_wasm(source: Path) -> bytes:
-    """Compile one translation unit to a WebAssembly module and return its bytes.
+def build_wasm(source: Path, *, powers: bool) -> bytes:
+    """Compile one translation unit, which may call pow(), to WebAssembly and return its bytes.
 
     Raises
     ------
@@ -163,8 +168,16 @@ def build_wasm(source: Path) -> bytes:
     """
     with scratch_folder() as folder:
         output = folder / f"{source.stem}.wasm"
-        compile_c(source, _WASM, output, _WASM_LAST)
+        compile_c(source, _WASM, output, (*(_POW if powers else ()), *_WASM_LAST))
         return output.read_bytes()
+
+
+def get_ready() -> None:
+    """Let the compiler build what the first page needs, seconds that need not be waited for."""
+    with scratch_folder() as folder:
+        source = folder / "nothing.c"
+        source.write_text("extern int nothing;\n", encoding="utf-8")
+        build_wasm(source, powers=False)
 
 
 _FAT_MAGIC = 0xCAFEBABE

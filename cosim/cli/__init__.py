@@ -28,12 +28,14 @@ from cosim.cli import (  # noqa: F401  # each registers its commands
 from cosim.cli.app import app
 from cosim.cli.console import ended_by_signals
 from cosim.cli.last_resort import errors_said, home_where_needed, plain_where_needed
+from hesr_model.support.garbage import collect_seldom
 
 __all__ = ["app", "main"]
 
 
 def main() -> NoReturn:
     """Run the command line; an error that a user can mend is one sentence and exit code 2."""
+    collect_seldom()
     plain_where_needed()
     home_where_needed()
     with ended_by_signals(), errors_said():

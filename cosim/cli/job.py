@@ -11,6 +11,12 @@ import typer
 from cosim.cli.app import Accept, Folder, Json, Platforms, app
 from cosim.cli.console import Interrupted, answer, answer_file, shown_progress
 
+_CACHED = {
+    "binaries": "compiled libraries",
+    "functions": "functions in C",
+    "valid": "checks of FMUs",
+}
+
 
 @app.command()
 def run(
@@ -79,6 +85,10 @@ def run(
                     "verdict": to_json(outcome.verdict),
                     "evaluation": {name: to_json(c) for name, c in outcome.comparisons.items()},
                     "closed_loop": to_json(outcome.loop) if outcome.loop else None,
+                    "cache": {
+                        kind: {"reused": reused, "of": asked}
+                        for kind, (reused, asked) in outcome.cached.items()
+                    },
                 },
             )
     sliding = next(iter(outcome.models.values())).sliding
@@ -97,6 +107,12 @@ def run(
         typer.echo(f"  {fmu}")
     for sentence in outcome.verdict.sentences:
         Console().print(sentence, highlight=False, markup=False)
+    if reused := [
+        f"{found} of {asked} {_CACHED[kind]}"
+        for kind, (found, asked) in outcome.cached.items()
+        if found and kind in _CACHED
+    ]:
+        show(f"Made before and taken from the cache: {', '.join(reused)}.")
     typer.echo(f"Everything is in {folder}; look at {folder / 'report.html'}.")
 
 

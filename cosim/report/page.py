@@ -1,6 +1,7 @@
 """The page: its sections in order, with their script and style."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from cosim.report.sections import (
 )
 from cosim.report.sections.summary import summary
 from cosim.report.zoom import library
+from fmu_src.documentation.datasheet import ModelAudit
 from hesr_model.support import parallel
 from hesr_model.support.progress import Stages, counted, silent
 
@@ -51,6 +53,7 @@ def write_report(
     folder: Path,
     output: Path | None = None,
     *,
+    audits: Mapping[str, ModelAudit] | None = None,
     progress: Stages = silent,
 ) -> Path:
     """Write the report of a run.
@@ -59,6 +62,7 @@ def write_report(
     ----------
     folder : results of `hesr run`; the figures are written there as PDF and PNG, too.
     output : the page to write; report.html in the folder where not given.
+    audits : of the laws, where they have been made already.
     progress : told what is being done, how much of it is done, and how much there is.
 
     Returns
@@ -71,7 +75,7 @@ def write_report(
         If the folder holds no results, naming the file that is missing or damaged, or if the page
         cannot be written.
     """
-    results = Results.read(folder)
+    results = replace(Results.read(folder), audited=audits)
     path = output or folder / REPORT
     jobs = [partial(_made, section, results, folder / FIGURES) for section in SECTIONS]
     sections: list[Section] = []

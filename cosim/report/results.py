@@ -12,11 +12,10 @@ from cosim.saved import RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_columns
 from cosim.scoring import MEASURED_START, ORACLE, Comparison, Errors
 from cosim.simulated import SIMULATION, Simulated
 from cosim.tables.table import PAPERS, joints
-from fmu_src.documentation.datasheet import audits
+from fmu_src.documentation.datasheet import ModelAudit
 from hesr_model.artifacts import read_json, read_model, read_rigid_body
 from hesr_model.equations.over_log import Array
 from hesr_model.errors import ArtifactError, SimulationError
-from hesr_model.friction.audit.audit import Audit
 from hesr_model.friction.audit.properties import Properties, read_properties
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
@@ -48,6 +47,7 @@ class Results:
     loop : closed loop; None where there was none.
     paths : of the closed loop, by (scheme, law); empty where they were not saved.
     provenance : of the rigid body and the laws.
+    audited : audits of the laws, where they are there already.
     """
 
     folder: Path
@@ -61,6 +61,7 @@ class Results:
     loop: "LoopOutcome | None" = None
     paths: "Mapping[tuple[Scheme, str], Trace]" = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    audited: Mapping[str, ModelAudit] | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -112,13 +113,15 @@ class Results:
         return [law for law in named if law in self.models]
 
     @cached_property
-    def audits(self) -> dict[str, tuple[Audit, ...]]:
-        """The audit of each law, by joint; one without a trained range has none."""
+    def audits(self) -> Mapping[str, ModelAudit]:
+        """The audit of each law; one without a trained range has none."""
+        if self.audited is not None:
+            return self.audited
         found = {}
         for law, model in self.models.items():
             with suppress(SimulationError):
                 if model.trained:
-                    found[law] = audits(model, model.trained)
+                    found[law] = ModelAudit.of(model, model.trained)
         return found
 
     def log_of(self, role: str) -> SavedLog | None:

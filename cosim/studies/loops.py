@@ -1,6 +1,6 @@
 """The closed-loop part of a study: which rows, on which motions, with which FMUs."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -26,12 +26,13 @@ from fmu_src.blocks.controller import controller
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import trajectory
 from fmu_src.blocks.velocity import velocity
-from fmu_src.package import write_fmu
+from fmu_src.package import Content, write_fmu
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.motions.trajectories import Fourier, random_fourier
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support import parallel
 from hesr_model.support.progress import Stages
 
 _COMPENSATIONS: tuple[Compensation, ...] = ("torque_error", "servo_inversion")
@@ -158,16 +159,26 @@ def build(
     oracle : true friction.
     """
     step = 1.0 / plant.sample_rate
-    contents = (
-        trajectory(robot.n, step=step),
-        controller(robot.n, step=step),
-        velocity(robot.n, step=step),
-        inverse_dynamics(robot, body.parameters, step=step),
-        inverse_dynamics(robot, robot.nominal_parameters, step=step),
+    contents: tuple[Callable[[], Content], ...] = (
+        partial(trajectory, robot.n, step=step),
+        partial(controller, robot.n, step=step),
+        partial(velocity, robot.n, step=step),
+        partial(inverse_dynamics, robot, body.parameters, step=step),
+        partial(inverse_dynamics, robot, robot.nominal_parameters, step=step),
     )
-    for name, content in zip(_OWN, contents, strict=True):
-        write_fmu(content, folder / f"{name}.fmu")
-    export_fmu(oracle, folder / f"{oracle.law}.fmu")
+    jobs = [
+        partial(export_fmu, oracle, folder / f"{oracle.law}.fmu"),
+        *(
+            partial(_written, content, folder / f"{name}.fmu")
+            for name, content in zip(_OWN, contents, strict=True)
+        ),
+    ]
+    with parallel.results_of(jobs) as written:
+        list(written)
+
+
+def _written(content: Callable[[], Content], path: Path) -> Path:
+    return write_fmu(content(), path)
 
 
 def assemble(

@@ -18,12 +18,12 @@ from cosim.master import Master
 from cosim.studies.traces import Trace
 from cosim.system import Value
 from fmu_src.blocks.trajectory import start_values
-from hesr_model.artifacts import read_json, write_json
+from hesr_model.artifacts import read_json
 from hesr_model.motions.trajectories import Trajectory
 from hesr_model.support import parallel
-from hesr_model.support.files import sha256
+from hesr_model.support.files import sha256, written_whole
 from hesr_model.support.progress import Progress, silent
-from hesr_model.support.typed_json import NumbersWithGaps, from_json, to_json
+from hesr_model.support.typed_json import NumbersWithGaps, from_json, to_text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +145,8 @@ def track(
         if kept:
             kept.mkdir(parents=True, exist_ok=True)
             row = _Kept(tracked=result, trace=result.trace)
-            write_json(kept / f"{keys[i]}.json", to_json(row), indent=None)
+            with written_whole(kept / f"{keys[i]}.json") as temporary:
+                temporary.write_text(to_text(row), encoding="utf-8")
         progress(len(done), len(rows))
 
     progress(len(done), len(rows))

@@ -40,6 +40,31 @@ class Costs:
     continuous: Mapping[str, tuple[Error, ...]]
 
 
+@dataclass(frozen=True, kw_only=True)
+class ModelAudit:
+    """What is known of how a model's laws behave, by joint.
+
+    Attributes
+    ----------
+    certificates : of passivity.
+    audits : figures of closed cycles, of rest and of what is just outside the trained range.
+    """
+
+    certificates: tuple[Certificate, ...]
+    audits: tuple[Audit, ...]
+
+    @classmethod
+    def of(cls, model: FrictionModel, seen: Sequence[TrainedRange]) -> "ModelAudit":
+        """Look at each joint's law, cycles being within its range.
+
+        Raises
+        ------
+        SimulationError
+            If a law has no audit, because it is not stable or not finite in its range.
+        """
+        return cls(certificates=certificates(model, seen), audits=audits(model, seen))
+
+
 def ranges(model: FrictionModel, motion: Motion) -> tuple[TrainedRange, ...]:
     """Return the trained range of each joint, or that of the reference motion where not known.
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from fmu_src.description import Description
 from fmu_src.documentation import datasheet
-from fmu_src.documentation.datasheet import figure
+from fmu_src.documentation.datasheet import ModelAudit, figure
 from fmu_src.documentation.mathml import equations, symbol
 from fmu_src.friction.friction_component import DISCRETISATION
 from fmu_src.friction.reference import reference_motion
@@ -38,6 +38,7 @@ def to_html(
     *,
     live: str = "",
     properties: str = "",
+    audit: ModelAudit | None = None,
 ) -> str:
     """Return the page.
 
@@ -49,6 +50,7 @@ def to_html(
     model, table, about : of the FMU.
     live : HTML of `live.page`, if the page shall have such a section.
     properties : HTML of `properties_sheet.section`, likewise.
+    audit : of the model, made here where not given.
     """
     units = {name: unit_of_joints(unit, model.sliding) for name, unit in _UNITS.items()}
     used = {symbol for law in model.laws for symbol in law.form.inputs}
@@ -70,7 +72,7 @@ def to_html(
         training=training(model.provenance),
         units=units,
         trained_rows=_trained_rows(model.trained, units),
-        **_measured(model),
+        **_measured(model, audit),
     )
 
 
@@ -156,7 +158,7 @@ def _trained_rows(
     return rows | {"sample time [s]": [figure(seen.sample_time) for seen in trained]}
 
 
-def _measured(model: FrictionModel) -> dict[str, Any]:
+def _measured(model: FrictionModel, audit: ModelAudit | None) -> dict[str, Any]:
     """Return what is measured on the laws; a sentence in the place of what cannot be."""
     found: dict[str, Any] = {"audit": {}, "certified": [], "verdicts": [], "refused": "",
                              "rates": [], "costs": None, "costs_refused": ""}  # fmt: skip
@@ -168,9 +170,13 @@ def _measured(model: FrictionModel) -> dict[str, Any]:
         ]
         found["certified"] = [
             datasheet.certified(c, slides=slides)
-            for c, slides in zip(datasheet.certificates(model, seen), model.slides, strict=True)
+            for c, slides in zip(
+                audit.certificates if audit else datasheet.certificates(model, seen),
+                model.slides,
+                strict=True,
+            )
         ]
-        audits = datasheet.audits(model, seen)
+        audits = audit.audits if audit else datasheet.audits(model, seen)
         found["audit"] = datasheet.audit_rows(audits, model.sliding)
         found["verdicts"] = [
             datasheet.verdict(a, known=bool(model.trained), slides=slides)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fmu_src.description import Description
+from fmu_src.documentation.datasheet import ModelAudit
 from fmu_src.documentation.friction_page import to_html
 from fmu_src.documentation.live.body import PageBody
 from fmu_src.documentation.live.measured import log_section
@@ -49,6 +50,7 @@ def export_fmu(
     *,
     platforms: Sequence[str] = ("linux64",),
     properties: Properties | None = None,
+    audit: ModelAudit | None = None,
     power: bool = False,
     band: bool = False,
     adaptive: bool = False,
@@ -68,6 +70,7 @@ def export_fmu(
     path : the FMU to write, ending in .fmu.
     platforms : names of `toolchain.TARGETS`, or "all".
     properties : what the property battery found on the model, for the documentation.
+    audit : of the model, for the documentation, where it has been made already.
     power : whether the power that the friction takes is an output, too.
     band : whether `tau_lower[i]` and `tau_upper[i]`, between which measured friction lies, are
         outputs, too.
@@ -98,7 +101,7 @@ def export_fmu(
     elif model.thermal:
         whole = thermal_content(model, beside=bool(power or band or properties or body))
     else:
-        whole = content(model, properties, power=power, band=band, body=body)
+        whole = content(model, properties, audit, power=power, band=band, body=body)
     return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
@@ -133,6 +136,7 @@ def live_of(model: FrictionModel) -> dict[str, Any]:
 def content(
     model: FrictionModel,
     properties: Properties | None = None,
+    audit: ModelAudit | None = None,
     *,
     power: bool = False,
     band: bool = False,
@@ -147,7 +151,7 @@ def content(
         live = live_section(live_data(model, bare.table, module.result()))
         live += log_section(model, body) + live_assets(log=True)
     page = section(properties, sliding=model.sliding) if properties else ""
-    html = to_html(model, bare.table, bare.about, live=live, properties=page)
+    html = to_html(model, bare.table, bare.about, live=live, properties=page, audit=audit)
     members = {
         "model.png": picture,
         "documentation/index.html": html.encode(),

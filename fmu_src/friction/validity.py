@@ -88,13 +88,18 @@ def _undefined(law: FrictionLaw) -> sympy.Expr | None:
     """Return the smallest part of a law that its coefficients make no number; None for none."""
     values = {c.symbol: sympy.Float(law.values[c.name]) for c in law.form.coefficients}
     known: dict[sympy.Basic, sympy.Basic] = {}
+    # A function of what is no number has some value, whichever; of equal ones it is the same.
+    opaque: dict[tuple[sympy.Basic, ...], sympy.Basic] = {}
     form = law.form
     for whole in (*(part for m in form.memory for part in m.parts), form.output):
         # Parts before what they are parts of.
         for part in sympy.postorder_traversal(whole):
             if part not in known:
-                arguments = (known[argument] for argument in part.args)
-                known[part] = part.func(*arguments) if part.args else values.get(part, part)
+                arguments = tuple(known[argument] for argument in part.args)
+                if isinstance(part, sympy.Function) and not all(a.is_number for a in arguments):
+                    known[part] = opaque.setdefault((part.func, *arguments), sympy.Dummy(real=True))
+                else:
+                    known[part] = part.func(*arguments) if part.args else values.get(part, part)
                 if isinstance(part, sympy.Expr) and _no_number(known[part]):
                     return part
     return None

@@ -67,6 +67,11 @@ class FrictionModel:
     thermal: tuple[Thermal, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def size(self) -> int:
+        """How many coefficients its laws have, by which all that is done with it takes longer."""
+        return sum(len(law.values) for law in self.laws)
+
     def __post_init__(self) -> None:
         if not self.joints or len(self.joints) != len(self.laws):
             raise ArtifactError(

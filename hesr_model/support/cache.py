@@ -8,6 +8,7 @@ import hashlib
 import os
 import stat
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -15,6 +16,9 @@ from pathlib import Path
 from filelock import FileLock
 
 LIMIT = 256 * 1024 * 1024  # bytes of one kind of entries; some thousand FMUs
+USED: Counter[tuple[str, bool]] = Counter()
+"""How often entries of each kind were asked for that were there already, or were not: by this
+process, and by the workers whose results it has."""
 _DIGEST = hashlib.sha256().digest_size
 
 
@@ -46,9 +50,11 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
     except OSError:
         return make()
     if found is not None:
+        USED[kind, True] += 1
         return found
     try:
         found = _read(shelf / name)  # by somebody who held the lock
+        USED[kind, found is not None] += 1
         if found is None:
             found = make()
             with suppress(OSError):
@@ -57,6 +63,13 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
     finally:
         lock.release()
     return found
+
+
+def since(earlier: Counter[tuple[str, bool]]) -> dict[str, tuple[int, int]]:
+    """Return how many entries of each kind were there, and how many were asked for, since then."""
+    used = USED - earlier
+    kinds = sorted({kind for kind, _ in used})
+    return {kind: (used[kind, True], used[kind, True] + used[kind, False]) for kind in kinds}
 
 
 def folder() -> Path:

@@ -4,7 +4,6 @@ import hashlib
 import os
 import re
 import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from importlib.resources import files
@@ -70,7 +69,7 @@ def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[s
         written = folder / output.name
         relative = f"{written.parent.name}/{output.name}"
         compiler = str(files("ziglang"))
-        command = [sys.executable, "-m", "ziglang", "cc", *flags, "-o", relative, source.name]
+        command = [str(files("ziglang") / "zig"), "cc", *flags, "-o", relative, source.name]
         # The compiler's cache of objects gives stale ones when compilations run side by side, so
         # each has its own; that of the C library, which takes long to build, stays shared.
         caches = {

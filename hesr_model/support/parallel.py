@@ -7,6 +7,7 @@ import tempfile
 import threading
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
@@ -21,6 +22,8 @@ import cloudpickle
 
 from hesr_model.errors import WorkerError
 from hesr_model.support import interrupts
+from hesr_model.support.cache import USED
+from hesr_model.support.garbage import collect_seldom
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
 Result = TypeVar("Result")
 
 _JOBS = "jobs"
+_GROWTH = 1 << 30  # [B] by which a worker may grow before a fresh one takes its place
 _ORPHANED = 1.0  # [s] after which a worker sees that its parent is gone
 _ONE_THREAD = dict.fromkeys(
     (
@@ -50,7 +54,9 @@ _batch: tuple[int, Sequence[Callable[[], Any]]] = (-1, ())
 
 @contextmanager
 def results_of(
-    jobs: Sequence[Callable[[], Result]], workers: int | None = None
+    jobs: Sequence[Callable[[], Result]],
+    workers: int | None = None,
+    costs: Sequence[float] = (),
 ) -> Iterator[Iterator[Result]]:
     """Run jobs, each in a process; yield the iterator of their results, in the order of the jobs.
 
@@ -64,6 +70,8 @@ def results_of(
         defined is sent along.
     workers : processes; one for each core where not given. With one there is none: a job is done
         in this process when its result is asked for.
+    costs : of the jobs, roughly, in any unit; the dearest begin first, so that none is left alone
+        at the end.
 
     Raises
     ------
@@ -85,12 +93,12 @@ def results_of(
             cleanup.push(shared.stopped_by)
             pool = shared.pool()
         with interrupts.deferred():  # submitting starts processes, which must not be half-started
-            futures = pool.submit(jobs)
+            futures = pool.submit(jobs, costs)
         yield (_result(future.result) for future in futures)
 
 
 @contextmanager
-def one_pool(*modules: str) -> Iterator[None]:
+def one_pool(*modules: str, first: Sequence[Callable[[], object]] = ()) -> Iterator[None]:
     """Let all blocks of `results_of` within share processes, but for those that name a number.
 
     They stay as long as this block, or until a block within fails; the next one has fresh ones.
@@ -99,6 +107,7 @@ def one_pool(*modules: str) -> Iterator[None]:
     ----------
     modules : what the processes import while this one gets its first jobs together, which is when
         they start.
+    first : what some process does then, too; whether it succeeds or not, nobody waits for it.
     """
     global _sharing
     if _sharing is not None:
@@ -108,7 +117,7 @@ def one_pool(*modules: str) -> Iterator[None]:
         _sharing = shared
         if modules and (count := os.cpu_count() or 1) > 1:
             with interrupts.deferred():
-                shared.pool().submit([partial(_imported, modules)] * count)
+                shared.pool().submit([partial(_imported, modules)] * count + list(first))
         try:
             yield
         finally:
@@ -159,13 +168,17 @@ class _Pool:
         """End the processes, at once where there is an error, and remove the folder."""
         self._cleanup.__exit__(*raised)
 
-    def submit(self, jobs: Sequence[Callable[[], Result]]) -> "list[Future[Result]]":
-        """Let the processes do jobs."""
+    def submit(
+        self, jobs: Sequence[Callable[[], Result]], costs: Sequence[float] = ()
+    ) -> "list[Future[tuple[Result, Counter[tuple[str, bool]]]]]":
+        """Let the processes do jobs, the dearest first."""
         # Workers read the jobs from a file. A pipe is too short for them: where workers are
         # stopped, nobody empties it, and who still writes into it never ends.
         self._batches += 1
         (self._folder / f"{_JOBS}{self._batches}").write_bytes(cloudpickle.dumps(list(jobs)))
-        return [self._pool.submit(_run, self._batches, k) for k in range(len(jobs))]
+        order = sorted(range(len(jobs)), key=lambda k: -costs[k] if costs else k)
+        futures = {k: self._pool.submit(_run, self._batches, k) for k in order}
+        return [futures[k] for k in range(len(jobs))]
 
 
 class _Shared:
@@ -213,14 +226,16 @@ def _shut_down(pool: "ProcessPoolExecutor", error: object, *_: object) -> None:
     pool.shutdown(wait=True, kill_workers=error is not None)
 
 
-def _result(wait: Callable[[], Result]) -> Result:
+def _result(wait: Callable[[], "tuple[Result, Counter[tuple[str, bool]]]"]) -> Result:
     try:
-        return wait()
+        result, used = wait()
     except BrokenProcessPool as error:
         raise WorkerError(
             "a worker process ended before its job was done, killed by another program or for "
             "lack of memory; run it again, with fewer processes if memory is short."
         ) from error
+    USED.update(used)
+    return result
 
 
 def _start(folder: Path, parent: int) -> None:
@@ -229,7 +244,13 @@ def _start(folder: Path, parent: int) -> None:
     Signals to the whole group are answered once, by the parent, which kills its workers; those
     then have no time to tidy, so that their temporary files stand where the parent removes them.
     """
+    from joblib.externals.loky import process_executor
+
     global _folder
+    collect_seldom()
+    # A fresh process imports for seconds what this one has: pictures, symbols and physics together
+    # are more than what is a leak to the pool, which has no option for it.
+    process_executor._MAX_MEMORY_LEAK_SIZE = _GROWTH
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(parent, folder), daemon=True).start()
@@ -250,8 +271,10 @@ def _imported(modules: Sequence[str]) -> None:
         import_module(name)
 
 
-def _run(batch: int, k: int) -> Any:
+def _run(batch: int, k: int) -> tuple[Any, Counter[tuple[str, bool]]]:
+    """Do a job; return what it gives, and what it has used of the cache."""
     global _batch
+    before = USED.copy()
     if _batch[0] != batch:
         _batch = batch, cloudpickle.loads((_folder / f"{_JOBS}{batch}").read_bytes())
-    return _batch[1][k]()
+    return _batch[1][k](), USED - before

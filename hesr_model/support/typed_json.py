@@ -42,6 +42,12 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
 
 
+def to_text(value: Any, *, sparse: bool = False) -> str:
+    """Return a data class as text of JSON; arguments and errors are those of `to_json`."""
+    kind: Any = type(value)
+    return json.dumps(_adapter(kind).dump_python(value, exclude_none=sparse), allow_nan=False)
+
+
 def to_json(value: Any, *, sparse: bool = False) -> Any:
     """Return a data class as JSON data, numbers with every digit.
 
@@ -55,9 +61,7 @@ def to_json(value: Any, *, sparse: bool = False) -> Any:
     ValueError
         If a number is not finite, which JSON does not know.
     """
-    kind: Any = type(value)
-    data = _adapter(kind).dump_python(value, exclude_none=sparse)
-    return json.loads(json.dumps(data, allow_nan=False))
+    return json.loads(to_text(value, sparse=sparse))
 
 
 def from_json(kind: type[Kind], data: Any, path: Path, what: str) -> Kind:

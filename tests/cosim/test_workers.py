@@ -142,6 +142,58 @@ def test_processes_import_while_their_parent_works(tmp_path: Path) -> None:
     assert (process.returncode, out, err) == (0, "[True, True, True, True] False\n", "")
 
 
+def test_what_comes_first_is_done_while_nobody_waits(tmp_path: Path) -> None:
+    text = JOBS + (
+        "from pathlib import Path\n"
+        "from hesr_model.support.parallel import one_pool\n"
+        "def mark(): Path('mark').write_text('done')\n"
+        "def fail(): raise ZeroDivisionError\n"
+        "def last(): return Path('mark').read_text()\n"
+        "with one_pool('colorsys', first=[fail, mark]):\n"
+        "    with results_of([last] * 4) as results:\n"
+        "        print(list(results))\n"
+    )
+    with started(folder=tmp_path, program=script(tmp_path, text)) as process:
+        out, err = process.communicate(timeout=120)
+    assert (process.returncode, out, err) == (0, f"{['done'] * 4}\n", "")
+
+
+def test_the_dearest_jobs_begin_first_and_results_keep_their_order(tmp_path: Path) -> None:
+    text = JOBS + (
+        "from functools import partial\n"
+        "def timed(k):\n"
+        "    now = time.monotonic()\n"
+        "    time.sleep(0.2)\n"
+        "    return k, now\n"
+        "jobs = [partial(timed, k) for k in range(6)]\n"
+        "with results_of(jobs, 2, [1.0, 5.0, 2.0, 6.0, 4.0, 3.0]) as results:\n"
+        "    found = list(results)\n"
+        "order = [k for k, _ in sorted(found, key=lambda pair: pair[1])]\n"
+        "print([k for k, _ in found], set(order[:2]), set(order[2:4]))\n"
+    )
+    with started(folder=tmp_path, program=script(tmp_path, text)) as process:
+        out, err = process.communicate(timeout=120)
+    assert (process.returncode, out, err) == (0, "[0, 1, 2, 3, 4, 5] {1, 3} {4, 5}\n", "")
+
+
+def test_a_worker_that_has_grown_stays_as_it_is_ready(tmp_path: Path) -> None:
+    """The pool itself takes 300 MB for a leak, and a fresh worker imports for seconds."""
+    text = JOBS + (
+        "def grown(k):\n"
+        "    import gc, builtins\n"
+        "    builtins.kept = [getattr(builtins, 'kept', None), b'x' * (200 << 20)]\n"
+        "    time.sleep(1.2)  # after which the pool looks again\n"
+        "    return os.getpid(), gc.get_threshold()[0]\n"
+        "from functools import partial\n"
+        "with results_of([partial(grown, k) for k in range(6)], 2) as results:\n"
+        "    found = list(results)\n"
+        "print(len({number for number, _ in found}), {often for _, often in found})\n"
+    )
+    with started(folder=tmp_path, program=script(tmp_path, text)) as process:
+        out, err = process.communicate(timeout=120)
+    assert (process.returncode, out, err) == (0, "2 {100000}\n", "")
+
+
 def test_a_killed_worker_is_one_sentence(tmp_path: Path) -> None:
     answer = tmp_path / "answer.json"
     command = ("properties", "uf850-table1", TABLE_1, "--json", answer)

@@ -9,16 +9,23 @@ import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import lief
 import numpy as np
 import pytest
 from c_hosts import LINUX
+from fmpy.validation import _validate_variable_names
 
 from cosim.replay import replay
-from fmu_src import export_fmu
-from fmu_src.toolchain import CFLAGS, TARGETS, build, universal
+from fmu_src import export_fmu, package
+from fmu_src.description import to_xml
+from fmu_src.documentation.datasheet import ModelAudit, ranges
+from fmu_src.friction.reference import reference_motion
+from fmu_src.toolchain import CFLAGS, TARGETS, build, get_ready, universal
 from hesr_model.errors import ExportError
+from hesr_model.friction.audit.certificate import Certificate
+from hesr_model.support.cache import USED, since
 from hesr_model.support.compiler import compile_c
 
 FUNCTIONS = 44  # of FMI 2.0
@@ -212,11 +219,60 @@ def test_a_date_that_is_none_is_refused(table1, tmp_path, monkeypatch):
 def test_an_export_that_fails_leaves_the_old_file(table1, tmp_path, monkeypatch, empty_cache):
     path = tmp_path / "F.fmu"
     path.write_bytes(b"old")
-    monkeypatch.setattr("fmpy.validation.validate_fmu", lambda _: ["something is wrong"])
-    with pytest.raises(ExportError, match="not a valid FMU: something is wrong"):
+
+    def wrong(*about):
+        return to_xml(*about).replace(b'causality="output"', b'causality="input"', 1)
+
+    monkeypatch.setattr("fmu_src.package.to_xml", wrong)
+    with pytest.raises(ExportError, match=r"not a valid FMU: .*has no start value"):
         export_fmu(table1, path)
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+PLAIN = ("q", "q[1]", "joint[12].sigma_0", "a[1,2].b.c[3]", "der(x)", "der(joint[1].h)", "_x9")
+LEFT_TO_FMPY = ("der(x,2)", "'a b'")
+NO_NAMES = ("", "1q", "q[]", "q[1", "q[1,]", "q.", ".q", "q..r", "der()", "der(x", "a b", "q[-1]",
+            "ä", "q\n")  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [*PLAIN, *LEFT_TO_FMPY, *NO_NAMES])
+def test_plain_names_are_those_of_fmpys_grammar(name):
+    variable = SimpleNamespace(name=name, sourceline=1)
+    of = SimpleNamespace(variableNamingConvention="structured", modelVariables=[variable])
+    assert bool(_validate_variable_names(of)) == (name in NO_NAMES)
+    assert bool(package._PLAIN_NAME.fullmatch(name)) == (name in PLAIN)
+
+
+def test_where_a_name_is_not_plain_fmpy_is_asked(table1, tmp_path, monkeypatch, empty_cache):
+    def wrong(*about):
+        return to_xml(*about).replace(b'name="tau_load[1]"', b'name="tau load"', 1)
+
+    monkeypatch.setattr("fmu_src.package.to_xml", wrong)
+    with pytest.raises(ExportError, match=r'"tau load".* is not a legal variable name'):
+        export_fmu(table1, tmp_path / "F.fmu")
+
+
+def test_what_the_first_page_needs_is_built_before(empty_cache):
+    get_ready()
+    assert list((empty_cache / "zig").glob("o/*/libcompiler_rt.a"))
+    before = USED.copy()
+    get_ready()
+    assert since(before) == {"binaries": (1, 1)}
+
+
+def test_an_audit_that_is_given_is_the_one_of_the_page(table1, tmp_path):
+    motion = reference_motion(table1)
+    audit = ModelAudit.of(table1, ranges(table1, motion))
+    given, own = (
+        export_fmu(table1, tmp_path / f"{name}.fmu", audit=found).read_bytes()
+        for name, found in (("given", audit), ("own", None))
+    )
+    assert given == own
+    another = tuple(Certificate(verdict="proven", storage="S = another") for _ in table1.laws)
+    fmu = export_fmu(table1, tmp_path / "F.fmu", audit=replace(audit, certificates=another))
+    page = zipfile.ZipFile(fmu).read("documentation/index.html")
+    assert b"S = another" in page
 
 
 def test_unknown_platform_is_refused(table1, tmp_path):
@@ -237,7 +293,7 @@ def test_failure_of_the_compiler_is_told(tmp_path):
 
 
 def test_a_compiler_that_cannot_be_started_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    monkeypatch.setattr("hesr_model.support.compiler.files", lambda _: tmp_path)
     (tmp_path / "good.c").write_text("int x;\n")
     said = r"^the C compiler cannot be run \(No such file or directory\)\.$"
     with pytest.raises(ExportError, match=said):

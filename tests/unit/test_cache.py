@@ -5,12 +5,14 @@ import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from hesr_model.support import cache
-from hesr_model.support.cache import folder, kept
+from hesr_model.support.cache import folder, kept, since
+from hesr_model.support.parallel import results_of
 
 
 @pytest.fixture(autouse=True)
@@ -41,6 +43,18 @@ def test_the_same_inputs_are_made_once(here: Path) -> None:
     assert [kept("things", ("a", b"b"), make) for _ in range(3)] == [b"made"] * 3
     assert make.times == 1
     assert len(entries(here)) == 1
+
+
+def test_what_was_there_is_counted_also_in_workers(here: Path) -> None:
+    def asked(name: str) -> bytes:
+        return kept("counted", [name], lambda: b"made")
+
+    jobs = [partial(asked, name) for name in ("a", "b", "a", "b")]
+    before = cache.USED.copy()
+    assert asked("a") == b"made"
+    with results_of(jobs, 2) as results:
+        assert list(results) == [b"made"] * 4
+    assert since(before) == {"counted": (3, 5)}
 
 
 @pytest.mark.parametrize("other", [("a", "c"), ("ab",), ("a", "b", ""), ("b", "a"), ("", "ab")])

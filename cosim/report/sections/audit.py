@@ -4,7 +4,7 @@ from cosim.report.markup import Pictures, Section, details, joined, paragraph, t
 from cosim.report.results import Results
 from cosim.tables.laws import audit
 from cosim.tables.table import ResultTable, TableCell, fixed, number, row_of, title
-from fmu_src.documentation.datasheet import certificates, certified
+from fmu_src.documentation.datasheet import certified
 from hesr_model.friction.audit.audit import Audit
 from hesr_model.friction.audit.cycles import ENCODER
 
@@ -35,9 +35,9 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                 title(law),
                 *(
                     TableCell(text="none", value=0.0) if passive(a) else number(a.generated, 2)
-                    for a in of_law
+                    for a in of_law.audits
                 ),
-                *(fixed(a.chatter, 2) for a in of_law),
+                *(fixed(a.chatter, 2) for a in of_law.audits),
             )
             for law, of_law in found.items()
         ],
@@ -47,10 +47,9 @@ def section(results: Results, pictures: Pictures) -> Section | None:
         head=("law", "joint", "certificate"),
         rows=[
             row_of(title(law), joint, certified(c, slides=slides))
-            for law in found
-            for model in (results.models[law],)
+            for law, of_law in found.items()
             for joint, c, slides in zip(
-                results.joints, certificates(model, model.trained), model.slides, strict=True
+                results.joints, of_law.certificates, results.models[law].slides, strict=True
             )
         ],
         numeric=False,
@@ -69,7 +68,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
             details("Certificates: proven, refuted by a cycle, or open", table(proofs)),
             details(
                 "All figures of every law",
-                *(table(audit(law, found[law], results.sliding)) for law in found),
+                *(table(audit(law, found[law].audits, results.sliding)) for law in found),
             ),
         ),
     )

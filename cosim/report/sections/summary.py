@@ -158,7 +158,7 @@ def _physics(results: Results) -> Tile | None:
     found = results.audits
     if not found:
         return None
-    good = [law for law, of_law in found.items() if all(map(passive, of_law))]
+    good = [law for law, of_law in found.items() if all(map(passive, of_law.audits))]
     text = "laws never give energy on the closed cycles that were tried"
     if PAPERS in found and PAPERS not in good:
         text += f"; the paper’s {title(PAPERS)} does"

@@ -110,7 +110,8 @@ def run_battery(
     for subject in subjects:
         _require_inertia(subject)
     jobs = [partial(_measured, subject, load=load, kept=kept) for subject in subjects]
-    with parallel.results_of(jobs, workers) as results:
+    costs = [subject.model.size if subject.model else 0 for subject in subjects]
+    with parallel.results_of(jobs, workers, costs) as results:
         return [next(results) for _ in counted(jobs, progress)]
 
 

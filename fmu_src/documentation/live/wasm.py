@@ -1,6 +1,7 @@
 """An FMU as a module of WebAssembly."""
 
 import base64
+import re
 import zlib
 from collections.abc import Mapping
 
@@ -28,7 +29,8 @@ def wasm(sources: Mapping[str, str]) -> bytes:
     with scratch_folder() as folder:
         for name, text in (*sources.items(), ("live.c", own_source("live.c"))):
             (folder / name).write_text(text, encoding="utf-8")
-        return build_wasm(folder / "live.c")
+        powers = any(re.search(r"\bpow\(", text) for text in sources.values())
+        return build_wasm(folder / "live.c", powers=powers)
 
 
 def packed(module: bytes) -> str:
