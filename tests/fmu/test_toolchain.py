@@ -292,7 +292,7 @@ def test_failure_of_the_compiler_is_told(tmp_path):
         compile_c(tmp_path / "bad.c", ("-c",), tmp_path / "bad.o")
 
 
-def test_a_compiler_that_cannot_be_started_is_told(tmp_path, monkeypatch):
+def test_a_compiler_that_cannot_be_started_is_told(tmp_path, monkeypatch, empty_cache):
     monkeypatch.setattr("hesr_model.support.compiler.files", lambda _: tmp_path)
     (tmp_path / "good.c").write_text("int x;\n")
     said = r"^the C compiler cannot be run \(No such file or directory\)\.$"
