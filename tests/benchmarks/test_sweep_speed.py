@@ -1,11 +1,15 @@
 """How fast many loops are: against MuJoCo's own steps, the steps in Python, and FMPy per task."""
 
+import os
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import mujoco
 import numpy as np
+import psutil
 import pytest
 from closed_loop import Bench, build
 from fmpy import simulate_fmu
@@ -22,12 +26,14 @@ from hesr_model.artifacts import read_model
 
 Tell = Callable[[str], None]
 
+EACH = 600  # runs of each core, so that what starts once does not count
+
 STUDY = """
 name = "loops"
 system = "loop.toml"
 design = "latin_hypercube"
-runs = 40
-chunk = 10
+runs = 400
+chunk = 50
 [[inputs]]
 variables = ["arm.payload"]
 low = 0.0
@@ -37,6 +43,41 @@ name = "tracking"
 signal = "arm.q_true"
 reference = "trajectory.q"
 """
+
+
+def written(folder: Path, spec: SystemSpec, runs: int) -> Path:
+    """Write a study of so many runs and its system."""
+    write_system(spec, folder / "loop.toml")
+    study = folder / f"study{runs}.toml"
+    study.write_text(STUDY.replace("runs = 400", f"runs = {runs}"), encoding="utf-8")
+    return study
+
+
+def lasted(work: Callable[[], object]) -> float:
+    """Wall time of a work [s]."""
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+@contextmanager
+def largest_process() -> Iterator[list[int]]:
+    """Yield a list that holds, at the end, the most memory of a worker [B]."""
+    found, over = [0], threading.Event()
+
+    def look() -> None:
+        while not over.wait(0.2):
+            for child in psutil.Process().children():
+                with suppress(psutil.Error):
+                    found[0] = max(found[0], child.memory_info().rss)
+
+    thread = threading.Thread(target=look)
+    thread.start()
+    try:
+        yield found
+    finally:
+        over.set()
+        thread.join()
 
 
 @pytest.fixture(scope="module")
@@ -91,9 +132,8 @@ def test_a_sweep_against_fmpy_per_task(spec: SystemSpec, tell: Tell, tmp_path: P
     """Aim: 4 times as many loops as simulate_fmu of the container, which loads it each time."""
     observed = spec.model_copy(update={"observe": ("arm.q_true", "trajectory.q")})
     container = write_container(read_contents(observed, tmp_path / "loop"), tmp_path / "loop.fmu")
-    write_system(spec, tmp_path / "loop.toml")
-    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
-    swept = spent(lambda: run_sweep(tmp_path / "study.toml", tmp_path / "out", workers=1)) / 40
+    study = written(tmp_path, spec, 400)
+    swept = spent(lambda: run_sweep(study, tmp_path / "out", workers=1)) / 400
     task = min(
         spent(
             lambda: simulate_fmu(
@@ -107,3 +147,31 @@ def test_a_sweep_against_fmpy_per_task(spec: SystemSpec, tell: Tell, tmp_path: P
         f"a run of a sweep {1e3 * swept:.0f} ms with all overheads, simulate_fmu of the container "
         f"{1e3 * task:.0f} ms: {task / swept:.1f} times (aim 4)"
     )
+
+
+def test_a_sweep_on_all_cores(spec: SystemSpec, tell: Tell, tmp_path: Path) -> None:
+    """Aims: 85 % of the rate of one core times their number, 400 MB a worker."""
+    cores = os.cpu_count() or 1
+    studies = [written(tmp_path, spec, count) for count in (EACH, EACH * cores)]
+    one = EACH / lasted(lambda: run_sweep(studies[0], tmp_path / "one", workers=1))
+    with largest_process() as memory:
+        rate = EACH * cores / lasted(lambda: run_sweep(studies[1], tmp_path / "all"))
+    tell(
+        f"{rate:.0f} loops of 10 s a second on {cores} cores, {one:.0f} on one: "
+        f"{100 * rate / cores / one:.0f} % of it on each (aim 85); a worker takes at most "
+        f"{memory[0] / 1e6:.0f} MB (aim 400)"
+    )
+
+
+def test_a_sweep_on_a_cluster(spec: SystemSpec, tell: Tell, tmp_path: Path) -> None:
+    """Aim: as long on two workers of dask.distributed as in two processes here, within 10 %."""
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
+    study = written(tmp_path, spec, 2 * EACH)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+    ) as local:
+        address = local.scheduler_address
+        run_sweep(written(tmp_path, spec, 100), tmp_path / "first", cluster=address)  # imports
+        there = lasted(lambda: run_sweep(study, tmp_path / "there", cluster=address))
+    here = lasted(lambda: run_sweep(study, tmp_path / "here", workers=2))
+    tell(f"{2 * EACH} loops: {there:.1f} s on the cluster, {here:.1f} s here: {there / here:.2f}")
