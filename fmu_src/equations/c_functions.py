@@ -15,7 +15,7 @@ from sympy.printing.c import C99CodePrinter
 
 from fmu_src.interface import literal
 from hesr_model.equations.component import Component, Quantity, previous
-from hesr_model.equations.functions import positive, sgn
+from hesr_model.equations.functions import cardinal_sine, positive, sgn
 from hesr_model.equations.memory import DT, EULER, Relaxation
 from hesr_model.equations.program import (
     Assignments,
@@ -35,6 +35,7 @@ from hesr_model.equations.program import (
 from hesr_model.errors import ExportError
 
 _POWERS = {2: "square", 3: "cube"}
+_OF_ANGLES = {"sin": sympy.sin, "cos": sympy.cos, "cardinal_sine": cardinal_sine}
 _SELDOM = ("start", "rates", "invariants", "begin", "begin_tangent", "tangent", "follow")
 """Functions that are to be small rather than quick."""
 
@@ -51,11 +52,12 @@ class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
         own = ("sgn", "positive", "larger", "clip", "exceeds", "over", "decay", "share",
                "share_slope", "cardinal_sine", "cardinal_slope")  # fmt: skip
         self.known_functions |= {name: name for name in own}
-        self.known_functions |= {"absolute": "fabs", "sin": "sine", "cos": "cosine"}
-        kind = "even" if lanes else "quick"
-        self.known_functions |= {"exp": "even_exp", "tanh": f"{kind}_tanh"}
-        if not lanes:
-            self.known_functions |= {"decay": "quick_decay"}
+        self.known_functions |= {"absolute": "fabs", "exp": "even_exp"}
+        if lanes:
+            self.known_functions |= {name: f"even_{name}" for name in ("tanh", *_OF_ANGLES)}
+        else:
+            self.known_functions |= {name: f"quick_{name}" for name in ("tanh", "decay")}
+            self.known_functions |= {"sin": "sine", "cos": "cosine"}
 
     def _print_Symbol(self, expr: sympy.Symbol) -> str:
         return self._names.get(expr, expr.name)
@@ -274,7 +276,9 @@ class Functions:
     def lanes(self) -> str:
         """Do as `step` for LANES instances side by side, whose parameters are the same.
 
-        Signs are not given but found, as there is no event between two steps.
+        Signs are not given but found, as there is no event between two steps. Returns whether all
+        angles of which there is a sine are small enough for one without a branch; else what was
+        written is of no use.
         """
         own = self._invariants
         places = _Arguments().plus(self._parameters, "k").plus(own.kept, "c").single(DT, "dt")
@@ -409,10 +413,20 @@ def _printed(
     kind = "SELDOM static" if seldom else "static"
     content: Iterable[str] = (*reads, *body, *writes)
     if lanes:
-        content = ("for (int l = 0; l < LANES; l++) {", *(f"    {line}" for line in content), "}")
+        kinds = tuple(_OF_ANGLES.values())
+        angles = dict.fromkeys(f.args[0] for e in lines.values() for f in e.atoms(*kinds))
+        far = [f"far |= !(fabs({_c(printer, angle)}) <= LARGEST_ANGLE);" for angle in angles]
+        content = (
+            "int far = 0;",
+            "for (int l = 0; l < LANES; l++) {",
+            *(f"    {line}" for line in (*content, *far)),
+            "}",
+            "return !far;",
+        )
     content = (*silence, *content)
+    result = "bool" if lanes else "void"
     return "\n".join(
-        [f"{kind} void {signature}", "{", *(f"    {line}" for line in content), "}", ""]
+        [f"{kind} {result} {signature}", "{", *(f"    {line}" for line in content), "}", ""]
     )
 
 

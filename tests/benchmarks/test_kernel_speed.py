@@ -82,7 +82,7 @@ def test_torque_over_a_log(law: str, fitted: Callable[[str], FrictionLaw], tell:
     assert np.abs(predict(own, **one) - expected).max() <= 1e-13 * np.abs(expected).max()
 
 
-@pytest.mark.parametrize("law", [law for law in STUDIED if law not in NETWORKS])
+@pytest.mark.parametrize("law", STUDIED)
 def test_robots_side_by_side_against_steps_of_the_fmu(
     law: str, fitted: Callable[[str], FrictionLaw], tmp_path: Path, tell: Tell
 ) -> None:

@@ -130,6 +130,22 @@ def test_robots_side_by_side_are_these_one_by_one(every, robots: int) -> None:
             np.testing.assert_array_equal(tau[:, i], expected)
 
 
+def test_angles_beyond_a_million_have_the_sine_of_the_fmu(every) -> None:
+    """Their sines are the C library's, which takes a branch; other robots go their own way."""
+    dq, q, load = (row[100:119].T.copy() for row in inputs(every.joints, seconds=2.0))
+    whole, some = every.start(19), every.start(19)
+    _, near = every.side_by_side(whole, dq, q, load, STEP)
+    q[:, 9] += 3e6
+    count, tau = every.side_by_side(some, dq, q, load, STEP)
+    expected = every.step(every.state(), dq[:, 9].copy(), q[:, 9].copy(), load[:, 9].copy(), STEP)
+    assert count == 19
+    np.testing.assert_array_equal(tau[:, 9], expected)
+    others = np.arange(19) != 9
+    np.testing.assert_array_equal(tau[:, others], near[:, others])
+    np.testing.assert_array_equal(some[:, others], whole[:, others])
+    assert not np.array_equal(tau[:, 9], near[:, 9])
+
+
 def test_a_robot_that_cannot_be_moved_stays_with_its_neighbours(every) -> None:
     dq, q, load = (row[100:119].T.copy() for row in inputs(every.joints, seconds=2.0))
     whole, some = every.start(19), every.start(19)
