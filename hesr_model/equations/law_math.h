@@ -18,8 +18,8 @@
 #include <string.h>
 #endif
 
-/* A multiplication and an addition are rounded apart; nobody looks at floating-point exceptions, for
- * which GCC would keep branches. */
+/* A multiplication and an addition are rounded apart. GCC would keep branches for floating-point
+ * exceptions, which nobody looks at. */
 #if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
 #elif defined(__GNUC__)
