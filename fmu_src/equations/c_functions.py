@@ -5,17 +5,15 @@ parameters behind them), the held signs s, the states x, previous values p, the 
 relaxations move by Euler's step. See `Functions` for what they write.
 """
 
-import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 
 import sympy
-from sympy.printing.c import C99CodePrinter
 
-from fmu_src.interface import literal
+from fmu_src.equations.c_printer import Arguments, function, in_c, printed
 from hesr_model.equations.component import Component, Quantity, previous
-from hesr_model.equations.functions import cardinal_sine, positive, sgn
+from hesr_model.equations.functions import positive, sgn
 from hesr_model.equations.memory import DT, EULER, Relaxation
 from hesr_model.equations.program import (
     Assignments,
@@ -30,71 +28,7 @@ from hesr_model.equations.program import (
     readings,
     sampled,
     step,
-    straight_line,
 )
-from hesr_model.errors import ExportError
-
-_POWERS = {2: "square", 3: "cube"}
-_OF_ANGLES = {"sin": sympy.sin, "cos": sympy.cos, "cardinal_sine": cardinal_sine}
-_SELDOM = ("start", "rates", "invariants", "begin", "begin_tangent", "tangent", "follow")
-"""Functions that are to be small rather than quick."""
-
-
-class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
-    """C99 with our functions, literals that read back, and small powers without pow().
-
-    Loops of lanes have no branches, of which compilers would make no vectors.
-    """
-
-    def __init__(self, names: Mapping[sympy.Symbol, str], *, lanes: bool = False) -> None:
-        super().__init__({"strict": False})
-        self._names = names
-        own = ("sgn", "positive", "larger", "clip", "exceeds", "over", "decay", "share",
-               "share_slope", "cardinal_sine", "cardinal_slope")  # fmt: skip
-        self.known_functions |= {name: name for name in own}
-        self.known_functions |= {"absolute": "fabs", "exp": "even_exp"}
-        if lanes:
-            self.known_functions |= {name: f"even_{name}" for name in ("tanh", *_OF_ANGLES)}
-        else:
-            self.known_functions |= {name: f"quick_{name}" for name in ("tanh", "decay")}
-            self.known_functions |= {"sin": "sine", "cos": "cosine"}
-
-    def _print_Symbol(self, expr: sympy.Symbol) -> str:
-        return self._names.get(expr, expr.name)
-
-    _print_Dummy = _print_Symbol
-
-    def _print_Float(self, expr: sympy.Float) -> str:
-        return literal(float(expr))
-
-    def _print_NumberSymbol(self, expr: sympy.NumberSymbol) -> str:
-        return literal(float(expr))
-
-    _print_Pi = _print_NumberSymbol
-    _print_Exp1 = _print_NumberSymbol
-
-    def _print_Pow(self, expr: sympy.Pow) -> str:
-        if expr.exp in _POWERS:
-            return f"{_POWERS[int(expr.exp)]}({self._print(expr.base)})"
-        if -expr.exp in _POWERS:
-            return f"(1.0/{_POWERS[int(-expr.exp)]}({self._print(expr.base)}))"
-        return str(super()._print_Pow(expr))
-
-
-@dataclass(frozen=True)
-class _Arguments:
-    """The symbols that a function reads, each with its name and its place in C."""
-
-    places: Mapping[sympy.Symbol, tuple[str, str]] = field(default_factory=dict)
-
-    def plus(self, symbols: Iterable[sympy.Symbol], array: str, lane: str = "") -> "_Arguments":
-        """Add the elements of an array, which may be arrays themselves."""
-        more = {s: (f"{array}_{i}", f"{array}[{i}]{lane}") for i, s in enumerate(symbols)}
-        return _Arguments({**self.places, **more})
-
-    def single(self, symbol: sympy.Symbol, name: str) -> "_Arguments":
-        """Add an argument that is no array."""
-        return _Arguments({**self.places, symbol: (name, name)})
 
 
 @dataclass(frozen=True)
@@ -142,9 +76,9 @@ class Functions:
         return () if self.gathered else tuple(q.symbol for q in self.component.parameters)
 
     @cached_property
-    def _arguments(self) -> _Arguments:
+    def _arguments(self) -> Arguments:
         own = self.component
-        found = _Arguments().plus(self._parameters, "k").plus(self._inputs, "u")
+        found = Arguments().plus(self._parameters, "k").plus(self._inputs, "u")
         found = found.plus(self.jumps.signs, "s").plus(self._states, "x")
         found = found.plus((previous(e.name) for e in own.remembered), "p")
         return found.single(DT, "dt").single(EULER, "euler")
@@ -157,7 +91,7 @@ class Functions:
         return {symbol: change_of(symbol) for symbol in moving}
 
     @cached_property
-    def _with_seeds(self) -> _Arguments:
+    def _with_seeds(self) -> Arguments:
         found = self._arguments
         places = ((self._parameters, "dk"), (self._inputs, "du"), (self._states, "tx"))
         for symbols, array in places:
@@ -170,7 +104,7 @@ class Functions:
                  signature: str, *, seeds: bool = False) -> str:  # fmt: skip
         program = self.jumps.held(extra) if held else dict(extra)
         arguments = self._with_seeds if seeds else self._arguments
-        return _function(f"{self.name}_{signature}", program, targets, arguments.places)
+        return function(f"{self.name}_{signature}", program, targets, arguments.places)
 
     @property
     def _reading_targets(self) -> dict[str, sympy.Symbol]:
@@ -212,7 +146,7 @@ class Functions:
         targets = self._reading_targets
         targets |= {f"p[{i}]": s for i, s in enumerate(starts)}
         places = {s: place for s, place in self._arguments.places.items() if s not in starts}
-        return _function(
+        return function(
             f"{self.name}_start(IN(k), IN(u), IN(s), IN(x), OUT(p), OUT(y), OUT(r))",
             self.jumps.held(own), targets, places,
         )  # fmt: skip
@@ -220,14 +154,13 @@ class Functions:
     def refused(self) -> str:
         """Return the place in u of a parameter that is not what it must be, or -1."""
         places = {symbol: f"u[{i}]" for i, symbol in enumerate(self._inputs)}
-        printer = _Printer(places)
         names = [q.name for q in self.gathers]
         lines = []
         for requirement in self.component.requirements:
             unit = next(q.unit for q in self.gathers if q.name == requirement.name)
             shown = "" if unit == "1" else f" {unit}"
             lines += [
-                f"if (!({_c(printer, requirement.condition)})) {{",
+                f"if (!({in_c(requirement.condition, places)})) {{",
                 f'    *needed = "{shown}; it must {requirement.text}.";',
                 f"    return {names.index(requirement.name)};",
                 "}",
@@ -258,7 +191,7 @@ class Functions:
         """Write into c what a step needs of parameters and its length alone."""
         targets = {f"c[{i}]": s for i, s in enumerate(self._invariants.kept)}
         signature = f"{self.name}_invariants(IN(k), double dt, double euler, OUT(c))"
-        return _printed(signature, self._invariants.once, {}, targets, self._arguments.places)
+        return printed(signature, self._invariants.once, {}, targets, self._arguments.places)
 
     def step(self) -> str:
         """Move the states x by dt, and write the readings of the end of the step.
@@ -271,7 +204,7 @@ class Functions:
             "double *x, OUT(y), OUT(r))"
         )
         own = self._invariants
-        return _printed(signature, own.moving, own.names, self._step_targets, places)
+        return printed(signature, own.moving, own.names, self._step_targets, places)
 
     def lanes(self) -> str:
         """Do as `step` for LANES instances side by side, whose parameters are the same.
@@ -281,7 +214,7 @@ class Functions:
         written is of no use.
         """
         own = self._invariants
-        places = _Arguments().plus(self._parameters, "k").plus(own.kept, "c").single(DT, "dt")
+        places = Arguments().plus(self._parameters, "k").plus(own.kept, "c").single(DT, "dt")
         places = places.single(EULER, "euler").plus(self._inputs, "u", "[l]")
         places = places.plus(self._states, "x", "[l]")
         used = set().union(*(e.free_symbols for e in own.moving.values()))
@@ -293,7 +226,7 @@ class Functions:
             f"{self.name}_lanes(IN(k), IN(c), LANES(const, u), double dt, double euler, "
             "LANES(, x), LANES(, y))"
         )
-        return _printed(signature, {**signs, **own.moving}, own.names, targets, places.places)
+        return printed(signature, {**signs, **own.moving}, own.names, targets, places.places)
 
     def rates(self) -> str:
         """Write the rate of each relaxation, 0 for other states."""
@@ -366,72 +299,3 @@ class Functions:
             "OUT(y), OUT(slope))"
         )
         return self._written(False, own | changes, targets, signature, seeds=True)
-
-
-def _function(
-    signature: str,
-    program: Assignments,
-    targets: Mapping[str, sympy.Symbol],
-    places: Mapping[sympy.Symbol, tuple[str, str]],
-) -> str:
-    """Return a C function that computes targets by a program, common subexpressions shared."""
-    return _printed(signature, *straight_line(program, targets.values()), targets, places)
-
-
-def _printed(
-    signature: str,
-    lines: Assignments,
-    names: Mapping[sympy.Symbol, str],
-    targets: Mapping[str, sympy.Symbol],
-    places: Mapping[sympy.Symbol, tuple[str, str]],
-) -> str:
-    """Return a C function of these lines, of which some have other names there."""
-    known = {s: name for s, (name, _) in places.items() if s not in names}
-    lanes = "LANES(" in signature
-    printer = _Printer({**known, **names}, lanes=lanes)
-    used = set().union(*(e.free_symbols for e in lines.values()), targets.values()) - set(lines)
-    reads = [
-        f"const double {name} = {place};"
-        for symbol, (name, place) in places.items()
-        if symbol in used and name != place
-    ]
-    body = [
-        f"const double {names.get(symbol, str(symbol))} = {_c(printer, e)};"
-        for symbol, e in lines.items()
-    ]
-    # What nothing moves has no name: its change is none.
-    writes = [f"{place} = {_c(printer, s) if s in lines or s in known else '0.0'};"
-              for place, s in targets.items()]  # fmt: skip
-    signature = re.sub(r"IN\((\w+)\)", r"const double *\1", signature)
-    signature = re.sub(r"OUT\((\w+)\)", r"double *\1", signature)
-    signature = re.sub(r"LANES\((\w*), (\w+)\)", r"\1 double (*restrict \2)[LANES]", signature)
-    arguments = re.findall(r"(\w+)(?:\)\[LANES\])?[,)]", signature)
-    text = " ".join([*reads, *body, *writes])
-    unused = [a for a in arguments if not re.search(rf"\b{a}\b", text)]
-    silence = [f"{', '.join(f'(void){a}' for a in unused)};"] if unused else []
-    seldom = any(f"_{name}(" in signature for name in _SELDOM)
-    kind = "SELDOM static" if seldom else "static"
-    content: Iterable[str] = (*reads, *body, *writes)
-    if lanes:
-        kinds = tuple(_OF_ANGLES.values())
-        angles = dict.fromkeys(f.args[0] for e in lines.values() for f in e.atoms(*kinds))
-        far = [f"far |= !(fabs({_c(printer, angle)}) <= LARGEST_ANGLE);" for angle in angles]
-        content = (
-            "int far = 0;",
-            "for (int l = 0; l < LANES; l++) {",
-            *(f"    {line}" for line in (*content, *far)),
-            "}",
-            "return !far;",
-        )
-    content = (*silence, *content)
-    result = "bool" if lanes else "void"
-    return "\n".join(
-        [f"{kind} {result} {signature}", "{", *(f"    {line}" for line in content), "}", ""]
-    )
-
-
-def _c(printer: _Printer, expression: sympy.Expr) -> str:
-    text = str(printer.doprint(expression))
-    if "Not supported" in text:
-        raise ExportError(f"equations: '{expression}' has no counterpart in C.")
-    return text

@@ -1,0 +1,149 @@
+"""One function in C99: its arguments, what it reads of them, its lines and what it writes."""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import sympy
+from sympy.printing.c import C99CodePrinter
+
+from fmu_src.interface import literal
+from hesr_model.equations.functions import cardinal_sine
+from hesr_model.equations.program import Assignments, straight_line
+from hesr_model.errors import ExportError
+
+_POWERS = {2: "square", 3: "cube"}
+_OF_ANGLES = {"sin": sympy.sin, "cos": sympy.cos, "cardinal_sine": cardinal_sine}
+_SELDOM = ("start", "rates", "invariants", "begin", "begin_tangent", "tangent", "follow")
+"""Functions that are to be small rather than quick."""
+
+
+class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
+    """C99 with our functions, literals that read back, and small powers without pow().
+
+    Loops of lanes have no branches, of which compilers would make no vectors.
+    """
+
+    def __init__(self, names: Mapping[sympy.Symbol, str], *, lanes: bool = False) -> None:
+        super().__init__({"strict": False})
+        self._names = names
+        own = ("sgn", "positive", "larger", "clip", "exceeds", "over", "decay", "share",
+               "share_slope", "cardinal_sine", "cardinal_slope")  # fmt: skip
+        self.known_functions |= {name: name for name in own}
+        self.known_functions |= {"absolute": "fabs", "exp": "even_exp"}
+        if lanes:
+            self.known_functions |= {name: f"even_{name}" for name in ("tanh", *_OF_ANGLES)}
+        else:
+            self.known_functions |= {name: f"quick_{name}" for name in ("tanh", "decay")}
+            self.known_functions |= {"sin": "sine", "cos": "cosine"}
+
+    def _print_Symbol(self, expr: sympy.Symbol) -> str:
+        return self._names.get(expr, expr.name)
+
+    _print_Dummy = _print_Symbol
+
+    def _print_Float(self, expr: sympy.Float) -> str:
+        return literal(float(expr))
+
+    def _print_NumberSymbol(self, expr: sympy.NumberSymbol) -> str:
+        return literal(float(expr))
+
+    _print_Pi = _print_NumberSymbol
+    _print_Exp1 = _print_NumberSymbol
+
+    def _print_Pow(self, expr: sympy.Pow) -> str:
+        if expr.exp in _POWERS:
+            return f"{_POWERS[int(expr.exp)]}({self._print(expr.base)})"
+        if -expr.exp in _POWERS:
+            return f"(1.0/{_POWERS[int(-expr.exp)]}({self._print(expr.base)}))"
+        return str(super()._print_Pow(expr))
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """The symbols that a function reads, each with its name and its place in C."""
+
+    places: Mapping[sympy.Symbol, tuple[str, str]] = field(default_factory=dict)
+
+    def plus(self, symbols: Iterable[sympy.Symbol], array: str, lane: str = "") -> "Arguments":
+        """Add the elements of an array, which may be arrays themselves."""
+        more = {s: (f"{array}_{i}", f"{array}[{i}]{lane}") for i, s in enumerate(symbols)}
+        return Arguments({**self.places, **more})
+
+    def single(self, symbol: sympy.Symbol, name: str) -> "Arguments":
+        """Add an argument that is no array."""
+        return Arguments({**self.places, symbol: (name, name)})
+
+
+def function(
+    signature: str,
+    program: Assignments,
+    targets: Mapping[str, sympy.Symbol],
+    places: Mapping[sympy.Symbol, tuple[str, str]],
+) -> str:
+    """Return a C function that computes targets by a program, common subexpressions shared."""
+    return printed(signature, *straight_line(program, targets.values()), targets, places)
+
+
+def printed(
+    signature: str,
+    lines: Assignments,
+    names: Mapping[sympy.Symbol, str],
+    targets: Mapping[str, sympy.Symbol],
+    places: Mapping[sympy.Symbol, tuple[str, str]],
+) -> str:
+    """Return a C function of these lines, of which some have other names there."""
+    known = {s: name for s, (name, _) in places.items() if s not in names}
+    lanes = "LANES(" in signature
+    printer = _Printer({**known, **names}, lanes=lanes)
+    used = set().union(*(e.free_symbols for e in lines.values()), targets.values()) - set(lines)
+    reads = [
+        f"const double {name} = {place};"
+        for symbol, (name, place) in places.items()
+        if symbol in used and name != place
+    ]
+    body = [
+        f"const double {names.get(symbol, str(symbol))} = {_c(printer, e)};"
+        for symbol, e in lines.items()
+    ]
+    # What nothing moves has no name: its change is none.
+    writes = [f"{place} = {_c(printer, s) if s in lines or s in known else '0.0'};"
+              for place, s in targets.items()]  # fmt: skip
+    signature = re.sub(r"IN\((\w+)\)", r"const double *\1", signature)
+    signature = re.sub(r"OUT\((\w+)\)", r"double *\1", signature)
+    signature = re.sub(r"LANES\((\w*), (\w+)\)", r"\1 double (*restrict \2)[LANES]", signature)
+    arguments = re.findall(r"(\w+)(?:\)\[LANES\])?[,)]", signature)
+    text = " ".join([*reads, *body, *writes])
+    unused = [a for a in arguments if not re.search(rf"\b{a}\b", text)]
+    silence = [f"{', '.join(f'(void){a}' for a in unused)};"] if unused else []
+    seldom = any(f"_{name}(" in signature for name in _SELDOM)
+    kind = "SELDOM static" if seldom else "static"
+    content: Iterable[str] = (*reads, *body, *writes)
+    if lanes:
+        kinds = tuple(_OF_ANGLES.values())
+        angles = dict.fromkeys(f.args[0] for e in lines.values() for f in e.atoms(*kinds))
+        far = [f"far |= !(fabs({_c(printer, angle)}) <= LARGEST_ANGLE);" for angle in angles]
+        content = (
+            "int far = 0;",
+            "for (int l = 0; l < LANES; l++) {",
+            *(f"    {line}" for line in (*content, *far)),
+            "}",
+            "return !far;",
+        )
+    content = (*silence, *content)
+    result = "bool" if lanes else "void"
+    return "\n".join(
+        [f"{kind} {result} {signature}", "{", *(f"    {line}" for line in content), "}", ""]
+    )
+
+
+def in_c(expression: sympy.Expr, names: Mapping[sympy.Symbol, str]) -> str:
+    """Return an expression in C, its symbols having these names."""
+    return _c(_Printer(names), expression)
+
+
+def _c(printer: _Printer, expression: sympy.Expr) -> str:
+    text = str(printer.doprint(expression))
+    if "Not supported" in text:
+        raise ExportError(f"equations: '{expression}' has no counterpart in C.")
+    return text
