@@ -111,7 +111,7 @@ def printed(
               for place, s in targets.items()]  # fmt: skip
     signature = re.sub(r"IN\((\w+)\)", r"const double *\1", signature)
     signature = re.sub(r"OUT\((\w+)\)", r"double *\1", signature)
-    signature = re.sub(r"LANES\((\w*), (\w+)\)", r"\1 double (*restrict \2)[LANES]", signature)
+    signature = re.sub(r"LANES\((\w*), (\w+)\)", r"\1 double (*__restrict \2)[LANES]", signature)
     arguments = re.findall(r"(\w+)(?:\)\[LANES\])?[,)]", signature)
     text = " ".join([*reads, *body, *writes])
     unused = [a for a in arguments if not re.search(rf"\b{a}\b", text)]

@@ -90,7 +90,7 @@ def header(model: FrictionModel, name: str) -> str:
         shared=max(len(joint.component.shared) for joint in joints),
         coefficients=sum(len(law.values) for law in model.laws),
     )  # fmt: skip
-    return _with_prefix(text)
+    return _with_prefix(text, name)
 
 
 def _rows(
@@ -132,7 +132,8 @@ def _comment(text: str) -> str:
     return text.replace("*/", "* /").replace("\\", "/")
 
 
-def _with_prefix(text: str) -> str:
-    """Call our own mathematical functions by names that do not meet those of others."""
+def _with_prefix(text: str, name: str) -> str:
+    """Give what is ours names that do not meet those of others, nor of other headers."""
+    text = re.sub(r"\bLANES\b", f"{name.upper()}_LANES", text)
     names = "|".join(_OWN_MATH.findall(own_source("law_math.h")))
     return re.sub(rf"\b({names})\(", r"law_\1(", text)

@@ -52,7 +52,7 @@ def _contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
         file = todo.pop()
         data = file.read_bytes()
         yield hashlib.sha256(data).hexdigest()
-        if file.suffix not in (".c", ".h"):
+        if file.suffix not in (".c", ".cpp", ".h"):
             continue
         for name in _INCLUDE.findall(data):
             places = (place / name.decode() for place in (file.parent, *folders))

@@ -366,6 +366,16 @@ def test_compilations_side_by_side_do_not_mix(tmp_path, empty_cache):
         assert list(pool.map(compiled, range(10, 22))) == list(range(10, 22))
 
 
+def test_what_cpp_includes_goes_into_its_binary(tmp_path, empty_cache):
+    (tmp_path / "main.cpp").write_text('#include "near.h"\n')
+    flags = ("-x", "c++", "-c")
+    (tmp_path / "near.h").write_text("int x;\n")
+    compile_c(tmp_path / "main.cpp", flags, tmp_path / "main.o")
+    (tmp_path / "near.h").write_text("nonsense\n")
+    with pytest.raises(ExportError, match="the C compiler failed"):
+        compile_c(tmp_path / "main.cpp", flags, tmp_path / "main.o")
+
+
 def test_what_goes_into_a_binary_is_compiled_again_when_it_changes(tmp_path, empty_cache):
     (tmp_path / "further").mkdir()
     files = {
