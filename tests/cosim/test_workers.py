@@ -171,7 +171,7 @@ def test_the_dearest_jobs_begin_first_and_results_keep_their_order(tmp_path: Pat
         "from functools import partial\n"
         "def timed(k):\n"
         "    now = time.monotonic()\n"
-        "    time.sleep(0.2)\n"
+        "    time.sleep(1.0)  # longer than a busy machine keeps a process waiting\n"
         "    return k, now\n"
         "jobs = [partial(timed, k) for k in range(6)]\n"
         "with results_of(jobs, 2, [1.0, 5.0, 2.0, 6.0, 4.0, 3.0]) as results:\n"

@@ -18,6 +18,7 @@ without lag) stands beside it: it does no work over a closed way.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import inf
 from typing import Literal
 
@@ -146,11 +147,15 @@ class _Proof:
             largest_step=self.step,
         )
 
+    @cached_property
+    def _curved(self) -> set[sympy.Symbol]:
+        """The symbols on which functions in the torque depend."""
+        return set().union(*(f.free_symbols for f in self.output.atoms(sympy.Function)))
+
     def _element(self, element: Element) -> float:
         """Look at one element; return what it asks of f [N.m.s/rad]."""
         x = element.state
-        inside = set().union(*(f.free_symbols for f in self.output.atoms(sympy.Function)))
-        if inside & {x, element.derivative}:  # of sums of many functions a derivative takes long
+        if self._curved & {x, element.derivative}:  # whose derivative would take long
             raise _UnprovenError(_NOT_LINEAR.format(x))
         factor, rate_factor = self.output.diff(x), self.output.diff(element.derivative)
         if factor == 0 and rate_factor == 0:
