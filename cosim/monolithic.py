@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.batch import Array
-from cosim.closed_loop import Gains, Scheme, preview
+from cosim.loop.closed_loop import Gains, Scheme, preview
 from fmu_src.arm.plant import Arm, Plant
-from hesr_model.friction.evaluate import Stepper, predict
+from fmu_src.run.batch import Array
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import Stepper, predict
 from hesr_model.motions.trajectories import Trajectory
 from hesr_model.robots.robot import RobotModel
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from cosim.batch import Array
-from cosim.given import body_of, logs_of, page_body, robot_of
+from cosim.workflow.arguments import body_of, logs_of, page_body, robot_of
+from fmu_src.run.batch import Array
 from hesr_model.errors import FitError, TableError
+from hesr_model.fitting.fit import fit
 from hesr_model.friction.equation import equations
-from hesr_model.friction.fitting.fit import fit
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator
@@ -20,11 +20,11 @@ from hesr_model.friction.table import MotionTable, motion, numbers, torques
 from hesr_model.logs.robot_log import RobotLog, parts_of
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.described import RobotLike, model_of
+from hesr_model.robots.robot_argument import RobotLike, model_of
 from hesr_model.support.files import path_of
 
 if TYPE_CHECKING:
-    from cosim.figures.chart import Figure
+    from cosim.report.figures.chart import Figure
 Record = Sequence[FrictionRecord]
 """Of all joints in one log."""
 
@@ -216,8 +216,8 @@ class FrictionRegressor:
         ----------
         X, y : one log, or a table and what was measured, as of `fit`.
         """
-        from cosim.figures.chart import Chart, Line, Panel, drawn
-        from cosim.figures.style import MEASURED, strokes
+        from cosim.report.figures.chart import Chart, Line, Panel, drawn
+        from cosim.report.figures.style import MEASURED, strokes
 
         model, title = self._fitted(), estimator(self.law).title
         found = self.predict(X)
@@ -250,8 +250,8 @@ class FrictionRegressor:
         return export_fmu(model, fmu, platforms=platforms, body=body)
 
     def to_torch(self, path: str | PathLike[str]) -> Path:
-        """Write the fitted law as a module of PyTorch; see `fmu_src.one_file.tensors`."""
-        from fmu_src.one_file.tensors import export_torch
+        """Write the fitted law as a module of PyTorch; see `hesr.extras.one_file.tensors`."""
+        from hesr.extras.one_file.tensors import export_torch
 
         file = path_of(path, "a module")
         export_torch(self._fitted(), file)

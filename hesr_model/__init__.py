@@ -28,7 +28,7 @@ from hesr_model.support.lazy import lazy
 if TYPE_CHECKING:
     from hesr_model.artifacts import read_model, read_rigid_body, write_model, write_rigid_body
     from hesr_model.errors import HesrError
-    from hesr_model.friction.fitting.fit import fit
+    from hesr_model.fitting.fit import fit
     from hesr_model.friction.model import FrictionModel
     from hesr_model.friction.registry import registry
     from hesr_model.logs.robot_log import RobotLog
@@ -62,7 +62,7 @@ _HOMES = {
     "RobotDescription": "hesr_model.robots.robot",
     "RobotLog": "hesr_model.logs.robot_log",
     "RobotModel": "hesr_model.robots.robot",
-    "fit": "hesr_model.friction.fitting.fit",
+    "fit": "hesr_model.fitting.fit",
     "friction_records": "hesr_model.rigid_body.residual",
     "identify": "hesr_model.rigid_body.identification",
     "read_model": "hesr_model.artifacts",

@@ -22,13 +22,13 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator
 from hesr_model.friction.thermal import Thermal
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.inference.covariance import Covariance
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.transmission import Coupling
-from hesr_model.support.bounded import parse_json, read_text
 from hesr_model.support.files import sha256, written_whole
 from hesr_model.support.typed_json import from_json, to_json
+from hesr_model.support.untrusted_text import parse_json, read_text
 from hesr_model.units import unit_of_joint
 
 MODEL_FORMAT = "hesr-friction-model-1"

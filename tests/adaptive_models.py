@@ -5,15 +5,15 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from hesr.extras.adaptive.component import adaptive_component
+from hesr.extras.adaptive.tuning import Tuning
 from hesr_model.equations.over_log import recurrence
 from hesr_model.equations.stepping import Steps
-from hesr_model.friction.adaptive.component import adaptive_component
-from hesr_model.friction.adaptive.tuning import Tuning
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.lugre import LuGreLoad
-from hesr_model.friction.laws.stops.estimator import ParFamS
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.laws.lugre import LuGreLoad
+from hesr_model.laws.stops.estimator import ParFamS
 from hesr_model.rigid_body.residual import FrictionRecord
 
 Array = NDArray[np.float64]

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from fmu_src.package import own_source
-from fmu_src.toolchain import TARGETS
+from fmu_src.export.package import own_source
+from fmu_src.export.toolchain import TARGETS
 from hesr_model.support.compiler import compile_c
 
 HOSTS = Path(__file__).with_name("fmu")

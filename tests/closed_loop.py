@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from cosim.closed_loop import Fmus, Gains, Scheme, Setting, system
+from cosim.loop.closed_loop import Fmus, Gains, Scheme, Setting, system
 from cosim.monolithic import MonolithicLoop
-from cosim.system import SystemSpec
+from cosim.systems.system import SystemSpec
 from fmu_src import export_fmu
 from fmu_src.arm.native import arm
 from fmu_src.arm.plant import Plant
@@ -18,7 +18,7 @@ from fmu_src.blocks.controller import controller
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import start_values, trajectory
 from fmu_src.blocks.velocity import velocity
-from fmu_src.package import write_fmu
+from fmu_src.export.package import write_fmu
 from hesr_model.friction.model import FrictionModel
 from hesr_model.motions.trajectories import random_fourier
 from hesr_model.robots.robot import RobotDescription, RobotModel

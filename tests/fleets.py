@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.sample_logs import RATE, plausible_friction, sample_settings, simulated
+from cosim.study.sample_logs import RATE, plausible_friction, sample_settings, simulated
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.lugre import LuGre
+from hesr_model.laws.lugre import LuGre
 from hesr_model.motions.excitation import random_motions
 from hesr_model.robots.robot import RobotDescription, RobotModel
 

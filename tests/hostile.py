@@ -4,7 +4,7 @@ import re
 import zipfile
 from pathlib import Path
 
-from fmu_src.toolchain import TARGETS, build
+from fmu_src.export.toolchain import TARGETS, build
 
 SOURCE = Path(__file__).with_name("hostile.c")
 

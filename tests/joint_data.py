@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import estimator
 from hesr_model.rigid_body.residual import FrictionRecord
 

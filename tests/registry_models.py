@@ -4,11 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hesr_model.friction.fitting.estimator import Estimator
-from hesr_model.friction.fitting.fit import fit_joint
+from hesr_model.fitting.estimator import Estimator
+from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord
 
 _ONE_OF_EACH_KIND = ("bam_m6", "strain_wave_bound", "gms")

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.pipeline import records_of
-from cosim.run import Scored
-from cosim.scoring import SIGNIFICANCE
-from hesr_model.inference.paired import Paired, compare_errors, holm
+from cosim.study.run import Scored
+from cosim.study.scores import SIGNIFICANCE
+from cosim.study.steps import records_of
+from hesr_model.inference.paired_test import Paired, compare_errors, holm
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from fmu_src.description import Description
-from fmu_src.interface import Interface, Variable
-from fmu_src.package import Content, Version, write_fmu
+from fmu_src.export.description import Description
+from fmu_src.export.interface import Interface, Variable
+from fmu_src.export.package import Content, Version, write_fmu
 
 LAGS = """
 name = "lags"

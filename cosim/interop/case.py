@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.batch import Array
-from cosim.slave import Component
-from cosim.system import SystemSpec
-from cosim.wiring import Wiring
+from cosim.systems.system import SystemSpec
+from cosim.systems.wiring import Wiring
+from fmu_src.run.batch import Array
+from fmu_src.run.fmu import Component
 
 _INDEX = re.compile(r"\[\d+(,\d+)*\]$")
 

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.batch import Array
 from cosim.interop.case import Alone
-from cosim.scalars import arrays_of
-from cosim.slave import Component
-from cosim.system import Value
+from cosim.systems.system import Value
+from fmu_src.run.batch import Array
+from fmu_src.run.fmu import Component
+from fmu_src.run.scalars import arrays_of
 
 _AMPLITUDE, _RATE, _PHASE = 0.5, 2.0 * np.pi, 0.7
 _SECONDS = 2.0

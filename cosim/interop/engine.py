@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from cosim.batch import Array
 from cosim.interop.case import Alone, Run, Together
 from cosim.interop.reference import Coupling
+from fmu_src.run.batch import Array
 from hesr_model.support.process import FailedError, run
 
 DEFAULT_TOOLS = Path(".tools/interop")

@@ -8,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 
-from cosim.batch import Array
 from cosim.interop.case import Alone, Together
-from cosim.native import through
-from cosim.slave import Component
-from cosim.wiring import Element, Wiring
+from cosim.systems.wiring import Element, Wiring
+from fmu_src.run.batch import Array
+from fmu_src.run.fmu import Component
+from fmu_src.run.native import through
 
 
 @dataclass(frozen=True, kw_only=True)

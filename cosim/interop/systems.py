@@ -5,9 +5,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from cosim.interop.case import Together
-from cosim.package.contents import read_contents
-from cosim.package.read import opened_system
-from cosim.package.ssp import write_ssp
+from cosim.systems.contents import read_contents
+from cosim.systems.ssp import write_ssp
+from cosim.systems.ssp_reader import opened_system
 
 
 @contextmanager

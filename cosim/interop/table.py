@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from cosim.interop.case import Together
 from cosim.interop.matrix import EngineMatrix, EngineResult
-from cosim.tables.table import ResultTable, TableRow
+from cosim.report.tables.table import ResultTable, TableRow
 
 
 def table(matrix: EngineMatrix) -> ResultTable:

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cosim.report.results import Results
-from cosim.scoring import CLASSIC
-from cosim.tables.loop import outcome
-from cosim.tables.markdown import markdown
-from cosim.tables.properties import legend, properties
-from cosim.tables.scores import MEASURES, bands, errors, other_truths
-from cosim.tables.table import PAPERS, ResultTable, TableRow, named
-from cosim.verdict import read_verdict
+from cosim.report.tables.loop import outcome
+from cosim.report.tables.markdown import markdown
+from cosim.report.tables.properties import legend, properties
+from cosim.report.tables.scores import MEASURES, bands, errors, other_truths
+from cosim.report.tables.table import PAPERS, ResultTable, TableRow, named
+from cosim.study.scores import CLASSIC
+from cosim.study.verdict import read_verdict
 from hesr_model.support.files import written_whole
 
 

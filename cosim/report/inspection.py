@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from cosim.batch import Array
-from cosim.figures.chart import Line
-from cosim.figures.coverage import JointView, joints
-from cosim.figures.style import MEASURED, SERIES, Stroke, write_svg
+from cosim.report.figures.chart import Line
+from cosim.report.figures.coverage import JointView, joints
+from cosim.report.figures.style import MEASURED, SERIES, Stroke, write_svg
 from cosim.report.markup import Pictures, Section, joined, listing, paragraph, table, write_sections
-from cosim.tables.table import ResultTable, row_of
+from cosim.report.tables.table import ResultTable, row_of
+from fmu_src.run.batch import Array
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.examine import Examination
+from hesr_model.health.excitation_gaps import unseen
 from hesr_model.health.findings import Finding
 from hesr_model.health.proposal import HEAD, Proposal, robot_file, summary_rows
-from hesr_model.health.unseen import unseen
 
 _POINTS = 700
 """Of a line; more are not seen."""

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
+from cosim.report.tables.table import ResultTable
 from cosim.report.zoom import zoom_data
-from cosim.tables.table import ResultTable
-from fmu_src.html import TEMPLATES, rendered
-from hesr_model.friction.audit.properties import MARKS
+from fmu_src.pages.html import TEMPLATES, rendered
+from hesr_model.audit.properties import MARKS
 from hesr_model.support.files import written_whole
 
 if TYPE_CHECKING:
-    from cosim.figures.chart import Chart, Figure
+    from cosim.report.figures.chart import Chart, Figure
 
 _FOLDERS = (
     Path(__file__).parent / "templates",
@@ -59,20 +59,20 @@ class Pictures:
         caption : what is to be seen.
         alt : what it shows, for readers who cannot see it.
         """
-        from cosim.figures.style import write
+        from cosim.report.figures.style import write
 
         write(picture, self.folder / key)
         return self.shown(key, picture, caption, alt=alt)
 
     def shown(self, key: str, picture: "Figure", caption: str, *, alt: str) -> Markup:
         """Return a figure that stands in the page only."""
-        from cosim.figures.style import svg
+        from cosim.report.figures.style import svg
 
         return self.drawing(key, Markup(svg(picture, key)), caption, alt=alt)
 
     def chart(self, key: str, chart: "Chart", caption: str, *, alt: str) -> Markup:
         """Return a figure of lines, which can be zoomed."""
-        from cosim.figures.chart import drawn
+        from cosim.report.figures.chart import drawn
 
         self.zooms[key] = zoom_data(chart)
         return self.figure(key, drawn(chart), caption, alt=alt)
@@ -107,7 +107,7 @@ def write_sections(
     ArtifactError
         If it cannot be written.
     """
-    from cosim.figures.style import VARIABLES
+    from cosim.report.figures.style import VARIABLES
 
     page = render(
         "report.html.j2",

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from cosim.figures.chart import Chart, Line, Panel, drawn
-from cosim.figures.style import SERIES, Stroke
+from cosim.report.figures.chart import Chart, Line, Panel, drawn
+from cosim.report.figures.style import SERIES, Stroke
 from cosim.report.markup import Pictures, Section, joined, paragraph, table, write_sections
-from cosim.tables.table import ResultTable, row_of
-from hesr_model.friction.adaptive.monitor import Watched
+from cosim.report.tables.table import ResultTable, row_of
+from hesr.extras.adaptive.monitor import Watched
 
 _TRENDS = (
     ("level", "level", 1.0),

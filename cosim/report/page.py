@@ -24,7 +24,7 @@ from cosim.report.sections import (
 )
 from cosim.report.sections.summary import summary
 from cosim.report.zoom import library
-from fmu_src.documentation.datasheet import ModelAudit
+from fmu_src.pages.datasheet import ModelAudit
 from hesr_model.support import parallel
 from hesr_model.support.progress import Stages, counted, silent
 

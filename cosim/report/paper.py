@@ -1,6 +1,6 @@
 """What the paper reports of its robot, a UFACTORY 850: Tables II and III."""
 
-from cosim.closed_loop import StandIn
+from cosim.loop.closed_loop import StandIn
 
 ROBOT = "uf850"
 

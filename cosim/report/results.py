@@ -8,24 +8,24 @@ from operator import truediv
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.saved import RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_columns
-from cosim.scoring import MEASURED_START, ORACLE, Comparison, Errors
-from cosim.simulated import SIMULATION, Simulated
-from cosim.tables.table import PAPERS, joints
-from fmu_src.documentation.datasheet import ModelAudit
+from cosim.report.tables.table import PAPERS, joints
+from cosim.study.position_errors import SIMULATION, Simulated
+from cosim.study.results import RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_columns
+from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Errors
+from fmu_src.pages.datasheet import ModelAudit
 from hesr_model.artifacts import read_json, read_model, read_rigid_body
+from hesr_model.audit.properties import Properties, read_properties
 from hesr_model.equations.over_log import Array
 from hesr_model.errors import ArtifactError, SimulationError
-from hesr_model.friction.audit.properties import Properties, read_properties
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.support.typed_json import from_json
 from hesr_model.units import unit_of_joints
 
 if TYPE_CHECKING:
-    from cosim.closed_loop import Scheme
-    from cosim.studies.traces import Trace
-    from cosim.studies.whole_loop import LoopOutcome
+    from cosim.loop.closed_loop import Scheme
+    from cosim.loop.run import LoopOutcome
+    from cosim.loop.traces import Trace
 
 _PAPERS_LAWS = (PAPERS, "lugre", "rbfnn_h", "stribeck", "parfam_v")
 
@@ -184,9 +184,9 @@ def _truths(path: Path) -> dict[str, Errors]:
 
 
 def _loop(folder: Path) -> dict[str, Any]:
-    from cosim.studies.traces import TRACES as PATHS
-    from cosim.studies.traces import read_traces
-    from cosim.studies.whole_loop import LoopOutcome
+    from cosim.loop.run import LoopOutcome
+    from cosim.loop.traces import TRACES as PATHS
+    from cosim.loop.traces import read_traces
 
     path = folder / "closed_loop.json"
     loop = from_json(LoopOutcome, read_json(path), path, "the closed loop of a run")

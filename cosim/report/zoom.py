@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from cosim.figures.chart import Chart, Line, Panel
+    from cosim.report.figures.chart import Chart, Line, Panel
 
 _MODEL = re.compile(r'"p\d{4,}"')
 _PIXELS = 105  # of an inch of a row's height
@@ -91,7 +91,7 @@ def _plot(panel: "Panel", inches: float) -> Any:
     from bokeh.models.annotations.labels import Title
     from bokeh.plotting import figure
 
-    from cosim.figures.style import INK, LINE, SOFT
+    from cosim.report.figures.style import INK, LINE, SOFT
 
     plot = figure(
         height=round(_PIXELS * inches), y_axis_label=panel.y,

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 import mujoco
 
-from fmu_src.package import Binary
+from fmu_src.export.package import Binary
 from hesr_model.errors import ExportError
 
 _PACKAGE = "mujoco-core"

@@ -16,10 +16,10 @@ from fmu_src.arm.signals import signals_of
 from fmu_src.arm.signals_h import to_h
 from fmu_src.arm.table import SignalTable
 from fmu_src.arm.variables import variables
-from fmu_src.description import RELEASED, Description
-from fmu_src.interface import Interface
-from fmu_src.package import Content, check_request, own_source, write_fmu
-from fmu_src.recorded import Stimuli, waves
+from fmu_src.export.description import RELEASED, Description
+from fmu_src.export.interface import Interface
+from fmu_src.export.package import Content, check_request, own_source, write_fmu
+from fmu_src.run.recorded import Stimuli, waves
 from hesr_model.errors import ExportError
 from hesr_model.support.progress import Progress, silent
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
+from fmu_src.arm.alternative_plants import Truth, TruthName
 from fmu_src.arm.signals import compiled
-from fmu_src.arm.truths import Truth, TruthName
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.logs.noise import standard_normal
 from hesr_model.support.config import Config, RelativePath

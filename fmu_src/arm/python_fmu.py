@@ -10,13 +10,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from xml.etree import ElementTree as ET
 
-from fmu_src import exported
 from fmu_src.arm.native import description, licences, model_name
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.variables import variables
-from fmu_src.description import RELEASED, to_xml
-from fmu_src.interface import Interface
-from fmu_src.package import check_request, write_archive
+from fmu_src.export.description import RELEASED, to_xml
+from fmu_src.export.interface import Interface
+from fmu_src.export.package import check_request, write_archive
+from fmu_src.run import trust as exported
 from hesr_model.errors import ConfigError
 
 MODEL, TABLE, ABOUT = "model.xml", "signals.toml", "about.json"

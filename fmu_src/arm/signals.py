@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 import mujoco
 
-from fmu_src.arm.everything import SINGLE, everything
+from fmu_src.arm.default_signals import SINGLE, everything
 from fmu_src.arm.parts import Input, Loss, Output, Signals, Start
 from fmu_src.arm.table import LossTable, OutputTable, SignalTable, StartTable
 from hesr_model.errors import ConfigError

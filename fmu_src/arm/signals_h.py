@@ -5,7 +5,7 @@ from dataclasses import astuple
 
 from fmu_src.arm.parts import Signals
 from fmu_src.arm.variables import LATENCY, PAYLOAD, SCALE, SEED, noise_name
-from fmu_src.interface import Interface, literal
+from fmu_src.export.interface import Interface, literal
 
 # Each table's type, the name of its size and an element that stands where it is empty: C knows no
 # empty arrays.

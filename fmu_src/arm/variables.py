@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from fmu_src.arm.parts import Output, Signals
-from fmu_src.interface import Variable
+from fmu_src.export.interface import Variable
 
 SCALE, PAYLOAD, LATENCY, SEED = "friction_scale", "payload", "latency", "noise_seed"
 

@@ -4,8 +4,8 @@ from collections.abc import Collection, Iterator, Mapping
 
 from fmu_src.blocks.table import content, vector
 from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, own_size
-from fmu_src.interface import Enumeration, Interface, Variable
-from fmu_src.package import Content, equation_sources
+from fmu_src.export.interface import Enumeration, Interface, Variable
+from fmu_src.export.package import Content, equation_sources
 from hesr_model.equations.component import Choice, Component, Parameter, Quantity
 from hesr_model.errors import ExportError
 

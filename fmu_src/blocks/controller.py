@@ -12,7 +12,7 @@ from dataclasses import replace
 import sympy
 
 from fmu_src.blocks.block import block
-from fmu_src.package import Content
+from fmu_src.export.package import Content
 from hesr_model.equations.component import (
     Choice,
     Component,

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu_src.blocks.table import content, places, scalar, vector
-from fmu_src.interface import Interface, literal
-from fmu_src.package import Content, own_source
+from fmu_src.export.interface import Interface, literal
+from fmu_src.export.package import Content, own_source
 from hesr_model.robots.robot import LINK_PARAMETERS, RobotModel
 
 _UNITS = ("kg", *["kg.m"] * 3, *["kg.m2"] * 6)

@@ -2,10 +2,10 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from fmu_src.description import RELEASED, Description
-from fmu_src.interface import Interface, Role, Variable
-from fmu_src.package import Content
-from fmu_src.recorded import Stimuli, waves
+from fmu_src.export.description import RELEASED, Description
+from fmu_src.export.interface import Interface, Role, Variable
+from fmu_src.export.package import Content
+from fmu_src.run.recorded import Stimuli, waves
 from hesr_model.robots.owner import OURS, Owner
 
 

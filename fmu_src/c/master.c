@@ -1,6 +1,6 @@
-/* The steps of a co-simulation of FMUs in this process, as cosim/stepping.py does them.
+/* The steps of a co-simulation of FMUs in this process, as fmu_src/run/master.py does them.
  *
- * cosim/native.py loads and initialises the FMUs, lays out these tables, and says what failed. */
+ * fmu_src/run/native.py loads and initialises the FMUs, lays out these tables, and says what failed. */
 #include <math.h>
 #include <stdbool.h>
 #include <stddef.h>

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fmu_src.archive import (
+from fmu_src.run.archive import (
     DAMAGED,
     MOST_BYTES_IN_ALL,
     MOST_ENTRIES,

@@ -9,6 +9,7 @@ import sympy
 
 from fmu_src.blocks.table import scalar, vector
 from fmu_src.equations.header import SOLVER, Joint, Needs, equations_header
+from fmu_src.export.interface import Interface, Variable
 from fmu_src.friction.friction_component import (
     adding,
     dependencies,
@@ -19,7 +20,6 @@ from fmu_src.friction.friction_component import (
     scales,
     start_mode,
 )
-from fmu_src.interface import Interface, Variable
 from hesr_model.errors import ExportError
 from hesr_model.friction.law import TORQUE
 from hesr_model.friction.model import FrictionModel

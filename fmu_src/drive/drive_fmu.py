@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu_src.documentation.drive_page import to_html
 from fmu_src.drive.drive_component import SUBSTEP, Motors, equations_to_c, interface, motors
+from fmu_src.export.package import Content, Version, check_request, own_source, write_fmu
+from fmu_src.export.terminals import Terminal
 from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_fmu import description_of
 from fmu_src.friction.validity import require_exportable
-from fmu_src.package import Content, Version, check_request, own_source, write_fmu
-from fmu_src.recorded import ROWS, Stimuli, waves
-from fmu_src.terminals import Terminal
+from fmu_src.pages.drive_page import to_html
+from fmu_src.run.recorded import ROWS, Stimuli, waves
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.progress import Progress, silent
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import sympy
 from sympy.printing.c import C99CodePrinter
 
-from fmu_src.interface import literal
+from fmu_src.export.interface import literal
 from hesr_model.equations.functions import cardinal_sine
 from hesr_model.equations.program import Assignments, straight_line
 from hesr_model.errors import ExportError

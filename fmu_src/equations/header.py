@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 
 from fmu_src.equations.c_functions import Functions
-from fmu_src.interface import Interface, literal
-from fmu_src.software import software
+from fmu_src.export.interface import Interface, literal
+from fmu_src.export.software import software
 from hesr_model.equations.component import Component
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support.cache import kept

@@ -3,11 +3,11 @@
 import json
 from pathlib import Path
 
-from fmu_src.archive import MOST_TEXT, Archive
+from fmu_src.run.archive import MOST_TEXT, Archive
 from hesr_model.artifacts import model_from_json, model_to_json
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.support.bounded import parse_json
+from hesr_model.support.untrusted_text import parse_json
 
 EMBEDDED_MODEL = "resources/friction_model.json"
 """Where the model stands in the archive; the FMU itself does not read it."""

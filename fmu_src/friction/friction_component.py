@@ -9,9 +9,9 @@ import numpy as np
 import sympy
 
 from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, indicators, own_size
+from fmu_src.export.interface import Enumeration, Interface, Role, Variable
 from fmu_src.friction.validity import discretisation_of
 from fmu_src.friction.variable_names import exposed, place
-from fmu_src.interface import Enumeration, Interface, Role, Variable
 from hesr_model.equations.component import Component, Equation, Quantity, Relaxation
 from hesr_model.equations.memory import Element
 from hesr_model.equations.program import beginning, begun, sources

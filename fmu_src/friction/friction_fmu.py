@@ -9,23 +9,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from fmu_src.description import Description
-from fmu_src.documentation.datasheet import ModelAudit
-from fmu_src.documentation.friction_page import to_html
-from fmu_src.documentation.live.body import PageBody
-from fmu_src.documentation.live.measured import log_section
-from fmu_src.documentation.live.page import live_assets, live_section
-from fmu_src.documentation.live.section import live_data
-from fmu_src.documentation.live.wasm import wasm
-from fmu_src.documentation.picture import model_png
-from fmu_src.documentation.properties_sheet import section
-from fmu_src.friction.embedded_model import embedding
-from fmu_src.friction.friction_component import POWER, equations_to_c, interface
-from fmu_src.friction.reference import reference_files
-from fmu_src.friction.sampled import adaptive_equations, thermal_equations
-from fmu_src.friction.validity import require_numbers
-from fmu_src.interface import Interface
-from fmu_src.package import (
+from fmu_src.export.description import Description
+from fmu_src.export.interface import Interface
+from fmu_src.export.package import (
     Content,
     Version,
     check_request,
@@ -33,9 +19,23 @@ from fmu_src.package import (
     translation_unit,
     write_fmu,
 )
+from fmu_src.friction.discrete_fmu import adaptive_equations, thermal_equations
+from fmu_src.friction.embedded_model import embedding
+from fmu_src.friction.friction_component import POWER, equations_to_c, interface
+from fmu_src.friction.reference import reference_files
+from fmu_src.friction.validity import require_numbers
+from fmu_src.pages.datasheet import ModelAudit
+from fmu_src.pages.friction_page import to_html
+from fmu_src.pages.live.body import PageBody
+from fmu_src.pages.live.log_section import log_section
+from fmu_src.pages.live.page import live_assets, live_section
+from fmu_src.pages.live.section import live_data
+from fmu_src.pages.live.wasm import wasm
+from fmu_src.pages.picture import model_png
+from fmu_src.pages.properties_sheet import section
+from hesr_model.audit.properties import Properties
 from hesr_model.equations.component import Equation
 from hesr_model.errors import ExportError
-from hesr_model.friction.audit.properties import Properties
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.owner import Owner
 from hesr_model.support.progress import Progress, silent

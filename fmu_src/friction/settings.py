@@ -5,7 +5,7 @@ The step from row k to row k + 1 is run with
     linear  the inputs of row k and their slopes (fmi2SetRealInputDerivatives) to row k + 1;
     direct  the inputs of row k + 1, as in the replay of a log.
 Whatever the way, the torque is read after the step, at the time of row k + 1. This module says with
-the law itself what an FMU that is run so gives; `cosim.convention` runs the FMU.
+the law itself what an FMU that is run so gives; `fmu_src.check.convention` runs the FMU.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hesr_model.equations.over_log import Array
-from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import predict
 from hesr_model.logs.phases import near_reversals
 from hesr_model.robots.transmission import Coupling
 

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import sympy
 
-from hesr_model.equations.compiled import Kernel, Rows, kernel_of
 from hesr_model.equations.functions import lowered
+from hesr_model.equations.kernel import Kernel, Rows, kernel_of
 from hesr_model.equations.memory import DT, EULER
 from hesr_model.equations.program import moved, step
 from hesr_model.equations.rows import OutsideError
-from hesr_model.friction.evaluate import numbers
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.friction.predict import numbers
 from hesr_model.support.arrays import Array
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import SimulationError
-from hesr_model.friction.evaluate import states_over
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import states_over
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.support.arrays import Array
 

@@ -27,9 +27,9 @@ from hesr_model.equations.memory import DT
 from hesr_model.equations.program import beginning, begun
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.band import COVERAGE, GREATEST, LEAST, LEVEL, NUMBERS, shapes
-from hesr_model.friction.evaluate import numbers
 from hesr_model.friction.inputs import DQ, INPUTS, TAU_LOAD
 from hesr_model.friction.law import MOVING, TORQUE, FrictionLaw, LawForm
+from hesr_model.friction.predict import numbers
 from hesr_model.support.arrays import Array
 
 LOWER, UPPER = "tau_lower", "tau_upper"

@@ -13,16 +13,16 @@ from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.band import LEVEL
 from hesr_model.friction.banded import predict_band
 from hesr_model.friction.equation import equations
-from hesr_model.friction.evaluate import predict_joints
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.predict import predict_joints
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.thermal import Thermal
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support import html
 from hesr_model.support.arrays import Array
-from hesr_model.support.bounded import require_printable
+from hesr_model.support.untrusted_text import require_printable
 from hesr_model.units import unit_of_joints
 
 _MOST_SHOWN = 40

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hesr_model.friction.evaluate import estimated_start, predict
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
+from hesr_model.friction.predict import estimated_start, predict
 from hesr_model.friction.thermal import Thermal
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array

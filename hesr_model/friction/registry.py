@@ -10,22 +10,23 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 
 from hesr_model.errors import ArtifactError, ConfigError
-from hesr_model.friction.fitting.estimator import Estimator, registered
+from hesr_model.fitting.estimator import Estimator, registered
 
 MODULES = (
-    "stribeck",
-    "parfam.velocity",
-    "lugre",
-    "dahl",
-    "networks",
-    "parfam.estimator",
-    "strain_wave",
-    "parfam.extended",
-    "stops.estimator",
-    "bam",
-    "gms",
+    "hesr_model.laws.stribeck",
+    "hesr_model.laws.parfam.velocity",
+    "hesr_model.laws.lugre",
+    "hesr_model.laws.dahl",
+    "hesr.extras.laws.mlp",
+    "hesr_model.laws.networks.rbf",
+    "hesr_model.laws.parfam.estimator",
+    "hesr.extras.laws.strain_wave",
+    "hesr_model.laws.parfam.hx",
+    "hesr_model.laws.stops.estimator",
+    "hesr.extras.laws.bam",
+    "hesr.extras.laws.gms",
 )
-"""Modules of `hesr_model.friction` whose import registers estimators."""
+"""Modules whose import registers HESR's own estimators."""
 
 GROUP = "hesr.laws"
 """Group of the entry points by which other packages bring laws."""
@@ -41,7 +42,7 @@ def load_laws() -> None:
         If the law of another package cannot be loaded.
     """
     for module in MODULES:
-        import_module(f"hesr_model.friction.laws.{module}")
+        import_module(f"hesr_model.laws.{module}")
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
         _load(entry)
 

@@ -14,11 +14,11 @@ from dataclasses import replace
 import numpy as np
 import sympy
 
+from hesr_model.audit.certificate import least_viscosity
 from hesr_model.equations.component import Component, previous
 from hesr_model.equations.functions import larger
 from hesr_model.equations.stepping import Steps
-from hesr_model.friction.adaptive.factors import parts
-from hesr_model.friction.audit.certificate import least_viscosity
+from hesr_model.friction.factors import parts
 from hesr_model.friction.law import TORQUE, FrictionLaw
 from hesr_model.friction.scales import COULOMB, LEAST, SCALES, VISCOUS
 from hesr_model.friction.thermal import (

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hesr_model.friction.fitting.samples import non_negative_least_squares
+from hesr_model.fitting.samples import non_negative_least_squares
 from hesr_model.health.evidence import Motionwise, Torques, rubbing
 from hesr_model.health.findings import Finding
 from hesr_model.health.mistakes import Mistake, Rows, mistakes, torques_of

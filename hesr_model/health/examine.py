@@ -4,10 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from hesr_model.health.causes import check_causes
-from hesr_model.health.clocks import check_clocks
 from hesr_model.health.evidence import Motionwise, Torques, as_logged, motionwise
 from hesr_model.health.findings import Finding, merged, require_known, require_sound
-from hesr_model.health.held import check_held, check_speed
 from hesr_model.health.loss import check_loss
 from hesr_model.health.positions import (
     check_columns,
@@ -16,6 +14,8 @@ from hesr_model.health.positions import (
     check_steps,
     check_time,
 )
+from hesr_model.health.sample_hold import check_held, check_speed
+from hesr_model.health.timing import check_clocks
 from hesr_model.health.torque import NO_SIGNAL, Explained, check_torque, explained
 from hesr_model.health.velocity import check_velocity
 from hesr_model.logs.robot_log import RobotLog

@@ -20,8 +20,8 @@ from hesr_model.logs.readers.formats import COLUMNS, format_of
 from hesr_model.logs.readers.matlab import read_matlab
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.tables import Table, read_table
-from hesr_model.robots.described import RobotLike, described
 from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot_argument import RobotLike, described
 
 _ROUNDS = 4
 _CUTOFF_SHARE = 0.3

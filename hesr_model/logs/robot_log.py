@@ -13,8 +13,8 @@ from hesr_model.errors import LogError
 from hesr_model.logs.readers.formats import format_of
 from hesr_model.logs.readers.samples import Samples
 from hesr_model.logs.tables import write_table
-from hesr_model.robots.described import RobotLike, described
 from hesr_model.robots.robot import RobotDescription
+from hesr_model.robots.robot_argument import RobotLike, described
 from hesr_model.support import frames, html
 from hesr_model.support.arrays import Array, Integers, some_rows
 from hesr_model.support.files import path_of, sha256, written_whole

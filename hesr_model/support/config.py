@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, ValidationInfo
 
 from hesr_model.errors import ConfigError
-from hesr_model.support.bounded import parse_toml, read_text, require_printable
+from hesr_model.support.untrusted_text import parse_toml, read_text, require_printable
 
 _MOST_SHOWN = 200  # characters of a value that is wrong
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.run import run_study
+from cosim.study.run import run_study
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import RobotDescription, RobotModel

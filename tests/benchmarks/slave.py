@@ -4,7 +4,7 @@ from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
 
 from fmu_src import model_file
 from hesr_model.artifacts import read_model
-from hesr_model.friction.evaluate import Stepper
+from hesr_model.friction.predict import Stepper
 
 
 class PythonFriction(Fmi2Slave):

@@ -6,9 +6,9 @@ import pytest
 from adaptive_models import lugre, model, stops
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from cosim.slave import Component
+from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_fmu import adaptive_content, export_bare
-from fmu_src.package import write_fmu
+from fmu_src.run.fmu import Component
 
 STEP = 0.005
 

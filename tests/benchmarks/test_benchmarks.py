@@ -18,20 +18,20 @@ from threadpoolctl import threadpool_limits
 from fmu_src import model_file
 from fmu_src.equations.c_functions import Functions
 from hesr_model.artifacts import read_model
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit_joint
-from hesr_model.friction.fitting.samples import Samples
-from hesr_model.friction.laws.parfam import paper, refine
-from hesr_model.friction.laws.parfam.candidate import Candidate
-from hesr_model.friction.laws.parfam.features import HysteresisFeatures
+from hesr_model.fitting.fit import fit_joint
+from hesr_model.fitting.samples import Samples
+from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import estimator
+from hesr_model.laws.parfam import paper, refine
+from hesr_model.laws.parfam.candidate import Candidate
+from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.rigid_body.residual import FrictionRecord
 
 STEP, ROWS = 0.005, 4000
 
 HESR_RUN = """
 import json, resource, sys, time
-from cosim.cli import main
+from hesr.cli import main
 start = time.perf_counter()
 try:
     main()
@@ -148,7 +148,7 @@ def test_prediction_over_a_log(benchmark: BenchmarkFixture, data: FrictionRecord
 def test_help(benchmark: BenchmarkFixture) -> None:
     """Aim: 0.3 s."""
     benchmark.extra_info["aim"] = "0.3 s"
-    command = [sys.executable, "-c", "from cosim.cli import main; main()", "--help"]
+    command = [sys.executable, "-c", "from hesr.cli import main; main()", "--help"]
     result = benchmark.pedantic(
         subprocess.run, args=(command,), kwargs={"capture_output": True}, rounds=5, warmup_rounds=1
     )

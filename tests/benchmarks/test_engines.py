@@ -15,9 +15,9 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from cosim.interop.case import Together
 from cosim.interop.engine import Engine, SkippedError, Tools
 from cosim.interop.engines import ENGINES
-from cosim.master import Master
-from cosim.package.container import write_container
-from cosim.package.contents import read_contents
+from cosim.systems.container import write_container
+from cosim.systems.contents import read_contents
+from cosim.systems.simulation import Master
 from hesr_model.support.files import models_folder
 
 sys.path.append(str(Path(__file__).parents[1] / "interop"))

@@ -17,12 +17,12 @@ from fmpy.fmi2 import FMU2Slave
 from pytest_benchmark.fixture import BenchmarkFixture
 from pythonfmu.builder import FmuBuilder
 
-from cosim import native
-from cosim.replay import replay
-from cosim.slave import Component
 from fmu_src import export_fmu, model_file
+from fmu_src.run import native
+from fmu_src.run.fmu import Component
+from fmu_src.run.replay import replay
 from hesr_model.artifacts import read_model
-from hesr_model.friction.fitting.fit import fit_joint
+from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord
 

@@ -12,10 +12,10 @@ from closed_loop import Bench, build
 from pytest_benchmark.fixture import BenchmarkFixture
 from small_fmus import lag
 
-from cosim.closed_loop import Scheme
-from cosim.master import Master
+from cosim.loop.closed_loop import Scheme
 from cosim.monolithic import run_loop
-from cosim.system import SystemSpec
+from cosim.systems.simulation import Master
+from cosim.systems.system import SystemSpec
 from fmu_src import model_file
 from fmu_src.arm.python_fmu import export_python_arm
 from hesr_model.artifacts import read_model

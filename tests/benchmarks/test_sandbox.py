@@ -13,12 +13,13 @@ from hostile import archived
 from pytest_benchmark.fixture import BenchmarkFixture
 from small_fmus import lag
 
-from cosim.closed_loop import Scheme
-from cosim.package.contents import read_contents
-from cosim.package.ssp import write_ssp
-from cosim.slave import Component
-from fmu_src import exported, model_file
-from fmu_src.archive import Archive
+from cosim.loop.closed_loop import Scheme
+from cosim.systems.contents import read_contents
+from cosim.systems.ssp import write_ssp
+from fmu_src import model_file
+from fmu_src.run import trust as exported
+from fmu_src.run.archive import Archive
+from fmu_src.run.fmu import Component
 from hesr_model.artifacts import read_model
 
 Tell = Callable[[str], None]
@@ -44,7 +45,7 @@ def test_share_of_recognising_our_own(bench: Bench, tmp_path: Path, tell: Tell) 
     whole, part = [], []
     for _ in range(3):
         begin = time.perf_counter()
-        command = ("-c", "from cosim.cli import main; main()", "simulate", system)
+        command = ("-c", "from hesr.cli import main; main()", "simulate", system)
         subprocess.run([sys.executable, *command, "-o", tmp_path / "x.csv"], check=True)
         whole.append(time.perf_counter() - begin)
         begin = time.perf_counter()

@@ -6,7 +6,7 @@ About a minute for each law, so it stands here and not among the tests.
 import numpy as np
 import pytest
 
-from hesr_model.friction.fitting.fit import fit_joint
+from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.records import predict_record

@@ -14,14 +14,14 @@ import pytest
 from closed_loop import Bench, build
 from fmpy import simulate_fmu
 
-from cosim.closed_loop import Scheme
-from cosim.master import Master
-from cosim.package.container import write_container
-from cosim.package.contents import read_contents
-from cosim.sweep.run import run_sweep
-from cosim.system import SystemSpec
-from cosim.system_file import write_system
+from cosim.loop.closed_loop import Scheme
+from cosim.systems.container import write_container
+from cosim.systems.contents import read_contents
+from cosim.systems.simulation import Master
+from cosim.systems.system import SystemSpec
+from cosim.systems.system_file import write_system
 from fmu_src import model_file
+from hesr.extras.sweep.run import run_sweep
 from hesr_model.artifacts import read_model
 
 Tell = Callable[[str], None]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fmu_src import model_file
-from fmu_src.one_file.tensors import export_jax, export_torch
+from hesr.extras.one_file.tensors import export_jax, export_torch
 from hesr_model.artifacts import read_model
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.predict import predict
 
 if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page

@@ -9,21 +9,21 @@ import numpy as np
 from adaptive_models import lugre
 from small_fmus import LAGS, lag
 
-from cosim.arena.arena import CLASSES, KINDS
-from cosim.arena.leaderboard import Leaderboard, ScoredLog, ScoredRobot, Standing
-from cosim.arena.page import write_page
-from cosim.arena.score import Interval
 from cosim.report.inspection import write_inspection
 from cosim.report.markup import Section, table, write_sections
 from cosim.report.monitor import write_monitor
-from cosim.scoring import compare
-from cosim.sweep.run import run_sweep
-from cosim.tables.scores import errors
+from cosim.report.tables.scores import errors
+from cosim.study.scores import compare
 from fmu_src import export_fmu
-from hesr_model.friction.adaptive.monitor import watch
-from hesr_model.friction.evaluate import predict
+from hesr.extras.adaptive.monitor import watch
+from hesr.extras.leaderboard.board_file import CLASSES, KINDS
+from hesr.extras.leaderboard.leaderboard import Leaderboard, ScoredLog, ScoredRobot, Standing
+from hesr.extras.leaderboard.page import write_page
+from hesr.extras.leaderboard.score import Interval
+from hesr.extras.sweep.run import run_sweep
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.predict import predict
+from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.health.proposal import inspected
 from hesr_model.rigid_body.residual import FrictionRecord
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from cosim import commands
-from cosim.replay import replay
-from cosim.scoring import predict_fmu
+from cosim.study.scores import predict_fmu
+from cosim.workflow import commands
 from fmu_src import export_fmu
+from fmu_src.run.replay import replay
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records

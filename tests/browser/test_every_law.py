@@ -11,12 +11,12 @@ import pytest
 from live_page import SAME, alive, error, expected, field, saved, slider
 from registry_models import STUDIED
 
-from cosim.slave import Component
 from fmu_src import export_fmu
-from fmu_src.documentation.live.page import live_assets, live_section
 from fmu_src.friction.friction_fmu import live_of
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import Motion, torques
+from fmu_src.pages.live.page import live_assets, live_section
+from fmu_src.run.fmu import Component
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.scales import scaled
 

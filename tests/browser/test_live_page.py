@@ -12,13 +12,13 @@ import pytest
 import sympy
 from live_page import SAME, alive, error, expected, field, saved, settle, slider
 
-from fmu_src.documentation.live.page import live_assets, live_section
 from fmu_src.friction.friction_fmu import live_of
+from fmu_src.pages.live.page import live_assets, live_section
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from cosim.figures.style import SERIES, VARIABLES
+from cosim.report.figures.style import SERIES, VARIABLES
 
 if TYPE_CHECKING:
     from conftest import OpenPage

@@ -3,11 +3,11 @@
 import numpy as np
 
 from hesr_model.equations.memory import Stop
-from hesr_model.friction.fitting.declarative import OneForm
-from hesr_model.friction.fitting.separable import SearchSpace
+from hesr_model.fitting.declarative import OneForm
+from hesr_model.fitting.separable import SearchSpace
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, LawForm
-from hesr_model.friction.laws.stribeck import SIGMA_2, TAU_0
+from hesr_model.laws.stribeck import SIGMA_2, TAU_0
 
 FORCES = [Coefficient(name=f"F_{i}", unit="N.m", description="element") for i in range(1, 11)]
 STOPS = [Stop(name=f"x{i}", unit="1", velocity=DQ, deflection=float(w), bound=1)

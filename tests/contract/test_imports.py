@@ -26,31 +26,31 @@ ROOT = Path(hesr_model.__file__).parents[1]
 
 ONLY_IN = {
     "pinocchio": ("hesr_model/robots/robot.py", "hesr_model/robots/model_file.py"),
-    "mujoco": ("fmu_src/arm/*", "cosim/view/*"),
+    "mujoco": ("fmu_src/arm/*", "hesr/extras/view/*"),
     "pythonfmu": ("fmu_src/arm/*", "fmu_src/package*.py"),
     # The modules that draw: one for the pictures in an FMU, one for those of a report.
-    "matplotlib": ("fmu_src/documentation/picture.py", "cosim/figures/*"),
+    "matplotlib": ("fmu_src/pages/picture.py", "cosim/report/figures/*"),
     "bokeh": ("cosim/report/zoom.py",),
     # Packaging, checking, and running.
     "fmpy": (
         "fmu_src/record*.py",
         "fmu_src/package*.py",
         "*/check*.py",
-        "cosim/slave.py",
+        "fmu_src/run/fmu.py",
         "cosim/instance*.py",
-        "cosim/description.py",
-        "cosim/package/*",
+        "fmu_src/run/description.py",
+        "cosim/systems/*",
     ),
     "lief": ("fmu_src/check/*",),
     "lxml": ("fmu_src/check/*",),
     "ziglang": ("hesr_model/support/compiler.py",),
     "pyarrow": (
         "hesr_model/logs/tables.py",
-        "cosim/studies/traces.py",
-        "cosim/sweep/store.py",
-        "cosim/fleet/table.py",
+        "cosim/loop/traces.py",
+        "hesr/extras/sweep/store.py",
+        "hesr/extras/fleet/parquet.py",
     ),
-    "distributed": ("cosim/sweep/cluster.py",),
+    "distributed": ("hesr/extras/sweep/cluster.py",),
     # Optional: each reads one kind of log.
     "h5py": ("hesr_model/logs/readers/matlab.py",),
     "rosbags": ("hesr_model/logs/readers/bag.py",),
@@ -208,7 +208,7 @@ HEAVY |= {"lxml", "lief"}
 def test_help_is_quick_because_it_loads_nothing_heavy(command: list[str]) -> None:
     loaded = loaded_by(
         "from contextlib import suppress\n"
-        "from cosim.cli import app\n"
+        "from hesr.cli import app\n"
         f"with suppress(SystemExit): app({[*command, '--help']!r})"
     )
     assert "cosim" in loaded
@@ -216,14 +216,14 @@ def test_help_is_quick_because_it_loads_nothing_heavy(command: list[str]) -> Non
 
 
 def test_measured_logs_need_no_simulator() -> None:
-    loaded = loaded_by("import cosim.run, cosim.study, cosim.replay")
+    loaded = loaded_by("import cosim.study.run, cosim.study.study, fmu_src.run.replay")
     assert "scipy" in loaded
     assert not loaded & {"mujoco", "matplotlib", "pythonfmu"}
 
 
 def test_the_science_needs_neither_fmi_nor_a_terminal() -> None:
     loaded = loaded_by(
-        "import hesr_model.artifacts, hesr_model.friction.fitting.fit, "
+        "import hesr_model.artifacts, hesr_model.fitting.fit, "
         "hesr_model.friction.registry, hesr_model.rigid_body.residual"
     )
     assert {"sympy", "scipy"} <= loaded

@@ -17,20 +17,20 @@ import pytest
 from registry_models import everyday
 from threadpoolctl import threadpool_limits
 
-from cosim.replay import replay
-from cosim.slave import Component
 from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.run.fmu import Component
+from fmu_src.run.replay import replay
 from hesr_model.artifacts import read_model, write_model
-from hesr_model.equations.compiled import in_numpy
+from hesr_model.equations.kernel import in_numpy
 from hesr_model.equations.rows import RUNS
 from hesr_model.errors import ArtifactError, HesrError
+from hesr_model.fitting.fit import fit_joint
 from hesr_model.forward.stepping import LawSteps
-from hesr_model.friction.evaluate import Stepper, predict
-from hesr_model.friction.fitting.fit import fit_joint
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import MOVING, FrictionLaw
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import Stepper, predict
 from hesr_model.friction.registry import registry
 from hesr_model.rigid_body.residual import FrictionRecord
 

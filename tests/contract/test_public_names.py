@@ -13,7 +13,7 @@ import pytest
 import hesr_model
 from hesr_model import FrictionModel, FrictionRecord, fit, registry
 from hesr_model.errors import FitError, HesrError, SimulationError
-from hesr_model.friction.evaluate import predict
+from hesr_model.friction.predict import predict
 from hesr_model.friction.records import predict_record
 
 SOURCE = Path(hesr_model.__file__)

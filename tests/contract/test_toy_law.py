@@ -83,7 +83,7 @@ def run(site: Path, *command: object, cwd: Path) -> subprocess.CompletedProcess[
 
 def hesr(site: Path, *arguments: object, cwd: Path) -> str:
     """Run the command line with the package installed; return what it says."""
-    answer = run(site, "-c", "from cosim.cli import main; main()", *arguments, cwd=cwd)
+    answer = run(site, "-c", "from hesr.cli import main; main()", *arguments, cwd=cwd)
     assert answer.returncode == 0, answer.stderr
     return answer.stdout
 
@@ -183,7 +183,7 @@ def test_the_contract_of_all_laws_is_put_to_it(site: Path) -> None:
             MODULE.replace('name = "smooth_coulomb"', 'name = "lugre"'),
             "lugre",
             "law 'lugre' of the package 'my-laws' cannot be loaded (ConfigError: law 'lugre' of "
-            "the module 'my_laws' has the name of one of 'hesr_model.friction.laws.lugre'; names "
+            "the module 'my_laws' has the name of one of 'hesr_model.laws.lugre'; names "
             "must differ.); mend the package or uninstall it.",
         ),
     ],
@@ -192,7 +192,7 @@ def test_a_package_that_does_not_work_is_named(
     module: str, law: str, sentence: str, tmp_path: Path
 ) -> None:
     broken = installed(tmp_path / "site", module=module, law=law)
-    answer = run(broken, "-c", "from cosim.cli import main; main()", "laws", cwd=tmp_path)
+    answer = run(broken, "-c", "from hesr.cli import main; main()", "laws", cwd=tmp_path)
     assert answer.returncode == 2
     assert answer.stderr == f"hesr: {sentence}\n"
 
@@ -222,7 +222,7 @@ def study(tmp_path: Path) -> Path:
 
 def ran(study: Path, text: str) -> subprocess.CompletedProcess[str]:
     study.write_text(text, encoding="utf-8")
-    main = ("-c", "from cosim.cli import main; main()")
+    main = ("-c", "from hesr.cli import main; main()")
     return run(study.parent / "site", *main, "run", study.name, "-o", "results", cwd=study.parent)
 
 

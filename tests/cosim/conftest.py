@@ -9,7 +9,7 @@ from closed_loop import Bench, write_fmus
 from small_fmus import lag
 from small_study import Run
 
-from cosim.system import SystemSpec
+from cosim.systems.system import SystemSpec
 from hesr_model.friction.model import FrictionModel
 
 Shared = Callable[[str, Callable[[Path], object]], Path]

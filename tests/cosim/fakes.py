@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-import cosim.master
-from cosim.system import SystemSpec
-from cosim.variables import Variables
+import cosim.systems.simulation
+from cosim.systems.system import SystemSpec
+from fmu_src.run.variables import Variables
 from hesr_model.errors import SimulationError
 
 
@@ -195,7 +195,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let masters make fakes, by the names of their files, instead of loading FMUs."""
     Fake.calls, Fake.alive = [], set()
     monkeypatch.setattr(
-        cosim.master, "Component", lambda fmu, *, name: KINDS[fmu.stem](fmu, name=name)
+        cosim.systems.simulation, "Component", lambda fmu, *, name: KINDS[fmu.stem](fmu, name=name)
     )
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-COMMAND = ("-c", "from cosim.cli import main; main()")
+COMMAND = ("-c", "from hesr.cli import main; main()")
 
 
 @contextmanager

@@ -64,7 +64,7 @@ class Answer:
 def hesr_in_a_process(*arguments: object, cwd: Path | None = None) -> Answer:
     """Run the command line in a process of its own."""
     result = subprocess.run(
-        [sys.executable, "-c", "from cosim.cli import main; main()", *map(str, arguments)],
+        [sys.executable, "-c", "from hesr.cli import main; main()", *map(str, arguments)],
         capture_output=True,
         text=True,
         cwd=cwd,
@@ -87,7 +87,7 @@ class Run:
         """Run it in a folder, from which `of` reads it."""
         (folder / "study").mkdir()
         study = write_study(folder / "study")
-        command = (sys.executable, "-c", "from cosim.cli import main; main()", "run", study)
+        command = (sys.executable, "-c", "from hesr.cli import main; main()", "run", study)
         said = subprocess.run(
             [*map(str, command), *map(str, options)],
             capture_output=True,
@@ -126,7 +126,7 @@ Hesr = Callable[..., Answer]
 
 def hesr_here(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Hesr:
     """The command line in this process: its own entry point, without a process to start."""
-    from cosim.cli import main
+    from hesr.cli import main
 
     def call(*arguments: object) -> Answer:
         monkeypatch.setenv("COLUMNS", "120")

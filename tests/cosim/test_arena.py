@@ -14,21 +14,21 @@ from pythonfmu import FmuBuilder
 from small_study import Hesr, hesr_here
 from small_twin import MOTIONS
 
-from cosim.arena.arena import Arena, read_grounds
-from cosim.arena.entry import Entry, tried
-from cosim.arena.leaderboard import Leaderboard, run_arena
-from cosim.arena.page import write_page
-from cosim.arena.score import Judge
-from cosim.commands import arena as called
-from cosim.scoring import by_joint, compare, predict_model
-from cosim.studies.excite import excite
-from cosim.studies.motions import Motions
+from cosim.loop.excite import excite
+from cosim.loop.motions import Motions
+from cosim.study.scores import by_joint, compare, predict_model
+from cosim.workflow.commands import arena as called
 from fmu_src import export_fmu
 from fmu_src.arm.plant import Plant
 from fmu_src.friction.embedded_model import embedded_model
+from hesr.extras.leaderboard.board_file import Arena, read_grounds
+from hesr.extras.leaderboard.entry import Entry, tried
+from hesr.extras.leaderboard.leaderboard import Leaderboard, run_arena
+from hesr.extras.leaderboard.page import write_page
+from hesr.extras.leaderboard.score import Judge
 from hesr_model.artifacts import write_rigid_body
 from hesr_model.errors import ConfigError, HesrError, SimulationError
-from hesr_model.friction.fitting.fit import fit
+from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.identification import identify
@@ -201,7 +201,7 @@ def test_properties_are_those_of_the_battery(
 ) -> None:
     (ground,) = read_grounds(Arena.read(laid / "arena.toml")).values()
     asked = []
-    monkeypatch.setattr("cosim.arena.entry.measure", asked.append)
+    monkeypatch.setattr("hesr.extras.leaderboard.entry.measure", asked.append)
     entry = Entry(name="Friction", fmu=table1_fmu, robot="uf850")
     tried(entry, ground, properties=True)
     tried(replace(entry, fmu=laid / "Coulomb.fmu"), ground, properties=True)

@@ -18,12 +18,12 @@ import pytest
 from processes import assert_nothing_runs, started, wait_for
 from small_study import Hesr, contents, hesr_here, hesr_in_a_process, uf850, write_study
 
-from cosim.studies.excite import excite
-from cosim.studies.motions import Motions
+from cosim.loop.excite import excite
+from cosim.loop.motions import Motions
 from fmu_src import export_fmu, model_file
 from fmu_src.arm.plant import Plant
 from hesr_model.artifacts import read_model, write_model, write_rigid_body
-from hesr_model.friction.fitting.fit import fit_models
+from hesr_model.fitting.fit import fit_models
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import friction_records

@@ -9,11 +9,11 @@ from adaptive_models import model as model_of
 from fmpy import read_model_description
 from small_study import Run, hesr_here, uf850
 
-from cosim.commands import fit
+from cosim.workflow.commands import fit
+from hesr.extras.adaptive.tuning import TUNING
 from hesr_model.artifacts import read_model, write_model
-from hesr_model.friction.adaptive.tuning import TUNING
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.lugre import LuGre
+from hesr_model.laws.lugre import LuGre
 from hesr_model.logs.robot_log import RobotLog
 
 

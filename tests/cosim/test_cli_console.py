@@ -145,7 +145,7 @@ def on_a_terminal(*arguments: object) -> str:
     pty = pytest.importorskip("pty", reason="pseudo-terminals are for POSIX")
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
-        [sys.executable, "-c", "from cosim.cli import main; main()", *map(str, arguments)],
+        [sys.executable, "-c", "from hesr.cli import main; main()", *map(str, arguments)],
         stdout=subprocess.DEVNULL,
         stderr=theirs,
         env=os.environ | {"COLUMNS": "80", "TERM": "xterm"},
@@ -210,7 +210,7 @@ def test_tables_fit_80_columns_in_a_pipe(study_run: Run) -> None:
     printed = [study_run.answer.out]
     for command in (scoring(study_run), ["laws"]):
         result = subprocess.run(
-            [sys.executable, "-c", "from cosim.cli import main; main()", *map(str, command)],
+            [sys.executable, "-c", "from hesr.cli import main; main()", *map(str, command)],
             capture_output=True,
             text=True,
             env=variables,
@@ -233,7 +233,7 @@ def test_tables_fit_80_columns_in_a_pipe(study_run: Run) -> None:
 def test_a_reader_that_goes_away_is_no_error() -> None:
     """As `hesr laws | head -1`."""
     process = subprocess.Popen(
-        [sys.executable, "-c", "from cosim.cli import main; main()", "laws"],
+        [sys.executable, "-c", "from hesr.cli import main; main()", "laws"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -6,14 +6,14 @@ from zipfile import ZipFile
 import pytest
 from small_study import Hesr, hesr_here, uf850
 
-from cosim.slave import Component
-from cosim.studies.properties.battery import Subject, measure
+from cosim.properties.battery import Subject, measure
 from fmu_src import model_file
-from fmu_src.documentation.properties_sheet import section
+from fmu_src.pages.properties_sheet import section
+from fmu_src.run.fmu import Component
 from hesr_model.artifacts import read_model, write_model
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.lugre import LuGre
 from hesr_model.friction.model import FrictionModel
+from hesr_model.laws.lugre import LuGre
 
 TABLE_1 = "uf850-table1"
 

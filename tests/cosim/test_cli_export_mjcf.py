@@ -3,7 +3,7 @@
 import pytest
 from small_study import Hesr, hesr_here, uf850
 
-from cosim.slave import Component
+from fmu_src.run.fmu import Component
 
 MJCF = """\
 <mujoco>

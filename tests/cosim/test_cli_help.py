@@ -12,7 +12,7 @@ import pytest
 import typer
 from small_study import Hesr, hesr_here
 
-from cosim.cli import app
+from hesr.cli import app
 
 COMMANDS = dict(typer.main.get_command(app).commands)  # type: ignore[attr-defined]  # a group
 HEAVY = {"numpy", "scipy", "sympy", "mujoco", "matplotlib", "fmpy", "pinocchio", "pyarrow", "rich"}
@@ -99,7 +99,7 @@ def test_version(hesr: Hesr) -> None:
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["fit", "--help"], ["no-such"]])
 def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
     program = (
-        "import sys, contextlib\nfrom cosim.cli import main\n"
+        "import sys, contextlib\nfrom hesr.cli import main\n"
         "with contextlib.suppress(SystemExit):\n    main()\n"
         "print('LOADED', *sys.modules)"
     )

@@ -17,7 +17,7 @@ from processes import started, wait_for
 from small_study import contents, uf850, write_study
 from small_twin import GAINS
 
-from cosim.cli.console import ended_by_signals
+from hesr.cli.console import ended_by_signals
 from hesr_model.support import interrupts
 from hesr_model.support.files import folder_written_whole
 
@@ -151,7 +151,7 @@ def test_a_command_that_may_not_be_interrupted_goes_on(tmp_path: Path) -> None:
     """As one that a script starts in the background."""
     program = (
         "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
-        "from cosim.cli import main; main()"
+        "from hesr.cli import main; main()"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", program, "laws", "--verbose"],

@@ -9,8 +9,8 @@ import pytest
 from small_study import Hesr, hesr_here, uf850
 from small_twin import MOTIONS
 
-from cosim.studies.excite import excite
-from cosim.studies.motions import Motions
+from cosim.loop.excite import excite
+from cosim.loop.motions import Motions
 from fmu_src.arm.plant import Plant
 from hesr_model.artifacts import read_rigid_body
 

@@ -8,15 +8,15 @@ import pytest
 from rich.console import Console
 from small_study import Hesr, hesr_here
 
-from cosim.convention import measure, run
-from cosim.replay import replay
-from cosim.tables.laws import convention
-from cosim.tables.terminal import Drawn
+from cosim.report.tables.laws import convention
+from cosim.report.tables.terminal import Drawn
 from fmu_src import model_file
+from fmu_src.check.convention import measure, run
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.embedded_model import EMBEDDED_MODEL
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import SETTINGS, torques
+from fmu_src.run.replay import replay
 from hesr_model.artifacts import read_model
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.support.typed_json import to_json

@@ -12,15 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from cosim.studies.motions import Motions, names_of
+from cosim.loop.motions import Motions, names_of
 from fmu_src.arm.plant import Plant
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.samples import Samples
-from hesr_model.friction.fitting.separable import Separable
-from hesr_model.friction.fitting.uncertainty import with_pooled_errors, with_standard_errors
+from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.separable import Separable
+from hesr_model.fitting.uncertainty import with_pooled_errors, with_standard_errors
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.lugre import LuGre
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import predict
+from hesr_model.laws.lugre import LuGre
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.base_parameters import dependence
 from hesr_model.rigid_body.identification import RigidBody, identify

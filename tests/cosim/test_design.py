@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim import figures
-from cosim.studies.design import design
-from cosim.studies.excite import record
+from cosim.loop.design import design
+from cosim.loop.excite import record
+from cosim.report import figures
 from fmu_src.arm.plant import Arm, Plant
 from hesr_model.errors import ConfigError, FitError, RobotError
 from hesr_model.logs.tables import read_table

@@ -9,8 +9,7 @@ import pytest
 from closed_loop import GAINS, MOTION, UF850
 from small_study import Run, uf850
 
-from cosim.commands import fit as fit_to
-from cosim.studies.drifting import (
+from cosim.loop.drifting import (
     Drift,
     Drifted,
     DriftingLoop,
@@ -20,18 +19,19 @@ from cosim.studies.drifting import (
     warm_up,
     wear,
 )
+from cosim.workflow.commands import fit as fit_to
 from fmu_src.arm.drifting import DriftingArm
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
+from hesr.extras.thermal.thermal_fit import fit_thermal
 from hesr_model.artifacts import read_rigid_body
 from hesr_model.errors import ConfigError
-from hesr_model.friction.adaptive.thermal_fit import fit_thermal
-from hesr_model.friction.fitting.fit import fit
+from hesr_model.fitting.fit import fit
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.lugre import LuGre
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.thermal import Thermal
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.laws.lugre import LuGre
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.motions.trajectories import Fourier, random_fourier
 from hesr_model.rigid_body.identification import identify

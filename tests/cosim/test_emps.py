@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from small_study import Hesr, hesr_here
 
-from cosim.pipeline import Job
-from cosim.replay import replay
-from cosim.study import Study
+from cosim.study.steps import Job
+from cosim.study.study import Study
+from fmu_src.run.replay import replay
 from hesr_model.artifacts import read_model, read_rigid_body
+from hesr_model.fitting.fit import fit
 from hesr_model.forward.output_error import MOST_TORQUE, Refined, refine
 from hesr_model.forward.simulation import Simulator, position_errors
 from hesr_model.forward.windows import whole, windows_of
-from hesr_model.friction.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import smoothed

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import qr
 
-from cosim.studies.excite import excite, record, recordings
-from cosim.studies.motions import Motions
+from cosim.loop.excite import excite, record, recordings
+from cosim.loop.motions import Motions
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Arm, Plant
 from hesr_model.errors import ConfigError

@@ -17,18 +17,18 @@ from fleets import write_fleet
 from pyarrow import parquet
 
 import hesr
-from cosim.cli import main
-from cosim.fleet.across import changed, compared
-from cosim.fleet.result import BODY, JointResult, RobotResult
-from cosim.fleet.robot import look_at, read_result
-from cosim.fleet.run import run_fleet
-from cosim.fleet.study import FleetStudy, members
-from cosim.fleet.types import write_types
-from cosim.package.parameter_set import export_ssv
-from cosim.replay import replay
+from cosim.systems.parameter_set import export_ssv
+from fmu_src.run.replay import replay
+from hesr.cli import main
+from hesr.extras.fleet.comparison import changed, compared
+from hesr.extras.fleet.result import BODY, JointResult, RobotResult
+from hesr.extras.fleet.robot import look_at, read_result
+from hesr.extras.fleet.run import run_fleet
+from hesr.extras.fleet.study import FleetStudy, members
+from hesr.extras.fleet.types import write_types
 from hesr_model.artifacts import read_model, read_rigid_body, write_model
 from hesr_model.errors import ArtifactError, ConfigError
-from hesr_model.friction.fitting.fit import fit
+from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
 from hesr_model.inference.deviation import Trend
 from hesr_model.logs.robot_log import RobotLog
@@ -430,7 +430,7 @@ def test_folders_of_others(copied: Path, command: Command, capsys) -> None:
 _MEASURED = """
 import resource, sys
 from pathlib import Path
-from cosim.fleet.run import run_fleet
+from hesr.extras.fleet.run import run_fleet
 run_fleet(Path(sys.argv[1]), Path(sys.argv[2]), workers=1)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """

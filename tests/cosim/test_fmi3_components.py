@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from small_fmus import lag
 
-from cosim.description import model_description
 from cosim.interop.drive import driven
-from cosim.master import Master
-from cosim.slave import Component
-from cosim.system import ComponentSpec, SystemSpec
-from fmu_src import exported
+from cosim.systems.simulation import Master
+from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.blocks.velocity import velocity
-from fmu_src.description3 import to_xml3
+from fmu_src.export.description3 import to_xml3
 from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.run import trust as exported
+from fmu_src.run.description import model_description
+from fmu_src.run.fmu import Component
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
 

@@ -17,11 +17,11 @@ from small_fmus import LAGS
 from small_study import Hesr, hesr_here
 from test_cli_interrupts import started, wait_for
 
-from cosim.master import simulate
-from cosim.remote import Remote
-from cosim.slave import Component
-from cosim.system import SystemSpec
-from fmu_src import exported
+from cosim.systems.simulation import simulate
+from cosim.systems.system import SystemSpec
+from fmu_src.run import trust as exported
+from fmu_src.run.fmu import Component
+from fmu_src.run.sandbox import Remote
 from hesr_model.errors import SimulationError
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="limits are those of POSIX")
@@ -72,7 +72,7 @@ def test_ours_stay_in_this_process_and_others_do_not(lag_fmu: Path, foreign_lag:
         assert children() == before
     with Component(foreign_lag):
         (own,) = set(children()) - set(before)
-        assert "cosim.host" in " ".join(psutil.Process(own).cmdline())
+        assert "fmu_src.run.sandbox_child" in " ".join(psutil.Process(own).cmdline())
     assert children() == before
 
 
@@ -197,7 +197,7 @@ def test_what_harms_nobody_else_passes(
     here, before = Path.cwd(), children()
     monkeypatch.setenv("DEED", deed)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr("cosim.remote._FAREWELL", 1.0)
+    monkeypatch.setattr("fmu_src.run.sandbox._FAREWELL", 1.0)
     go(hostile_lag)
     assert Path.cwd() == here
     assert children() == before
@@ -282,8 +282,8 @@ def test_the_commands_say_it_in_one_sentence(
 def test_outputs_that_are_no_numbers(
     hostile_friction: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from cosim.convention import measure
-    from cosim.replay import replay
+    from fmu_src.check.convention import measure
+    from fmu_src.run.replay import replay
 
     monkeypatch.setenv("DEED", "fmi2GetReal nan")
     t = 0.005 * np.arange(5)

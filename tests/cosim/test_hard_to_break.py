@@ -16,7 +16,7 @@ import pytest
 from processes import COMMAND, assert_nothing_runs, started, wait_for
 from small_study import Hesr, contents, hesr_here, uf850, write_study
 
-from cosim.studies.excite import record
+from cosim.loop.excite import record
 from fmu_src.arm.plant import Arm, Plant
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.motions.trajectories import Sine
@@ -125,7 +125,7 @@ def test_marks_are_plain_where_the_output_is(encoding: str) -> None:
 # --- homes that cannot be written ---------------------------------------------------------------
 
 DRAWING = """
-from cosim.cli import main
+from hesr.cli import main
 try:
     main()
 finally:
@@ -369,7 +369,7 @@ def test_of_many_columns_a_sentence_lists_some(refused: Refused, tmp_path: Path)
 MEASURED = """
 import re, sys
 from pathlib import Path
-from cosim.cli import main
+from hesr.cli import main
 try:
     main()
 finally:

@@ -14,15 +14,15 @@ from hostile import archived
 from small_fmus import LAGS
 from small_study import Hesr, contents, hesr_here
 
-from cosim.description import model_description
-from cosim.master import Master
-from cosim.package.contents import read_contents
-from cosim.package.read import opened_system
-from cosim.package.ssp import write_ssp
-from cosim.slave import Component
-from cosim.system import SystemSpec
-from fmu_src.archive import Archive
+from cosim.systems.contents import read_contents
+from cosim.systems.simulation import Master
+from cosim.systems.ssp import write_ssp
+from cosim.systems.ssp_reader import opened_system
+from cosim.systems.system import SystemSpec
 from fmu_src.friction.embedded_model import embedded_model
+from fmu_src.run.archive import Archive
+from fmu_src.run.description import model_description
+from fmu_src.run.fmu import Component
 from hesr_model.errors import ArtifactError, HesrError
 
 FEW, MANY = 200, 2000
@@ -158,7 +158,7 @@ def test_sizes_are_those_of_the_content(members: dict[str, bytes], tmp_path: Pat
 def test_limits(
     lag_fmu: Path, monkeypatch: pytest.MonkeyPatch, limit: str, value: int, said: str
 ) -> None:
-    monkeypatch.setattr(f"fmu_src.archive.{limit}", value)
+    monkeypatch.setattr(f"fmu_src.run.archive.{limit}", value)
     with pytest.raises(ArtifactError, match=said), Archive(lag_fmu):
         pass
 

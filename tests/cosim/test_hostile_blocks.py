@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from closed_loop import Bench
 
-from cosim.closed_loop import Compensation, Scheme
-from cosim.package.container import write_container
-from cosim.package.contents import read_contents
+from cosim.loop.closed_loop import Compensation, Scheme
+from cosim.systems.container import write_container
+from cosim.systems.contents import read_contents
 from fmu_src.check import check
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from small_study import Hesr, hesr_here
 
-from cosim.health import read_findings
-from cosim.pipeline import Job
-from cosim.proposed_study import study_file
-from cosim.run import score_study
-from cosim.study import Study
+from cosim.study.health import read_findings
+from cosim.study.proposal import study_file
+from cosim.study.run import score_study
+from cosim.study.steps import Job
+from cosim.study.study import Study
 from hesr_model.errors import ArtifactError, LogError
 from hesr_model.friction.records import predict_record
 from hesr_model.health.examine import examine

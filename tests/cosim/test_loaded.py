@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from small_fmus import LAGS
 
-from cosim.loaded import Loaded
-from cosim.master import Master
-from cosim.system import SystemSpec
+from cosim.systems.simulation import Master
+from cosim.systems.system import SystemSpec
+from fmu_src.run.pool import Loaded
 from hesr_model.errors import SimulationError
 from hesr_model.support.config import read_toml
 

@@ -9,10 +9,10 @@ import pytest
 from closed_loop import MOTION, Bench
 from scipy.linalg import expm
 
-from cosim.closed_loop import Scheme
-from cosim.master import Master, Result
+from cosim.loop.closed_loop import Scheme
 from cosim.monolithic import run_loop
-from cosim.system import SystemSpec
+from cosim.systems.simulation import Master, Result
+from cosim.systems.system import SystemSpec
 from fmu_src import export_fmu
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation

@@ -7,9 +7,9 @@ import pytest
 from fakes import Fake
 from pythonfmu.builder import FmuBuilder
 
-from cosim.master import Master, simulate
-from cosim.slave import Component
-from cosim.system import SystemSpec
+from cosim.systems.simulation import Master, simulate
+from cosim.systems.system import SystemSpec
+from fmu_src.run.fmu import Component
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.logs.tables import read_table
 from hesr_model.support.config import read_toml

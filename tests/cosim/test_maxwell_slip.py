@@ -6,18 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.replay import replay
-from cosim.slave import Component
-from cosim.studies.properties.battery import Subject, run_battery
+from cosim.properties.battery import Subject, run_battery
 from fmu_src import export_fmu
 from fmu_src.check import check
 from fmu_src.drive.drive_fmu import export_drive
-from fmu_src.modelica.modelica_package import export_modelica
+from fmu_src.run.fmu import Component
+from fmu_src.run.replay import replay
+from hesr.extras.modelica.modelica_package import export_modelica
 from hesr_model.artifacts import read_model, write_model
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting import estimator
+from hesr_model.fitting import estimator
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import predict
 from hesr_model.rigid_body.residual import FrictionRecord
 
 SOURCE = Path(__file__).parents[1] / "contract" / "maxwell_slip.py"

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from closed_loop import Bench
 
-import cosim.native
-from cosim.closed_loop import Scheme
-from cosim.master import Master, Result
-from cosim.native import Native, through
-from cosim.slave import Component
-from cosim.stepping import Readable
-from cosim.system import SystemSpec
+import fmu_src.run.native
+from cosim.loop.closed_loop import Scheme
+from cosim.systems.simulation import Master, Result
+from cosim.systems.system import SystemSpec
 from fmu_src.arm.python_fmu import export_python_arm
+from fmu_src.run.fmu import Component
+from fmu_src.run.master import Readable
+from fmu_src.run.native import Native, through
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.support.files import models_folder
 
@@ -139,12 +139,12 @@ def test_without_a_compiler_the_steps_are_those_in_python(lag_fmu, monkeypatch, 
     def refused(*_: object) -> bytes:
         raise ExportError("the C compiler cannot be run.")
 
-    monkeypatch.setattr(cosim.native, "build", refused)
-    cosim.native._library.cache_clear()
+    monkeypatch.setattr(fmu_src.run.native, "build", refused)
+    fmu_src.run.native._library.cache_clear()
     with caplog.at_level("INFO"), Master(lags(lag_fmu)) as master:
         assert type(master._stepper) is Readable
     assert "systems are stepped in Python (the C compiler cannot be run.)" in caplog.text
-    cosim.native._library.cache_clear()
+    fmu_src.run.native._library.cache_clear()
 
 
 def rows_of_a_lag(fmu: Path, refused: float, count: int) -> tuple[bytes, str, float]:
@@ -167,13 +167,13 @@ def rows_of_a_lag(fmu: Path, refused: float, count: int) -> tuple[bytes, str, fl
 def test_rows_are_gone_through_as_in_python(lag_fmu, refused, monkeypatch):
     own = rows_of_a_lag(lag_fmu, refused, 40)
     assert ("where it is refused" in own[1]) == (refused < 10.0)
-    monkeypatch.setattr(cosim.native, "_library", lambda: None)
+    monkeypatch.setattr(fmu_src.run.native, "_library", lambda: None)
     assert rows_of_a_lag(lag_fmu, refused, 40) == own
 
 
 def test_signals_are_seen_between_many_rows(lag_fmu, monkeypatch):
     whole = rows_of_a_lag(lag_fmu, 1e9, 40)
-    monkeypatch.setattr(cosim.native, "_AT_ONCE", 7)
+    monkeypatch.setattr(fmu_src.run.native, "_AT_ONCE", 7)
     assert rows_of_a_lag(lag_fmu, 1e9, 40) == whole
 
 
@@ -191,5 +191,5 @@ def test_an_input_that_is_refused_among_rows(lag_fmu, monkeypatch):
 
     own = found()
     assert own[1] == 2.0
-    monkeypatch.setattr(cosim.native, "_library", lambda: None)
+    monkeypatch.setattr(fmu_src.run.native, "_library", lambda: None)
     assert found() == own

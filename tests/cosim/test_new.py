@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from small_study import Hesr, contents, hesr_here, uf850
 
-from cosim.starter import start
-from cosim.study import Study
+from cosim.study.starter import start
+from cosim.study.study import Study
 from hesr_model.artifacts import read_model
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.logs.robot_log import RobotLog

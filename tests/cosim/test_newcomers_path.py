@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 from documents import ROOT
 
-from cosim.replay import replay
-from cosim.sample_logs import plausible_friction, sample_settings, simulated
-from hesr_model.friction.evaluate import predict
+from cosim.study.sample_logs import plausible_friction, sample_settings, simulated
+from fmu_src.run.replay import replay
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.predict import predict
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.motions.excitation import random_motions
 from hesr_model.motions.trajectories import Fourier

@@ -10,8 +10,8 @@ import pytest
 from documents import block
 from small_study import Hesr, hesr_here
 
-from cosim.slave import Component
 from fmu_src.blocks.block import block as write_block
+from fmu_src.run.fmu import Component
 from hesr_model.equations import component as equations
 from hesr_model.equations.component import Equation
 from hesr_model.equations.memory import Relaxation

@@ -10,17 +10,17 @@ import pytest
 from closed_loop import STEP, Bench
 from small_study import Hesr, hesr_here
 
-from cosim.closed_loop import Scheme
-from cosim.package.container import write_container
-from cosim.package.contents import read_contents
-from cosim.package.ssp import write_ssp
-from cosim.package.ssp_results import result_files as result_files_of
-from cosim.package.ssp_results import verify_ssp
-from cosim.references import verify
-from cosim.system import ComponentSpec, SystemSpec
+from cosim.loop.closed_loop import Scheme
+from cosim.systems.container import write_container
+from cosim.systems.contents import read_contents
+from cosim.systems.ssp import write_ssp
+from cosim.systems.ssp_results import result_files as result_files_of
+from cosim.systems.ssp_results import verify_ssp
+from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.drive.drive_fmu import export_drive
-from fmu_src.package import zip_members
-from fmu_src.recorded import ROWS, TOLERANCE, Stimuli, result_files
+from fmu_src.export.package import zip_members
+from fmu_src.run.recorded import ROWS, TOLERANCE, Stimuli, result_files
+from fmu_src.run.reference_results import verify
 from hesr_model.friction.model import FrictionModel
 from hesr_model.motions.trajectories import Fourier
 

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from cosim.references import verify
 from fmu_src import export_fmu
-from fmu_src.layered import EXPERIMENTS, FOLDER, MANIFEST, Experiment, manifest_files
+from fmu_src.run.reference_manifest import EXPERIMENTS, FOLDER, MANIFEST, Experiment, manifest_files
+from fmu_src.run.reference_results import verify
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Stop
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 
 STEPS = "extra/steps"
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from cosim.replay import replay
 from fmu_src import model_file
+from fmu_src.run.replay import replay
 from hesr_model.artifacts import read_model
 from hesr_model.errors import SimulationError
-from hesr_model.friction.evaluate import predict
+from hesr_model.friction.predict import predict
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.scoring import (
+from cosim.report.tables.scores import errors
+from cosim.report.tables.terminal import Drawn
+from cosim.study.scores import (
     MEASURES,
     Comparison,
     by_joint,
@@ -18,16 +20,14 @@ from cosim.scoring import (
     predict_model,
     within,
 )
-from cosim.tables.scores import errors
-from cosim.tables.terminal import Drawn
 from fmu_src import export_fmu
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.errors import ArtifactError, ConfigError, SimulationError
 from hesr_model.friction.band import Band
-from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import estimator
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.typed_json import from_json, to_json

@@ -8,8 +8,8 @@ import pytest
 from small_study import STUDY, hesr_here
 from small_twin import MOTIONS
 
-from cosim.studies.seeds import one_draw, run_seeds
-from cosim.study import Study
+from cosim.study.seeds import one_draw, run_seeds
+from cosim.study.study import Study
 from hesr_model.errors import ConfigError
 from hesr_model.support.files import models_folder
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fakes import Fake
 
-from cosim.stepping import Station
+from fmu_src.run.master import Station
 
 
 @pytest.mark.parametrize(

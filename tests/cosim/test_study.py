@@ -9,10 +9,10 @@ import pytest
 from small_study import uf850
 from small_twin import MOTIONS
 
-from cosim.pipeline import Job
-from cosim.run import QUICK_LAWS, Outcome, run_study
-from cosim.scoring import ORACLE
-from cosim.study import Study
+from cosim.study.run import QUICK_LAWS, Outcome, run_study
+from cosim.study.scores import ORACLE
+from cosim.study.steps import Job
+from cosim.study.study import Study
 from hesr_model.artifacts import read_model, read_rigid_body
 from hesr_model.errors import ConfigError
 from hesr_model.logs.robot_log import RobotLog

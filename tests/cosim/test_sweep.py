@@ -12,10 +12,10 @@ import pytest
 from pyarrow import parquet
 from small_fmus import LAGS
 
-from cosim.cli import main
-from cosim.sweep.design import chosen
-from cosim.sweep.run import replay, run_sweep
-from cosim.sweep.study import SweepStudy
+from hesr.cli import main
+from hesr.extras.sweep.design import chosen
+from hesr.extras.sweep.run import replay, run_sweep
+from hesr.extras.sweep.study import SweepStudy
 from hesr_model.errors import ArtifactError, ConfigError, SimulationError
 from hesr_model.support.config import validated
 
@@ -131,7 +131,7 @@ def test_a_sobol_design_changes_one_input_in_each_block():
 
 def test_sensitivities_of_a_known_function():
     """Ishigami's function; indices by Sobol and Levitan (1999)."""
-    from cosim.sweep.sensitivity import sensitivities
+    from hesr.extras.sweep.sensitivity import sensitivities
 
     inputs = [{"variables": [f"a.{n}"], "low": -np.pi, "high": np.pi} for n in "pqr"]
     x = chosen(of(design="sobol", runs=2048, inputs=inputs))
@@ -190,7 +190,7 @@ def test_what_is_there_is_not_done_again(study: Path, tmp_path: Path):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no kill -9")
 def test_a_sweep_that_is_killed_goes_on(study: Path, tmp_path: Path):
     study.write_text(STUDY.replace("runs = 12", "runs = 150"), encoding="utf-8")
-    out, script = tmp_path / "out", "from cosim.cli import main; main()"
+    out, script = tmp_path / "out", "from hesr.cli import main; main()"
     command = (sys.executable, "-c", script, "sweep", study, "-o", out, "--workers", "1", "--quiet")
     with subprocess.Popen(command) as process:
         for _ in range(6000):

@@ -12,8 +12,8 @@ import pytest
 from small_fmus import LAGS
 from test_sweep import STUDY, files, written
 
-from cosim.sweep import cluster
-from cosim.sweep.run import run_sweep
+from hesr.extras.sweep import cluster
+from hesr.extras.sweep.run import run_sweep
 from hesr_model.errors import ConfigError, WorkerError
 
 LOCAL = """

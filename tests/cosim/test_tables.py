@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from cosim.closed_loop import Scheme, StandIn
+from cosim.loop.closed_loop import Scheme, StandIn
+from cosim.loop.tracking import Tracked
 from cosim.report.markup import table as page
-from cosim.scoring import Comparison, LawScores, Ratio, Ratios
-from cosim.studies.tracking import Tracked
-from cosim.tables import loop, properties, scores
-from cosim.tables.table import ResultTable, TableRow, number
-from cosim.tables.terminal import Drawn
-from hesr_model.friction.audit.expectations import EXPECTATIONS
-from hesr_model.friction.audit.properties import Figure, Finding, JointProperties, Properties
+from cosim.report.tables import loop, properties, scores
+from cosim.report.tables.table import ResultTable, TableRow, number
+from cosim.report.tables.terminal import Drawn
+from cosim.study.scores import Comparison, LawScores, Ratio, Ratios
+from hesr_model.audit.expectations import EXPECTATIONS
+from hesr_model.audit.properties import Figure, Finding, JointProperties, Properties
 from hesr_model.friction.metrics import BandScore
 
 LONG = "a variant of the extended law without ripple and without an estimated start"

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from small_study import uf850
 
-from cosim.studies.excite import recordings
-from cosim.studies.motions import Motions
+from cosim.loop.excite import recordings
+from cosim.loop.motions import Motions
 from fmu_src.arm.plant import Plant
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.torque_constants import point_payload, torque_constants

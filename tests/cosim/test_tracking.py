@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.closed_loop import Scheme, StandIn
-from cosim.master import Master
-from cosim.studies import tracking
-from cosim.studies.excite import recordings
-from cosim.studies.loops import (
+from cosim.loop import tracking
+from cosim.loop.closed_loop import Scheme, StandIn
+from cosim.loop.excite import recordings
+from cosim.loop.loops import (
     StudyLoop,
     assemble,
     build,
@@ -19,12 +18,13 @@ from cosim.studies.loops import (
     require_reachable,
     whole,
 )
-from cosim.studies.motions import Motions
-from cosim.studies.robustness import CYCLING, FACTORS, run_overcompensation, run_sweeps
-from cosim.studies.tracking import Tracked, track
-from cosim.study import Study
-from cosim.system import SystemSpec
-from cosim.system_file import write_system
+from cosim.loop.motions import Motions
+from cosim.loop.robustness import CYCLING, FACTORS, run_overcompensation, run_sweeps
+from cosim.loop.tracking import Tracked, track
+from cosim.study.study import Study
+from cosim.systems.simulation import Master
+from cosim.systems.system import SystemSpec
+from cosim.systems.system_file import write_system
 from fmu_src import export_fmu, model_file
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant

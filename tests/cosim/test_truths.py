@@ -7,14 +7,14 @@ import pytest
 from significance import against
 from small_study import hesr_here, uf850, write_study
 
-from cosim.pipeline import Job
+from cosim.loop.truth_arm import twins_plant
 from cosim.report.results import Results
-from cosim.run import score_study
-from cosim.scoring import ORACLE
-from cosim.studies.twin import twins_plant
-from cosim.study import Study
-from cosim.tables.markdown import markdown
-from cosim.tables.scores import leading, other_truths
+from cosim.report.tables.markdown import markdown
+from cosim.report.tables.scores import leading, other_truths
+from cosim.study.run import score_study
+from cosim.study.scores import ORACLE
+from cosim.study.steps import Job
+from cosim.study.study import Study
 from hesr_model.errors import ConfigError
 from hesr_model.support import parallel
 from hesr_model.support.files import models_folder

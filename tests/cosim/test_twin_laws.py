@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from significance import against
 
-from cosim.closed_loop import StandIn
-from cosim.pipeline import Job
-from cosim.run import Scored, run_study, score_study
-from cosim.scoring import ORACLE, Comparison, measured_start
-from cosim.studies.loops import StudyLoop, assemble, build, limits_of, motions, run_tracking
-from cosim.studies.tracking import Tracked, track
-from cosim.study import Study
+from cosim.loop.closed_loop import StandIn
+from cosim.loop.loops import StudyLoop, assemble, build, limits_of, motions, run_tracking
+from cosim.loop.tracking import Tracked, track
+from cosim.study.run import Scored, run_study, score_study
+from cosim.study.scores import ORACLE, Comparison, measured_start
+from cosim.study.steps import Job
+from cosim.study.study import Study
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr_model.friction.model import FrictionModel

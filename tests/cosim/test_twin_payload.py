@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from cosim.studies.excite import record
+from cosim.loop.excite import record
 from fmu_src.arm.plant import Arm, Plant
 from hesr_model.errors import FitError
 from hesr_model.motions.trajectories import random_fourier

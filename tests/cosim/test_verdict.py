@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.scoring import ORACLE, Comparison, compare, predict_model
-from cosim.tables.scores import errors
-from cosim.tables.table import TableCell
-from cosim.verdict import Verdict, read_verdict, verdict, write_verdict
+from cosim.report.tables.scores import errors
+from cosim.report.tables.table import TableCell
+from cosim.study.scores import ORACLE, Comparison, compare, predict_model
+from cosim.study.verdict import Verdict, read_verdict, verdict, write_verdict
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.fitting.fit import fit
+from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord
 

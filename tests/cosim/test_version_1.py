@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.closed_loop import Scheme, StandIn
-from cosim.saved import SavedRun
-from cosim.scoring import Comparison
-from cosim.studies.whole_loop import LoopOutcome
+from cosim.loop.closed_loop import Scheme, StandIn
+from cosim.loop.run import LoopOutcome
+from cosim.study.results import SavedRun
+from cosim.study.scores import Comparison
 from hesr_model.artifacts import (
     model_to_json,
     read_model,
@@ -18,9 +18,9 @@ from hesr_model.artifacts import (
     write_model,
     write_rigid_body,
 )
+from hesr_model.audit import audit
+from hesr_model.audit.properties import read_properties, write_properties
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.audit import audit
-from hesr_model.friction.audit.properties import read_properties, write_properties
 from hesr_model.support.typed_json import from_json, to_json
 
 FILES = Path(__file__).parents[1] / "version_1"

@@ -19,19 +19,19 @@ import PIL.Image
 import pytest
 from small_study import Hesr, hesr_here
 
-from cosim.closed_loop import Scheme, StandIn
-from cosim.studies.loops import assemble, build, motions
-from cosim.studies.traces import TRACES, read_traces, write_traces
-from cosim.studies.tracking import Tracked, track
-from cosim.study import Study
-from cosim.view.runs import Choice, choose
-from cosim.view.skeleton import Paint, arm
-from cosim.view.stage import HEIGHT, WIDTH, Stage
-from cosim.view.video import RATE, drawing, write_video
+from cosim.loop.closed_loop import Scheme, StandIn
+from cosim.loop.loops import assemble, build, motions
+from cosim.loop.traces import TRACES, read_traces, write_traces
+from cosim.loop.tracking import Tracked, track
+from cosim.study.study import Study
 from fmu_src import export_fmu, model_file
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
+from hesr.extras.view.runs import Choice, choose
+from hesr.extras.view.skeleton import Paint, arm
+from hesr.extras.view.stage import HEIGHT, WIDTH, Stage
+from hesr.extras.view.video import RATE, drawing, write_video
 from hesr_model.artifacts import read_model, write_rigid_body
 from hesr_model.errors import ArtifactError, RobotError
 from hesr_model.logs.robot_log import RobotLog
@@ -104,8 +104,8 @@ def assert_same(one: Tracked, other: Tracked) -> None:
 
 
 def _excitation(robot: RobotModel) -> RobotLog:
-    from cosim.studies.excite import recordings
-    from cosim.studies.motions import Motions
+    from cosim.loop.excite import recordings
+    from cosim.loop.motions import Motions
 
     found = Motions.read(models_folder() / "studies" / "uf850_motions.toml")
     wanted = tuple(m for m in found.motions if m.name == "excitation")
@@ -386,7 +386,7 @@ def test_without_opengl_it_says_so(
 @encodes
 def test_opengl_that_fails_is_told(result: Path, tmp_path: Path) -> None:
     """As where a driver is there but no device: here GLFW on a display that does not exist."""
-    program = "from cosim.cli import main; main()"
+    program = "from hesr.cli import main; main()"
     path = tmp_path / "arm.mp4"
     answer = subprocess.run(
         [sys.executable, "-c", program, "view", str(result), "--video", str(path)],
@@ -486,7 +486,8 @@ def test_the_viewer_opens_moves_and_ends(result: Path, tmp_path: Path) -> None:
         variables.pop("MUJOCO_GL", None)
         program = (
             "import sys\nfrom pathlib import Path\n"
-            "from cosim.view.runs import Choice, choose\nfrom cosim.view.window import show\n"
+            "from hesr.extras.view.runs import Choice, choose\n"
+            "from hesr.extras.view.window import show\n"
             "choice = Choice(speed=0.2)\nshow(choose(Path(sys.argv[1]), choice), choice, turns=1)"
         )
         done = subprocess.run(
@@ -499,7 +500,7 @@ def test_the_viewer_opens_moves_and_ends(result: Path, tmp_path: Path) -> None:
         )
         assert done.returncode == 0, done.stderr
         viewing = subprocess.Popen(
-            [sys.executable, "-c", "from cosim.cli import main; main()", "view", str(result)],
+            [sys.executable, "-c", "from hesr.cli import main; main()", "view", str(result)],
             stderr=subprocess.PIPE,
             text=True,
             env=variables,

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import pytest
 from fakes import description, variable
 
-from cosim.system import SystemSpec
-from cosim.variables import Variables
-from cosim.wiring import Wiring
+from cosim.systems.system import SystemSpec
+from cosim.systems.wiring import Wiring
+from fmu_src.run.variables import Variables
 from hesr_model.errors import ConfigError
 
 SI = {"kg": 0, "m": 0, "s": 0, "A": 0, "K": 0, "mol": 0, "cd": 0, "rad": 0, "factor": 1.0,

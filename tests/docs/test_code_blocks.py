@@ -92,7 +92,7 @@ def commands() -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize(("page", "line"), commands())
 def test_commands_have_these_options(page: str, line: str) -> None:
-    from cosim.cli import app
+    from hesr.cli import app
 
     group = typer.main.get_command(app)
     assert isinstance(group, typer.core.TyperGroup)

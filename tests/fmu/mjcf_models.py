@@ -142,7 +142,7 @@ class Unpacked(Binary):
 
 def assert_sampled_within_steps(fmu: Path) -> None:
     """Steps of any length give what whole steps of the simulation's own have given so far."""
-    from cosim.slave import Component
+    from fmu_src.run.fmu import Component
 
     own, time, made, changed = 0.001, 0.0, 0, 0
     with Component(fmu) as hostile, Component(fmu, name="whole") as whole:

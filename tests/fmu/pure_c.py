@@ -4,8 +4,8 @@ import ctypes
 from collections.abc import Mapping
 from pathlib import Path
 
-from fmu_src.package import own_source
-from fmu_src.toolchain import TARGETS, build
+from fmu_src.export.package import own_source
+from fmu_src.export.toolchain import TARGETS, build
 
 UNUSED = '#pragma clang diagnostic ignored "-Wunused-function"\n'
 COMPONENT = """

@@ -14,14 +14,14 @@ from c_hosts import build_host
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
-from cosim.commands import export
-from cosim.slave import Component
+from cosim.workflow.commands import export
 from fmu_src.check import check
+from fmu_src.run.fmu import Component
+from hesr.extras.adaptive.follow import Follower
 from hesr_model.errors import ExportError, SimulationError
-from hesr_model.friction.adaptive.follow import Follower
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.stribeck import Stribeck
 from hesr_model.friction.thermal import Thermal
+from hesr_model.laws.stribeck import Stribeck
 from hesr_model.rigid_body.residual import FrictionRecord
 
 WARM = Thermal(coulomb=0.004, viscous=0.02, resistance=0.5, time_constant=30.0)

@@ -9,9 +9,9 @@ import pytest
 from c_hosts import build_host
 from mjcf_models import STEP, UF850, Unpacked, names
 
-from cosim.slave import Component
 from fmu_src.arm.native import export_mjcf
 from fmu_src.check import check
+from fmu_src.run.fmu import Component
 
 MJCF, TABLE = UF850 / "uf850.xml", UF850 / "arm.toml"
 

@@ -25,9 +25,9 @@ from mjcf_models import (
     steps,
 )
 
-from cosim.slave import Component
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Arm, Plant
+from fmu_src.run.fmu import Component
 from hesr_model.errors import SimulationError
 from hesr_model.robots.robot import RobotDescription, RobotModel
 

@@ -20,12 +20,12 @@ from mjcf_models import (
     run,
 )
 
-from cosim.slave import Component
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Arm, Plant
 from fmu_src.arm.python_fmu import export_python_arm
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.simulation import Simulation
+from fmu_src.run.fmu import Component
 from hesr_model.errors import ConfigError, ExportError, SimulationError
 
 MJCF, TABLE = UF850 / "uf850.xml", UF850 / "arm.toml"

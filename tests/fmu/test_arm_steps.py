@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from mjcf_models import CART_POLE, command, names
 
-from cosim.slave import Component
 from fmu_src.arm.native import export_mjcf
+from fmu_src.run.fmu import Component
 
 DT = 0.01
 MODELS = {

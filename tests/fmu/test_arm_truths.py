@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from mjcf_models import HOME, OUTPUTS, STEP, UF850, Unpacked, assert_goes_on, run
 
-from cosim.slave import Component
+from fmu_src.arm.alternative_plants import Transmission, Truth, write_truth
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.signals import compiled, signals_of
 from fmu_src.arm.simulation import Simulation
 from fmu_src.arm.table import Losses, LossTable, OutputTable, SignalTable, StartTable
 from fmu_src.arm.truth import true_friction
-from fmu_src.arm.truths import Transmission, Truth, write_truth
+from fmu_src.run.fmu import Component
 from hesr_model.errors import ConfigError
-from hesr_model.friction.evaluate import predict
+from hesr_model.friction.predict import predict
 
 PLANT, TABLE = Plant.read(UF850 / "plant.toml"), SignalTable.read(UF850 / "arm.toml")
 QUIET = {f"{name}_noise[{i}]": 0.0 for name in ("q", "tau_meas") for i in (1, 2, 3)}

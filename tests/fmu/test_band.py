@@ -9,19 +9,19 @@ import pytest
 import sympy
 from test_derivatives import difference, initialising, tangent, worst
 
-from cosim.cli import main
-from cosim.replay import replay
 from fmu_src.check import check
 from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
+from fmu_src.run.replay import replay
+from hesr.cli import main
 from hesr_model.artifacts import write_model
 from hesr_model.equations.memory import Relaxation, Stop
 from hesr_model.errors import SimulationError
 from hesr_model.friction.band import Band
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.laws.lugre import LuGre
 from hesr_model.friction.model import FrictionModel
+from hesr_model.laws.lugre import LuGre
 from hesr_model.rigid_body.residual import FrictionRecord
 
 BAND = Band(floor=0.7, slow=1.3, slow_speed=0.02, rest=0.4, fast=0.5, load=0.05, tail=0.7,

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
-from cosim.slave import Component
 from fmu_src.blocks.controller import controller
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import HARMONICS, start_values, trajectory
 from fmu_src.blocks.velocity import velocity
 from fmu_src.check import check
-from fmu_src.package import write_fmu
+from fmu_src.export.package import write_fmu
+from fmu_src.run.fmu import Component
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.motions.trajectories import Fourier, Reversed, Sine, Sweep, chirp, random_fourier
 from hesr_model.robots.robot import RobotDescription, RobotModel

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fmu_src.equations.c_functions import Functions
+from fmu_src.export.interface import Enumeration, Interface, Variable, literal, to_c
 from fmu_src.friction import friction_component as friction
-from fmu_src.interface import Enumeration, Interface, Variable, literal, to_c
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Relaxation, Stop
 from hesr_model.equations.program import Jumps

@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.replay import replay
-from cosim.slave import Component
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.drive.drive_fmu import content as drive
+from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_component import interface
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.reference import reference_files
-from fmu_src.mjcf.mjcf_file import export_mjcf_law
-from fmu_src.modelica.modelica_package import export_modelica
-from fmu_src.one_file.c_header import export_c
-from fmu_src.package import write_fmu
+from fmu_src.run.fmu import Component
+from fmu_src.run.replay import replay
+from hesr.extras.mjcf.mjcf_file import export_mjcf_law
+from hesr.extras.modelica.modelica_package import export_modelica
+from hesr.extras.one_file.c_header import export_c
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.robot import RobotDescription, RobotModel

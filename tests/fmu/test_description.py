@@ -11,10 +11,10 @@ from fmpy.validation import validate_fmu
 
 from fmu_src import export_fmu
 from fmu_src.blocks.velocity import velocity
-from fmu_src.description import si_exponents
+from fmu_src.export.description import si_exponents
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.errors import ExportError
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 
 
 def described(fmu):
@@ -237,4 +237,4 @@ def test_text_of_a_model_is_escaped(make_law, make_model, tmp_path):
 def test_licence_is_that_of_the_project(request):
     root = request.config.rootpath
     own = (root / "LICENSE").read_text(encoding="utf-8")
-    assert (root / "fmu_src/templates/license.txt").read_text(encoding="utf-8") == own
+    assert (root / "fmu_src/pages/templates/license.txt").read_text(encoding="utf-8") == own

@@ -11,16 +11,16 @@ import pytest
 from registry_models import everyday
 
 from fmu_src import export_fmu
-from fmu_src.description import Description
-from fmu_src.documentation.datasheet import EULER, RK4, fastest, figure
-from fmu_src.documentation.friction_page import to_html
-from fmu_src.documentation.mathml import equations
+from fmu_src.export.description import Description
 from fmu_src.friction import friction_component as friction
-from fmu_src.html import TEMPLATES
+from fmu_src.pages.datasheet import EULER, RK4, fastest, figure
+from fmu_src.pages.friction_page import to_html
+from fmu_src.pages.html import TEMPLATES
+from fmu_src.pages.mathml import equations
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
 HOSTILE = '<script>alert("x")</script> & \'"<img src=x onerror=y>'

@@ -14,7 +14,7 @@ from hesr_model.errors import ArtifactError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 
 STRUCTURE = {
     "linear": ["1", "dq", "h", "h_load"],

@@ -10,9 +10,9 @@ import tempfile
 import pytest
 from c_hosts import LINUX
 
-from cosim.cli import main
-from cosim.exported import exported
 from fmu_src import export_fmu
+from fmu_src.export.cache import exported
+from hesr.cli import main
 from hesr_model.artifacts import read_model, write_model
 from hesr_model.support.compiler import compile_c
 
@@ -40,7 +40,7 @@ def test_twenty_exports_at_once_are_those_of_one_after_the_other(model, tmp_path
     # Processes of their own, which have imported everything when they come to be.
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(
-        ["cosim.cli", "hesr_model.artifacts", "fmu_src.friction.friction_fmu"]
+        ["hesr.cli", "hesr_model.artifacts", "fmu_src.friction.friction_fmu"]
     )
     outputs = [tmp_path / f"F{k}.fmu" for k in range(20)]
     processes = [
@@ -97,7 +97,7 @@ def test_a_second_export_of_the_same_is_a_copy_and_another_is_made(
 def test_where_laws_of_others_are_installed_every_export_is_made(
     model, tmp_path, empty_cache, monkeypatch
 ):
-    monkeypatch.setattr("cosim.exported.entry_points", lambda group: [group])
+    monkeypatch.setattr("fmu_src.export.cache.entry_points", lambda group: [group])
     times = []
     for _ in range(2):
         exported(model, {}, tmp_path / "F.fmu", lambda: times.append(1))

@@ -15,15 +15,15 @@ from fmpy import extract, read_model_description, simulate_fmu
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 
-from cosim.references import Verified, verify
 from fmu_src.blocks.controller import controller
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import trajectory
 from fmu_src.blocks.velocity import velocity
 from fmu_src.check import check
 from fmu_src.drive.drive_fmu import content as drive
+from fmu_src.export.package import Content, write_fmu
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.package import Content, write_fmu
+from fmu_src.run.reference_results import Verified, verify
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.files import models_folder

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.replay import replay
-from cosim.slave import Component
 from fmu_src.friction.friction_fmu import export_bare
-from hesr_model.friction.evaluate import Stepper, predict
+from fmu_src.run.fmu import Component
+from fmu_src.run.replay import replay
+from hesr_model.friction.predict import Stepper, predict
 from hesr_model.friction.scales import scaled
 
 EXACT_ENOUGH = 1e-12

@@ -12,13 +12,13 @@ from typing import Any
 
 import pytest
 
-from fmu_src.documentation.live.page import live_section
-from fmu_src.documentation.live.section import ends
 from fmu_src.friction.friction_component import interface
 from fmu_src.friction.friction_fmu import live_of
+from fmu_src.pages.live.page import live_section
+from fmu_src.pages.live.section import ends
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 
 IMPORTS = 2  # number of that section of a module
 

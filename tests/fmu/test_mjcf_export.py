@@ -6,8 +6,8 @@ import pytest
 from fmpy.validation import validate_fmu
 from mjcf_models import CART_POLE, CART_POLE_TABLE, PENDULUM, names
 
-from cosim.slave import Component
 from fmu_src.arm.native import export_mjcf
+from fmu_src.run.fmu import Component
 from hesr_model.errors import ConfigError, ExportError, SimulationError
 from hesr_model.logs.noise import standard_normal
 

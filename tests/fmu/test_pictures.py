@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from fmu_src.documentation.picture import model_png
+from fmu_src.pages.picture import model_png
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 
@@ -43,7 +43,7 @@ def test_picture_of_many_joints(joints: int, table1: FrictionModel) -> None:
 def test_picture_is_the_same_in_every_process(table1: FrictionModel) -> None:
     code = (
         "import hashlib; from fmu_src import model_file; "
-        "from fmu_src.documentation.picture import model_png; "
+        "from fmu_src.pages.picture import model_png; "
         "from hesr_model.artifacts import read_model; "
         "print(hashlib.sha256(model_png(read_model(model_file('uf850-table1')))).hexdigest())"
     )
@@ -78,5 +78,5 @@ def test_a_torque_that_is_not_finite_is_left_out(
 
 
 def test_drawing_is_loaded_only_to_draw() -> None:
-    code = "import sys, fmu_src.documentation.picture; sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, fmu_src.pages.picture; sys.exit('matplotlib' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

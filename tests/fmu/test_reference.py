@@ -14,13 +14,13 @@ from scipy.integrate import solve_ivp
 from fmu_src import export_fmu
 from fmu_src.friction.reference import UNKNOWN_SPEED, reference_files, reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, torques
-from fmu_src.layered import EXPERIMENTS, MANIFEST
+from fmu_src.run.reference_manifest import EXPERIMENTS, MANIFEST
 from hesr_model.equations.functions import lowered
-from hesr_model.friction.evaluate import first_states
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.predict import first_states
+from hesr_model.friction.trained_range import TrainedRange
 
 TRAINED = TrainedRange(
     sample_time=0.01, dq=(-0.8, 1.1), q=(-0.5, 1.5), tau_load=(5.0, 9.0), tau=(-9.0, 9.0)

@@ -11,7 +11,7 @@ import pytest
 from fmpy.validation import validate_fmu
 from small_fmus import lag
 
-from cosim.slave import Component
+from fmu_src.run.fmu import Component
 from hesr_model.errors import SimulationError
 
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from fmpy import read_model_description
 
-from cosim.slave import Component
 from fmu_src import export_fmu
 from fmu_src.arm.truth import true_friction
 from fmu_src.check import check
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.embedded_model import EMBEDDED_MODEL
-from fmu_src.mjcf.mjcf_file import export_mjcf_law
-from fmu_src.modelica.modelica_package import export_modelica
+from fmu_src.run.fmu import Component
+from hesr.extras.mjcf.mjcf_file import export_mjcf_law
+from hesr.extras.modelica.modelica_package import export_modelica
 from hesr_model.artifacts import model_to_json
 from hesr_model.errors import ExportError
 

@@ -10,20 +10,20 @@ from adaptive_models import lugre, model, motion, stops
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
-from cosim.commands import export
-from cosim.convention import judge
-from cosim.replay import replay
-from cosim.scoring import predict_fmu
-from cosim.slave import Component
-from cosim.studies.properties.battery import Subject, measure
+from cosim.properties.battery import Subject, measure
+from cosim.study.scores import predict_fmu
+from cosim.workflow.commands import export
 from fmu_src.check import check
+from fmu_src.check.convention import judge
+from fmu_src.export.package import Version
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.package import Version
+from fmu_src.run.fmu import Component
+from fmu_src.run.replay import replay
+from hesr_model.audit.properties import Properties
 from hesr_model.errors import ExportError, SimulationError
-from hesr_model.friction.audit.properties import Properties
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.stribeck import Stribeck
 from hesr_model.friction.thermal import Thermal
+from hesr_model.laws.stribeck import Stribeck
 from hesr_model.rigid_body.residual import FrictionRecord
 
 WARM = Thermal(

@@ -17,14 +17,15 @@ import pytest
 from c_hosts import LINUX
 from fmpy.validation import _validate_variable_names
 
-from cosim.replay import replay
-from fmu_src import export_fmu, package
-from fmu_src.description import to_xml
-from fmu_src.documentation.datasheet import ModelAudit, ranges
+from fmu_src import export_fmu
+from fmu_src.export import package
+from fmu_src.export.description import to_xml
+from fmu_src.export.toolchain import CFLAGS, TARGETS, build, get_ready, universal
 from fmu_src.friction.reference import reference_motion
-from fmu_src.toolchain import CFLAGS, TARGETS, build, get_ready, universal
+from fmu_src.pages.datasheet import ModelAudit, ranges
+from fmu_src.run.replay import replay
+from hesr_model.audit.certificate import Certificate
 from hesr_model.errors import ExportError
-from hesr_model.friction.audit.certificate import Certificate
 from hesr_model.support.cache import USED, since
 from hesr_model.support.compiler import compile_c
 
@@ -223,7 +224,7 @@ def test_an_export_that_fails_leaves_the_old_file(table1, tmp_path, monkeypatch,
     def wrong(*about):
         return to_xml(*about).replace(b'causality="output"', b'causality="input"', 1)
 
-    monkeypatch.setattr("fmu_src.package.to_xml", wrong)
+    monkeypatch.setattr("fmu_src.export.package.to_xml", wrong)
     with pytest.raises(ExportError, match=r"not a valid FMU: .*has no start value"):
         export_fmu(table1, path)
     assert path.read_bytes() == b"old"
@@ -248,7 +249,7 @@ def test_where_a_name_is_not_plain_fmpy_is_asked(table1, tmp_path, monkeypatch, 
     def wrong(*about):
         return to_xml(*about).replace(b'name="tau_load[1]"', b'name="tau load"', 1)
 
-    monkeypatch.setattr("fmu_src.package.to_xml", wrong)
+    monkeypatch.setattr("fmu_src.export.package.to_xml", wrong)
     with pytest.raises(ExportError, match=r'"tau load".* is not a legal variable name'):
         export_fmu(table1, tmp_path / "F.fmu")
 

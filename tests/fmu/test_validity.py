@@ -10,15 +10,15 @@ from fmu_src import export_fmu
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.friction_fmu import export_bare, live_of
 from fmu_src.friction.validity import require_numbers
-from fmu_src.mjcf.mjcf_file import export_mjcf_law
-from fmu_src.modelica.modelica_package import export_modelica
+from hesr.extras.mjcf.mjcf_file import export_mjcf_law
+from hesr.extras.modelica.modelica_package import export_modelica
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.laws.lugre import LuGre
 from hesr_model.friction.model import FrictionModel
+from hesr_model.laws.lugre import LuGre
 
 EXPORTS: dict[str, Callable[[FrictionModel, Path], object]] = {
     "fmu": lambda model, folder: export_fmu(model, folder / "F.fmu"),

@@ -63,7 +63,7 @@ def _result(module: str, name: str) -> Callable[[Path], object]:
 
 
 def _run(path: Path) -> object:
-    from cosim.saved import SavedRun
+    from cosim.study.results import SavedRun
 
     return SavedRun.read(path)
 
@@ -75,13 +75,13 @@ def _scores(path: Path) -> object:
 
 
 def _battery(path: Path) -> object:
-    from hesr_model.friction.audit.properties import read_properties
+    from hesr_model.audit.properties import read_properties
 
     return read_properties(path)
 
 
 def _write_findings(path: Path) -> None:
-    from cosim.health import HEALTH, write_findings
+    from cosim.study.health import HEALTH, write_findings
     from hesr_model.health.findings import Finding
 
     write_findings(
@@ -97,14 +97,14 @@ def _write_findings(path: Path) -> None:
 
 
 def _findings(folder: Path) -> object:
-    from cosim.health import read_findings
+    from cosim.study.health import read_findings
 
     return read_findings(folder)
 
 
 def _write_paths(path: Path) -> None:
-    from cosim.closed_loop import Scheme
-    from cosim.studies.traces import Trace, write_traces
+    from cosim.loop.closed_loop import Scheme
+    from cosim.loop.traces import Trace, write_traces
 
     rng, t = np.random.default_rng(2), 0.01 * np.arange(50)
     trace = Trace(t=t, q_d=rng.normal(size=(50, 2)), q=rng.normal(size=(50, 2)))
@@ -112,7 +112,7 @@ def _write_paths(path: Path) -> None:
 
 
 def _paths(path: Path) -> object:
-    from cosim.studies.traces import read_traces
+    from cosim.loop.traces import read_traces
 
     return read_traces(path)
 
@@ -136,7 +136,7 @@ def _simulations(path: Path) -> object:
 
 
 def _write_simulations(path: Path) -> None:
-    from cosim.simulated import Simulated
+    from cosim.study.position_errors import Simulated
     from hesr_model.artifacts import write_json
     from hesr_model.support.typed_json import to_json
 
@@ -148,7 +148,7 @@ def _write_simulations(path: Path) -> None:
 
 
 def _write_verdict(path: Path) -> None:
-    from cosim.verdict import VERDICT, Verdict, write_verdict
+    from cosim.study.verdict import VERDICT, Verdict, write_verdict
 
     found = Verdict(
         law="lugre", fmu="fmus/lugre.fmu", test="trial", why="it is the best.",
@@ -159,15 +159,15 @@ def _write_verdict(path: Path) -> None:
 
 
 def _verdict(folder: Path) -> object:
-    from cosim.verdict import read_verdict
+    from cosim.study.verdict import read_verdict
 
     found = read_verdict(folder)
     return found and found.sentences
 
 
 def _write_robot_of_fleet(path: Path) -> None:
-    from cosim.fleet.result import JointResult, RobotResult
-    from cosim.fleet.robot import RESULT_FORMAT
+    from hesr.extras.fleet.result import JointResult, RobotResult
+    from hesr.extras.fleet.robot import RESULT_FORMAT
     from hesr_model.artifacts import write_json
     from hesr_model.inference.deviation import Trend
     from hesr_model.support.typed_json import to_json
@@ -181,15 +181,15 @@ def _write_robot_of_fleet(path: Path) -> None:
 
 
 def _robot_of_fleet(folder: Path) -> object:
-    from cosim.fleet.robot import read_result
+    from hesr.extras.fleet.robot import read_result
 
     return read_result(folder)
 
 
 def _write_tracked(path: Path) -> None:
-    from cosim.closed_loop import Scheme
-    from cosim.studies.traces import Trace
-    from cosim.studies.tracking import Tracked, _Kept
+    from cosim.loop.closed_loop import Scheme
+    from cosim.loop.traces import Trace
+    from cosim.loop.tracking import Tracked, _Kept
     from hesr_model.artifacts import write_json
     from hesr_model.support.typed_json import to_json
 
@@ -204,8 +204,8 @@ RUNS = np.random.default_rng(4).normal(size=(20, 2))
 
 
 def _write_runs(path: Path) -> None:
-    from cosim.sweep.store import Store
-    from cosim.sweep.work import Rows
+    from hesr.extras.sweep.store import Store
+    from hesr.extras.sweep.work import Rows
 
     store = Store(path.parent, INPUTS, OUTPUTS)
     store.file(0).parent.mkdir()
@@ -216,7 +216,7 @@ def _write_runs(path: Path) -> None:
 
 def _runs(folder: Path) -> object:
     """Runs that are damaged are made anew, others are read."""
-    from cosim.sweep.store import Store
+    from hesr.extras.sweep.store import Store
 
     store = Store(folder, INPUTS, OUTPUTS)
     if not store.has(0, RUNS):
@@ -225,7 +225,7 @@ def _runs(folder: Path) -> object:
 
 
 def _folder_of_sweep(folder: Path) -> object:
-    from cosim.sweep.store import ABOUT, taken
+    from hesr.extras.sweep.store import ABOUT, taken
 
     with taken(folder, "runs", ABOUT, {"key": "7f", "runs": 20}):
         return None
@@ -234,7 +234,7 @@ def _folder_of_sweep(folder: Path) -> object:
 def _write_fmu(path: Path) -> None:
     """All that is read of an FMU of FMI 3.0 with reference results, but no binaries."""
     from fmu_src.blocks.velocity import velocity
-    from fmu_src.description3 import to_xml3
+    from fmu_src.export.description3 import to_xml3
     from fmu_src.friction.embedded_model import EMBEDDED_MODEL
     from fmu_src.friction.reference import reference_files
     from hesr_model.artifacts import read_model
@@ -251,10 +251,10 @@ def _write_fmu(path: Path) -> None:
 
 
 def _fmu(path: Path) -> object:
-    from cosim.description import model_description
-    from cosim.references import Verified, experiments
-    from fmu_src.archive import Archive
     from fmu_src.friction.embedded_model import embedded_model
+    from fmu_src.run.archive import Archive
+    from fmu_src.run.description import model_description
+    from fmu_src.run.reference_results import Verified, experiments
 
     found = Verified()
     model_description(path)
@@ -275,7 +275,7 @@ RESULTS = {
     "closed loop": Reader(
         suffix=".json",
         write=_results("closed_loop.json"),
-        read=_result("cosim.studies.whole_loop", "LoopOutcome"),
+        read=_result("cosim.loop.run", "LoopOutcome"),
     ),
     "findings": Reader(
         suffix=".json", write=_write_findings, read=_in_place("health.json", _findings)
@@ -286,7 +286,7 @@ RESULTS = {
     ),
     "paths": Reader(suffix=".parquet", write=_write_paths, read=_paths),
     "tracked": Reader(
-        suffix=".json", write=_write_tracked, read=_result("cosim.studies.tracking", "_Kept")
+        suffix=".json", write=_write_tracked, read=_result("cosim.loop.tracking", "_Kept")
     ),
     "robot of a fleet": Reader(
         suffix=".json",

@@ -137,7 +137,7 @@ def _write_robot(path: Path) -> None:
 
 def _fleet(path: Path) -> object:
     """Read a fleet and look for its robots beside it."""
-    from cosim.fleet.study import FleetStudy, members
+    from hesr.extras.fleet.study import FleetStudy, members
 
     return members(FleetStudy.read(path), path)
 
@@ -169,20 +169,26 @@ SETTINGS = {
         read=toml("fmu_src.arm.plant", "Plant"),
     ),
     "study": Reader(
-        suffix=".toml", write=copy_of(STUDIES / "default.toml"), read=toml("cosim.study", "Study")
+        suffix=".toml",
+        write=copy_of(STUDIES / "default.toml"),
+        read=toml("cosim.study.study", "Study"),
     ),
     "motions": Reader(
         suffix=".toml",
         write=copy_of(STUDIES / "uf850_motions.toml"),
-        read=toml("cosim.studies.motions", "Motions"),
+        read=toml("cosim.loop.motions", "Motions"),
     ),
     "excitation": Reader(suffix=".toml", write=text(EXCITATION), read=_excitation),
-    "system": Reader(suffix=".toml", write=text(SYSTEM), read=toml("cosim.system", "SystemSpec")),
+    "system": Reader(
+        suffix=".toml", write=text(SYSTEM), read=toml("cosim.systems.system", "SystemSpec")
+    ),
     "sweep": Reader(
-        suffix=".toml", write=text(SWEEP), read=toml("cosim.sweep.study", "SweepStudy")
+        suffix=".toml", write=text(SWEEP), read=toml("hesr.extras.sweep.study", "SweepStudy")
     ),
     "fleet": Reader(suffix=".toml", write=_write_fleet, read=_fleet),
-    "arena": Reader(suffix=".toml", write=text(ARENA), read=toml("cosim.arena.arena", "Arena")),
+    "arena": Reader(
+        suffix=".toml", write=text(ARENA), read=toml("hesr.extras.leaderboard.board_file", "Arena")
+    ),
     "signals": Reader(
         suffix=".toml",
         write=copy_of(UF850 / "arm.toml"),

@@ -15,14 +15,14 @@ from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import start_values, trajectory
 from fmu_src.blocks.velocity import velocity
 from fmu_src.drive.drive_fmu import content as drive
+from fmu_src.export.package import Version, write_fmu
 from fmu_src.friction.friction_fmu import adaptive_content, export_bare
-from fmu_src.package import Version, write_fmu
 from hesr_model.artifacts import read_model
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
 from hesr_model.friction.thermal import Thermal
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.files import models_folder
 

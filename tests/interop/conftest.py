@@ -20,7 +20,7 @@ from cosim.interop.matrix import (
     run_cell,
 )
 from cosim.interop.table import notes, table
-from cosim.tables.terminal import Drawn
+from cosim.report.tables.terminal import Drawn
 from hesr_model.support.process import FailedError
 
 _WIDTH = 132

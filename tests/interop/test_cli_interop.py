@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from small_fmus import lag
 
-from cosim.cli import app
-from cosim.system import ComponentSpec, SystemSpec
-from cosim.system_file import write_system
+from cosim.systems.system import ComponentSpec, SystemSpec
+from cosim.systems.system_file import write_system
+from hesr.cli import app
 from hesr_model.errors import HesrError
 
 

@@ -16,14 +16,14 @@ from cosim.interop.engines import ENGINES
 from cosim.interop.matrix import compare
 from cosim.interop.reference import Coupling, alone, together
 from cosim.interop.table import notes, table
-from cosim.master import Master
-from cosim.system import ComponentSpec, SystemSpec
-from cosim.system_file import write_system
+from cosim.systems.simulation import Master
+from cosim.systems.system import ComponentSpec, SystemSpec
+from cosim.systems.system_file import write_system
 from fmu_src import export_fmu
 from fmu_src.blocks.trajectory import trajectory
-from fmu_src.package import write_fmu
+from fmu_src.export.package import write_fmu
 from hesr_model.errors import SimulationError
-from hesr_model.friction.evaluate import predict
+from hesr_model.friction.predict import predict
 from hesr_model.support.process import FailedError
 
 

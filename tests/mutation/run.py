@@ -30,8 +30,8 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 AREAS = {
     "science": "hesr_model/**/*.py",
-    "master": "cosim/master.py",
-    "steps": "cosim/stepping.py",
+    "master": "cosim/systems/simulation.py",
+    "steps": "fmu_src/run/master.py",
     "c": "fmu_src/c/*.[ch]",
     "rows": "hesr_model/equations/*.[ch]",
 }

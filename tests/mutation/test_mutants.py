@@ -14,8 +14,8 @@ SOURCES = [
         "hesr_model/**/*.py",
         "hesr_model/equations/*.[ch]",
         "fmu_src/c/*.[ch]",
-        "cosim/master.py",
-        "cosim/stepping.py",
+        "cosim/systems/simulation.py",
+        "fmu_src/run/master.py",
     )
     for path in sorted(ROOT.glob(pattern))
 ]

@@ -8,8 +8,8 @@ from joint_data import along, law, path
 from pytest_regressions.num_regression import NumericRegressionFixture
 from unchanged import Unchanged, leaves
 
-from hesr_model.friction.fitting.samples import Samples
-from hesr_model.friction.laws.parfam.features import HysteresisFeatures
+from hesr_model.fitting.samples import Samples
+from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.residual import FrictionRecord

@@ -8,16 +8,16 @@ import sympy
 from joint_data import law
 from unchanged import Unchanged
 
+from hesr_model.audit import attack as attacks
+from hesr_model.audit import audit as audits
+from hesr_model.audit import certificate, cycles
 from hesr_model.equations.functions import absolute, positive, sgn
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.audit import attack as attacks
-from hesr_model.friction.audit import audit as audits
-from hesr_model.friction.audit import certificate, cycles
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.laws.stops.passive import SPEEDS
-from hesr_model.friction.trained import TrainedRange, outside
+from hesr_model.friction.trained_range import TrainedRange, outside
+from hesr_model.laws.stops.passive import SPEEDS
 from hesr_model.rigid_body.residual import FrictionRecord
 
 TRAINED = TrainedRange(

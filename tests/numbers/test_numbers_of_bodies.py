@@ -8,17 +8,17 @@ import pytest
 from joint_data import law as made
 from unchanged import Unchanged
 
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit_models
+from hesr_model.fitting.fit import fit_models
+from hesr_model.friction.predict import predict
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import Motion
 from hesr_model.motions.excitation import ExcitationSettings, design
+from hesr_model.rigid_body.accumulation import Streamed
 from hesr_model.rigid_body.forward_reverse import matched
 from hesr_model.rigid_body.identification import Method, Weighting, identify, identify_motions
 from hesr_model.rigid_body.payload import identify_payload_motions, loaded
 from hesr_model.rigid_body.refinement import identify_again
 from hesr_model.rigid_body.residual import all_at_friction, friction_records
-from hesr_model.rigid_body.streamed import Streamed
 from hesr_model.rigid_body.torque_constants import point_payload, torque_constants
 from hesr_model.robots.robot import RobotModel
 

@@ -8,20 +8,20 @@ import sympy
 from joint_data import law
 from unchanged import Unchanged
 
+from hesr_model.audit import expectations
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.program import Jumps
+from hesr_model.fitting import calibration, uncertainty
+from hesr_model.fitting.declarative import OneForm
+from hesr_model.fitting.samples import Samples
 from hesr_model.friction import metrics
-from hesr_model.friction.audit import expectations
-from hesr_model.friction.fitting import calibration, uncertainty
-from hesr_model.friction.fitting.declarative import OneForm
-from hesr_model.friction.fitting.samples import Samples
 from hesr_model.friction.inputs import DQ, Q
 from hesr_model.friction.law import Coefficient, LawForm
-from hesr_model.friction.laws import ripple
-from hesr_model.friction.laws.parfam import trial
-from hesr_model.friction.laws.stops import search
 from hesr_model.friction.registry import estimator, registry
-from hesr_model.inference import paired
+from hesr_model.inference import paired_test as paired
+from hesr_model.laws import ripple
+from hesr_model.laws.parfam import trial
+from hesr_model.laws.stops import search
 from hesr_model.rigid_body import forward_reverse, identification, payload
 from hesr_model.rigid_body.residual import FrictionRecord
 

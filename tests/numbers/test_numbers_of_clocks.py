@@ -8,7 +8,11 @@ from limits_found import said
 from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
-from hesr_model.health.clocks import (
+from hesr_model.health.evidence import (
+    Motionwise,
+    motionwise,
+)
+from hesr_model.health.timing import (
     Rows,
     _beside,
     _rubs,
@@ -16,10 +20,6 @@ from hesr_model.health.clocks import (
     check_clocks,
     delay,
     stamps_rate,
-)
-from hesr_model.health.evidence import (
-    Motionwise,
-    motionwise,
 )
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import Motion

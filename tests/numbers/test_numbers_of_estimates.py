@@ -8,8 +8,8 @@ from joint_data import law
 from scipy.signal import lfilter
 from unchanged import Unchanged
 
-from hesr_model.friction.fitting import calibration, uncertainty
-from hesr_model.friction.fitting.separable import SearchSpace
+from hesr_model.fitting import calibration, uncertainty
+from hesr_model.fitting.separable import SearchSpace
 from hesr_model.inference.correlation import correlation_length, standard_errors
 from hesr_model.inference.covariance import (
     Covariance,
@@ -20,7 +20,7 @@ from hesr_model.inference.covariance import (
     pooled,
 )
 from hesr_model.inference.deviation import deviations, trend
-from hesr_model.inference.paired import _resamples, compare_errors, holm, units
+from hesr_model.inference.paired_test import _resamples, compare_errors, holm, units
 from hesr_model.rigid_body.residual import FrictionRecord
 
 LUGRE = {"sigma_0": 500.0, "sigma_1": 0.5, "sigma_2": 4.5, "F_c": 7.5, "F_s": 10.0, "v_s": 0.12,

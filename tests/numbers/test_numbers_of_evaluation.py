@@ -7,13 +7,13 @@ import pytest
 from joint_data import along, law, path
 from unchanged import Unchanged
 
-from hesr_model.friction import evaluate
-from hesr_model.friction.evaluate import estimated_start, predict, predict_joints, states_over
-from hesr_model.friction.fitting import separable
-from hesr_model.friction.fitting.samples import Samples
+from hesr_model.fitting import separable
+from hesr_model.fitting.samples import Samples
+from hesr_model.friction import predict as evaluate
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.parfam import trial
-from hesr_model.friction.laws.stops import waves
+from hesr_model.friction.predict import estimated_start, predict, predict_joints, states_over
+from hesr_model.laws.parfam import trial
+from hesr_model.laws.stops import waves
 from hesr_model.rigid_body.residual import FrictionRecord
 
 LUGRE = {"sigma_0": 500.0, "sigma_1": 0.5, "sigma_2": 4.5, "F_c": 7.5, "F_s": 10.0, "v_s": 0.12,

@@ -7,9 +7,9 @@ import pytest
 from adaptive_models import lugre, model, motion, stops, truth
 from unchanged import Unchanged
 
-from hesr_model.friction.adaptive.follow import Follower
-from hesr_model.friction.adaptive.monitor import watch
-from hesr_model.friction.adaptive.thermal_fit import fit_thermal
+from hesr.extras.adaptive.follow import Follower
+from hesr.extras.adaptive.monitor import watch
+from hesr.extras.thermal.thermal_fit import fit_thermal
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.thermal import Thermal
 from hesr_model.rigid_body.residual import FrictionRecord

@@ -4,11 +4,11 @@ import pytest
 from joint_data import GEAR_RATIO, along, law, path
 from unchanged import Unchanged
 
-from hesr_model.friction.audit.audit import audit
-from hesr_model.friction.audit.certificate import certify
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit_models
+from hesr_model.audit.audit import audit
+from hesr_model.audit.certificate import certify
+from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import registry
 
 TRUTH = law(

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 from unchanged import Unchanged
 
+from hesr_model.fitting.fit import fit_models
 from hesr_model.forward.output_error import refine
 from hesr_model.forward.simulation import Simulator, position_errors
 from hesr_model.forward.windows import windows_of
-from hesr_model.friction.fitting.fit import fit_models
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.motions.excitation import ExcitationSettings, random_motions

@@ -15,7 +15,7 @@ from hesr_model.forward.simulation import Simulator, position_errors
 from hesr_model.forward.stepping import LawSteps
 from hesr_model.forward.windows import whole, windows_of
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body import physical, torque_constants
 from hesr_model.rigid_body.forward_reverse import matched

@@ -9,7 +9,7 @@ from limits_found import TWO, as_part, at, edge, said, two_joints
 from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
-from hesr_model.health.held import _speeds, check_held, check_speed
+from hesr_model.health.sample_hold import _speeds, check_held, check_speed
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.robots.robot import RobotDescription, RobotModel
 

@@ -11,9 +11,9 @@ from unchanged import Unchanged
 
 from hesr_model.errors import ArtifactError, ConfigError, RobotError
 from hesr_model.logs.log_format import LogFormat, LogUnits, column_names
-from hesr_model.robots.described import Robot, described
 from hesr_model.robots.model_file import driven_joints, joints_of
 from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot_argument import Robot, described
 from hesr_model.robots.transmission import Coupling, Transmission, onto
 
 LINK = '<link name="l{k}"><inertial><origin xyz="0.1 0.02 {k}"/><mass value="{k}"/>'

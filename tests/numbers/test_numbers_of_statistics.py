@@ -8,7 +8,7 @@ from hesr_model.friction.metrics import rmse_ratio_interval, score, score_band
 from hesr_model.inference.correlation import correlation_length, standard_errors
 from hesr_model.inference.covariance import blocks_of_time, covariance, left_out, pooled
 from hesr_model.inference.deviation import deviations, trend
-from hesr_model.inference.paired import compare_errors, holm, units
+from hesr_model.inference.paired_test import compare_errors, holm, units
 from hesr_model.logs.noise import standard_normal, words
 from hesr_model.logs.phases import moving, near_reversals, reversals
 

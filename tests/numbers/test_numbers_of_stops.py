@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 from unchanged import Unchanged
 
-from hesr_model.friction.fitting.samples import Samples, non_negative_least_squares
-from hesr_model.friction.fitting.separable import left_out_cost
-from hesr_model.friction.fitting.signed import Normal, blocks_of, pays, signed_least_squares
-from hesr_model.friction.laws.networks import mlp, rbf
-from hesr_model.friction.laws.networks.inputs import Inputs, candidates
-from hesr_model.friction.laws.networks.training import path as trained_along
-from hesr_model.friction.laws.parfam.calibrate import Cell
-from hesr_model.friction.laws.parfam.features import HysteresisFeatures
-from hesr_model.friction.laws.stops import passive, terms, waves
-from hesr_model.friction.laws.stops.estimator import ParFamS
-from hesr_model.friction.laws.stops.form import Structure, viscous_at
-from hesr_model.friction.laws.stops.search import dictionary, search
+from hesr.extras.laws import mlp
+from hesr_model.fitting.nonnegative import Normal, blocks_of, pays, signed_least_squares
+from hesr_model.fitting.samples import Samples, non_negative_least_squares
+from hesr_model.fitting.separable import left_out_cost
+from hesr_model.laws.networks import rbf
+from hesr_model.laws.networks.inputs import Inputs, candidates
+from hesr_model.laws.networks.training import path as trained_along
+from hesr_model.laws.parfam.calibrate import Cell
+from hesr_model.laws.parfam.features import HysteresisFeatures
+from hesr_model.laws.stops import passive, terms, waves
+from hesr_model.laws.stops.estimator import ParFamS
+from hesr_model.laws.stops.form import Structure, viscous_at
+from hesr_model.laws.stops.search import dictionary, search
 from hesr_model.rigid_body.residual import FrictionRecord
 
 WHOLE = Structure(

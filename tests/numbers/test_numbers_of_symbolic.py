@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from unchanged import Unchanged
 
-from hesr_model.friction.fitting.samples import Samples
-from hesr_model.friction.laws.parfam import calibrate, evolve, paper, refine
-from hesr_model.friction.laws.parfam.calibrate import Cell
-from hesr_model.friction.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
-from hesr_model.friction.laws.parfam.features import HysteresisFeatures
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.fitting.samples import Samples
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.laws.parfam import calibrate, evolve, paper, refine
+from hesr_model.laws.parfam.calibrate import Cell
+from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
+from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.rigid_body.residual import FrictionRecord
 
 CELL = Cell(alpha=12.0, beta=25.0, cost=0.0)

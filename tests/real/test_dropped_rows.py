@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit
+from hesr_model.fitting.fit import fit
+from hesr_model.friction.predict import predict
 from hesr_model.health.examine import checked, examine
 from hesr_model.health.findings import HealthError
 from hesr_model.logs.robot_log import RobotLog

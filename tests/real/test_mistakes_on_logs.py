@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cosim.studies.excite import recordings
-from cosim.studies.motions import Motions
+from cosim.loop.excite import recordings
+from cosim.loop.motions import Motions
 from fmu_src.arm.plant import Plant
 from hesr_model.health.examine import examine
 from hesr_model.logs.robot_log import RobotLog

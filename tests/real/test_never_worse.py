@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from significance import against
 
-from cosim.pipeline import Job
-from cosim.run import score_study
-from cosim.study import Study
+from cosim.study.run import score_study
+from cosim.study.steps import Job
+from cosim.study.study import Study
 from hesr_model.support import parallel
 from hesr_model.support.progress import silent
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit_joint
+from hesr_model.fitting.fit import fit_joint
+from hesr_model.friction.predict import predict
 from hesr_model.rigid_body.residual import FrictionRecord
 
 STEP, ROWS = 0.005, 4000

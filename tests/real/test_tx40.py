@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.scoring import predict_fmu
+from cosim.study.scores import predict_fmu
 from fmu_src.friction.friction_fmu import export_bare
-from hesr_model.friction.fitting.fit import fit
+from hesr_model.fitting.fit import fit
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records

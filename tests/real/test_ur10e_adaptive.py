@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from conftest import IDENTIFICATION
 
-from hesr_model.friction.adaptive.follow import Follower
-from hesr_model.friction.fitting.fit import fit
+from hesr.extras.adaptive.follow import Follower
+from hesr_model.fitting.fit import fit
 from hesr_model.friction.metrics import rmse
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.identification import identify

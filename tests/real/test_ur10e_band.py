@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.scoring import by_joint
-from hesr_model.friction.fitting.fit import fit_models
+from cosim.study.scores import by_joint
+from hesr_model.fitting.fit import fit_models
 from hesr_model.logs.phases import moving, near_reversals
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.identification import RigidBody, identify

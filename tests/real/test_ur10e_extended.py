@@ -13,13 +13,13 @@ import pytest
 from registry_models import STUDIED
 from significance import against
 
-from cosim.pipeline import Job
-from cosim.replay import replay
-from cosim.run import Scored, run_study, score_study
-from cosim.scoring import Comparison, inputs_of, measured_start, takes_start
-from cosim.study import Study
-from hesr_model.friction.evaluate import predict
+from cosim.study.run import Scored, run_study, score_study
+from cosim.study.scores import Comparison, inputs_of, measured_start, takes_start
+from cosim.study.steps import Job
+from cosim.study.study import Study
+from fmu_src.run.replay import replay
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import predict
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import RobotModel

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.pipeline import Job
-from cosim.run import Scored, score_study
-from cosim.study import Study
+from cosim.study.run import Scored, score_study
+from cosim.study.steps import Job
+from cosim.study.study import Study
 from hesr_model.artifacts import read_model
 from hesr_model.support import parallel
 from hesr_model.support.progress import silent

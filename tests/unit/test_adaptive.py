@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from adaptive_models import NOISE, SPEED, STEP, coloured, lugre, model, motion, stops, truth
 
+from hesr.extras.adaptive.component import adaptive_component
+from hesr.extras.adaptive.follow import Followed, Follower, adaptive_components
+from hesr.extras.adaptive.tuning import TUNING
+from hesr_model.audit.certificate import certify, least_viscosity, storage
 from hesr_model.equations.stepping import Run, Steps
 from hesr_model.errors import ExportError, SimulationError
-from hesr_model.friction.adaptive.component import adaptive_component
-from hesr_model.friction.adaptive.follow import Followed, Follower, adaptive_components
-from hesr_model.friction.adaptive.tuning import TUNING
-from hesr_model.friction.audit.certificate import certify, least_viscosity, storage
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.stribeck import Stribeck
 from hesr_model.friction.records import predict_record
+from hesr_model.laws.stribeck import Stribeck
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.transmission import Coupling
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from adaptive_models import lugre, model, motion, truth
 
-from hesr_model.friction.adaptive.monitor import shared_signs, watch
-from hesr_model.friction.adaptive.tuning import TUNING
+from hesr.extras.adaptive.monitor import shared_signs, watch
+from hesr.extras.adaptive.tuning import TUNING
 from hesr_model.rigid_body.residual import FrictionRecord
 
 MODEL = model(lugre(), lugre(), lugre())

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from adaptive_models import NOISE, STEP, Array, coloured, lugre, model, motion, stops, truth
 
+from hesr.extras.adaptive.follow import Follower, adaptive_components
+from hesr.extras.adaptive.tuning import TUNING
+from hesr.extras.thermal.thermal_fit import Factored
 from hesr_model.equations.component import Parameter
 from hesr_model.equations.stepping import Steps
-from hesr_model.friction.adaptive.follow import Follower, adaptive_components
-from hesr_model.friction.adaptive.thermal_fit import Factored
-from hesr_model.friction.adaptive.tuning import TUNING
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
 from hesr_model.rigid_body.residual import FrictionRecord

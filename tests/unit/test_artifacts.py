@@ -29,9 +29,9 @@ from hesr_model.artifacts import (
 )
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.parfam import family
 from hesr_model.friction.model import FrictionModel
 from hesr_model.inference.covariance import Covariance
+from hesr_model.laws.parfam import family
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.support.files import models_folder, sha256
 

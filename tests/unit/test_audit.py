@@ -9,19 +9,19 @@ import pytest
 import sympy
 
 from hesr_model.artifacts import read_model
+from hesr_model.audit import audit as module
+from hesr_model.audit import cycles
+from hesr_model.audit.audit import Audit, audit, explodes
+from hesr_model.audit.cycles import ENCODER
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ArtifactError, SimulationError
-from hesr_model.friction.audit import audit as module
-from hesr_model.friction.audit import cycles
-from hesr_model.friction.audit.audit import Audit, audit, explodes
-from hesr_model.friction.audit.cycles import ENCODER
-from hesr_model.friction.evaluate import Stepper
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.laws.lugre import LuGre
-from hesr_model.friction.laws.stribeck import Stribeck
-from hesr_model.friction.trained import TrainedRange, outside
+from hesr_model.friction.predict import Stepper
+from hesr_model.friction.trained_range import TrainedRange, outside
+from hesr_model.laws.lugre import LuGre
+from hesr_model.laws.stribeck import Stribeck
 from hesr_model.logs.noise import standard_normal
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.files import models_folder

@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 from hesr_model.errors import ConfigError
-from hesr_model.support import bounded, cache
-from hesr_model.support.bounded import parse_json, parse_toml, read_text, require_printable
+from hesr_model.support import cache
+from hesr_model.support import untrusted_text as bounded
 from hesr_model.support.config import Config, validated
 from hesr_model.support.process import how_it_ended
 from hesr_model.support.progress import PARTS, counted, into_file, watched
 from hesr_model.support.text import listed, plain, quoted
+from hesr_model.support.untrusted_text import parse_json, parse_toml, read_text, require_printable
 
 
 def refused(make: Callable[[], object]) -> str:

@@ -8,8 +8,8 @@ from joint_data import along, law, path, with_tau
 
 from hesr_model.artifacts import read_model, write_model
 from hesr_model.errors import ArtifactError, SimulationError
-from hesr_model.friction.fitting.calibration import with_band
-from hesr_model.friction.fitting.uncertainty import with_standard_errors
+from hesr_model.fitting.calibration import with_band
+from hesr_model.fitting.uncertainty import with_standard_errors
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord

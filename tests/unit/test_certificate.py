@@ -8,16 +8,16 @@ import pytest
 import sympy
 
 from hesr_model.artifacts import read_model
+from hesr_model.audit.attack import attack
+from hesr_model.audit.certificate import Certificate, certify, storage
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Relaxation, Stop
 from hesr_model.equations.over_log import StatesOverLog
-from hesr_model.friction.audit.attack import attack
-from hesr_model.friction.audit.certificate import Certificate, certify, storage
-from hesr_model.friction.evaluate import Stepper, predict
 from hesr_model.friction.inputs import DQ, INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.predict import Stepper, predict
 from hesr_model.friction.registry import registry
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support.files import models_folder
 
 TRAINED = TrainedRange(

@@ -8,14 +8,14 @@ import pytest
 from registry_models import everyday
 from test_certificate import TRAINED, law_of, worst_step
 
-from cosim.replay import replay
 from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.run.replay import replay
+from hesr_model.audit.certificate import certify
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.audit.certificate import certify
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit_joint
+from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import registry
 from hesr_model.rigid_body.residual import FrictionRecord
 

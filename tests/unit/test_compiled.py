@@ -11,7 +11,6 @@ import sympy
 from joint_data import law, training
 
 from hesr_model.equations import rows as rows_module
-from hesr_model.equations.compiled import Rows, in_numpy, kernel_of
 from hesr_model.equations.functions import (
     absolute,
     cardinal_sine,
@@ -23,16 +22,17 @@ from hesr_model.equations.functions import (
     positive,
     sgn,
 )
+from hesr_model.equations.kernel import Rows, in_numpy, kernel_of
 from hesr_model.equations.memory import Element, Relaxation, Stop
 from hesr_model.equations.over_log import Discretisation, StatesOverLog
 from hesr_model.equations.rows import RUNS, OutsideError
 from hesr_model.errors import ExportError, SimulationError
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.samples import Samples, non_negative_least_squares
-from hesr_model.friction.fitting.separable import Separable
+from hesr_model.fitting.samples import Samples, non_negative_least_squares
+from hesr_model.fitting.separable import Separable
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.lugre import LuGre, LuGreLoad
-from hesr_model.friction.laws.ripple import Ripple
+from hesr_model.friction.predict import predict
+from hesr_model.laws.lugre import LuGre, LuGreLoad
+from hesr_model.laws.ripple import Ripple
 
 U, V, K = sympy.symbols("u v k", real=True)
 ROWS = 1000  # not a multiple of what a block or a vector has

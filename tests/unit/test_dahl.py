@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from joint_data import along, error_on, law, path, training, unseen
 
-from hesr_model.friction.evaluate import predict
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.dahl import DEFLECTIONS, DahlBasis, DahlBasisLoad
+from hesr_model.friction.predict import predict
+from hesr_model.laws.dahl import DEFLECTIONS, DahlBasis, DahlBasisLoad
 
 FORCES = {"F_1": 2.0, "F_2": 3.0, "F_3": 1.5, "F_4": 2.5, "F_5": 1.0}
 LOADS = {"mu_1": 0.05, "mu_2": 0.01, "mu_3": 0.03, "mu_4": 0.02, "mu_5": 0.01}

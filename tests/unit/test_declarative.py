@@ -8,11 +8,11 @@ import pytest
 from joint_data import GEAR_RATIO, along, error_on, law, path, training
 
 from hesr_model.errors import ArtifactError, FitError
-from hesr_model.friction.fitting.declarative import Described, OneForm, no_structure
-from hesr_model.friction.fitting.separable import SearchSpace
+from hesr_model.fitting.declarative import Described, OneForm, no_structure
+from hesr_model.fitting.separable import SearchSpace
 from hesr_model.friction.law import FrictionLaw, LawForm
-from hesr_model.friction.laws.stribeck import Stribeck
 from hesr_model.friction.registry import registry
+from hesr_model.laws.stribeck import Stribeck
 
 RIPPLE = {"ripple": {"gear_ratio": GEAR_RATIO, "orders": [3]}}
 STRIBECK = {"F_c": 6.0, "F_s": 9.0, "v_s": 0.1, "sigma_2": 4.0, "tau_0": -0.3}

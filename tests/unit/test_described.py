@@ -7,8 +7,8 @@ import pytest
 
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.logs.robot_log import RobotLog
-from hesr_model.robots.described import Robot, described, model_of
 from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.robots.robot_argument import Robot, described, model_of
 
 
 def test_a_model_file_alone_describes_all_its_joints(arm: RobotDescription) -> None:

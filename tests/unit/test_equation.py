@@ -12,8 +12,8 @@ from joint_data import GEAR_RATIO, HX_BRISTLE, law
 from fmu_src import model_file
 from hesr_model.artifacts import read_model
 from hesr_model.friction.equation import coefficient_lines, equations
-from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.predict import predict
 
 UNIT = {"g": "sin", "arguments": ["1", "dq", "h", "dh"]}
 

@@ -16,9 +16,9 @@ from hesr_model.equations.over_log import Discretisation, StatesOverLog, clipped
 from hesr_model.equations.program import Tangent, change_of, readings
 from hesr_model.equations.stepping import Steps
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.evaluate import Stepper, predict
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.friction.predict import Stepper, predict
 
 X, Y = sympy.symbols("x y", real=True)
 STEPS = st.lists(st.tuples(st.floats(-2, 2), st.floats(0, 1.5)), min_size=1, max_size=70)

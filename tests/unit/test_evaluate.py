@@ -12,9 +12,9 @@ from hesr_model.equations.functions import NUMPY, absolute, sgn
 from hesr_model.equations.memory import Relaxation
 from hesr_model.equations.over_log import recurrence, step_coefficients
 from hesr_model.errors import SimulationError
-from hesr_model.friction.evaluate import Stepper, estimated_start, predict
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.predict import Stepper, estimated_start, predict
 
 A, B, C, D = (Coefficient(name=n, unit="1", description=n) for n in "abcd")
 a, b, c, d = (k.symbol for k in (A, B, C, D))

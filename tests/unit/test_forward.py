@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from small_twin import MOTIONS
 
-from cosim.studies.excite import recordings
-from cosim.studies.motions import Motions
+from cosim.loop.excite import recordings
+from cosim.loop.motions import Motions
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr_model.errors import SimulationError
+from hesr_model.fitting.fit import fit
 from hesr_model.forward.simulation import Simulator, inner_steps, position_errors
 from hesr_model.forward.stepping import LawSteps
 from hesr_model.forward.windows import joined, whole, windows_of
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import registry
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.rigid_body.identification import identify

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from hesr_model.errors import ArtifactError, HesrError
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit_joint
+from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.lugre import LuGre
+from hesr_model.friction.predict import predict
+from hesr_model.laws.lugre import LuGre
 from hesr_model.rigid_body.residual import FrictionRecord
 
 NAMES = ("sigma_0", "sigma_1", "sigma_2", "F_c", "F_s", "v_s", "tau_0")

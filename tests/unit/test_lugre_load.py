@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from joint_data import along, error_on, law, path, training, unseen, with_tau
 
-from hesr_model.friction.fitting.fit import fit_joint
-from hesr_model.friction.laws.lugre import LuGre, LuGreLoad, LuGreLoadRipple
+from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.records import predict_record
+from hesr_model.laws.lugre import LuGre, LuGreLoad, LuGreLoadRipple
 
 CASES = [
     {"sigma_0": 3000.0, "sigma_1": 15.0, "sigma_2": 6.0, "F_c": 9.0, "F_s": 12.0, "v_s": 0.1,

@@ -6,19 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hesr.extras.laws import mlp
+from hesr.extras.laws.mlp import MlpH
 from hesr_model.errors import ArtifactError, FitError
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit_joint
-from hesr_model.friction.fitting.samples import Samples
+from hesr_model.fitting.fit import fit_joint
+from hesr_model.fitting.samples import Samples
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.networks import mlp, rbf
-from hesr_model.friction.laws.networks.inputs import TRIED, Inputs, candidates, first_tame
-from hesr_model.friction.laws.networks.mlp import MlpH
-from hesr_model.friction.laws.networks.rbf import RbfnnH
-from hesr_model.friction.laws.networks.training import Network, path
-from hesr_model.friction.laws.parfam import family
-from hesr_model.friction.laws.parfam.features import HysteresisFeatures
 from hesr_model.friction.metrics import rmse
+from hesr_model.friction.predict import predict
+from hesr_model.laws.networks import rbf
+from hesr_model.laws.networks.inputs import TRIED, Inputs, candidates, first_tame
+from hesr_model.laws.networks.rbf import RbfnnH
+from hesr_model.laws.networks.training import Network, path
+from hesr_model.laws.parfam import family
+from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.rigid_body.residual import FrictionRecord
 
 ALPHA, BETA = 9.0, 30.0

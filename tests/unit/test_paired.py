@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from hesr_model.inference.paired import DRAWS, ENOUGH, compare_errors, holm, units
+from hesr_model.inference.paired_test import DRAWS, ENOUGH, compare_errors, holm, units
 
 
 def errors(

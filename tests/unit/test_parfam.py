@@ -11,16 +11,16 @@ from threadpoolctl import threadpool_limits
 
 from hesr_model.artifacts import read_model
 from hesr_model.errors import ArtifactError, FitError, HesrError
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit_joint, fit_models
-from hesr_model.friction.fitting.samples import Samples
+from hesr_model.fitting.fit import fit_joint, fit_models
+from hesr_model.fitting.samples import Samples
 from hesr_model.friction.law import MOVING
-from hesr_model.friction.laws.parfam import calibrate, evolve, family, paper, refine
-from hesr_model.friction.laws.parfam.calibrate import Cell
-from hesr_model.friction.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
-from hesr_model.friction.laws.parfam.estimator import ParFamH
-from hesr_model.friction.laws.parfam.features import HysteresisFeatures
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.predict import predict
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.laws.parfam import calibrate, evolve, family, paper, refine
+from hesr_model.laws.parfam.calibrate import Cell
+from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
+from hesr_model.laws.parfam.estimator import ParFamH
+from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.files import models_folder
 

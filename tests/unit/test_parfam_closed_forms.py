@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hesr_model.friction.fitting.samples import Samples
-from hesr_model.friction.laws.lugre import STATIC_RATIO_BOUNDS
-from hesr_model.friction.laws.parfam import calibrate, evolve, refine, trial
-from hesr_model.friction.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
-from hesr_model.friction.laws.parfam.features import HysteresisFeatures
-from hesr_model.friction.laws.stribeck import VELOCITY_BOUNDS
+from hesr_model.fitting.samples import Samples
 from hesr_model.inference.correlation import correlation_length
+from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
+from hesr_model.laws.parfam import calibrate, evolve, refine, trial
+from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
+from hesr_model.laws.parfam.features import HysteresisFeatures
+from hesr_model.laws.stribeck import VELOCITY_BOUNDS
 from hesr_model.rigid_body.residual import FrictionRecord
 
 ALPHA, BETA = 12.0, 25.0

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from joint_data import along, law, path
 
-from hesr_model.friction.fitting.samples import Samples
-from hesr_model.friction.laws.networks.inputs import Inputs
-from hesr_model.friction.laws.parfam import calibrate, estimator, evolve, paper, refine, velocity
-from hesr_model.friction.laws.parfam.calibrate import Cell
-from hesr_model.friction.laws.parfam.candidate import Candidate
-from hesr_model.friction.laws.parfam.estimator import ParFamH
-from hesr_model.friction.laws.parfam.features import HysteresisFeatures
-from hesr_model.friction.laws.parfam.trial import Trial
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.fitting.samples import Samples
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.laws.networks.inputs import Inputs
+from hesr_model.laws.parfam import calibrate, estimator, evolve, paper, refine, velocity
+from hesr_model.laws.parfam.calibrate import Cell
+from hesr_model.laws.parfam.candidate import Candidate
+from hesr_model.laws.parfam.estimator import ParFamH
+from hesr_model.laws.parfam.features import HysteresisFeatures
+from hesr_model.laws.parfam.trial import Trial
 from hesr_model.rigid_body.residual import FrictionRecord
 
 TRUTH = law(

@@ -17,13 +17,13 @@ from joint_data import (
 )
 
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit_joint
+from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.lugre import LuGre
-from hesr_model.friction.laws.parfam import trial
-from hesr_model.friction.laws.parfam.extended import ParFamHX
+from hesr_model.friction.predict import predict
 from hesr_model.friction.records import predict_record
+from hesr_model.laws.lugre import LuGre
+from hesr_model.laws.parfam import trial
+from hesr_model.laws.parfam.hx import ParFamHX
 from hesr_model.rigid_body.residual import FrictionRecord
 
 NOISE = 0.2

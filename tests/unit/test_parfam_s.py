@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit_joint
-from hesr_model.friction.fitting.samples import Samples
-from hesr_model.friction.fitting.signed import Normal, blocks_of, pays, signed_least_squares
+from hesr_model.fitting.fit import fit_joint
+from hesr_model.fitting.nonnegative import Normal, blocks_of, pays, signed_least_squares
+from hesr_model.fitting.samples import Samples
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.stops import passive
-from hesr_model.friction.laws.stops.estimator import ParFamS
-from hesr_model.friction.laws.stops.form import BOUNDS, Structure
-from hesr_model.friction.laws.stops.search import dictionary, search
 from hesr_model.friction.metrics import rmse
+from hesr_model.friction.predict import predict
+from hesr_model.laws.stops import passive
+from hesr_model.laws.stops.estimator import ParFamS
+from hesr_model.laws.stops.form import BOUNDS, Structure
+from hesr_model.laws.stops.search import dictionary, search
 from hesr_model.rigid_body.residual import FrictionRecord
 
 RIPPLE = 200

@@ -5,10 +5,10 @@ import pytest
 from joint_data import HX_PAPER, along, error_on, law, path, training, unseen
 
 from hesr_model.errors import FitError
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit_joint
+from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.parfam.velocity import ParFamV
+from hesr_model.friction.predict import predict
+from hesr_model.laws.parfam.velocity import ParFamV
 
 NOISE = 0.2
 

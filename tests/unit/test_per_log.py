@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hesr_model.friction.fitting.fit import fit_models
-from hesr_model.friction.fitting.per_log import OwnOfLog, own_of_logs, with_own, without_own
+from hesr_model.fitting.day_offsets import OwnOfLog, own_of_logs, with_own, without_own
+from hesr_model.fitting.fit import fit_models
 from hesr_model.rigid_body.residual import FrictionRecord
 
 LEVELS, OFFSETS = (0.8, 1.0, 1.2), (1.5, 0.0, -1.5)

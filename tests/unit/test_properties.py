@@ -8,10 +8,9 @@ from typing import Any
 
 import pytest
 
-from hesr_model.errors import ArtifactError
-from hesr_model.friction.audit import expectations
-from hesr_model.friction.audit.expectations import EXPECTATIONS
-from hesr_model.friction.audit.properties import (
+from hesr_model.audit import expectations
+from hesr_model.audit.expectations import EXPECTATIONS
+from hesr_model.audit.properties import (
     FORMAT,
     Curve,
     Figure,
@@ -22,6 +21,7 @@ from hesr_model.friction.audit.properties import (
     read_properties,
     write_properties,
 )
+from hesr_model.errors import ArtifactError
 
 Change = Callable[[dict[str, Any]], None]
 

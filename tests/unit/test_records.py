@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from joint_data import HX_BRISTLE, HX_PAPER, Path, along, law, path
 
-from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.predict import predict
 from hesr_model.friction.records import predict_record, record_start
 
 LUGRE = law(

@@ -8,9 +8,9 @@ import pytest
 from joint_data import law as made
 
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit_models
+from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import predict
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import RigidBody, identify

@@ -5,13 +5,13 @@ import pytest
 from joint_data import GEAR_RATIO, along, error_on, law, path, training, unseen
 
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.samples import Samples
-from hesr_model.friction.fitting.separable import Separable
+from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.separable import Separable
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws import ripple
-from hesr_model.friction.laws.lugre import LuGreLoad, LuGreLoadRipple
-from hesr_model.friction.laws.ripple import Ripple
+from hesr_model.friction.predict import predict
+from hesr_model.laws import ripple
+from hesr_model.laws.lugre import LuGreLoad, LuGreLoadRipple
+from hesr_model.laws.ripple import Ripple
 from hesr_model.support.typed_json import to_json
 
 LAG, SMOOTHING = 4e-3, 2e-3

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from hesr_model.errors import FitError, LogError
-from hesr_model.friction.fitting.samples import Samples, least_squares, non_negative_least_squares
+from hesr_model.fitting.samples import Samples, least_squares, non_negative_least_squares
 from hesr_model.rigid_body.residual import FrictionRecord
 
 

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import sympy
 
+from hesr.extras.laws.strain_wave import StrainWave
 from hesr_model.equations.functions import sgn
-from hesr_model.friction.evaluate import predict
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.laws.dahl import DahlBasisLoad
-from hesr_model.friction.laws.lugre import LuGreLoad
-from hesr_model.friction.laws.parfam import family
-from hesr_model.friction.laws.stops.form import Structure
-from hesr_model.friction.laws.strain_wave import StrainWave
+from hesr_model.friction.predict import predict
 from hesr_model.friction.scales import COULOMB, VISCOUS, has_viscous, scaled
+from hesr_model.laws.dahl import DahlBasisLoad
+from hesr_model.laws.lugre import LuGreLoad
+from hesr_model.laws.parfam import family
+from hesr_model.laws.stops.form import Structure
 
 UNIT = [{"g": "tanh", "arguments": ["1", "dq", "h", "dh"]}]
 LINEAR = ["1", "dq", "h", "dh", "h_load"]

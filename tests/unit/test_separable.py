@@ -8,17 +8,17 @@ import pytest
 import sympy
 from joint_data import along, law, path, training
 
+from hesr.extras.laws.strain_wave import StrainWave
 from hesr_model.equations.memory import Relaxation
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.declarative import OneForm
-from hesr_model.friction.fitting.samples import Samples
-from hesr_model.friction.fitting.separable import LEAST, SearchSpace, Separable, left_out_cost
+from hesr_model.fitting.declarative import OneForm
+from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.separable import LEAST, SearchSpace, Separable, left_out_cost
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.laws.dahl import DahlBasisLoad
-from hesr_model.friction.laws.lugre import LuGre, LuGreLoad
-from hesr_model.friction.laws.strain_wave import StrainWave
-from hesr_model.friction.laws.stribeck import Stribeck
+from hesr_model.friction.predict import predict
+from hesr_model.laws.dahl import DahlBasisLoad
+from hesr_model.laws.lugre import LuGre, LuGreLoad
+from hesr_model.laws.stribeck import Stribeck
 
 LAWS: Mapping[str, tuple[type[OneForm], Mapping[str, float]]] = {
     "stribeck": (Stribeck, {"v_s": 0.1}),

@@ -9,8 +9,8 @@ from joint_data import HX_PAPER, along, law, path
 
 from hesr_model.artifacts import read_model, write_model
 from hesr_model.errors import ArtifactError, LogError
+from hesr_model.fitting.fit import fit
 from hesr_model.friction.equation import coefficient_lines
-from hesr_model.friction.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
 from hesr_model.rigid_body.residual import require_reversals

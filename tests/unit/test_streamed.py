@@ -8,9 +8,9 @@ import pytest
 
 from hesr_model.errors import FitError
 from hesr_model.logs.signals import Motion
-from hesr_model.rigid_body import streamed
+from hesr_model.rigid_body import accumulation as streamed
+from hesr_model.rigid_body.accumulation import Streamed
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
-from hesr_model.rigid_body.streamed import Streamed
 from hesr_model.robots.robot import RobotModel
 
 MakeMotion = Callable[..., Motion]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hesr_model.errors import ArtifactError, HesrError
-from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.stribeck import Stribeck
+from hesr_model.friction.predict import predict
+from hesr_model.laws.stribeck import Stribeck
 from hesr_model.rigid_body.residual import FrictionRecord
 
 RNG_SEED = 0

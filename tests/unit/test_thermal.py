@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from adaptive_models import NOISE, SPEED, lugre, model, motion, stops, truth
 
+from hesr.extras.adaptive.component import adaptive_component
+from hesr.extras.adaptive.follow import Follower
+from hesr.extras.adaptive.tuning import TUNING
+from hesr.extras.thermal.thermal_fit import Factored, ThermalFit, fit_thermal
 from hesr_model.artifacts import read_model, write_model
+from hesr_model.audit.certificate import least_viscosity, storage
 from hesr_model.equations.stepping import Steps
 from hesr_model.errors import ArtifactError, FitError
-from hesr_model.friction.adaptive.component import adaptive_component
-from hesr_model.friction.adaptive.follow import Follower
-from hesr_model.friction.adaptive.thermal_fit import Factored, ThermalFit, fit_thermal
-from hesr_model.friction.adaptive.tuning import TUNING
-from hesr_model.friction.audit.certificate import least_viscosity, storage
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel

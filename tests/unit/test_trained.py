@@ -10,10 +10,10 @@ from joint_data import HX_PAPER, along, law, path
 
 from hesr_model.artifacts import read_model, write_model
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.fitting.fit import fit_models
+from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record
-from hesr_model.friction.trained import TrainedRange, outside
+from hesr_model.friction.trained_range import TrainedRange, outside
 
 TRUTH = law("parfam_hx", HX_PAPER, c_0=0.4, c_dq=5.0, c_h=9.0, c_dh=0.02, alpha=10.0, beta=50.0)
 RECORDS = [along(TRUTH, path(k), log=f"{k}") for k in range(2)]

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hesr_model.friction.laws.networks import training
-from hesr_model.friction.laws.networks.training import _Problem, path
+from hesr_model.laws.networks import training
+from hesr_model.laws.networks.training import _Problem, path
 
 DECAY = 1e-3
 

@@ -8,9 +8,9 @@ import pytest
 
 from hesr_model.artifacts import read_model, write_model
 from hesr_model.errors import ArtifactError, ConfigError, RobotError
-from hesr_model.friction.fitting.fit import fit
+from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.trained import outside
+from hesr_model.friction.trained_range import outside
 from hesr_model.health.evidence import Torques, as_logged, motionwise
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import Motion

@@ -9,22 +9,22 @@ import pytest
 from joint_data import along, law, path, with_tau
 from scipy.signal import lfilter
 
+from hesr.extras.laws.strain_wave import StrainWave
 from hesr_model.errors import SimulationError
-from hesr_model.friction.fitting.fit import fit_joint
-from hesr_model.friction.fitting.samples import Samples
-from hesr_model.friction.fitting.separable import Separable
-from hesr_model.friction.fitting.uncertainty import (
+from hesr_model.fitting.fit import fit_joint
+from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.separable import Separable
+from hesr_model.fitting.uncertainty import (
     MOST_COEFFICIENTS,
     wider_side,
     with_pooled_errors,
     with_standard_errors,
 )
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.dahl import DahlBasis
-from hesr_model.friction.laws.lugre import STATIC_RATIO_BOUNDS, LuGre
-from hesr_model.friction.laws.strain_wave import StrainWave
 from hesr_model.friction.records import predict_record
 from hesr_model.inference.correlation import correlation_length, standard_errors
+from hesr_model.laws.dahl import DahlBasis
+from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS, LuGre
 
 TRUTH = law(
     "strain_wave", {}, x_0=4e-3, mu_avg=0.12, mu_dif=0.03, F_c=5.0, sigma_2=7.0, tau_0=0.5

@@ -6,7 +6,7 @@ from typing import Any
 
 from cosim.interop.case import Alone, Run
 from cosim.interop.engine import Engine, SkippedError, Tools, given_alone, host, require_fmi_2
-from cosim.slave import Component
+from fmu_src.run.fmu import Component
 
 
 def _alone(tools: Tools, case: Alone, folder: Path) -> Run:

@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 from cosim.interop.case import Run, Together
 from cosim.interop.engine import Engine, SkippedError, Tools, given_together, host
 from cosim.interop.reference import Coupling
-from fmu_src.archive import MOST_TEXT, Archive
+from fmu_src.run.archive import MOST_TEXT, Archive
 
 _SET = "}ParameterSet"
 

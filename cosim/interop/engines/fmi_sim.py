@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-from cosim.description import model_description
 from cosim.interop.case import Alone, Run
 from cosim.interop.engine import (
     SECONDS,
@@ -15,6 +14,7 @@ from cosim.interop.engine import (
     require_success,
     write_inputs,
 )
+from fmu_src.run.description import model_description
 from hesr_model.support.process import FailedError, run
 
 

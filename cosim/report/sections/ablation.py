@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from cosim.report.markup import Pictures, Section, joined, paragraph, table
 from cosim.report.results import Results
-from cosim.tables.table import ResultTable, number, row_of, title
+from cosim.report.tables.table import ResultTable, number, row_of, title
 
 _STEPS = (
     ("parfam_v", "parfam_h", "hysteresis state"),

@@ -2,11 +2,11 @@
 
 from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
 from cosim.report.results import Results
-from cosim.tables.laws import audit
-from cosim.tables.table import ResultTable, TableCell, fixed, number, row_of, title
-from fmu_src.documentation.datasheet import certified
-from hesr_model.friction.audit.audit import Audit
-from hesr_model.friction.audit.cycles import ENCODER
+from cosim.report.tables.laws import audit
+from cosim.report.tables.table import ResultTable, TableCell, fixed, number, row_of, title
+from fmu_src.pages.datasheet import certified
+from hesr_model.audit.audit import Audit
+from hesr_model.audit.cycles import ENCODER
 
 _ROUNDING = 1e-6  # [J]
 

@@ -4,9 +4,9 @@ from markupsafe import Markup
 
 from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
 from cosim.report.results import Results
-from cosim.tables.properties import properties
-from cosim.tables.table import PAPERS, title
-from fmu_src.documentation.properties_sheet import section as sheet
+from cosim.report.tables.properties import properties
+from cosim.report.tables.table import PAPERS, title
+from fmu_src.pages.properties_sheet import section as sheet
 
 
 def section(results: Results, pictures: Pictures) -> Section | None:

@@ -4,8 +4,8 @@ from markupsafe import Markup
 
 from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
 from cosim.report.results import Results
-from cosim.saved import SavedLog
-from cosim.tables.table import ResultTable, number, rounded, row_of
+from cosim.report.tables.table import ResultTable, number, rounded, row_of
+from cosim.study.results import SavedLog
 from hesr_model.rigid_body.identification import RigidBody
 
 _INTERVAL = 1.96
@@ -40,8 +40,8 @@ def _method(body: RigidBody) -> str:
 
 
 def _figure(results: Results, pictures: Pictures, log: SavedLog) -> Markup:
-    from cosim.figures.chart import Chart, Line, Panel
-    from cosim.figures.style import MEASURED, strokes
+    from cosim.report.figures.chart import Chart, Line, Panel
+    from cosim.report.figures.style import MEASURED, strokes
 
     torques = results.torques(log)
     t, blue = torques["t"], strokes(["rigid body"])["rigid body"]

@@ -2,10 +2,10 @@
 
 from markupsafe import Markup
 
-from cosim.health import read_findings
 from cosim.report.markup import Pictures, Section, details, joined, listing, paragraph, table
 from cosim.report.results import Results
-from cosim.tables.table import ResultTable, number, row_of
+from cosim.report.tables.table import ResultTable, number, row_of
+from cosim.study.health import read_findings
 
 _FEW = 3  # findings that stand open
 

@@ -13,9 +13,9 @@ from cosim.report.markup import (
     table,
 )
 from cosim.report.results import Results
-from cosim.tables.table import PAPERS, ResultTable, TableCell, number, row_of, title
-from fmu_src.documentation.mathml import equations, symbol
+from cosim.report.tables.table import PAPERS, ResultTable, TableCell, number, row_of, title
 from fmu_src.friction.variable_names import exposed
+from fmu_src.pages.mathml import equations, symbol
 from hesr_model.friction.model import FrictionModel
 
 _INTERVAL = 1.96

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.figures.plots import Sheet, sheets
+from cosim.report.figures.plots import Sheet, sheets
 from cosim.report.markup import Pictures, Section, joined, paragraph
 from cosim.report.results import Results
-from cosim.tables.table import PAPERS
+from cosim.report.tables.table import PAPERS
 from hesr_model.equations.over_log import Array
-from hesr_model.friction.evaluate import predict
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.predict import predict
 
 _FREQUENCY = 0.25  # [Hz], of the paper's sine
 _ROWS = 801  # of a period
@@ -20,8 +20,8 @@ _SPEED = 1.2  # [rad/s] where no speed was trained
 
 def section(results: Results, pictures: Pictures) -> Section | None:
     """Draw what alpha and beta do, at the values that were fitted to the first joint."""
-    from cosim.figures.chart import Line
-    from cosim.figures.style import strokes
+    from cosim.report.figures.chart import Line
+    from cosim.report.figures.style import strokes
 
     model = results.models.get(PAPERS)
     if model is None or not {"alpha", "beta"} <= set(model.laws[0].values):

@@ -9,9 +9,9 @@ from markupsafe import Markup
 
 from cosim.report.markup import Pictures, Section, joined, paragraph, render
 from cosim.report.results import Results
-from cosim.tables.table import PAPERS, title
-from fmu_src.archive import Archive
-from fmu_src.documentation.live.page import live_assets, live_section
+from cosim.report.tables.table import PAPERS, title
+from fmu_src.pages.live.page import live_assets, live_section
+from fmu_src.run.archive import Archive
 from hesr_model.errors import ArtifactError
 
 _PAGE = "documentation/index.html"

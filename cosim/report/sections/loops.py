@@ -1,10 +1,10 @@
 """Friction loops: torque over velocity of every law, on the log of a test set."""
 
-from cosim.figures.plots import loops
+from cosim.report.figures.plots import loops
 from cosim.report.markup import Pictures, Section, details, joined, paragraph
 from cosim.report.results import Results
-from cosim.scoring import ORACLE
-from cosim.tables.table import title
+from cosim.report.tables.table import title
+from cosim.study.scores import ORACLE
 
 _SPAN = 20.0  # [s] of the log that are drawn; more hide each other
 

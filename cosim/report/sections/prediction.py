@@ -7,11 +7,11 @@ from cosim.report.markup import Pictures, Section, details, heading, joined, par
 from cosim.report.results import Results
 from cosim.report.sections.traces import WINDOW as MOVING
 from cosim.report.sections.traces import torque_chart
-from cosim.saved import SavedLog
-from cosim.scoring import input_classes
-from cosim.tables.scores import MEASURES, errors, other_truths, position_errors
-from cosim.tables.scores import bands as band_table
-from cosim.tables.table import PAPERS, ResultTable, named, number, row_of, title
+from cosim.report.tables.scores import MEASURES, errors, other_truths, position_errors
+from cosim.report.tables.scores import bands as band_table
+from cosim.report.tables.table import PAPERS, ResultTable, named, number, row_of, title
+from cosim.study.results import SavedLog
+from cosim.study.scores import input_classes
 
 _WINDOW = 10.0  # [s] of a picture; the view that zooms shows all
 

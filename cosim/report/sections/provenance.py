@@ -6,7 +6,7 @@ from markupsafe import Markup
 
 from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
 from cosim.report.results import Results
-from cosim.tables.table import ResultTable, row_of
+from cosim.report.tables.table import ResultTable, row_of
 
 
 def section(results: Results, pictures: Pictures) -> Section:

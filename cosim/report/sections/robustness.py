@@ -2,7 +2,7 @@
 
 from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
 from cosim.report.results import Results
-from cosim.tables.loop import overcompensation, sweeps
+from cosim.report.tables.loop import overcompensation, sweeps
 
 
 def section(results: Results, pictures: Pictures) -> Section | None:

@@ -6,19 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from cosim.batch import Array
-from cosim.closed_loop import Scheme, StandIn
-from cosim.figures.plots import ratios
-from cosim.health import read_findings
+from cosim.loop.closed_loop import Scheme, StandIn
+from cosim.report.figures.plots import ratios
 from cosim.report.markup import Pictures, joined, listing, paragraph, render
 from cosim.report.results import Results
 from cosim.report.sections.audit import passive
 from cosim.report.sections.tracking import of_scheme, outer
-from cosim.scoring import ORACLE
-from cosim.tables.scores import leading
-from cosim.tables.table import PAPERS, decimals, title
-from cosim.verdict import VERDICT, read_verdict
-from hesr_model.friction.audit.expectations import EXPECTATIONS
+from cosim.report.tables.scores import leading
+from cosim.report.tables.table import PAPERS, decimals, title
+from cosim.study.health import read_findings
+from cosim.study.scores import ORACLE
+from cosim.study.verdict import VERDICT, read_verdict
+from fmu_src.run.batch import Array
+from hesr_model.audit.expectations import EXPECTATIONS
 
 _FEW = 3  # joints whose figures stand side by side
 

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cosim.figures.chart import Chart, Line, Panel
-from cosim.figures.style import MEASURED, SOFT, Stroke, strokes
+from cosim.report.figures.chart import Chart, Line, Panel
+from cosim.report.figures.style import MEASURED, SOFT, Stroke, strokes
 from cosim.report.results import Results
-from cosim.saved import SavedLog
-from cosim.tables.table import title
+from cosim.report.tables.table import title
+from cosim.study.results import SavedLog
 from hesr_model.equations.over_log import Array
 from hesr_model.friction.banded import predict_band
 

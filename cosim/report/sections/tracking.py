@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 
-from cosim.closed_loop import Scheme, StandIn
+from cosim.loop.closed_loop import Scheme, StandIn
 from cosim.report import paper
 from cosim.report.markup import (
     Pictures,
@@ -20,12 +20,12 @@ from cosim.report.markup import (
     table,
 )
 from cosim.report.results import Results
-from cosim.tables.loop import mrad, places, tracking
-from cosim.tables.table import ResultTable, TableCell, named, row_of, title
+from cosim.report.tables.loop import mrad, places, tracking
+from cosim.report.tables.table import ResultTable, TableCell, named, row_of, title
 
 if TYPE_CHECKING:
-    from cosim.studies.traces import Trace
-    from cosim.studies.tracking import Tracked
+    from cosim.loop.traces import Trace
+    from cosim.loop.tracking import Tracked
 
 _OWN, _INVERSE = Scheme(compensation="torque_error"), Scheme(compensation="servo_inversion")
 _NONE = Scheme(compensation="none")
@@ -158,8 +158,8 @@ def _best(rows: "dict[str, Tracked]") -> list[float]:
 
 
 def _figure(results: Results, pictures: Pictures, scheme: Scheme) -> Markup:
-    from cosim.figures.chart import Chart, Line, Panel
-    from cosim.figures.style import DESIRED, SOFT, Stroke, strokes
+    from cosim.report.figures.chart import Chart, Line, Panel
+    from cosim.report.figures.style import DESIRED, SOFT, Stroke, strokes
 
     key_laws = [law for law in results.key_laws if law not in ("stribeck", "parfam_v")]
     paths = {

@@ -8,9 +8,9 @@ from closed_loop import MOTION, Bench
 from small_fmus import LAGS
 from small_study import Hesr, hesr_here
 
-from cosim.closed_loop import Scheme
-from cosim.package.contents import SystemContents, read_contents
-from cosim.system import ComponentSpec, SystemSpec
+from cosim.loop.closed_loop import Scheme
+from cosim.systems.contents import SystemContents, read_contents
+from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.blocks.trajectory import start_values
 
 Write = Callable[..., Path]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.package.contents import SystemContents
-from cosim.slave import Component
-from cosim.wiring import Element
+from cosim.systems.contents import SystemContents
+from cosim.systems.wiring import Element
+from fmu_src.run.fmu import Component
 
 Array = NDArray[np.float64]
 

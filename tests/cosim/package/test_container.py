@@ -11,11 +11,11 @@ import pytest
 from couplings import error, refreshed
 from fmpy.model_description import read_model_description
 
-from cosim.package.container import write_container
-from cosim.package.contents import SystemContents, read_contents
-from cosim.slave import Component
-from cosim.system import SystemSpec
+from cosim.systems.container import write_container
+from cosim.systems.contents import SystemContents, read_contents
+from cosim.systems.system import SystemSpec
 from fmu_src.check import check
+from fmu_src.run.fmu import Component
 from hesr_model.errors import ConfigError, ExportError, SimulationError
 
 Write = Callable[..., Path]

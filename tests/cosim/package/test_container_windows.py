@@ -12,11 +12,11 @@ from c_hosts import Wine, build_host
 from closed_loop import build
 from fmpy.model_description import read_model_description
 
-from cosim.closed_loop import Scheme
-from cosim.package.container import write_container
-from cosim.package.contents import read_contents
+from cosim.loop.closed_loop import Scheme
+from cosim.systems.container import write_container
+from cosim.systems.contents import read_contents
 from fmu_src import model_file
-from fmu_src.toolchain import TARGETS
+from fmu_src.export.toolchain import TARGETS
 from hesr_model.artifacts import read_model
 from hesr_model.errors import ExportError
 from hesr_model.support.compiler import compile_c

@@ -10,15 +10,15 @@ import pytest
 from fakes import description, variable
 from small_study import Hesr
 
-from cosim.master import simulate
-from cosim.package.contents import read_contents
-from cosim.package.names import safe_names
-from cosim.package.read import opened_system
-from cosim.package.ssd import SSD
-from cosim.package.ssp import write_ssp
-from cosim.package.units import Quantity, in_unit_of
-from cosim.system import SystemSpec
-from cosim.variables import SI, Variables
+from cosim.systems.contents import read_contents
+from cosim.systems.names import safe_names
+from cosim.systems.simulation import simulate
+from cosim.systems.ssd import SSD
+from cosim.systems.ssp import write_ssp
+from cosim.systems.ssp_reader import opened_system
+from cosim.systems.system import SystemSpec
+from cosim.systems.units import Quantity, in_unit_of
+from fmu_src.run.variables import SI, Variables
 from hesr_model.errors import ConfigError
 
 Write = Callable[..., Path]

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from small_study import Hesr, contents
 
-from cosim.package.contents import SystemContents
-from cosim.package.ssp import write_ssp
-from cosim.system_file import write_system
+from cosim.systems.contents import SystemContents
+from cosim.systems.ssp import write_ssp
+from cosim.systems.system_file import write_system
 
 SSD = "SystemStructure.ssd"
 Edit = Callable[..., Path]

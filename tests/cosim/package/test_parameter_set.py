@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from cosim.commands import export
-from cosim.package.parameter_set import COVARIANCE, export_ssv
+from cosim.systems.parameter_set import COVARIANCE, export_ssv
+from cosim.workflow.commands import export
 from fmu_src import model_file
 from hesr_model.artifacts import read_model
 from hesr_model.errors import ExportError

@@ -14,12 +14,12 @@ from fmpy.ssp.ssd import Parameter, ParameterSet, read_ssd
 from lxml import etree
 from small_study import Hesr
 
-from cosim.master import simulate
-from cosim.package.contents import SystemContents, read_contents
-from cosim.package.markup import Version
-from cosim.package.read import opened_system
-from cosim.package.ssp import write_ssp
-from cosim.system import SystemSpec
+from cosim.systems.contents import SystemContents, read_contents
+from cosim.systems.markup import Version
+from cosim.systems.simulation import simulate
+from cosim.systems.ssp import write_ssp
+from cosim.systems.ssp_reader import opened_system
+from cosim.systems.system import SystemSpec
 
 Write = Callable[..., Path]
 

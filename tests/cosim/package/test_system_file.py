@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from cosim.master import Master
-from cosim.package.contents import SystemContents
-from cosim.system import ComponentSpec, SystemSpec
-from cosim.system_file import write_system
+from cosim.systems.contents import SystemContents
+from cosim.systems.simulation import Master
+from cosim.systems.system import ComponentSpec, SystemSpec
+from cosim.systems.system_file import write_system
 from hesr_model.errors import ArtifactError
 
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 from subjects import INERTIA, bristle, law, model, slip
 
-from cosim.studies.properties.battery import Subject, measure
+from cosim.properties.battery import Subject, measure
 from fmu_src import model_file
 from hesr_model.artifacts import read_model
-from hesr_model.friction.audit.properties import Properties
+from hesr_model.audit.properties import Properties
 from hesr_model.friction.law import FrictionLaw
 
 

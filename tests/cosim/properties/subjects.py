@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from fmu_src.description import Description
-from fmu_src.interface import Interface, Variable
-from fmu_src.package import Content, write_fmu
+from fmu_src.export.description import Description
+from fmu_src.export.interface import Interface, Variable
+from fmu_src.export.package import Content, write_fmu
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 
 SLIP = Path(__file__).with_name("slip.c")
 SPEED = 1.0

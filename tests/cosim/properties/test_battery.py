@@ -10,18 +10,18 @@ import pytest
 import sympy
 from subjects import INERTIA, SPEED, bristle, law, model
 
-from cosim.studies.properties.battery import Subject, measure, run_battery
+from cosim.properties.battery import Subject, measure, run_battery
 from fmu_src import export_fmu, model_file
 from hesr_model.artifacts import read_model
+from hesr_model.audit.audit import audit
+from hesr_model.audit.expectations import EXPECTATIONS
+from hesr_model.audit.properties import Finding, Properties
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Stop
 from hesr_model.errors import ConfigError
-from hesr_model.friction.audit.audit import audit
-from hesr_model.friction.audit.expectations import EXPECTATIONS
-from hesr_model.friction.audit.properties import Finding, Properties
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 
 LEVEL, STIFFNESS = 8.0, 8000.0  # of `bristle()`
 SLIDES = LEVEL / STIFFNESS

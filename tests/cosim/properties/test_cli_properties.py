@@ -9,8 +9,8 @@ from small_study import Answer, Hesr, hesr_here
 from subjects import bristle, model, slip
 
 from hesr_model.artifacts import write_model
-from hesr_model.friction.audit.expectations import EXPECTATIONS
-from hesr_model.friction.audit.properties import read_properties
+from hesr_model.audit.expectations import EXPECTATIONS
+from hesr_model.audit.properties import read_properties
 
 
 @pytest.fixture

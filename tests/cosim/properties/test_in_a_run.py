@@ -9,10 +9,10 @@ import pinocchio
 import pytest
 from small_study import Run
 
-from cosim.studies.properties.battery import Subject, run_battery
-from cosim.studies.properties.inertia import INERTIA, standing_inertia
-from hesr_model.friction.audit.expectations import EXPECTATIONS
-from hesr_model.friction.audit.properties import read_properties, write_properties
+from cosim.properties.battery import Subject, run_battery
+from cosim.properties.inertia import INERTIA, standing_inertia
+from hesr_model.audit.expectations import EXPECTATIONS
+from hesr_model.audit.properties import read_properties, write_properties
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotDescription, RobotModel

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from subjects import bristle, model
 
-from cosim.studies.properties.battery import Subject, measure
+from cosim.properties.battery import Subject, measure
 from fmu_src import export_fmu
-from hesr_model.friction.audit.expectations import EXPECTATIONS
-from hesr_model.friction.audit.properties import Properties
+from hesr_model.audit.expectations import EXPECTATIONS
+from hesr_model.audit.properties import Properties
 
 PAGE = "documentation/index.html"
 

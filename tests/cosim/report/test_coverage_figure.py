@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from cosim.figures.chart import Line, Stroke
-from cosim.figures.coverage import JointView, joints
+from cosim.report.figures.chart import Line, Stroke
+from cosim.report.figures.coverage import JointView, joints
 
 
 def test_panels_without_a_model_say_so() -> None:

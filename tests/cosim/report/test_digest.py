@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from cosim.cli import app
 from cosim.report.digest import short, write_digest
 from cosim.report.results import Results
-from cosim.tables.markdown import markdown
-from cosim.tables.table import ResultTable, TableCell, TableRow, named
-from cosim.verdict import read_verdict
+from cosim.report.tables.markdown import markdown
+from cosim.report.tables.table import ResultTable, TableCell, TableRow, named
+from cosim.study.verdict import read_verdict
+from hesr.cli import app
 from hesr_model.errors import ArtifactError
 
 

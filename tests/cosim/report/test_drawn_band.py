@@ -9,8 +9,8 @@ import pytest
 from cosim.report.sections.traces import _band
 from hesr_model.friction.band import Band
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.lugre import LuGre
 from hesr_model.friction.model import FrictionModel
+from hesr_model.laws.lugre import LuGre
 
 BAND = Band(floor=0.7, slow=0.0, slow_speed=0.02, rest=0.0, fast=0.5, load=0.0, tail=0.65,
             envelope=0.0)  # fmt: skip

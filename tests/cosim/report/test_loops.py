@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.figures.plots import loops
+from cosim.report.figures.plots import loops
 
 
 def test_a_joint_that_is_never_slow_is_drawn_whole() -> None:

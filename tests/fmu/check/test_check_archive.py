@@ -9,8 +9,8 @@ import zlib
 import pytest
 from fmu_files import MODEL, members, said, texts, write
 
-from fmu_src.archive import opened
 from fmu_src.check import archive, check
+from fmu_src.run.archive import opened
 from hesr_model.errors import ArtifactError
 
 LEADS_OUT = (
@@ -187,7 +187,7 @@ def test_too_many_entries(content, tmp_path, monkeypatch):
 
 
 def test_a_huge_table_of_contents(content, tmp_path, monkeypatch):
-    monkeypatch.setattr("fmu_src.archive.MOST_DIRECTORY", 100)
+    monkeypatch.setattr("fmu_src.run.archive.MOST_DIRECTORY", 100)
     (text,) = said(write(tmp_path / "F.fmu", content))
     assert text.startswith("it is not a readable ZIP archive (its table of contents has ")
 

@@ -6,7 +6,7 @@ from fmu_files import BINARY, changed, check, members, said, texts
 
 from fmu_src.check import binaries
 from fmu_src.check.functions import KNOWN
-from fmu_src.toolchain import TARGETS
+from fmu_src.export.toolchain import TARGETS
 from hesr_model.support.compiler import compile_c
 
 ALL = tuple(sorted(KNOWN))

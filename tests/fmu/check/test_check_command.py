@@ -20,7 +20,7 @@ class Answer:
 
 def hesr(*arguments):
     result = subprocess.run(
-        [sys.executable, "-c", "from cosim.cli import main; main()", *map(str, arguments)],
+        [sys.executable, "-c", "from hesr.cli import main; main()", *map(str, arguments)],
         capture_output=True,
         text=True,
         check=False,

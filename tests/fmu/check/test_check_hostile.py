@@ -8,13 +8,14 @@ import pytest
 from fmu_files import changed, texts
 from pythonfmu.builder import FmuBuilder
 
-from fmu_src import export_fmu, package
+from fmu_src import export_fmu
 from fmu_src.check import check, hostile
 from fmu_src.drive.drive_fmu import export_drive
+from fmu_src.export import package
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.stops.form import Structure
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.laws.stops.form import Structure
 
 SLAVE = """
 import os

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.slave import Component
 from fmu_src.drive.drive_fmu import content
-from fmu_src.package import write_fmu
+from fmu_src.export.package import write_fmu
+from fmu_src.run.fmu import Component
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 

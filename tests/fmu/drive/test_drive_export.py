@@ -13,14 +13,14 @@ from c_hosts import Wine, build_host
 from drive_runs import model_of
 from fmpy import read_model_description
 
-from cosim.master import simulate
-from cosim.slave import Component
-from cosim.system import SystemSpec
+from cosim.systems.simulation import simulate
+from cosim.systems.system import SystemSpec
 from fmu_src.blocks.controller import controller
 from fmu_src.check import check
 from fmu_src.drive.drive_fmu import export_drive
+from fmu_src.export.package import write_fmu
 from fmu_src.friction.embedded_model import embedded_model
-from fmu_src.package import write_fmu
+from fmu_src.run.fmu import Component
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
 from hesr_model.friction.inputs import DQ, TAU_LOAD

@@ -15,15 +15,15 @@ from drive_runs import Run, drive, reversals
 from registry_models import STUDIED
 from scipy.integrate import cumulative_simpson, solve_ivp
 
-from fmu_src.documentation.datasheet import EULER
-from fmu_src.documentation.drive_page import holding_torque, stopping_torque
-from hesr_model.friction.audit.audit import audit
-from hesr_model.friction.evaluate import predict
-from hesr_model.friction.fitting.fit import fit_joint
+from fmu_src.pages.datasheet import EULER
+from fmu_src.pages.drive_page import holding_torque, stopping_torque
+from hesr_model.audit.audit import audit
+from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.laws.dahl import DEFLECTIONS
+from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import estimator
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.laws.dahl import DEFLECTIONS
 from hesr_model.rigid_body.residual import FrictionRecord
 
 INERTIA = (3.0, 0.6)  # [kg.m2], both for every law

@@ -11,8 +11,8 @@ import sympy
 
 from fmu_src import model_file
 from fmu_src.arm.truth import true_friction
-from fmu_src.mjcf.mjcf_file import export_mjcf_law
-from fmu_src.mjcf.parts import Wave, parts_of
+from hesr.extras.mjcf.mjcf_file import export_mjcf_law
+from hesr.extras.mjcf.parts import Wave, parts_of
 from hesr_model.artifacts import read_model
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation

@@ -8,18 +8,18 @@ import pytest
 import sympy
 from mujoco_joints import Joints, reference
 
-from cosim.slave import Component
 from fmu_src import export_fmu
 from fmu_src.arm.truth import true_friction
 from fmu_src.friction.reference import reference_motion
-from fmu_src.mjcf.mjcf_file import export_mjcf_law
+from fmu_src.run.fmu import Component
+from hesr.extras.mjcf.mjcf_file import export_mjcf_law
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
-from hesr_model.friction.evaluate import Stepper, predict
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.laws.dahl import DEFLECTIONS
+from hesr_model.friction.predict import Stepper, predict
 from hesr_model.friction.registry import estimator
+from hesr_model.laws.dahl import DEFLECTIONS
 from hesr_model.support.files import models_folder
 
 UF850 = models_folder() / "uf850" / "uf850.xml"

@@ -9,17 +9,17 @@ from mujoco_joints import Joints
 
 from fmu_src import model_file
 from fmu_src.friction.reference import UNKNOWN_SPEED
-from fmu_src.mjcf.mjcf_file import export_mjcf_law
-from fmu_src.mjcf.parts import parts_of
-from fmu_src.mjcf.projection import projected
+from hesr.extras.mjcf.mjcf_file import export_mjcf_law
+from hesr.extras.mjcf.parts import parts_of
+from hesr.extras.mjcf.projection import projected
 from hesr_model.artifacts import read_model
 from hesr_model.errors import ExportError
-from hesr_model.friction.evaluate import predict
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.laws import dahl
+from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import estimator
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.laws import dahl
 from hesr_model.motions.trajectories import random_fourier
 
 STEP = 0.005

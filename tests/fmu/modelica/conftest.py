@@ -10,7 +10,7 @@ import pytest
 from modelica_laws import EVERY, shapes
 from test_model_exchange import parfam_hx
 
-from fmu_src.modelica.modelica_package import export_modelica
+from hesr.extras.modelica.modelica_package import export_modelica
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 

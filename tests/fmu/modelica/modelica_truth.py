@@ -9,8 +9,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from hesr_model.equations.functions import lowered
-from hesr_model.friction.evaluate import first_states
 from hesr_model.friction.inputs import INPUTS
+from hesr_model.friction.predict import first_states
 
 SPEED, OMEGA, PHASE = 0.5, 2.0 * np.pi, 0.35
 REVERSAL = (np.pi / 2 - PHASE) / OMEGA

@@ -22,7 +22,7 @@ from modelica_truth import (
 )
 
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.modelica.modelica_package import export_modelica
+from hesr.extras.modelica.modelica_package import export_modelica
 from hesr_model.equations.functions import sgn
 from hesr_model.friction.inputs import TAU_LOAD
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 import pytest
 import sympy
 
-from fmu_src.modelica.modelica_package import export_modelica, package
+from hesr.extras.modelica.modelica_package import export_modelica, package
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ArtifactError, ExportError
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.trained import TrainedRange
+from hesr_model.friction.trained_range import TrainedRange
 
 
 def part(text, kind, name):

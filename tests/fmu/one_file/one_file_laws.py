@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.slave import Component
-from hesr_model.friction.fitting import estimator
+from fmu_src.run.fmu import Component
+from hesr_model.fitting import estimator
 from hesr_model.friction.law import FrictionLaw
 
 STEP = 0.005

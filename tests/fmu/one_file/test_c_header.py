@@ -15,9 +15,9 @@ from documents import blocks
 from fmpy import read_model_description
 from one_file_laws import STEP, first_torques_of, inputs, maxwell_slip, torques_of
 
+from fmu_src.export.toolchain import TARGETS, build
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.one_file.c_header import export_c
-from fmu_src.toolchain import TARGETS, build
+from hesr.extras.one_file.c_header import export_c
 from hesr_model.errors import ArtifactError, ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.compiler import compile_c

@@ -11,7 +11,7 @@ from documents import blocks
 from one_file_laws import STEP, first_torques_of, inputs, torques_of
 
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.one_file.tensors import export_jax, export_torch, tensor_code
+from hesr.extras.one_file.tensors import export_jax, export_torch, tensor_code
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import DQ, Q

@@ -1,5 +1,0 @@
-"""Pictures of results; besides the picture in an FMU, the only place where matplotlib is used."""
-
-from cosim.figures.designed import excitation
-
-__all__ = ["excitation"]

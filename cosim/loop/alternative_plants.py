@@ -1,0 +1,64 @@
+"""The laws of a twin's study under other truths than the friction of its MJCF.
+
+A twin whose friction is bristles favours laws that are bristles. The same motions are run with the
+other truths of its plant; body and laws are found anew, and scored on the same tests.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from cosim.loop.excite import recordings
+from cosim.loop.motions import Motions
+from cosim.loop.truth_arm import twins_fmu, twins_plant
+from cosim.study.scores import MEASURED_START, Errors
+from cosim.study.seeds import errors_on
+from cosim.study.study import Study
+from hesr_model.errors import FitError
+from hesr_model.fitting.fit import fit_models
+from hesr_model.support.files import scratch_folder
+from hesr_model.support.progress import Progress, counted, silent
+
+
+def under_truths(
+    study: Study, path: Path, laws: Sequence[str], *, progress: Progress = silent
+) -> dict[str, Errors]:
+    """Return the errors of laws under each of the twin's further truths, by truth.
+
+    A law that the logs of a truth do not determine is absent there.
+
+    Parameters
+    ----------
+    study : of a twin.
+    path : its file.
+    laws : names in the registry.
+    progress : told how many truths are done.
+
+    Raises
+    ------
+    HesrError
+        If there is no such truth, or its logs do not allow the run.
+    """
+    names = study.twin.truths if study.twin else ()
+    return {truth: _under(study, path, truth, laws) for truth in counted(names, progress)}
+
+
+def _under(study: Study, path: Path, truth: str, laws: Sequence[str]) -> Errors:
+    if study.twin is None:
+        raise TypeError("the study has no twin")
+    twin = study.twin.model_copy(update={"truth": truth})
+
+    def left_out(law: str, error: FitError) -> None:
+        del law, error
+
+    with scratch_folder() as folder:
+        plant, signals = twins_plant(twin, path, folder)
+        arm = twins_fmu(plant, signals, folder)
+        logs, truths = {}, {}
+        for found in recordings(Motions.read(twin.motions), plant, fmu=arm):
+            logs[found.log.name], truths[found.log.name] = found.log, found.truth.tau_f_true
+    fit = partial(fit_models, seed=study.seed, left_out=left_out)
+    return {
+        test: {law: rmse for law, rmse in of_test.items() if not law.endswith(MEASURED_START)}
+        for test, of_test in errors_on(study, logs, truths, laws, fit).items()
+    }

@@ -1,0 +1,118 @@
+"""Design an excitation for a robot and write what is sent to it: setpoints and a picture."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from fmu_src.run.batch import Array
+from hesr_model.errors import ConfigError, HesrError
+from hesr_model.logs.tables import write_table
+from hesr_model.motions.excitation import (
+    Excitation,
+    ExcitationSettings,
+    condition,
+    random_motions,
+)
+from hesr_model.motions.excitation import design as design_excitation
+from hesr_model.rigid_body.base_parameters import base_columns
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.config import read_toml
+from hesr_model.support.files import written_whole
+from hesr_model.support.progress import Progress, silent
+
+_COMPARED = 200
+_TABLES = {".csv", ".parquet", ".pq"}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Design:
+    """A designed excitation and its files.
+
+    Attributes
+    ----------
+    excitation : the motion.
+    random_condition : median condition number of W_b over 200 random motions within the same
+        limits.
+    forward, backward : setpoints of the motion and of its time-reversed counterpart.
+    picture : position and velocity with their limits.
+    """
+
+    excitation: Excitation
+    random_condition: float
+    forward: Path
+    backward: Path
+    picture: Path
+
+
+def design(
+    robot: Path,
+    output: Path,
+    settings: Path | None = None,
+    *,
+    progress: Progress = silent,
+) -> Design:
+    """Design an excitation and write it.
+
+    The files are `output` and, beside it, ``<name>_reversed`` with the same suffix and
+    ``<name>.png``. Columns are ``t, q1.., dq1.., ddq1..`` [s, rad, rad/s, rad/s2; m for prismatic
+    joints]; rows run from rest to rest at the settings' sample rate. Collisions, with itself or
+    its surroundings, are not looked at: position limits must exclude them.
+
+    Parameters
+    ----------
+    robot : robot file.
+    output : CSV or Parquet file.
+    settings : TOML of `hesr_model.motions.excitation.ExcitationSettings`; the defaults if left out.
+    progress : told how many descents are done.
+
+    Raises
+    ------
+    ConfigError
+        If a file is missing or wrong, or `output` is neither CSV nor Parquet.
+    RobotError
+        If the limits do not fit the robot.
+    FitError
+        If the limits admit no motion.
+    ArtifactError
+        If a file cannot be written.
+    """
+    from cosim.report import figures
+
+    if output.suffix.lower() not in _TABLES:
+        raise ConfigError(
+            f"{output}: the motion is written as a table; the suffix must be one of "
+            f"{', '.join(sorted(_TABLES))}."
+        )
+    model = RobotModel(RobotDescription.read(robot))
+    chosen = read_toml(settings, ExcitationSettings) if settings else ExcitationSettings()
+    try:
+        found = design_excitation(model, chosen, progress=progress)
+    except HesrError as error:
+        raise type(error)(f"{settings or robot}: {error}") from error
+    base = base_columns(model)
+    with threadpool_limits(1):  # these problems are so small that threads cost more than they save
+        random = random_motions(model, chosen, _COMPARED, chosen.seed)
+        conditions = [condition(model, base, motion) for motion in random]
+    backward = output.with_stem(f"{output.stem}_reversed")
+    picture = output.with_suffix(".png")
+    t, q, dq, ddq = found.setpoints()
+    _write(output, t, q, dq, ddq)
+    _write(backward, t, q[::-1], -dq[::-1], ddq[::-1])
+    figures.excitation(picture, found, model.description.joints)
+    return Design(
+        excitation=found,
+        random_condition=float(np.median(conditions)),
+        forward=output,
+        backward=backward,
+        picture=picture,
+    )
+
+
+def _write(path: Path, t: Array, q: Array, dq: Array, ddq: Array) -> None:
+    columns = {"t": t}
+    for name, values in (("q", q), ("dq", dq), ("ddq", ddq)):
+        columns |= {f"{name}{k}": column for k, column in enumerate(values.T, start=1)}
+    with written_whole(path) as temporary:
+        write_table(temporary, columns)

@@ -1,0 +1,365 @@
+"""The twin over a day under the adaptive FMU: it warms up, wears, is loaded, is hit.
+
+At 200 Hz, with native FMUs around MuJoCo: the adaptive FMU observes the arm's motion and torque;
+what it learns are the factors and the offset of a friction FMU of the same law, which looks ahead
+by the servo's latency and is the feed-forward of the controller (servo inversion). Truth is known,
+so that errors are those of friction alone, without the noise of the torque.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from cosim.loop.closed_loop import Gains, Scheme, preview
+from cosim.systems.system import Value
+from fmu_src.arm.drifting import DriftingArm
+from fmu_src.arm.plant import Plant
+from fmu_src.blocks.controller import controller
+from fmu_src.blocks.inverse_dynamics import inverse_dynamics
+from fmu_src.export.package import write_fmu
+from fmu_src.friction.friction_fmu import adaptive_content, export_bare
+from fmu_src.run.batch import Array
+from fmu_src.run.fmu import Component
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import predict
+from hesr_model.friction.thermal import Thermal
+from hesr_model.motions.trajectories import Fourier
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.robots.robot import RobotModel
+
+SCHEME = Scheme(compensation="servo_inversion")
+LOAD = "payload"
+"""Body of the twin that carries a payload."""
+
+_LEARNED = ("level", "viscosity", "offset")
+_WATCHED = ("tau", "drift", "shift", "health")
+
+
+def _ones(_: float, n: int) -> Array:
+    return np.ones(n)
+
+
+def _zeros(_: float, n: int) -> Array:
+    return np.zeros(n)
+
+
+Course = Callable[[float, int], Array]
+"""Of time [s] and the number of joints: one number per joint."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drift:
+    """What happens to the arm.
+
+    Attributes
+    ----------
+    coulomb, viscous : factors on the true friction.
+    torque_offset : of the torque sensors [N.m].
+    push : torque from outside on the joints [N.m].
+    payload : mass [kg], from `loaded` on [s].
+    """
+
+    coulomb: Course = _ones
+    viscous: Course = _ones
+    torque_offset: Course = _zeros
+    push: Course = _zeros
+    payload: float = 0.0
+    loaded: float = 0.0
+
+
+def warm_up(begin: float = 0.0, *, seconds: float = 1200.0) -> Drift:
+    """Return a warm-up that takes 30 % of viscous and 10 % of Coulomb friction in 20 minutes."""
+
+    def left(share: float) -> Course:
+        return lambda t, n: np.full(n, 1.0 - share * min((begin + t) / seconds, 1.0))
+
+    return Drift(coulomb=left(0.1), viscous=left(0.3))
+
+
+def wear(at: float, joint: int, share: float = 0.25) -> Drift:
+    """Return a step of the friction of one joint, counted from 0, at a time [s]."""
+
+    def course(t: float, n: int) -> Array:
+        factors = np.ones(n)
+        factors[joint] += share * (t >= at)
+        return factors
+
+    return Drift(coulomb=course, viscous=course)
+
+
+def heated(thermal: Thermal, temperature: Callable[[float], float]) -> Drift:
+    """Return a drift by temperature [degC], the same in all joints, over time [s]."""
+
+    def factor(which: int) -> Course:
+        return lambda t, n: np.repeat(thermal.factors(np.array([temperature(t)]))[which], n)
+
+    return Drift(coulomb=factor(0), viscous=factor(1))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DriftingLoop:
+    """All that a run consists of.
+
+    Attributes
+    ----------
+    plant, robot : the twin, and its rigid body.
+    parameters : (P,) of the rigid body, as it was identified.
+    model : friction, as it was fitted.
+    motion : desired, one period of which is repeated.
+    gains : of the controller.
+    folder : where its FMUs stand; `build` writes them.
+    """
+
+    plant: Plant
+    robot: RobotModel
+    parameters: Array
+    model: FrictionModel
+    motion: Fourier
+    gains: Gains
+    folder: Path
+
+    @property
+    def step(self) -> float:
+        """Between commands [s]."""
+        return 1.0 / self.plant.sample_rate
+
+    def build(self) -> None:
+        """Write the FMUs."""
+        n, step = len(self.model.joints), self.step
+        write_fmu(adaptive_content(self.model), self.folder / "Adaptive.fmu")
+        export_bare(self.model, self.folder / "Friction.fmu")
+        write_fmu(controller(n, step=step), self.folder / "Controller.fmu")
+        body = inverse_dynamics(self.robot, self.parameters, step=step)
+        write_fmu(body, self.folder / "Gravity.fmu")
+
+    def desired(self, t: Array) -> tuple[Array, Array, Array]:
+        """Return position, velocity and rigid-body torque (N, n) at times (N,)."""
+        q, dq, ddq = self.motion.sample(np.mod(t, self.motion.duration))
+        return q, dq, self.robot.torque(self.parameters, q, dq, ddq)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drifted:
+    """What a run did, (N, n) at times (N,).
+
+    Attributes
+    ----------
+    t : [s].
+    q_d, q : desired and true position [rad].
+    dq_d, tau_rigid : desired velocity [rad/s] and rigid-body torque [N.m].
+    tau_meas, tau_true : measured torque, and true friction [N.m].
+    learned : by name what the adaptive FMU says; empty where there was none.
+    """
+
+    t: Array
+    q_d: Array
+    q: Array
+    dq_d: Array
+    tau_rigid: Array
+    tau_meas: Array
+    tau_true: Array
+    learned: Mapping[str, Array] = field(default_factory=dict)
+
+    def records(self, joints: tuple[str, ...], rows: slice = slice(None)) -> list[FrictionRecord]:
+        """Return what was measured as records of friction."""
+        return [
+            FrictionRecord(
+                log="loop", joint=name, t=self.t[rows], dq=self.dq_d[rows, k], q=self.q_d[rows, k],
+                tau_load=self.tau_rigid[rows, k],
+                tau=(self.tau_meas - self.tau_rigid)[rows, k],
+            )
+            for k, name in enumerate(joints)
+        ]  # fmt: skip
+
+    def fixed(self, model: FrictionModel) -> Array:
+        """Return the torque (N, n) of a model that knows of no drift [N.m]."""
+        return _predicted(model, self.t, self.q_d, self.dq_d, self.tau_rigid)
+
+
+def _predicted(model: FrictionModel, t: Array, q: Array, dq: Array, tau_load: Array) -> Array:
+    """Return the torque (N, n) of the laws alone [N.m]."""
+    columns = zip(model.laws, dq.T, q.T, tau_load.T, strict=True)
+    found = [predict(law, t=t, dq=v, q=x, tau_load=load) for law, v, x, load in columns]
+    return np.column_stack(found)
+
+
+FeedForward = Callable[[Drifted, int], FrictionModel]
+"""The model from a sample on, by what was measured before; see `run_drifting`."""
+
+
+def run_drifting(
+    loop: DriftingLoop, drift: Drift, seconds: float, *, adapt: bool = True,
+    refitted: FeedForward | None = None, every: float = 60.0,
+) -> Drifted:  # fmt: skip
+    """Run the loop.
+
+    Parameters
+    ----------
+    loop : with its FMUs built.
+    drift : what happens.
+    seconds : length of the run [s].
+    adapt : whether the feed-forward follows what is learned.
+    refitted : a law refitted at every `every` seconds in place of the feed-forward.
+    """
+    n, step = len(loop.model.joints), loop.step
+    count = round(seconds / step) + 1
+    t = step * np.arange(count, dtype=float)
+    q_d, dq_d, rigid = loop.desired(t)
+    ahead = loop.desired(t + preview(SCHEME, loop.gains, step))
+    arm = DriftingArm(loop.plant, LOAD)
+    numbers = np.arange(count)
+    noise = loop.plant.noise.torque_error(numbers), loop.plant.noise.encoder_error(numbers)
+    q, tau_meas, tau_true = (np.empty((count, n)) for _ in range(3))
+    learned = {name: np.empty((count, n)) for name in (*_LEARNED, *_WATCHED)}
+    so_far = Drifted(
+        t=t, q_d=q_d, q=q, dq_d=dq_d, tau_rigid=rigid, tau_meas=tau_meas, tau_true=tau_true,
+        learned=learned,
+    )  # fmt: skip
+    torques = np.empty((count, n)) if refitted else None
+    period = round(every / step)
+
+    def names(*stems: str) -> list[str]:
+        return [f"{stem}[{i}]" for stem in stems for i in range(1, n + 1)]
+
+    state = arm.reset(q_d[0])
+    with (
+        Component(loop.folder / "Adaptive.fmu", name="adaptive") as observer,
+        Component(loop.folder / "Friction.fmu", name="friction") as friction,
+        Component(loop.folder / "Gravity.fmu", name="gravity") as gravity,
+        Component(loop.folder / "Controller.fmu", name="controller") as control,
+    ):
+        seen = observer.batch(names("dq", "q", "tau_load", "tau_meas", "tau_rigid"))
+        known = observer.batch(names(*_LEARNED, *_WATCHED))
+        given = friction.batch(names("dq", "q", "tau_load", "coulomb_scale", "viscous_scale"))
+        forward = friction.batch(names("tau"))
+        posture, weight = gravity.batch(names("q")), gravity.batch(names("tau"))
+        wanted = control.batch(names("q_d", "dq_d", "tau_rb", "tau_f", "tau_g", "tau_meas", "q"))
+        command = control.batch(names("dq_cmd"))
+        for k in range(count):
+            if k:
+                state = arm.step(command.values, step)
+            q[k], tau_true[k] = state.q, state.tau_f_true
+            measured = state.q + noise[1][k]
+            tau_meas[k] = state.tau_meas + noise[0][k] + drift.torque_offset(t[k], n)
+            arm.scale(drift.coulomb(t[k], n), drift.viscous(t[k], n))
+            arm.push(drift.push(t[k], n))
+            if drift.payload and k == round(drift.loaded / step):
+                arm.load(drift.payload)
+            seen.values[:] = np.concatenate([dq_d[k], q_d[k], rigid[k], tau_meas[k], rigid[k]])
+            _advance(observer, seen.write, k, step)
+            for name, values in zip(learned, known.read().reshape(-1, n), strict=True):
+                learned[name][k] = values
+            level, thickness, offset = (
+                (learned[name][k] for name in _LEARNED)
+                if adapt
+                else (np.ones(n), np.ones(n), np.zeros(n))
+            )
+            if torques is not None and refitted is not None:
+                if k % period == 0:
+                    model = refitted(so_far, k)
+                    rows = slice(k, min(k + period, count))
+                    torques[rows] = _torques(model, t, ahead, rows)
+                tau_f = torques[k]
+            else:
+                given.values[:] = np.concatenate(
+                    [ahead[1][k], ahead[0][k], ahead[2][k], level, thickness]
+                )
+                _advance(friction, given.write, k, step)
+                tau_f = forward.read() + offset
+            posture.values[:] = measured
+            _advance(gravity, posture.write, k, step)
+            wanted.values[:] = np.concatenate(
+                [q_d[k], ahead[1][k], ahead[2][k], tau_f, weight.read(), tau_meas[k], measured]
+            )
+            _advance(control, wanted.write, k, step, start=_controller_start(loop))
+            command.read()
+    return so_far
+
+
+def _advance(
+    fmu: Component, write: Callable[[], None], k: int, step: float,
+    *, start: Mapping[str, Value] | None = None,
+) -> None:  # fmt: skip
+    """Set the inputs of sample k and step there; before the first one, initialise."""
+    if k == 0:
+        fmu.enter_initialisation(start=fmu.variables.expanded(start or {}))
+        write()
+        fmu.exit_initialisation()
+        return
+    write()
+    fmu.step((k - 1) * step, step)
+
+
+def _controller_start(loop: DriftingLoop) -> dict[str, Value]:
+    gains = loop.gains
+    own = {name: getattr(gains, name) for name in ("Kp", "Kd", "Kv", "Ki")}
+    return own | {
+        "compensation": SCHEME.compensation, "sample_time": loop.step, "lambda": gains.decay
+    }  # fmt: skip
+
+
+def _torques(
+    model: FrictionModel, t: Array, ahead: tuple[Array, Array, Array], rows: slice
+) -> Array:
+    """Return the torque of a model over some rows, run from a little before them."""
+    before = max(rows.start - 400, 0)
+    own = slice(before, rows.stop)
+    return _predicted(model, t[own], *(values[own] for values in ahead))[rows.start - before :]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriftScore:
+    """What following a drift is worth, of each joint.
+
+    Attributes
+    ----------
+    cut : share of the torque error that the drift causes which is gone.
+    tracking, tracking_fixed : RMS position errors [rad] with the factors followed, and without.
+    level, viscosity, offset : at the end of the run.
+    """
+
+    cut: tuple[float, ...]
+    tracking: tuple[float, ...]
+    tracking_fixed: tuple[float, ...]
+    level: tuple[float, ...]
+    viscosity: tuple[float, ...]
+    offset: tuple[float, ...]
+
+
+def score(
+    model: FrictionModel, followed: Drifted, fixed: Drifted, undrifted: Drifted, since: float
+) -> DriftScore:
+    """Compare runs of one motion from a time on [s].
+
+    The error that a drift causes is what the mean square grows by against a run without drift.
+    """
+
+    def squares(run: Drifted, torque: Array) -> Array:
+        late = run.t >= since
+        return np.asarray(np.mean((torque - run.tau_true)[late] ** 2, axis=0))
+
+    known = squares(undrifted, undrifted.fixed(model))
+    drifted = squares(fixed, fixed.fixed(model)) - known
+    left = np.maximum(squares(followed, followed.learned["tau"]) - known, 0.0)
+
+    def rms(run: Drifted) -> tuple[float, ...]:
+        late = run.t >= since
+        return _numbers(np.sqrt(np.mean((run.q - run.q_d)[late] ** 2, axis=0)))
+
+    return DriftScore(
+        cut=_numbers(1.0 - np.sqrt(left / np.maximum(drifted, 1e-12))),
+        tracking=rms(followed), tracking_fixed=rms(fixed),
+        level=_numbers(followed.learned["level"][-1]),
+        viscosity=_numbers(followed.learned["viscosity"][-1]),
+        offset=_numbers(followed.learned["offset"][-1]),
+    )  # fmt: skip
+
+
+def _numbers(values: Array) -> tuple[float, ...]:
+    return tuple(float(x) for x in values)
+
+
+__all__ = ["Drift", "DriftScore", "Drifted", "DriftingLoop", "heated", "run_drifting", "score",
+           "warm_up", "wear"]  # fmt: skip

@@ -1,0 +1,200 @@
+"""Run the digital twin along the motions of a study and write its logs."""
+
+import hashlib
+import logging
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cosim.loop.motions import Motions, names_of
+from cosim.loop.twin import FmuArm
+from fmu_src.arm.plant import Arm, ArmOutput, Noise, Plant
+from fmu_src.run.batch import Array
+from fmu_src.run.fmu import Component
+from hesr_model.errors import ConfigError
+from hesr_model.logs.noise import words
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.tables import write_table
+from hesr_model.motions.trajectories import Trajectory
+from hesr_model.support.files import written_whole
+
+_log = logging.getLogger(__name__)
+
+_MOST_SAMPLES = 10**8  # of a log
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """One motion of the twin: what its log says, and what was true.
+
+    Attributes
+    ----------
+    log : noisy position and torque, and the velocity that follows from the position: central
+        differences over two samples, so that it is noisy, but not late.
+    truth : without noise, (N, n) each, at the times of the log.
+    desired : (N, n) position that was commanded [rad].
+    """
+
+    log: RobotLog
+    truth: ArmOutput
+    desired: Array
+
+    @property
+    def tracking_error(self) -> Array:
+        """True minus desired position (N, n) [rad]."""
+        return self.truth.q - self.desired
+
+
+def excite(
+    motions: Motions,
+    plant: Plant,
+    folder: Path,
+    *,
+    seed: int | None = None,
+    fmu: Path | None = None,
+) -> dict[str, Path]:
+    """Run the arm along every motion and write one CSV each, with the true friction beside it.
+
+    Parameters
+    ----------
+    motions : what to run.
+    plant : the arm.
+    folder : where the logs go, as ``<name>.csv``; created if need be.
+    seed : of the noise, in place of the plant file's.
+    fmu : the arm as an FMU, which then gives the logs; the arm in Python where left out.
+
+    Returns
+    -------
+    dict
+        Name of each log to its file, in the order of the motions.
+
+    Raises
+    ------
+    ConfigError
+        If a motion does not fit the arm or leaves its joint limits.
+    ArtifactError
+        If a log cannot be written.
+    """
+    paths = {}
+    for recording in recordings(motions, plant, seed=seed, fmu=fmu):
+        path = folder / f"{recording.log.name}.csv"
+        recording.log.write(path)
+        _write_truth(truth_of(path), recording)
+        paths[recording.log.name] = path
+        worst = np.abs(recording.tracking_error).max() * 1e3
+        _log.info("%s: %d samples, at most %.0f mrad off", path, len(recording.log.t), worst)
+    return paths
+
+
+def recordings(
+    motions: Motions, plant: Plant, *, seed: int | None = None, fmu: Path | None = None
+) -> Iterator[Recording]:
+    """Run the arm along every motion, with the truth beside each log; see `excite`."""
+    noise = plant.noise if seed is None else plant.noise.model_copy(update={"seed": seed})
+    with ExitStack() as cleanup:
+        arm: Arm | FmuArm = Arm(plant)
+        if fmu is not None:
+            component = cleanup.enter_context(Component(fmu, name="arm"))
+            arm = FmuArm(component, plant, arm.limits)
+        for motion in motions.motions:
+            forward = motion.trajectory()
+            both = (forward, forward.time_reversed())
+            for name, trajectory in zip(names_of(motion), both, strict=False):
+                yield record(arm, trajectory, noise, name=name, unlogged=motion.unlogged)
+
+
+def record(
+    arm: Arm | FmuArm, trajectory: Trajectory, noise: Noise, *, name: str, unlogged: float = 0.0
+) -> Recording:
+    """Run the arm along one motion from rest and log it.
+
+    The arm is commanded the mean desired velocity over each sample period: what its servo
+    integrates is then the desired position itself, without drift.
+
+    Parameters
+    ----------
+    noise : its seed is combined with `name`, so that every log has noise of its own, whatever other
+        logs are recorded beside it.
+    unlogged : time that is run before the log begins [s].
+
+    Raises
+    ------
+    ConfigError
+        If the motion has another number of joints, leaves the joint limits, or is over before
+        the log begins.
+    """
+    rate = arm.plant.sample_rate
+    if not trajectory.duration * rate <= _MOST_SAMPLES:
+        raise ConfigError(
+            f"motion '{name}': lasts {trajectory.duration:g} s, which at {rate:g} Hz are "
+            f"{trajectory.duration * rate:.3g} samples; at most {_MOST_SAMPLES:g} can be logged."
+        )
+    first, count = round(unlogged * rate), round(trajectory.duration * rate)
+    if count - first < 2:
+        raise ConfigError(
+            f"motion '{name}': lasts {trajectory.duration:g} s of which {unlogged:g} s are not "
+            f"logged; at least two samples at {rate:g} Hz must be left."
+        )
+    desired = trajectory.sample(np.arange(count + 1) / rate)[0]
+    _require_reachable(arm, desired, name)
+    commands = np.diff(desired, axis=0) * rate
+    own = noise.model_copy(update={"seed": _seed_of_log(noise.seed, name)})
+    if isinstance(arm, FmuArm):
+        arm.seed = own.seed
+    output = arm.reset(desired[0])
+    outputs, measured = [], []
+    for command in commands:
+        outputs.append(output)
+        if isinstance(arm, FmuArm):
+            measured.append(arm.measured)
+        output = arm.step(command, 1 / rate)
+    kept = outputs[first:]
+    names = ("q", "dq", "tau_meas", "tau_f_true")
+    truth = ArmOutput(**{x: np.array([getattr(sample, x) for sample in kept]) for x in names})
+    if isinstance(arm, FmuArm):
+        q, tau = (np.array(values) for values in zip(*measured[first:], strict=True))
+    else:  # the arm in Python has no noise of its own
+        sample = np.arange(first, count)
+        q, tau = truth.q + own.encoder_error(sample), truth.tau_meas + own.torque_error(sample)
+    log = RobotLog(
+        name=name,
+        t=np.arange(len(kept)) / rate,
+        q=q,
+        dq=np.gradient(q, 1 / rate, axis=0),
+        tau=tau,
+    )
+    return Recording(log=log, truth=truth, desired=desired[first:count])
+
+
+def truth_of(log: Path) -> Path:
+    """File of the true friction that belongs to a log of the twin: columns t, tau_f1.."""
+    return log.parent / "truth" / log.name
+
+
+def _write_truth(path: Path, recording: Recording) -> None:
+    columns = {"t": recording.log.t}
+    columns |= {f"tau_f{k}": f for k, f in enumerate(recording.truth.tau_f_true.T, start=1)}
+    with written_whole(path) as temporary:
+        write_table(temporary, columns)
+
+
+def _seed_of_log(seed: int, name: str) -> int:
+    stream = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
+    return int(words(seed, stream, 0))
+
+
+def _require_reachable(arm: Arm | FmuArm, desired: Array, name: str) -> None:
+    joints = arm.plant.joints
+    if desired.shape[1] != len(joints):
+        raise ConfigError(
+            f"motion '{name}': is for {desired.shape[1]} joints; the arm has {len(joints)}."
+        )
+    for joint, (lower, upper), path in zip(joints, arm.limits, desired.T, strict=True):
+        if path.min() < lower or path.max() > upper:
+            raise ConfigError(
+                f"motion '{name}': takes {joint} from {path.min():.3f} to {path.max():.3f} rad; "
+                f"it can go from {lower:.3f} to {upper:.3f} rad."
+            )

@@ -1,0 +1,262 @@
+"""The closed-loop part of a study: which rows, on which motions, with which FMUs."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from cosim.loop.closed_loop import (
+    ARM,
+    Compensation,
+    Fmus,
+    Scheme,
+    Setting,
+    Source,
+    StandIn,
+    Tracking,
+    system,
+)
+from cosim.loop.tracking import LoopMotion, LoopRow, Tracked, track
+from cosim.systems.system import SystemSpec
+from fmu_src import export_fmu
+from fmu_src.arm.plant import Plant
+from fmu_src.blocks.controller import controller
+from fmu_src.blocks.inverse_dynamics import inverse_dynamics
+from fmu_src.blocks.trajectory import trajectory
+from fmu_src.blocks.velocity import velocity
+from fmu_src.export.package import Content, write_fmu
+from hesr_model.errors import ConfigError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.motions.trajectories import Fourier, random_fourier
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support import parallel
+from hesr_model.support.progress import Stages
+
+_COMPENSATIONS: tuple[Compensation, ...] = ("torque_error", "servo_inversion")
+_MEASURED: tuple[Source, ...] = ("measured", "filtered")
+_MARGIN = 0.5  # [rad] beyond the joint limits, where a run has surely diverged
+
+
+def motions(tracking: Tracking, periods: int = 1) -> list[LoopMotion]:
+    """Return the motions of a study as the FMUs take them, run a number of times each."""
+    return [LoopMotion.of(_fourier(tracking, seed, periods)) for seed in tracking.seeds]
+
+
+def _fourier(tracking: Tracking, seed: int, periods: int = 1) -> Fourier:
+    return random_fourier(
+        seed=seed,
+        harmonics=tracking.harmonics,
+        period=tracking.duration,
+        peak_velocity=np.array(tracking.peak_velocity),
+        offset=np.array(tracking.offset),
+        periods=periods,
+    )
+
+
+def require_reachable(tracking: Tracking, robot: RobotModel) -> None:
+    """Check that the motions of a study are for the robot and within its limits.
+
+    Raises
+    ------
+    ConfigError
+        Naming the motion and the joint.
+    """
+    for key, entries in (("peak_velocity", tracking.peak_velocity), ("offset", tracking.offset)):
+        if len(entries) != robot.n:
+            raise ConfigError(
+                f"tracking: key '{key}' has {len(entries)} entries; the robot has {robot.n} joints."
+            )
+    lower, upper, _ = robot.limits
+    t = np.linspace(0.0, tracking.duration, 2001)
+    for seed in tracking.seeds:
+        q = _fourier(tracking, seed).sample(t)[0]
+        for k, name in enumerate(robot.description.joints):
+            least, most = float(q[:, k].min()), float(q[:, k].max())
+            if least < lower[k] or most > upper[k]:
+                raise ConfigError(
+                    f"tracking: the motion of seed {seed} takes {name} from {least:.3f} to "
+                    f"{most:.3f} rad; it can go from {lower[k]:.3f} to {upper[k]:.3f} rad."
+                )
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyLoop:
+    """All that the rows of a study share.
+
+    Attributes
+    ----------
+    tracking : the study.
+    friction : FMU of each law.
+    oracle : FMU of the true friction.
+    fmus : the other FMUs, with the identified rigid body.
+    true_body : FMU of the true rigid body.
+    step : communication step [s].
+    noise : standard deviation of the measured torques [N.m].
+    """
+
+    tracking: Tracking
+    friction: Mapping[str, Path]
+    oracle: Path
+    fmus: Fmus
+    true_body: Path
+    step: float
+    noise: tuple[float, ...] = ()
+
+    def setting(self, law: str, scheme: Scheme) -> Setting:
+        """Return the loop of a law in a scheme."""
+        fmus = self.fmus
+        if law == StandIn.ORACLE:
+            fmus = replace(fmus, friction=self.oracle, body=self.true_body)
+        elif law in self.friction:
+            fmus = replace(fmus, friction=self.friction[law])
+        if law == StandIn.BODY_ONLY:
+            scheme = replace(scheme, friction_gain=0.0)
+        return Setting(
+            fmus=fmus,
+            scheme=scheme,
+            gains=self.tracking.gains,
+            step=self.step,
+            noise=self.noise,
+        )
+
+    def rows(self) -> Iterator[LoopRow]:
+        """Yield the rows of the tables: every law in every scheme, beside what needs no law."""
+        outer = self.tracking.Kx
+        for Kx in (0.0, outer):
+            yield self.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none", Kx=Kx))
+        for compensation in _COMPENSATIONS:
+            for Kx in (0.0, outer):
+                scheme = Scheme(compensation=compensation, Kx=Kx)
+                for law in (StandIn.BODY_ONLY, *self.friction, StandIn.ORACLE):
+                    yield self.row(law, scheme)
+        for law in self.tracking.sources:
+            for compensation in _COMPENSATIONS:
+                for source in _MEASURED:
+                    scheme = Scheme(compensation=compensation, source=source)
+                    yield self.row(law, scheme)
+
+    def row(self, law: str, scheme: Scheme) -> LoopRow:
+        """Return one row."""
+        return LoopRow(scheme=scheme, law=law, setting=self.setting(law, scheme))
+
+
+_OWN = ("Trajectory", "Controller", "Velocity", "InverseDynamics", "TrueInverseDynamics")
+
+
+def build(
+    folder: Path, robot: RobotModel, body: RigidBody, plant: Plant, *, oracle: FrictionModel
+) -> None:
+    """Write the FMUs of a loop beside those of the arm and the laws.
+
+    Parameters
+    ----------
+    folder : where the FMUs stand.
+    robot, body : the identified rigid body; the true one is that of the robot's model file.
+    plant : the arm, for its sample rate.
+    oracle : true friction.
+    """
+    step = 1.0 / plant.sample_rate
+    contents: tuple[Callable[[], Content], ...] = (
+        partial(trajectory, robot.n, step=step),
+        partial(controller, robot.n, step=step),
+        partial(velocity, robot.n, step=step),
+        partial(inverse_dynamics, robot, body.parameters, step=step),
+        partial(inverse_dynamics, robot, robot.nominal_parameters, step=step),
+    )
+    jobs = [
+        partial(export_fmu, oracle, folder / f"{oracle.law}.fmu"),
+        *(
+            partial(_written, content, folder / f"{name}.fmu")
+            for name, content in zip(_OWN, contents, strict=True)
+        ),
+    ]
+    with parallel.results_of(jobs) as written:
+        list(written)
+
+
+def _written(content: Callable[[], Content], path: Path) -> Path:
+    return write_fmu(content(), path)
+
+
+def assemble(
+    folder: Path, *, tracking: Tracking, friction: Mapping[str, Path], plant: Plant
+) -> StudyLoop:
+    """Return the loop of the FMUs in a folder that `build` has filled, and of friction laws."""
+    paths = {name: folder / f"{name}.fmu" for name in _OWN}
+    return StudyLoop(
+        tracking=tracking,
+        friction=friction,
+        oracle=folder / "true_friction.fmu",
+        fmus=Fmus(
+            arm=folder / ARM,
+            trajectory=paths["Trajectory"],
+            body=paths["InverseDynamics"],
+            friction=next(iter(friction.values())),
+            controller=paths["Controller"],
+            velocity=paths["Velocity"],
+        ),
+        true_body=paths["TrueInverseDynamics"],
+        step=1.0 / plant.sample_rate,
+        noise=plant.noise.torque,
+    )
+
+
+def whole(loop: StudyLoop, robot: RobotModel) -> SystemSpec:
+    """Return one loop as a system that needs nothing else: a law, a motion, where the arm begins.
+
+    The law is the last one that the study looks at closely, in the scheme where models pay most.
+    """
+    tracking = loop.tracking
+    law = (tracking.sources or tuple(loop.friction))[-1]
+    scheme = Scheme(compensation="servo_inversion", Kx=tracking.Kx)
+    setting, motion = loop.setting(law, scheme), motions(tracking)[0]
+    return system(
+        replace(setting, arm={**setting.arm, "q0": motion.q0}),
+        duration=tracking.duration,
+        limits=limits_of(robot),
+        motion=motion.parameters,
+    )
+
+
+def limits_of(robot: RobotModel) -> np.ndarray:
+    """Return the positions (n, 2) beyond which a run has diverged [rad]."""
+    lower, upper, _ = robot.limits
+    return np.column_stack([lower - _MARGIN, upper + _MARGIN])
+
+
+def run_tracking(
+    loop: StudyLoop, robot: RobotModel, *, kept: Path | None, progress: Stages
+) -> tuple[list[Tracked], list[Tracked]]:
+    """Run the tables' rows on all motions, and some on a long one; return both."""
+    tracking, limits = loop.tracking, limits_of(robot)
+    tables = track(
+        list(loop.rows()),
+        motions(tracking),
+        duration=tracking.duration,
+        limits=limits,
+        traced=True,
+        kept=kept,
+        progress=partial(progress, "tracking"),
+    )
+    long = track(
+        list(_drifting(loop)),
+        motions(tracking, int(np.ceil(tracking.drift / tracking.duration)))[:1],
+        duration=tracking.drift,
+        limits=limits,
+        kept=kept,
+        progress=partial(progress, "tracking for long"),
+    )
+    return tables, long
+
+
+def _drifting(loop: StudyLoop) -> Iterator[LoopRow]:
+    laws: Sequence[str] = (*loop.tracking.sources, StandIn.ORACLE)
+    yield loop.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none"))
+    for law in (StandIn.BODY_ONLY, *laws):
+        yield loop.row(law, Scheme(compensation="torque_error"))
+    for law in laws:
+        yield loop.row(law, Scheme(compensation="servo_inversion"))
+        yield loop.row(law, Scheme(compensation="servo_inversion", Kx=loop.tracking.Kx))

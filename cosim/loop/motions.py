@@ -1,0 +1,155 @@
+"""The motions of a study as a TOML file describes them."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from cosim.loop.closed_loop import PerJoint
+from hesr_model.motions.trajectories import Sine, Sweep, Trajectory, chirp, random_fourier
+from hesr_model.support.config import Config
+
+
+class _Motion(Config):
+    """What every motion has.
+
+    Attributes
+    ----------
+    name : of the log, and of its file.
+    also_reversed : whether the time-reversed motion is run, too, as ``<name>_reversed``.
+    """
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
+    also_reversed: bool = False
+
+    @property
+    def unlogged(self) -> float:
+        """Time that is run before the log begins [s]."""
+        return 0.0
+
+
+class FourierMotion(_Motion):
+    """Fourier series drawn from a seed; see `hesr_model.motions.trajectories.random_fourier`.
+
+    Attributes
+    ----------
+    periods, unlogged_periods : how many periods are run, and how many of the first ones are not
+        logged.
+    """
+
+    kind: Literal["fourier"]
+    seed: int
+    harmonics: int = Field(ge=2)
+    period: float = Field(gt=0)
+    peak_velocity: PerJoint
+    offset: PerJoint
+    periods: int = Field(default=1, ge=1)
+    unlogged_periods: int = Field(default=0, ge=0)
+
+    @property
+    def unlogged(self) -> float:
+        """Time that is run before the log begins [s]."""
+        return self.unlogged_periods * self.period
+
+    def trajectory(self) -> Trajectory:
+        """Return the motion in closed form."""
+        return random_fourier(
+            seed=self.seed,
+            harmonics=self.harmonics,
+            period=self.period,
+            peak_velocity=np.array(self.peak_velocity),
+            offset=np.array(self.offset),
+            periods=self.periods,
+        )
+
+
+class SineMotion(_Motion):
+    """Sine; see `hesr_model.motions.trajectories.Sine`."""
+
+    kind: Literal["sine"]
+    frequency: float = Field(gt=0)
+    amplitude: PerJoint
+    offset: PerJoint
+    periods: int = Field(ge=1)
+
+    def trajectory(self) -> Trajectory:
+        """Return the motion in closed form."""
+        return Sine(
+            offset=np.array(self.offset),
+            amplitude=np.array(self.amplitude),
+            frequency=self.frequency,
+            periods=self.periods,
+        )
+
+
+class ChirpMotion(_Motion):
+    """Chirp of constant peak velocity; see `hesr_model.motions.trajectories.chirp`."""
+
+    kind: Literal["chirp"]
+    first: float = Field(gt=0)
+    last: float = Field(gt=0)
+    length: float = Field(gt=0)
+    amplitude: PerJoint
+    start: PerJoint
+
+    def trajectory(self) -> Trajectory:
+        """Return the motion in closed form."""
+        return chirp(
+            start=np.array(self.start),
+            amplitude=np.array(self.amplitude),
+            first=self.first,
+            last=self.last,
+            length=self.length,
+        )
+
+
+class SweepMotion(_Motion):
+    """Sweep whose amplitude swings; see `hesr_model.motions.trajectories.Sweep`."""
+
+    kind: Literal["sweep"]
+    first: float = Field(gt=0)
+    last: float = Field(gt=0)
+    length: float = Field(gt=0)
+    amplitude: PerJoint
+    swing: PerJoint
+    swing_phase: PerJoint
+    swing_period: float = Field(gt=0)
+    start: PerJoint
+
+    def trajectory(self) -> Trajectory:
+        """Return the motion in closed form."""
+        return Sweep(
+            start=np.array(self.start),
+            amplitude=np.array(self.amplitude),
+            swing=np.array(self.swing),
+            phase=np.array(self.swing_phase),
+            swing_period=self.swing_period,
+            first=self.first,
+            last=self.last,
+            length=self.length,
+        )
+
+
+Motion = Annotated[
+    FourierMotion | SineMotion | ChirpMotion | SweepMotion, Field(discriminator="kind")
+]
+
+
+class Motions(Config):
+    """The motions of a study, each of which becomes a log (or two, see `_Motion`)."""
+
+    motions: tuple[Motion, ...] = Field(min_length=1)
+
+    @field_validator("motions")
+    @classmethod
+    def _names_differ(cls, motions: tuple[Motion, ...]) -> tuple[Motion, ...]:
+        names = [name for motion in motions for name in names_of(motion)]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two logs would be named '{name}'; names must differ")
+        return motions
+
+
+def names_of(motion: Motion) -> tuple[str, ...]:
+    """Names of the logs that a motion gives."""
+    return (motion.name, f"{motion.name}_reversed") if motion.also_reversed else (motion.name,)

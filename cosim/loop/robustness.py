@@ -1,0 +1,190 @@
+"""What the loop bears: payloads, warm and cold friction, noise, latency, wrong servo gains."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from cosim.loop.closed_loop import NamedScheme, Scheme, Setting, Source, StandIn
+from cosim.loop.loops import StudyLoop, limits_of, motions
+from cosim.loop.tracking import LoopMotion, LoopRow, Tracked, track
+from fmu_src.blocks.inverse_dynamics import inverse_dynamics
+from fmu_src.export.package import write_fmu
+from hesr_model.motions.trajectories import Sine
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support.progress import Stages
+
+PAYLOADS = (1.0, 2.5, 5.0)
+"""Of which the loop knows nothing, and which are identified [kg]."""
+FRICTION_SCALES = (0.5, 0.75, 1.5, 2.0)
+"""Friction of the arm over that on which the laws were trained, as temperature changes it."""
+LATENCIES = (0.0, 0.02, 0.04)
+"""Of the servo, known to the controller [s]."""
+GAIN_ERRORS = (0.8, 1.2)
+"""Servo gains that the controller assumes over the true ones."""
+NOISE = 3.0
+"""Factor on the torque noise."""
+FACTORS = tuple(float(f) for f in np.round(np.arange(0.2, 3.01, 0.2), 1))
+"""On the friction torque, where limit cycling is looked for."""
+CYCLING = 2e-4
+"""RMS motion of an arm that should rest [rad], ten times the encoder's noise, that is cycling."""
+_REST = 4.0  # [s]
+_AS_IT_IS = "as it is"
+
+_MOTIONS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overcompensation:
+    """From which factor on the friction torque an arm at rest cycles.
+
+    Attributes
+    ----------
+    law, scheme : of the loop.
+    factor : the first of `FACTORS` at which a joint moves by more than `CYCLING`, or the run
+        fails; None where it rests at all of them.
+    """
+
+    law: str
+    scheme: NamedScheme
+    factor: float | None
+
+
+def run_sweeps(
+    loop: StudyLoop,
+    robot: RobotModel,
+    body: RigidBody,
+    folder: Path,
+    *,
+    known: Sequence[Tracked],
+    kept: Path | None,
+    progress: Stages,
+) -> list[Tracked]:
+    """Run the laws of interest under every change, on a few motions.
+
+    Parameters
+    ----------
+    loop : FMUs and gains.
+    robot, body : rigid body that was identified.
+    folder : where FMUs of identified payloads go.
+    known : rows of the tables, on more motions, of which loops as they are are not run again.
+    kept, progress : see `track`.
+    """
+    rows = list(_rows(loop, _payload_bodies(robot, body, folder, loop.step)))
+    unchanged = {(replace(t.scheme, change=_AS_IT_IS).name, t.law): t for t in known}
+    same = [unchanged.get((row.scheme.name, row.law)) for row in rows]
+    left = [row for row, found in zip(rows, same, strict=True) if not found or found.failures]
+    run = iter(
+        track(
+            left,
+            motions(loop.tracking)[:_MOTIONS],
+            duration=loop.tracking.duration,
+            limits=limits_of(robot),
+            kept=kept,
+            progress=partial(progress, "robustness"),
+        )
+    )
+    return [
+        next(run)
+        if not found or found.failures
+        else Tracked(
+            scheme=row.scheme,
+            law=row.law,
+            rmse=found.rmse[:_MOTIONS],
+            last=found.last[:_MOTIONS],
+        )
+        for row, found in zip(rows, same, strict=True)
+    ]
+
+
+def run_overcompensation(
+    loop: StudyLoop, robot: RobotModel, *, kept: Path | None, progress: Stages
+) -> list[Overcompensation]:
+    """Find out how much too much friction compensation each loop bears."""
+    sources: tuple[Source, ...] = ("desired", "measured", "filtered")
+    # The torque error moves a resting arm by its noise alone, so it tells nothing here.
+    cases = [
+        (law, Scheme(compensation="servo_inversion", source=source))
+        for law in loop.tracking.sources
+        for source in sources
+    ]
+    offset = np.array(loop.tracking.offset)
+    still = LoopMotion.of(Sine(offset=offset, amplitude=np.zeros(len(offset)), frequency=1.0))
+    rows = [
+        loop.row(law, replace(scheme, friction_gain=factor))
+        for law, scheme in cases
+        for factor in FACTORS
+    ]
+    found = track(
+        rows,
+        [still],
+        duration=_REST,
+        limits=limits_of(robot),
+        kept=kept,
+        progress=partial(progress, "over-compensation"),
+    )
+    results = []
+    for k, (law, scheme) in enumerate(cases):
+        errors = [t.rmse[0] for t in found[k * len(FACTORS) : (k + 1) * len(FACTORS)]]
+        beyond = (
+            factor
+            for factor, error in zip(FACTORS, errors, strict=True)
+            if not np.all(error < CYCLING)  # NaN of a failed run as well
+        )
+        results.append(Overcompensation(law=law, scheme=scheme, factor=next(beyond, None)))
+    return results
+
+
+def _rows(loop: StudyLoop, payloads: Mapping[float, Path]) -> Iterator[LoopRow]:
+    schemes = (
+        Scheme(compensation="torque_error"),
+        Scheme(compensation="servo_inversion"),
+        Scheme(compensation="servo_inversion", Kx=loop.tracking.Kx),
+    )
+    for scheme in schemes:
+        for law in (StandIn.BODY_ONLY, *loop.tracking.sources, StandIn.ORACLE):
+            for change, setting in _changed(loop.setting(law, scheme), payloads):
+                yield LoopRow(scheme=replace(scheme, change=change), law=law, setting=setting)
+
+
+def _changed(setting: Setting, payloads: Mapping[float, Path]) -> Iterator[tuple[str, Setting]]:
+    gains, fmus = setting.gains, setting.fmus
+    yield _AS_IT_IS, setting
+    for mass, body in payloads.items():
+        arm = {"payload": mass}
+        yield f"payload {mass:g} kg", replace(setting, arm=arm)
+        # The servo compensates the gravity of the bare arm, so that is what is subtracted.
+        known = replace(fmus, body=body, gravity=fmus.body)
+        yield f"payload {mass:g} kg, identified", replace(setting, arm=arm, fmus=known)
+    for scale in FRICTION_SCALES:
+        yield f"friction x {scale:g}", replace(setting, arm={"friction_scale": scale})
+    for latency in LATENCIES:
+        changed = gains.model_copy(update={"latency": latency})
+        late = replace(setting, arm={"latency": latency}, gains=changed)
+        yield f"latency {1e3 * latency:g} ms", late
+    for error in GAIN_ERRORS:
+        wrong = {name: tuple(error * g for g in getattr(gains, name)) for name in ("Kv", "Ki")}
+        yield f"servo gains x {error:g}", replace(setting, gains=gains.model_copy(update=wrong))
+    noise = tuple(NOISE * sigma for sigma in setting.noise)
+    yield f"torque noise x {NOISE:g}", replace(setting, arm={"tau_meas_noise": noise})
+
+
+def _payload_bodies(
+    robot: RobotModel, body: RigidBody, folder: Path, step: float
+) -> dict[float, Path]:
+    """Rigid bodies with a payload that is known exactly, as FMUs."""
+    source = robot.description.model
+    paths = {}
+    for mass in PAYLOADS:
+        loaded = folder / f"payload_{mass:g}.xml"
+        text = source.read_text(encoding="utf-8")
+        loaded.write_text(text.replace('pos="0 0 0" mass="0"', f'pos="0 0 0" mass="{mass}"'))
+        description = robot.description.model_copy(update={"model": loaded})
+        change = RobotModel(description).nominal_parameters - robot.nominal_parameters
+        content = inverse_dynamics(robot, body.parameters + change, step=step)
+        paths[mass] = write_fmu(content, folder / f"InverseDynamics_{mass:g}kg.fmu")
+        loaded.unlink()
+    return paths

@@ -1,0 +1,211 @@
+"""Tracking in closed loop (Table III): every law in every scheme, through the FMUs."""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from cosim.loop.closed_loop import Law, NamedScheme, Scheme, Setting, system
+from cosim.loop.traces import Trace
+from cosim.systems.simulation import Master
+from cosim.systems.system import Value
+from fmu_src.blocks.trajectory import start_values
+from fmu_src.run.batch import Array
+from fmu_src.run.pool import HERE
+from hesr_model.artifacts import read_json
+from hesr_model.motions.trajectories import Trajectory
+from hesr_model.support import parallel
+from hesr_model.support.files import sha256, written_whole
+from hesr_model.support.progress import Progress, silent
+from hesr_model.support.typed_json import NumbersWithGaps, from_json, to_text
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopMotion:
+    """A motion as the FMUs take it.
+
+    Attributes
+    ----------
+    parameters : of the Trajectory FMU.
+    q0 : where the arm begins [rad].
+    """
+
+    parameters: Mapping[str, Value]
+    q0: tuple[float, ...]
+
+    @classmethod
+    def of(cls, trajectory: Trajectory) -> "LoopMotion":
+        """Return a motion in closed form as one for the FMUs."""
+        q0 = trajectory.sample(np.zeros(1))[0][0]
+        return cls(parameters=start_values(trajectory), q0=tuple(map(float, q0)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopRow:
+    """One row of a table: a law in a scheme.
+
+    Attributes
+    ----------
+    scheme : how commands are made.
+    law : name of the law, or what stands in its place.
+    setting : the loop.
+    """
+
+    scheme: Scheme
+    law: Law
+    setting: Setting
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tracked:
+    """How well a row tracks.
+
+    Attributes
+    ----------
+    scheme, law : of the row.
+    rmse : (M, n) error of each motion and joint [rad]; NaN for a run that failed.
+    last : (M, n) mean error over the last tenth of each run [rad], which shows drift.
+    failures : why runs ended early.
+    trace : the run along the first motion, where that was asked for; not part of the JSON data.
+    """
+
+    scheme: NamedScheme
+    law: Law
+    rmse: NumbersWithGaps
+    last: NumbersWithGaps
+    failures: tuple[str, ...] = ()
+    trace: Annotated[Trace | None, Field(exclude=True)] = None
+
+    @property
+    def mean(self) -> Array:
+        """Mean over the motions, (n,) [rad]."""
+        return np.asarray(self.rmse.mean(axis=0))
+
+    @property
+    def spread(self) -> Array:
+        """Standard deviation over the motions, (n,) [rad]."""
+        return np.asarray(self.rmse.std(axis=0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Kept:
+    """A finished row as it is kept: `trace` is no part of the JSON data of `Tracked`."""
+
+    tracked: Tracked
+    trace: Trace | None
+
+
+def track(
+    rows: Sequence[LoopRow],
+    motions: Sequence[LoopMotion],
+    *,
+    duration: float,
+    limits: Array,
+    traced: bool = False,
+    kept: Path | None = None,
+    workers: int | None = None,
+    progress: Progress = silent,
+) -> list[Tracked]:
+    """Run every row along every motion.
+
+    Parameters
+    ----------
+    rows : laws in schemes.
+    motions : what is tracked.
+    duration : of a run [s].
+    limits : (n, 2) positions at which a run is stopped [rad].
+    traced : keep the positions along the first motion.
+    kept : folder in which finished rows are kept, so that an interrupted study can go on.
+    workers : processes; one for each core where not given, none of its own for 1.
+    progress : told how many rows are done and how many there are.
+
+    Returns
+    -------
+    One result for each row, in their order; runs that failed are part of it.
+    """
+    done: dict[int, Tracked] = {}
+    left: list[int] = []
+    keys = _keys(rows, motions, duration, limits, traced) if kept else [""] * len(rows)
+    for i, key in enumerate(keys):
+        file = kept / f"{key}.json" if kept else None
+        if file and file.is_file():
+            found = from_json(_Kept, read_json(file), file, "a finished row")
+            done[i] = replace(found.tracked, trace=found.trace)
+        else:
+            left.append(i)
+
+    def keep(i: int, result: Tracked) -> None:
+        done[i] = result
+        if kept:
+            kept.mkdir(parents=True, exist_ok=True)
+            row = _Kept(tracked=result, trace=result.trace)
+            with written_whole(kept / f"{keys[i]}.json") as temporary:
+                temporary.write_text(to_text(row), encoding="utf-8")
+        progress(len(done), len(rows))
+
+    progress(len(done), len(rows))
+    jobs = [partial(_tracked, rows[i], motions, duration, limits, traced) for i in left]
+    try:
+        with parallel.results_of(jobs, workers) as results:
+            for i, result in zip(left, results, strict=True):
+                keep(i, result)
+    finally:
+        HERE.clear()  # where there was no other process
+    return [done[i] for i in range(len(rows))]
+
+
+def _tracked(
+    row: LoopRow, motions: Sequence[LoopMotion], duration: float, limits: Array, traced: bool
+) -> Tracked:
+    spec = system(row.setting, duration=duration, limits=limits)
+    rmse, last, failures = [], [], []
+    trace: Trace | None = None
+    with Master(spec, loaded=HERE) as master:
+        for motion in motions:
+            result = master.run(start={"trajectory": motion.parameters, "arm": {"q0": motion.q0}})
+            q_d, q = (result.vector(name) for name in ("trajectory.q", "arm.q_true"))
+            error = q_d - q
+            if traced and trace is None:
+                trace = Trace(t=result.t, q_d=q_d, q=q)
+            if result.failure:
+                failures.append(str(result.failure))
+                error = np.full((1, len(limits)), np.nan)
+            rmse.append(np.sqrt(np.mean(error**2, axis=0)))
+            last.append(np.mean(error[-max(len(error) // 10, 1) :], axis=0))
+    return Tracked(
+        scheme=row.scheme,
+        law=row.law,
+        rmse=np.array(rmse),
+        last=np.array(last),
+        failures=tuple(failures),
+        trace=trace,
+    )
+
+
+def _keys(
+    rows: Sequence[LoopRow],
+    motions: Sequence[LoopMotion],
+    duration: float,
+    limits: Array,
+    traced: bool,
+) -> list[str]:
+    """Return names of the rows' results, which change with anything that these depend on."""
+    hashes: dict[Path, str] = {}  # rows share their FMUs
+    moved = [asdict(motion) for motion in motions]
+    keys = []
+    for row in rows:
+        setting = asdict(row.setting) | {"gains": row.setting.gains.model_dump()}
+        paths = {name: path for name, path in setting["fmus"].items() if path}
+        hashes |= {path: sha256(path) for path in paths.values() if path not in hashes}
+        files = {name: hashes[path] for name, path in paths.items()}
+        run = (moved, duration, limits.tolist(), traced)
+        data = [row.scheme.name, row.law, setting | {"fmus": files}, *run]
+        text = json.dumps(data, default=list, sort_keys=True)
+        keys.append(hashlib.sha256(text.encode()).hexdigest()[:24])
+    return keys

@@ -1,0 +1,305 @@
+"""Run all experiments on one model or FMU, and on many of them side by side."""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib.metadata import version
+from math import isfinite
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from cosim.properties.bench import (
+    DriveBench,
+    FrictionBench,
+    drive_bench,
+    friction_bench,
+)
+from cosim.properties.break_away import breakaway, dither, hold
+from cosim.properties.coupling import coupling
+from cosim.properties.dissipation import dissipation
+from cosim.properties.inertia import INERTIA
+from cosim.properties.presliding import memory, nested, presliding
+from cosim.properties.scale import Scale, measure_scale
+from cosim.properties.sliding import chatter, lag, work
+from cosim.properties.starts import start
+from cosim.properties.stick_slip import stick_slip
+from fmu_src.drive.drive_fmu import export_drive
+from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.friction.reference import UNKNOWN_SPEED
+from fmu_src.run.batch import Array
+from hesr_model.artifacts import model_to_json
+from hesr_model.audit.audit import loads_of
+from hesr_model.audit.expectations import EXPECTATIONS
+from hesr_model.audit.properties import (
+    Figure,
+    Finding,
+    JointProperties,
+    Properties,
+    read_properties,
+    write_properties,
+)
+from hesr_model.errors import ArtifactError, ConfigError, SimulationError
+from hesr_model.friction.inputs import TAU_LOAD
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.support import parallel
+from hesr_model.support.progress import Progress, counted, silent
+
+_SAMPLE_TIME = 5e-3  # [s] of FMUs that do not say theirs
+_DRIVEN: Mapping[str, Callable[[DriveBench, Scale], list[Finding]]] = {
+    "breakaway": breakaway,
+    "stick_slip": stick_slip,
+    "dither": dither,
+    "hold": hold,
+}
+_DRIVE = "drive"  # driven as well, by more than its scale
+_NO_INERTIA = "Not run: the inertia of the joints is not known; give it by --inertia."
+_NO_MODEL = "Not run: the FMU carries no law of which a JointDrive could be made."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """What is put to the test.
+
+    Attributes
+    ----------
+    name : under which the findings are shown, where the model has no say.
+    model : the laws; None for an FMU that does not carry them.
+    fmu : a friction FMU; one is made of the model where not given.
+    inertia : (n,) of the joints [kg.m2]; that of a known robot where not given.
+    """
+
+    name: str
+    model: FrictionModel | None
+    fmu: Path | None = None
+    inertia: tuple[float, ...] | None = None
+
+
+def run_battery(
+    subjects: Sequence[Subject],
+    *,
+    load: float = 0.0,
+    workers: int | None = None,
+    progress: Progress = silent,
+    kept: Path | None = None,
+) -> list[Properties]:
+    """Put models or FMUs to the test, each in a process of its own.
+
+    Parameters
+    ----------
+    subjects : models and FMUs.
+    load : load torque of every joint, where an experiment has none of its own [N.m].
+    workers : processes; one for each core where not given, none of its own for 1. The result does
+        not depend on it.
+    progress : told how many are done.
+    kept : folder into which the findings on each model are written when they are complete, and from
+        which they are read where they stand there already.
+
+    Raises
+    ------
+    ConfigError
+        If an inertia is not what it must be.
+    ExportError, SimulationError
+        If an FMU cannot be built, or is no friction FMU.
+    """
+    for subject in subjects:
+        _require_inertia(subject)
+    jobs = [partial(_measured, subject, load=load, kept=kept) for subject in subjects]
+    costs = [subject.model.size if subject.model else 0 for subject in subjects]
+    with parallel.results_of(jobs, workers, costs) as results:
+        return [next(results) for _ in counted(jobs, progress)]
+
+
+def _measured(subject: Subject, *, load: float, kept: Path | None) -> Properties:
+    """Put one model or FMU to the test, or read what was found when it was."""
+    if kept is None or subject.model is None or subject.fmu is not None:
+        return measure(subject, load=load)
+    about = [model_to_json(subject.model), subject.inertia, load, version("hesr")]
+    key = hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()[:24]
+    path = kept / f"{key}.json"
+    with suppress(ArtifactError):  # there is none, or none that is whole
+        return read_properties(path)[subject.name]
+    found = measure(subject, load=load)
+    write_properties(path, {subject.name: found})
+    return found
+
+
+def measure(subject: Subject, *, load: float = 0.0) -> Properties:
+    """Put one model or FMU to the test; arguments and errors are those of `run_battery`.
+
+    Of robots with coupled joints, the coordinates on which friction sits move one at a time. Laws
+    that follow temperature are at that at which they were fitted.
+    """
+    model = subject.model and replace(subject.model, coupling=None, thermal=())
+    with TemporaryDirectory(prefix="hesr-") as folder:
+        fmu = subject.fmu
+        if fmu is None:
+            if model is None:
+                raise ConfigError(f"{subject.name}: there is neither a model nor an FMU.")
+            fmu = export_bare(model, Path(folder, "friction.fmu"))
+        joints = len(model.laws) if model else _joints_of(fmu)
+        inertia = _require_inertia(subject, joints)
+        seen = _ranges(model, joints)
+        places, speed = (np.array([getattr(s, x) for s in seen]) for x in ("middle", "speed"))
+        with friction_bench(fmu, places) as bench:
+            try:
+                scale = measure_scale(bench, speed, load)
+            except SimulationError as error:
+                # A law that cannot even slide steadily has none of the properties.
+                found = dict.fromkeys(EXPECTATIONS, [_given_up(error)] * joints)
+                return _collected(subject, load, speed, None, inertia, found)
+            found = _moved(bench, scale, model, seen, inertia)
+        if model and inertia is not None:
+            # The drive of a joint that slides moves by the same equations, its inertia a mass.
+            turning = replace(model, sliding=())
+            own = inertia.tolist()
+            drive = export_drive(turning, Path(folder, "drive.fmu"), inertia=own, bare=True)
+            with drive_bench(drive, places) as driven:
+                for key, experiment in _DRIVEN.items():
+                    found[key] = _tried(partial(experiment, driven, scale), joints)
+                loaded = np.array([TAU_LOAD in law.form.inputs for law in turning.laws])
+                peaks = _peaks(seen, scale)
+                found[_DRIVE] = _tried(partial(dissipation, driven, scale, peaks, loaded), joints)
+    return _collected(subject, load, speed, scale, inertia, found)
+
+
+def _collected(
+    subject: Subject,
+    load: float,
+    speed: Array,
+    scale: Scale | None,
+    inertia: Array | None,
+    found: Mapping[str, list[Finding]],
+) -> Properties:
+    """Return all findings by joint; sizes are zero where nothing could be measured."""
+    model = subject.model
+    names = model.joints if model else [f"joint {k}" for k in range(1, len(speed) + 1)]
+    sliding = model.slides if model else (False,) * len(speed)
+    return Properties(
+        law=model.law if model else subject.name,
+        robot=model.robot if model else "",
+        tau_load=load,
+        joints=tuple(
+            JointProperties(
+                joint=name,
+                speed=float(speed[j]),
+                level=float(scale.level[j]) if scale else 0.0,
+                deflection=float(scale.deflection[j]) if scale else 0.0,
+                inertia=None if inertia is None else float(inertia[j]),
+                findings={
+                    key: _finite(found[key][j]).at_joint(slides=sliding[j]) for key in EXPECTATIONS
+                },
+            )
+            for j, name in enumerate(names)
+        ),
+    )
+
+
+def _moved(
+    bench: FrictionBench,
+    scale: Scale,
+    model: FrictionModel | None,
+    seen: list[TrainedRange],
+    inertia: Array | None,
+) -> dict[str, list[Finding]]:
+    """Do all that needs a friction FMU only, and say why the rest is not done."""
+    n = bench.joints
+    laws = model.laws if model else (None,) * n
+    states = [None if law is None else len(law.form.memory) for law in laws]
+    loads = [
+        (scale.load,) if law is None else loads_of(law, one)
+        for law, one in zip(laws, seen, strict=True)
+    ]
+    not_run = Finding(verdict="not run", reason=_NO_INERTIA if model else _NO_MODEL)
+    found = {key: [not_run] * n for key in (*_DRIVEN, _DRIVE)}
+    found["presliding"] = _tried(partial(presliding, bench, scale), n)
+    found["memory"] = _tried(partial(memory, bench, scale, states), n)
+    found["nested"] = _tried(partial(nested, bench, scale, states, _peaks(seen, scale)), n)
+    found["start"] = _tried(partial(start, bench, scale), n)
+    found["lag"] = _tried(partial(lag, bench, scale), n)
+    found["chatter"] = _tried(partial(chatter, bench, scale, seen), n)
+    found["work"] = _tried(partial(work, bench, seen, loads), n)
+    found["coupling"] = (
+        [Finding(verdict="not run", reason=_NO_INERTIA)] * n
+        if inertia is None
+        else _tried(partial(coupling, bench, scale, inertia), n)
+    )
+    return found
+
+
+def _peaks(seen: list[TrainedRange], scale: Scale) -> Array:
+    """Return the trained load of each joint that is largest in size, (n,) [N.m].
+
+    Where no load was trained, what is held and a friction level on top of it stand in.
+    """
+    trained = np.array([max(one.tau_load, key=abs) for one in seen])
+    return np.where(trained != 0.0, trained, scale.load + scale.level)
+
+
+def _tried(experiment: Callable[[], list[Finding]], joints: int) -> list[Finding]:
+    """Run an experiment; an FMU that gives up in it has not the property, on any of its joints."""
+    try:
+        return experiment()
+    except SimulationError as error:
+        return [_given_up(error)] * joints
+
+
+def _given_up(error: SimulationError) -> Finding:
+    return Finding(verdict="fail", reason=f"The FMU gives up: {error}")
+
+
+def _finite(found: Finding) -> Finding:
+    """Return a finding whose figures are numbers or none."""
+    figures = (
+        f if f.value is None or isfinite(f.value) else Figure(name=f.name, value=None, unit=f.unit)
+        for f in found.figures
+    )
+    return replace(found, figures=tuple(figures))
+
+
+def _joints_of(fmu: Path) -> int:
+    with friction_bench(fmu) as bench:
+        return bench.joints
+
+
+def _ranges(model: FrictionModel | None, joints: int) -> list[TrainedRange]:
+    """Return the trained range of each joint, all at the model's sample time."""
+    sample = model.sample_time if model else _SAMPLE_TIME
+    if model and model.trained:
+        return [replace(seen, sample_time=sample) for seen in model.trained]
+    unknown = TrainedRange(
+        sample_time=sample,
+        dq=(-UNKNOWN_SPEED, UNKNOWN_SPEED),
+        q=(0.0, 0.0),
+        tau_load=(0.0, 0.0),
+        tau=(0.0, 0.0),
+    )
+    return [unknown] * joints
+
+
+def _require_inertia(subject: Subject, joints: int | None = None) -> Array | None:
+    """Return the inertia of the joints [kg.m2], None where it is not known."""
+    model = subject.model
+    given = subject.inertia
+    if given is None and model is not None:
+        given = INERTIA.get(model.robot)
+    if given is None:
+        return None
+    wanted = len(model.laws) if model else joints
+    if wanted is not None and len(given) not in (1, wanted):
+        raise ConfigError(
+            f"{subject.name}: {len(given)} inertias are given; needed is one, or one for each of "
+            f"the {wanted} joints."
+        )
+    for joint, value in enumerate(given, start=1):
+        if not (isfinite(value) and value > 0.0):
+            raise ConfigError(
+                f"{subject.name}: the inertia of joint {joint} is {value:g} kg.m2; needed is a "
+                "positive number."
+            )
+    return np.broadcast_to(np.array(given), (wanted or len(given),)).copy()

@@ -1,0 +1,149 @@
+"""Experiments with torque in: break-away, and what holds a load with and without dither."""
+
+import numpy as np
+
+from cosim.properties.bench import DriveBench
+from cosim.properties.findings import curve, judged, plot
+from cosim.properties.scale import Scale
+from fmu_src.run.batch import Array
+from hesr_model.audit.expectations import FALLS, HELD
+from hesr_model.audit.properties import Finding
+
+RAMPS = (10.0, 3.0, 1.0, 0.3)
+"""Times in which ramps of torque reach the friction level [s]."""
+LOAD = 0.5
+"""Load that a joint has to bear, as a share of the friction level."""
+DITHER, FREQUENCY = 0.2, 5.0
+"""Amplitude of the dither as a share of that level, and its frequency [Hz]."""
+MINUTE = 60.0
+
+_SLIDES = 0.05  # of the trained speed: sliding, no pre-sliding any more
+_HIGHEST = 3.0  # of the level, up to which a ramp goes
+_RAMP_STEPS = 1000  # to the level
+_CREEPS = 2.0  # times as far on a ramp three times as slow; pre-sliding goes as far on both
+_PUT_ON, _SETTLING = 1.0, 1.0  # [s] of a load
+_PER_PERIOD = 20  # steps of the dither
+
+
+def breakaway(bench: DriveBench, scale: Scale) -> list[Finding]:
+    """Raise the torque from rest at several rates until the joints slide."""
+    peaks, ways = [], []
+    for seconds in RAMPS:
+        peak, way = _ramp(bench, scale, seconds)
+        peaks.append(peak)
+        ways.append(way)
+    return [
+        _broken(np.array(peaks)[:, j], np.array(ways)[:, j], float(scale.level[j]))
+        for j in range(bench.joints)
+    ]
+
+
+def _ramp(bench: DriveBench, scale: Scale, seconds: float) -> tuple[Array, Array]:
+    """Return the largest friction before sliding [N.m] and the way at half of it [rad], (n,) each.
+
+    Neither is a number where a joint does not slide.
+    """
+    bench.start(load=scale.load, torque=scale.offset)
+    dt, slides = seconds / _RAMP_STEPS, _SLIDES * scale.speed
+    rows: list[Array] = []
+    moving = np.zeros(bench.joints, dtype=bool)
+    for k in range(1, int(_HIGHEST * _RAMP_STEPS) + 1):
+        # What slides is let go, else it would run away while the others are still at rest.
+        bench.torque[:] = scale.offset + np.where(moving, 0.0, k / _RAMP_STEPS * scale.level)
+        now = bench.step(dt).copy()
+        now[:, moving] = np.nan
+        rows.append(now)
+        moving |= np.abs(now[1]) > slides
+        if moving.all():
+            break
+    q, _, tau = (np.array(part) for part in zip(*rows, strict=True))
+    friction = tau - scale.offset
+    peak, way = np.full((2, bench.joints), np.nan)
+    for j in np.flatnonzero(moving):
+        until = ~np.isnan(q[:, j])
+        peak[j] = friction[until, j].max()
+        half = int(np.argmax(friction[until, j] >= 0.5 * peak[j]))
+        way[j] = abs(q[half, j] - bench.places[j])
+    return peak, way
+
+
+def _broken(peaks: Array, ways: Array, level: float) -> Finding:
+    if np.isnan(peaks).any():
+        return judged(
+            ("fall of the break-away torque", None, "1"),
+            wrong=[f"The joint does not slide below {_HIGHEST:g} times its friction level."],
+        )
+    fall = float((peaks[0] - peaks[-1]) / peaks[0]) if peaks[0] > 0.0 else 0.0
+    wrong = []
+    if peaks[0] <= 0.0:
+        wrong.append("Nothing has to be broken away: the law drives the joint.")
+    elif ways[0] > _CREEPS * ways[1]:
+        wrong.append(
+            "There is no break-away: the joint gives way from the first torque on, by half the "
+            f"torque on the slowest ramp {ways[0] / ways[1]:.2g} times as far as on the next."
+        )
+    if peaks[0] > 0.0 and fall < FALLS:
+        wrong.append(
+            f"It falls by {fall:.1%} only." if fall > 1e-3 else "It does not fall with the rate."
+        )
+    rates = level / np.array(RAMPS)
+    return judged(
+        ("fall of the break-away torque", fall, "1"),
+        ("break-away torque on the slowest ramp", float(peaks[0]), "N.m"),
+        ("break-away torque on the fastest ramp", float(peaks[-1]), "N.m"),
+        wrong=wrong,
+        plot=plot("log10 rate", "break-away", curve("", np.log10(rates), peaks)),
+    )
+
+
+def hold(bench: DriveBench, scale: Scale) -> list[Finding]:
+    """Bear a constant load for a minute; laws that use the load are told it."""
+    load = LOAD * scale.level
+    bench.start(load=load, torque=scale.offset)
+    _put_on(bench, scale, load)
+    dt = np.full(600, MINUTE / 600)
+    q = bench.run(dt)[0]
+    return _drifting(np.concatenate([[0.0], np.cumsum(dt[1:])]), q)
+
+
+def dither(bench: DriveBench, scale: Scale) -> list[Finding]:
+    """Bear a constant load and a small one to and fro for a minute."""
+    load = LOAD * scale.bears
+    bench.start(load=scale.load, torque=scale.offset)
+    _put_on(bench, scale, load)
+    rows = round((MINUTE + _SETTLING) * FREQUENCY * _PER_PERIOD)
+    dt = np.full(rows, 1.0 / (FREQUENCY * _PER_PERIOD))
+    wave = np.sin(2.0 * np.pi / _PER_PERIOD * (np.arange(rows) + 0.5))
+    q = bench.run(dt, torque=scale.offset + load + DITHER * wave[:, None] * scale.bears)[0]
+    # The middle of each period: what drifts, not what swings.
+    middle = q.reshape(-1, _PER_PERIOD, bench.joints).mean(axis=1)
+    middle = middle[round(_SETTLING * FREQUENCY) :]
+    return _drifting(np.arange(len(middle)) / FREQUENCY, middle)
+
+
+def _put_on(bench: DriveBench, scale: Scale, load: Array) -> None:
+    """Raise the load smoothly and let the joints settle under it."""
+    steps = 100
+    rise = 0.5 - 0.5 * np.cos(np.pi / steps * np.arange(1, steps + 1))
+    bench.run(np.full(steps, _PUT_ON / steps), torque=scale.offset + rise[:, None] * load)
+    bench.step(_SETTLING)
+
+
+def _drifting(t: Array, q: Array) -> list[Finding]:
+    """Judge how far the joints move from the first row to the last, (K, n) [rad]."""
+    found = []
+    for of_joint in q.T:
+        drift = float(of_joint[-1] - of_joint[0])
+        rate = float(np.diff(of_joint[len(of_joint) // 2 :]).sum() / (t[-1] - t[len(t) // 2]))
+        if not np.isfinite(drift):
+            found.append(judged(("drift in a minute", None, "rad"), wrong=["The joint runs away."]))
+            continue
+        found.append(
+            judged(
+                ("drift in a minute", drift, "rad"),
+                ("rate of the second half", rate, "rad/s"),
+                wrong=["It creeps."] if abs(drift) > HELD else [],
+                plot=plot("time", "moved", curve("", t, 1e3 * (of_joint - of_joint[0]), most=60)),
+            )
+        )
+    return found

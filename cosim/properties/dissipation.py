@@ -1,0 +1,69 @@
+"""Dissipation in a drive: the work of a law over cycles that forces make, not given motions."""
+
+import numpy as np
+
+from cosim.properties.bench import DriveBench
+from cosim.properties.findings import curve, judged, plot
+from cosim.properties.scale import Scale
+from fmu_src.run.batch import Array
+from hesr_model.audit.expectations import PASSIVE
+from hesr_model.audit.properties import Finding
+
+AMPLITUDES = (0.02, 0.5, 2.0)
+"""Of the torque, in friction levels: far within pre-sliding, half of it, and sliding."""
+FREQUENCY = 1.0
+"""Of the torque [Hz]; the load moves at twice that."""
+PHASES = (0.5 * np.pi, 1.5 * np.pi)
+"""Of the load's motion [rad]."""
+_STEP = 4e-3  # [s] of the drive, inner ones as well, so that no work between rows is missed
+_ROWS = round(1.0 / (FREQUENCY * _STEP))  # of a cycle
+_CYCLES, _MEASURED = 10, 4
+_SPRING = 20.0  # deflections by which the friction level stretches the spring
+
+
+def dissipation(bench: DriveBench, scale: Scale, peaks: Array, loaded: Array) -> list[Finding]:
+    """Push joints that springs hold to and fro, and sum up the work of their friction.
+
+    Parameters
+    ----------
+    bench : with the drive.
+    scale : sizes of its joints.
+    peaks : (n,) largest load of each joint [N.m].
+    loaded : (n,) whether its law uses the load, which then moves between 0 and its peak.
+    """
+    angle = 2.0 * np.pi / _ROWS * np.arange(1, _ROWS * _CYCLES + 1)
+    dt = np.full(len(angle), _STEP)
+    worst = np.full(bench.joints, -np.inf)
+    shown: list[tuple[Array, Array]] = [(np.empty(0), np.empty(0))] * bench.joints
+    at = np.zeros(bench.joints)
+    for share in AMPLITUDES:
+        for phase in PHASES[: 2 if loaded.any() else 1]:
+            load = 0.5 * peaks * (1.0 + np.cos(2.0 * angle + phase))[:, None]
+            load = np.where(loaded, load, scale.load)
+            torque = scale.offset + share * np.sin(angle)[:, None] * scale.level
+            bench.start(
+                load=load[-1],
+                torque=scale.offset,
+                stiffness=scale.level / (_SPRING * scale.deflection),
+                substep=_STEP,
+            )
+            q, dq, tau = (
+                part[-_MEASURED * _ROWS :] for part in bench.run(dt, torque=torque, load=load)
+            )
+            # An offset does no work over a closed way, and these close but for rounding.
+            given = -((tau - scale.offset) * dq).sum(axis=0) * _STEP / _MEASURED
+            given = np.where(np.isfinite(given), given, np.inf)
+            for j in np.flatnonzero(given > worst):
+                worst[j], at[j] = given[j], share
+                shown[j] = (q[-_ROWS:, j] - bench.places[j], tau[-_ROWS:, j])
+    return [_given(float(worst[j]), float(at[j]), *shown[j]) for j in range(bench.joints)]
+
+
+def _given(given: float, share: float, q: Array, tau: Array) -> Finding:
+    said = f"Under a torque of {share:g} levels it gives {given:.3g} J a cycle."
+    return judged(
+        ("most energy given in a cycle", max(0.0, given), "J"),
+        ("amplitude of the torque, of the level", share, "1"),
+        wrong=[said] if given > PASSIVE else [],
+        plot=plot("position", "torque", curve("", 1e3 * q, tau, closed=True)),
+    )

@@ -1,0 +1,243 @@
+"""Pre-sliding: the loop in position at small amplitude, and the memory of reversal points.
+
+Memory is looked for twice: at a load that is held, and at one that moves.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cosim.properties.bench import FrictionBench
+from cosim.properties.findings import curve, judged, plot
+from cosim.properties.scale import Scale
+from fmu_src.run.batch import Array
+from hesr_model.audit.expectations import CLOSED, INNER, RATE, SMOOTH
+from hesr_model.audit.properties import Finding
+
+PERIOD, SLOW_PERIOD = 4.0, 40.0
+"""Of the loops [s]."""
+_CYCLES = 3  # of which the last is measured
+_JUMP, _STIFF = 5e-4, 0.025
+"""Shares of a branch: by the first the torque has jumped, by the second it shows its stiffness."""
+_BRANCH = np.concatenate([[_JUMP, 5e-3, _STIFF], np.linspace(0.05, 1.0, 39)])
+_TURN = 0.75  # share of the rising branch at which an inner loop begins
+_DEPTH = np.concatenate(
+    [[2.0 * _JUMP, 0.01], np.linspace(0.05, 0.5, 10)]
+)  # how far it goes back, in amplitudes of the outer loop
+_TURNS = int(np.searchsorted(_BRANCH, _TURN))  # row of that
+_INNER_WAY = np.concatenate([[0.0], _DEPTH, _DEPTH[-1] - _DEPTH])
+_NESTED_WAYS = (-1.0, 1.0, -1.0, 1.0)
+_NESTED = (0.5 * _DEPTH, 0.25 * _DEPTH, 0.25 * _DEPTH, 0.5 * _DEPTH)
+"""Ways of two loops, one inside the other, in widths of the outer one."""
+_NESTED_WAY = np.concatenate(
+    [
+        [0.0],
+        _DEPTH,
+        _DEPTH[-1] - 0.5 * _DEPTH,
+        0.5 * _DEPTH[-1] + 0.5 * _DEPTH,
+        _DEPTH[-1] - _DEPTH,
+    ]
+)  # in amplitudes, down from the turning point
+_AT_ONCE = 0.99  # of the height; more is no loop in position
+_LITTLE = 1e-9  # [N.m]; a loop of less height is none
+
+
+def presliding(bench: FrictionBench, scale: Scale) -> list[Finding]:
+    """Move the joints to and fro by their deflection, fast and ten times slower."""
+    fast, slow = (_loop(bench, scale, period, scale.load) for period in (PERIOD, SLOW_PERIOD))
+    return [
+        _slid(fast[:, joint], slow[:, joint], float(amplitude))
+        for joint, amplitude in enumerate(scale.deflection)
+    ]
+
+
+def memory(bench: FrictionBench, scale: Scale, states: Sequence[int | None]) -> list[Finding]:
+    """Turn back on the rising branch of the slow loop, return, and go on.
+
+    Slowly, so that what a law keeps for a time only is forgotten on the way.
+
+    Parameters
+    ----------
+    bench : with the FMU.
+    scale : sizes of its joints.
+    states : how many states each joint's law has; None where it is not known.
+    """
+    loop = _loop(bench, scale, SLOW_PERIOD, scale.load)
+    turned = _turn(bench, scale)
+    down, again = (_branch(bench, scale, SLOW_PERIOD, way, 0.5 * _DEPTH) for way in (-1.0, 1.0))
+    on = _go_on(bench, scale)
+    inner = np.concatenate([turned, down, again])
+    return [
+        _remembered(
+            loop[:, j], inner[:, j], on[:, j], _INNER_WAY, float(scale.deflection[j]), states[j]
+        )
+        for j in range(bench.joints)
+    ]
+
+
+def nested(
+    bench: FrictionBench, scale: Scale, states: Sequence[int | None], peaks: Array
+) -> list[Finding]:
+    """Turn back twice, one loop inside the other, while the load rises and returns on each way.
+
+    Parameters
+    ----------
+    bench : with the FMU.
+    scale : sizes of its joints.
+    states : how many states each joint's law has; None where it is not known.
+    peaks : (n,) load to which each joint's rises from half of it [N.m].
+    """
+    loaded = np.ptp(_loop(bench, scale, SLOW_PERIOD, peaks), axis=0)
+    loop = _loop(bench, scale, SLOW_PERIOD, 0.5 * peaks)
+    ways = [_turn(bench, scale)]
+    for way, shares in zip(_NESTED_WAYS, _NESTED, strict=True):
+        rise = 0.5 - 0.5 * np.cos(2.0 * np.pi * shares / shares[-1])
+        load = (0.5 + 0.5 * rise)[:, None] * peaks
+        ways.append(_branch(bench, scale, SLOW_PERIOD, way, shares, load))
+    on = _go_on(bench, scale)
+    inner, turns = np.concatenate(ways), np.array([of_way[-1] for of_way in ways])
+    return [
+        _remembered(
+            loop[:, j], inner[:, j], on[:, j], _NESTED_WAY, float(scale.deflection[j]), states[j],
+            innermost=float(turns[3, j] - turns[1, j]), loaded=float(loaded[j]),
+        )
+        for j in range(bench.joints)
+    ]  # fmt: skip
+
+
+def _turn(bench: FrictionBench, scale: Scale) -> Array:
+    """Go down the loop, which has ended at its top, and up to the turning point; torque (1, n)."""
+    _branch(bench, scale, SLOW_PERIOD, -1.0, _BRANCH)
+    return _branch(bench, scale, SLOW_PERIOD, 1.0, _BRANCH[: _TURNS + 1])[-1:]
+
+
+def _go_on(bench: FrictionBench, scale: Scale) -> Array:
+    """Return the torque (K, n) on the rest of the rising branch."""
+    return _branch(bench, scale, SLOW_PERIOD, 1.0, _BRANCH[_TURNS + 1 :] - _BRANCH[_TURNS])
+
+
+def _branch(
+    bench: FrictionBench,
+    scale: Scale,
+    period: float,
+    way: float,
+    shares: Array,
+    load: Array | None = None,
+) -> Array:
+    """Move by shares of the loop's width, and return the torque (K, n) there."""
+    speed = way * 4.0 * scale.deflection / period
+    dt = 0.5 * period * np.diff(shares, prepend=0.0)
+    return bench.move(dt, np.broadcast_to(speed, (len(dt), len(speed))), load=load)
+
+
+def _loop(bench: FrictionBench, scale: Scale, period: float, load: float | Array) -> Array:
+    """Return the torque over a settled loop: the falling branch, then the rising one."""
+    bench.start(load=load)
+    _branch(bench, scale, period, 1.0, np.array([0.5]))
+    for _ in range(_CYCLES):
+        tau = [_branch(bench, scale, period, way, _BRANCH) for way in (-1.0, 1.0)]
+    return np.concatenate(tau)
+
+
+def _positions(amplitude: float) -> Array:
+    rising = amplitude * (2.0 * _BRANCH - 1.0)
+    return np.concatenate([-rising, rising])
+
+
+def _area(tau: Array, amplitude: float) -> float:
+    """Return the work in a loop [J]; it closes where it began."""
+    x = _positions(amplitude)
+    return float(np.trapezoid(np.append(tau, tau[0]), np.append(x, x[0])))
+
+
+def _slid(fast: Array, slow: Array, amplitude: float) -> Finding:
+    half = len(_BRANCH)
+    height = float(np.ptp(fast))
+    area, slow_area = (_area(tau, amplitude) for tau in (fast, slow))
+    jump = float(fast[half - 1] - fast[half])
+    at = int(np.searchsorted(_BRANCH, _STIFF))
+    way = 2.0 * amplitude * (_BRANCH[at] - _BRANCH[0])
+    stiffness = float(fast[half + at] - fast[half]) / way
+    share = abs(jump) / height if height > _LITTLE else 0.0
+    ratio = slow_area / area if abs(area) > _LITTLE * amplitude else 0.0
+    wrong = []
+    if area <= 0.0:
+        wrong.append("The loop gives energy.")
+    if share > _AT_ONCE:
+        wrong.append("There is no pre-sliding: the torque turns around at once.")
+    elif share > SMOOTH:
+        wrong.append(f"The torque jumps by {share:.0%} of the loop's height at a reversal.")
+    if stiffness < 0.0:
+        wrong.append("After a reversal the torque goes the wrong way.")
+    if abs(ratio - 1.0) > RATE:
+        wrong.append(
+            f"At a tenth of the speed the loop takes {ratio:.2g} times the work: it is one of "
+            "velocity and time, not of position."
+        )
+    x = _positions(amplitude)
+    return judged(
+        ("stiffness after a reversal", stiffness, "N.m/rad"),
+        ("area of the loop", area, "J"),
+        ("area at a tenth of the speed, relative", ratio, "1"),
+        ("jump at a reversal, of the height", share, "1"),
+        ("amplitude", amplitude, "rad"),
+        wrong=wrong,
+        plot=plot(
+            "position",
+            "torque",
+            curve(f"{PERIOD:g} s", 1e3 * x, fast, closed=True),
+            curve(f"{SLOW_PERIOD:g} s", 1e3 * x, slow, closed=True),
+        ),
+    )
+
+
+def _remembered(
+    loop: Array,
+    inner: Array,
+    on: Array,
+    way: Array,
+    amplitude: float,
+    states: int | None,
+    *,
+    innermost: float = 0.0,
+    loaded: float = 0.0,
+) -> Finding:
+    """Judge inner loops and how they go on after that by the outer loop, whose end rises.
+
+    `way` (K,) is where the torque `inner` (K,) was, in amplitudes down from the turning point.
+    `innermost` is what a loop inside that one misses, `loaded` the height of the outer loop at the
+    largest load [N.m].
+    """
+    height = max(float(np.ptp(loop)), _LITTLE)
+    outer = loop[-len(_BRANCH) :]
+    miss = max(abs(float(inner[-1] - inner[0])), abs(innermost)) / height
+    onwards = float(np.max(np.abs(on - outer[-len(on) :]))) / height
+    depth = float(np.ptp(inner)) / max(height, loaded)
+    wrong = []
+    if depth > INNER:
+        wrong.append(f"The inner loop is as high as the outer one ({depth:.0%}): nothing is kept.")
+    if max(miss, onwards) > CLOSED:
+        wrong.append(
+            f"The inner loop misses its beginning by {miss:.1%} of the outer one's height, "
+            f"and what follows is off by up to {onwards:.1%}."
+        )
+    if wrong and states == 1:
+        wrong.append("One first-order state cannot have non-local memory.")
+    if wrong and states == 0:
+        wrong.append("A law without a state has no memory.")
+    turn = 2.0 * _TURN - 1.0
+    into = turn - way
+    # A loop as high as the outer one closes because nothing is kept: no merit.
+    closes = None if depth > INNER else miss
+    return judged(
+        ("miss of the closed inner loop, of the height", closes, "1"),
+        ("largest difference after it, of the height", onwards, "1"),
+        ("height of the inner loop, of the outer", depth, "1"),
+        wrong=wrong,
+        plot=plot(
+            "position",
+            "torque",
+            curve("outer", 1e3 * amplitude * (2.0 * _BRANCH - 1.0), outer),
+            curve("inner", 1e3 * amplitude * into, inner),
+        ),
+    )

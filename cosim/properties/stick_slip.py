@@ -1,0 +1,91 @@
+"""A joint that a soft spring pulls at a constant speed, to see whether it sticks and slips."""
+
+import numpy as np
+
+from cosim.properties.bench import DriveBench
+from cosim.properties.findings import curve, figures, plot
+from cosim.properties.scale import CREEP, Scale
+from fmu_src.run.batch import Array
+from hesr_model.audit.expectations import WEAKENING
+from hesr_model.audit.properties import Finding
+
+STRETCH = 0.2
+"""Stretch of the spring under the friction level [rad]."""
+_TIMES = 6.0  # times that the spring takes to stretch so far
+_STEP = 1e-2  # [s]
+_FASTEST = 0.2  # of the trained speed, up to which the curve is looked at
+_NO_WEAKENING = 1e-3  # of the level; between this and WEAKENING either is as it should be
+_STICKS, _SLIPS = 0.1, 1.5  # of the pulling speed
+_LASTS = 0.8  # amplitude of the last quarter over that of the quarter before
+
+
+def stick_slip(bench: DriveBench, scale: Scale) -> list[Finding]:
+    """Pull the joints by springs, at the speed where their steady curve falls most steeply."""
+    stiffness = scale.level / STRETCH
+    pulls, falls = zip(*(_weakest(scale, j) for j in range(bench.joints)), strict=True)
+    pull = np.array(pulls)
+    seconds = _TIMES * STRETCH / float(np.min(pull))
+    bench.start(load=scale.load, torque=scale.offset, stiffness=stiffness)
+    rows = int(np.ceil(seconds / _STEP))
+    ahead = 0.5 * STRETCH
+    t = _STEP * np.arange(1, rows + 1, dtype=float)
+    link = bench.places + ahead + pull * t[:, None]
+    q, dq, _ = bench.run(np.full(rows, _STEP), link=link)
+    stretch = link - q
+    return [
+        _pulled(t, stretch[:, j], dq[:, j], pulls[j], falls[j], bool(scale.drives[j]))
+        for j in range(bench.joints)
+    ]
+
+
+def _weakest(scale: Scale, joint: int) -> tuple[float, float]:
+    """Return where the steady curve falls most steeply [rad/s], and by what share of the level.
+
+    That is the speed of slow sliding where it does not fall at all.
+    """
+    speeds = scale.speed[joint] * np.geomspace(CREEP, _FASTEST, 100)
+    torque = scale.steady_at(speeds, joint)
+    fallen = np.max(np.maximum.accumulate(torque) - torque) / scale.level[joint]
+    slope = np.gradient(torque, speeds)
+    steepest = int(np.argmin(slope))
+    return float(speeds[steepest if slope[steepest] < 0.0 else 0]), float(fallen)
+
+
+def _pulled(
+    t: Array, stretch: Array, dq: Array, pull: float, falls: float, drives: bool
+) -> Finding:
+    half, quarter = len(t) // 2, 3 * len(t) // 4
+    before, last = (float(np.ptp(part)) for part in (stretch[half:quarter], stretch[quarter:]))
+    slow, fast = float(np.min(dq[half:])), float(np.max(dq[half:]))
+    cycles = slow < _STICKS * pull and fast > _SLIPS * pull and last >= _LASTS * before
+    period = _period(t[half:], dq[half:] - pull) if cycles else None
+    weak, flat = falls >= WEAKENING, falls <= _NO_WEAKENING
+    does = (
+        f"It cycles between {slow / pull:.2g} and {fast / pull:.2g} times the pulling speed"
+        if cycles
+        else "It ends in steady sliding"
+    )
+    if drives:
+        right, why = False, "its steady friction drives at low speed, so there is nothing to pull"
+    elif weak or flat:
+        right = cycles == weak
+        why = f"its steady curve falls by {falls:.1%} of the level"
+    else:
+        right, why = True, f"its steady curve falls by {falls:.1%} only, where either may be"
+    return Finding(
+        verdict="pass" if right else "fail",
+        figures=figures(
+            ("amplitude of the limit cycle", 0.5 * last if cycles else 0.0, "rad"),
+            ("period of the limit cycle", period, "s"),
+            ("pulling speed", pull, "rad/s"),
+            ("fall of the steady curve, of the level", falls, "1"),
+        ),
+        reason=f"{does}; {why}.",
+        plot=plot("time", "stretch", curve("", t, 1e3 * stretch, most=160)),
+    )
+
+
+def _period(t: Array, over: Array) -> float | None:
+    """Return the mean time between the beginnings of slips; None where there are not two."""
+    begins = t[1:][(over[:-1] <= 0.0) & (over[1:] > 0.0)]
+    return float(np.mean(np.diff(begins))) if len(begins) > 1 else None

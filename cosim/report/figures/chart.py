@@ -1,0 +1,151 @@
+"""Lines over a common axis: one description for the picture and for the view that zooms."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Figure  # for type hints of pages, too
+from matplotlib.lines import Line2D
+from matplotlib.typing import LineStyleType
+
+from cosim.report.figures.style import INK, SOFT, Stroke, style_axis, styled
+from fmu_src.run.batch import Array
+
+_COLUMNS = 520
+"""Of a line over the whole width, each with its least and its greatest value; more are not seen."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Line:
+    """A line.
+
+    Attributes
+    ----------
+    name : as legends show it.
+    x, y : (N,) its points, in the units of the axes.
+    stroke : how it is drawn.
+    """
+
+    name: str
+    x: Array
+    y: Array
+    stroke: Stroke
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Panel:
+    """Axes with lines.
+
+    Attributes
+    ----------
+    title, y : its heading, and the name of its vertical axis with the unit.
+    lines : drawn in their order.
+    marks : places on the horizontal axis that are marked, with a word to each.
+    """
+
+    title: str
+    y: str
+    lines: tuple[Line, ...]
+    marks: tuple[tuple[float, str], ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Chart:
+    """Rows of panels over a common horizontal axis.
+
+    Attributes
+    ----------
+    x : name of the axis with the unit.
+    rows : of panels, equally long.
+    height : of a row in inches.
+    window : what the picture shows of the axis; all where not given.
+    """
+
+    x: str
+    rows: tuple[tuple[Panel, ...], ...]
+    height: float = 1.7
+    window: tuple[float, float] | None = None
+
+
+def drawn(chart: Chart, width: float = 9.0) -> Figure:
+    """Draw a chart, with one legend above all panels."""
+    rows, columns = len(chart.rows), len(chart.rows[0])
+    with styled():
+        figure = Figure(figsize=(width, chart.height * rows + 0.5), layout="constrained")
+        axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
+        for row, of_row in zip(axes, chart.rows, strict=True):
+            for axis, panel in zip(row, of_row, strict=True):
+                _draw(axis, panel, chart.window, _COLUMNS // columns)
+        for axis in axes[-1]:
+            axis.set_xlabel(chart.x)
+        legend(figure, [line for row in chart.rows for p in row for line in p.lines])
+    return figure
+
+
+def legend(figure: Figure, lines: Sequence[Line]) -> None:
+    """Name all lines above a figure, each once."""
+    first = {line.name: line for line in reversed(lines)}
+    named = [first[name] for name in dict.fromkeys(line.name for line in lines)]
+    if len(named) < 2:
+        return
+    handles = [proxy(line.stroke) for line in named]
+    figure.legend(
+        handles, [line.name for line in named], loc="outside upper left", ncols=min(len(named), 6),
+        borderaxespad=0.0, handlelength=2.6, columnspacing=1.6,
+    )  # fmt: skip
+
+
+def proxy(stroke: Stroke) -> Line2D:
+    """Return a line for a legend."""
+    return Line2D(
+        [], [], color=stroke.colour, linewidth=max(stroke.width, 1.6), linestyle=_dash(stroke)
+    )
+
+
+def plot(axis: Axes, line: Line, columns: int = _COLUMNS) -> None:
+    """Draw a line, thinned to so many columns."""
+    x, y = thinned(line.x, line.y, columns)
+    axis.plot(x, y, color=line.stroke.colour, linewidth=line.stroke.width,
+              linestyle=_dash(line.stroke))  # fmt: skip
+
+
+def thinned(x: Array, y: Array, columns: int) -> tuple[Array, Array]:
+    """Keep the least and the greatest value of each of so many columns of a long line.
+
+    Parameters
+    ----------
+    x, y : (N,) points in the units of the axes, of time [s] as a rule; a line that goes to and fro
+        is left as it is.
+    columns : in which it is drawn.
+    """
+    if len(x) <= 2 * columns or np.any(np.diff(x) < 0.0):
+        return x, y
+    edges = np.linspace(0, len(x), columns + 1).astype(int)
+    kept = {0, len(x) - 1}
+    for low, high in pairwise(edges):
+        kept |= {low + int(np.argmin(y[low:high])), low + int(np.argmax(y[low:high]))}
+    rows = np.array(sorted(kept))
+    return x[rows], y[rows]
+
+
+def _draw(axis: Axes, panel: Panel, window: tuple[float, float] | None, columns: int) -> None:
+    for line in panel.lines:
+        rows = slice(None)
+        if window:
+            low, high = np.searchsorted(line.x, window)
+            rows = slice(int(low), int(high) + 1)
+        part = Line(name=line.name, x=line.x[rows], y=line.y[rows], stroke=line.stroke)
+        plot(axis, part, columns)
+    for place, word in panel.marks:
+        axis.axvline(place, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
+        axis.annotate(word, (place, 1.0), xycoords=("data", "axes fraction"), xytext=(4, -2),
+                      textcoords="offset points", va="top", fontsize=8, color=SOFT)  # fmt: skip
+    axis.set_title(panel.title)
+    axis.set_ylabel(panel.y)
+    style_axis(axis)
+
+
+def _dash(stroke: Stroke) -> LineStyleType:
+    return (0, stroke.dash) if stroke.dash else "solid"

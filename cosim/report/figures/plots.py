@@ -1,0 +1,159 @@
+"""Pictures that are no lines over time: hysteresis state, friction loops, ratios with intervals."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter, NullLocator, ScalarFormatter
+from numpy.typing import NDArray
+
+from cosim.report.figures.chart import Line, plot, proxy
+from cosim.report.figures.style import INK, SERIES, SOFT, style_axis, styled
+from cosim.study.scores import Ratio
+from fmu_src.run.batch import Array
+
+_MARKERS = ("o", "s", "^", "D", "v", "P")
+_FINE = tuple(0.05 * k for k in range(10, 41))
+_COARSE = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
+_NARROW = 1.7
+"""Ticks of ratios, and from how wide a range on they are coarse."""
+_LOOP_COLUMNS = 5
+_REACH = 0.25
+"""Share of the largest speed that loops show to either side: beyond, laws look alike."""
+_SEEN = 700  # measured points of a loop; more are not seen behind the law
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sheet:
+    """Axes whose lines go to and fro: their heading, the names of their axes, and their lines."""
+
+    title: str
+    x: str
+    y: str
+    lines: tuple[Line, ...]
+
+
+def sheets(panels: Sequence[Sheet]) -> Figure:
+    """Draw sheets beside each other, with a legend below each."""
+    with styled():
+        figure = Figure(figsize=(9.0, 2.95), layout="constrained")
+        axes = figure.subplots(1, len(panels))
+        for axis, panel in zip(axes, panels, strict=True):
+            for line in panel.lines:
+                plot(axis, line)
+            axis.set_title(panel.title)
+            axis.set_xlabel(panel.x)
+            axis.set_ylabel(panel.y)
+            handles = [proxy(line.stroke) for line in panel.lines]
+            axis.legend(
+                handles, [line.name for line in panel.lines], ncols=min(3, len(handles)),
+                loc="upper center", bbox_to_anchor=(0.5, -0.2), handlelength=2.0,
+                columnspacing=1.0, fontsize=8,
+            )  # fmt: skip
+            style_axis(axis)
+    return figure
+
+
+def loops(
+    measured: tuple[Array, Array], laws: Mapping[str, tuple[Array, Array]], *, x: str, y: str
+) -> Figure:
+    """Draw torque over velocity near reversals: a panel for each law, the measured one behind.
+
+    Parameters
+    ----------
+    measured : velocity [rad/s] and torque [N.m], (N,) each.
+    laws : the same of each law, by its title.
+    x, y : names of the axes.
+    """
+    columns = min(_LOOP_COLUMNS, len(laws))
+    rows = ceil(len(laws) / columns)
+    with styled():
+        height = 1.75 * rows + 0.55
+        figure = Figure(figsize=(9.0, height))
+        # Placed by hand, because finding a place for many axes takes longer than drawing them.
+        axes = figure.subplots(
+            rows, columns, sharex=True, sharey=True, squeeze=False,
+            gridspec_kw={"left": 0.07, "right": 0.995, "top": 1.0 - 0.25 / height,
+                         "bottom": 0.5 / height, "wspace": 0.07, "hspace": 0.2},
+        ).ravel()  # fmt: skip
+        fastest = float(np.max(np.abs(measured[0])))
+        slow = np.abs(measured[0]) <= _REACH * fastest
+        # A joint that is never so slow is drawn whole.
+        reach, near = (_REACH * fastest, slow) if slow.any() else (fastest, ~slow)
+        seen = max(1, int(np.count_nonzero(near)) // _SEEN)
+        span = _span(measured[1][near])
+        for axis, (title, (dq, tau)) in zip(axes, laws.items(), strict=False):
+            axis.plot(*_parts(near, *measured, every=seen), color=SOFT, linewidth=0.6, alpha=0.7)
+            axis.plot(*_parts(near, dq, tau), color=SERIES[0], linewidth=1.2)
+            axis.set_title(title, fontsize=8.5)
+            axis.set_xlim(-reach, reach)
+            axis.set_ylim(*span)
+            style_axis(axis)
+        for axis in axes[len(laws) :]:
+            axis.set_visible(False)
+        figure.supxlabel(x, fontsize=9, y=0.04 / height, va="bottom")
+        figure.supylabel(y, fontsize=9, x=0.004, ha="left")
+    return figure
+
+
+def ratios(laws: Mapping[str, Sequence[Ratio]], joints: Sequence[str], *, x: str) -> Figure:
+    """Draw a dot with its interval for each law and joint, on a logarithmic axis around 1."""
+    with styled():
+        figure = Figure(figsize=(9.0, 0.34 * len(laws) + 1.1), layout="constrained")
+        axis = figure.subplots()
+        offsets = np.linspace(-0.27, 0.27, len(joints)) if len(joints) > 1 else [0.0]
+        for k, (joint, offset) in enumerate(zip(joints, offsets, strict=True)):
+            found = [row[k] for row in laws.values()]
+            values = np.array([f.value for f in found])
+            # What has no interval has one of no length.
+            low, high = np.array(
+                [[f.value if end is None else end for end in (f.low, f.high)] for f in found]
+            ).T
+            spread = np.array([values - low, high - values])
+            axis.errorbar(
+                values, np.arange(len(found)) + offset, xerr=np.maximum(spread, 0.0),
+                fmt=_MARKERS[k % len(_MARKERS)], color=SERIES[k % len(SERIES)], markersize=4.0,
+                elinewidth=1.0, label=joint,
+            )  # fmt: skip
+        axis.axvline(1.0, color=INK, linewidth=0.9)
+        _ratio_axis(axis)
+        axis.set_yticks(range(len(laws)), laws, color=INK, fontsize=8.5)
+        axis.tick_params(axis="y", labelcolor=INK)
+        axis.set_ylim(len(laws) - 0.5, -0.5)
+        axis.grid(visible=False, axis="y")
+        axis.set_xlabel(x)
+        style_axis(axis)
+        figure.legend(loc="outside upper left", ncols=len(joints), borderaxespad=0.0,
+                      handletextpad=0.3)  # fmt: skip
+    return figure
+
+
+def _ratio_axis(axis: Axes) -> None:
+    axis.set_xscale("log")
+    low, high = axis.get_xlim()
+    steps = _FINE if high / low < _NARROW else _COARSE
+    ticks = [t for t in steps if low <= t <= high]
+    axis.set_xticks(ticks)
+    axis.xaxis.set_major_formatter(ScalarFormatter())
+    axis.xaxis.set_minor_locator(NullLocator())
+    axis.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _parts(near: NDArray[np.bool_], x: Array, y: Array, every: int = 1) -> tuple[Array, Array]:
+    """Return the rows that are near, with gaps where others were between them."""
+    shown = near.copy()
+    shown[:-1] |= near[1:]
+    shown[1:] |= near[:-1]
+    broken = np.where(shown, y, np.nan)
+    rows = np.flatnonzero(shown | np.roll(shown, 1))[::every]
+    return x[rows], broken[rows]
+
+
+def _span(tau: Array) -> tuple[float, float]:
+    """Return the range of an axis that a torque fills; what leaves it, a law that explodes say."""
+    low, high = np.quantile(tau, (0.002, 0.998))
+    margin = 0.15 * (high - low)
+    return float(low - margin), float(high + margin)

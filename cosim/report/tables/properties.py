@@ -1,0 +1,90 @@
+"""Tables of the property battery."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from cosim.report.tables.table import ResultTable, TableCell, joints, row_of, title
+from hesr_model.audit.expectations import EXPECTATIONS, Expectation
+from hesr_model.audit.properties import Finding, Properties
+from hesr_model.units import unit_of_joints
+
+_DIGITS = 4  # characters of a figure, without its sign
+_LITTLE = 1e-4  # in the units of the table; less is shown as 0, where it passes
+
+
+def properties(found: Mapping[str, Properties], *, full: bool = False) -> ResultTable:
+    """Return laws by properties: for each joint its figure and whether it passes.
+
+    Parameters
+    ----------
+    found : findings by name of the law.
+    full : name the properties in full.
+    """
+    return ResultTable(
+        caption="Which law has which property, a mark for each joint: ✓ as the field expects, "
+        "✗ not",
+        head=("law", *(e.title if full else e.short for e in EXPECTATIONS.values())),
+        rows=[
+            row_of(title(name), *(_cell(of_law, e) for e in EXPECTATIONS.values()))
+            for name, of_law in found.items()
+        ],
+    )
+
+
+def legend(sliding: Sequence[bool] = ()) -> ResultTable:
+    """Return what each column of `properties` shows, and what passes.
+
+    `sliding` is whether each joint slides; empty if all turn.
+    """
+    rows = []
+    for e in EXPECTATIONS.values():
+        who = "; ".join(f"{s.who} {s.year}" for s in e.sources)
+        said = f"{e.shows} [{unit_of_joints(e.unit, sliding)}]. {e.expected} ({who})"
+        rows.append(row_of(e.short, said))
+    return ResultTable(caption="", head=("column", "shows"), rows=rows, numeric=False)
+
+
+def reasons(found: Mapping[str, Properties]) -> ResultTable:
+    """Return why joints fail, or what else was found, law by law."""
+    rows = []
+    for name, of_law in found.items():
+        rows.append(row_of(title(name)))
+        for key, expectation in EXPECTATIONS.items():
+            by_reason: dict[str, list[str]] = {}
+            names = joints(len(of_law.joints))
+            for short, joint in zip(names, of_law.joints, strict=True):
+                if said := joint.findings[key].reason:
+                    by_reason.setdefault(said, []).append(short)
+            rows += [
+                row_of(expectation.short, " ".join(where), said)
+                for said, where in by_reason.items()
+            ]
+    return ResultTable(caption="Why", head=("property", "joint", "found"), rows=rows, numeric=False)
+
+
+def _cell(of_law: Properties, expectation: Expectation) -> TableCell:
+    found = [joint.findings[expectation.key] for joint in of_law.joints]
+    return TableCell(
+        text="\n".join(_figure(one, expectation) for one in found),
+        marks=tuple(one.verdict for one in found),
+    )
+
+
+def _figure(found: Finding, expectation: Expectation) -> str:
+    value = found.figures[0].value if found.figures else None
+    if value is None or found.verdict not in ("pass", "fail"):
+        return ""
+    shown = expectation.factor * value
+    little = abs(shown) < _LITTLE and found.verdict == "pass"
+    return _short(0.0 if little else shown)
+
+
+def _short(value: float) -> str:
+    """Return a number with at most three digits in `_DIGITS` characters, if it can be."""
+    for digits in (3, 2, 1):
+        text = np.format_float_positional(float(f"{value:.{digits}g}"), trim="-")
+        if len(text.removeprefix("-")) <= _DIGITS:
+            return text
+    mantissa, exponent = f"{value:.0e}".split("e")
+    return f"{mantissa}e{int(exponent)}"

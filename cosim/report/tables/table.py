@@ -1,0 +1,143 @@
+"""A table of results: its columns, its rows, and how numbers are written in it."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import floor, log10
+
+from markupsafe import Markup
+
+from cosim.loop.closed_loop import StandIn
+from cosim.study.scores import MEASURED_START
+from hesr_model.friction.registry import registry
+
+PAPERS = "parfam_h"
+"""The law of the paper."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableCell:
+    """A cell of a table.
+
+    Attributes
+    ----------
+    text : what is shown, in one or more lines.
+    value : the number behind it with all digits, for the CSV.
+    best : whether it stands out.
+    notes : shown small beside or below it.
+    marks : verdicts, one for each line of the text.
+    """
+
+    text: str
+    value: float | None = None
+    best: bool = False
+    notes: tuple[str, ...] = ()
+    marks: tuple[str, ...] = ()
+
+    @property
+    def beside(self) -> str:
+        """The notes in one line."""
+        return " ".join((*self.notes[:1], *(f"({note})" for note in self.notes[1:])))
+
+    @property
+    def marked(self) -> list[tuple[str, str]]:
+        """Marks with their lines; what is not to be had for any joint stands once."""
+        pairs = list(zip(self.marks, self.text.split("\n"), strict=True))
+        none = len(set(self.marks)) == 1 and self.marks[0] in ("not applicable", "not run")
+        return pairs[:1] if none else pairs
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableRow:
+    """A row of a table: its head and its cells; a heading over the rows below has no cells."""
+
+    head: str | Markup
+    cells: Sequence[TableCell | str | Markup] = ()
+    quiet: bool = False
+
+
+def row_of(head: str | Markup, *cells: TableCell | str | Markup, quiet: bool = False) -> TableRow:
+    """Return a row; without cells it is a heading over the rows below."""
+    return TableRow(head=head, cells=cells, quiet=quiet)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResultTable:
+    """A table.
+
+    Attributes
+    ----------
+    caption : what it shows.
+    head : names of the columns, that of the rows' heads first.
+    rows : of the body.
+    numeric : whether cells stand to the right, as numbers do.
+    words : places of the columns, from 1, whose cells are words and stand to the left even so.
+    note : what else is to be known.
+    """
+
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[TableRow]
+    numeric: bool = True
+    words: Sequence[int] = ()
+    note: str = ""
+
+    @property
+    def noted(self) -> bool:
+        """Whether some cells have something beside their text."""
+        return any(getattr(cell, "notes", ()) for row in self.rows for cell in row.cells)
+
+    @property
+    def width(self) -> int:
+        """Number of columns: what is beside a number has one of its own."""
+        return 2 * len(self.head) - 1 if self.noted else len(self.head)
+
+
+def joints(count: int) -> tuple[str, ...]:
+    """Return short names of joints, as they stand over columns."""
+    return tuple(f"J{k}" for k in range(1, count + 1))
+
+
+def title(law: str) -> str:
+    """Return what people call a law or what stands in its place; a variant has its name only."""
+    if law in set(StandIn):
+        return StandIn(law).words
+    known, name = registry(), law.removesuffix(MEASURED_START)
+    return known[name].title + law[len(name) :] if name in known else law
+
+
+def named(law: str) -> str:
+    """Return the title of a law as the head of a row."""
+    if law == PAPERS:
+        return f"{title(law)} (the paper’s)"
+    return title(law)
+
+
+def number(value: float | None, digits: int = 3, *, notes: tuple[str, ...] = ()) -> TableCell:
+    """Return the cell of a number, rounded to so many significant digits."""
+    if value is None or value != value:
+        return TableCell(text="–")
+    return TableCell(text=rounded(value, digits), value=value, notes=notes)
+
+
+def fixed(
+    value: float | None, decimals: int, *, best: bool = False, notes: tuple[str, ...] = ()
+) -> TableCell:
+    """Return the cell of a number with so many decimals, so that a column is aligned."""
+    if value is None or value != value:
+        return TableCell(text="–")
+    text = f"{value:.{decimals}f}".replace("-", "−")
+    return TableCell(text=text, value=value, best=best, notes=notes)
+
+
+def decimals(values: Iterable[float | None], digits: int = 3) -> int:
+    """Return how many decimals show the least of some numbers with so many digits."""
+    sizes = [abs(v) for v in values if v is not None and v == v and v != 0.0]
+    return max(0, digits - 1 - floor(log10(min(sizes)))) if sizes else 0
+
+
+def rounded(value: float, digits: int = 3) -> str:
+    """Return a number with so many significant digits, zeros at its end kept."""
+    text = f"{value:#.{digits}g}"
+    if "e" in text:
+        text = f"{value:.{digits - 1}e}" if not 1e-4 <= abs(value) < 1e6 else f"{value:.0f}"
+    return text.rstrip(".").replace("-", "−")

@@ -1,0 +1,99 @@
+"""Tables in a terminal: as many columns side by side as there is room for, the others below."""
+
+from collections.abc import Iterator, Sequence
+
+from rich import box
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from cosim.report.tables.table import ResultTable, TableCell
+from hesr_model.audit.properties import MARKS
+
+_COLOURS = {"pass": "green", "fail": "red"}
+
+
+def show(*shown: "ResultTable | str") -> None:
+    """Print tables, and what is said between them."""
+    console = Console()
+    for one in shown:
+        console.print(Drawn(one) if isinstance(one, ResultTable) else one)
+
+
+class Drawn:
+    """A table, to be printed by rich; no figure of it is ever cut.
+
+    Parameters
+    ----------
+    table : what is shown.
+    """
+
+    def __init__(self, table: ResultTable) -> None:
+        self._table = table
+        self._heads = [Text(str(row.head), style="" if row.cells else "italic")
+                       for row in table.rows]  # fmt: skip
+        self._cells = [[_text(cell) for cell in row.cells] for row in table.rows]
+
+    def __rich_console__(self, _: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
+        """Yield the caption, a table for each block of columns, and the note."""
+        if self._table.caption:
+            yield Text(self._table.caption, style="bold")
+        for widths in self._blocks(options.max_width):
+            yield self._block(widths)
+        yield Text(f"{self._table.note}\n" if self._table.note else "")
+
+    def _blocks(self, room: int) -> Iterator[dict[int, int | None]]:
+        """Yield the columns of a block and their widths; the first one stands in all of them."""
+        head = self._table.head
+        if not self._table.numeric:
+            yield dict.fromkeys(range(len(head)))  # sentences may be folded
+            return
+        first = _width([Text(head[0]), *self._heads])
+        widths = {
+            k: min(room // 2, _width([*(row[k - 1] for row in self._cells if row),
+                                      *map(Text, name.split())]))
+            for k, name in enumerate(head[1:], start=1)
+        }  # fmt: skip
+        if first + sum(widths.values()) + len(widths) > room:
+            first = min(first, room // 2, room - 1 - max(widths.values()))
+        block: dict[int, int | None] = {0: first}
+        used = first
+        for k, width in widths.items():
+            if len(block) > 1 and used + 1 + width > room:
+                yield block
+                block, used = {0: first}, first
+            block[k] = width
+            used += 1 + width
+        yield block
+
+    def _block(self, widths: dict[int, int | None]) -> Table:
+        shown = Table(box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False, show_edge=False)
+        for k, width in widths.items():
+            right = k > 0 and self._table.numeric and k not in self._table.words
+            shown.add_column(
+                Text(self._table.head[k]),
+                justify="right" if right else "left",
+                overflow="fold",
+                width=width,
+                no_wrap=k == 0 and width is None,
+            )
+        for head, cells in zip(self._heads, self._cells, strict=True):
+            shown.add_row(head, *(cells[k - 1] for k in widths if k) if cells else ())
+        return shown
+
+
+def _width(texts: Sequence[Text]) -> int:
+    return max((cell_len(line) for text in texts for line in text.plain.split("\n")), default=0)
+
+
+def _text(cell: TableCell | str) -> Text:
+    if not isinstance(cell, TableCell):
+        return Text(str(cell))
+    lines = [Text(cell.text, style="bold" if cell.best else "")]
+    if cell.marks:
+        lines = [
+            Text(line).append(MARKS[mark], _COLOURS.get(mark, ""))
+            for mark, line in zip(cell.marks, cell.text.split("\n"), strict=True)
+        ]
+    return Text("\n").join([*lines, *(Text(note, style="dim") for note in cell.notes)])

@@ -1,0 +1,1 @@
+"""Studies: from logs to laws, FMUs, scores and a verdict."""

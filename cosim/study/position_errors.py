@@ -1,0 +1,149 @@
+"""How well laws simulate: measured torque in, position out, over windows of logs."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
+
+import numpy as np
+
+from cosim.study.scores import Records, by_joint
+from hesr_model.errors import SimulationError
+from hesr_model.forward.simulation import Simulator, inner_steps, position_errors
+from hesr_model.forward.windows import Logs, Windows, joined, whole, windows_of
+from hesr_model.friction.model import FrictionModel
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support import parallel
+
+SIMULATION = "simulation.json"
+"""In a folder of results."""
+
+LENGTHS = (0.2, 0.5)
+"""Of windows [s]."""
+
+_WEIGHTLESS = 1e-9  # of the largest torque
+
+_Errors = tuple[float | None, ...]
+"""Of each joint [rad; m]; None where a law diverges."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulated:
+    """Position errors of laws as simulators.
+
+    Attributes
+    ----------
+    joints : their names.
+    lengths : of the windows [s].
+    windows : by law, for each length the RMS error of each joint [rad; m]; None if it diverges.
+    open_loop : by law, that of each joint over whole logs; empty where gravity acts, since an
+        upright arm diverges whatever its friction.
+    """
+
+    joints: tuple[str, ...]
+    lengths: tuple[float, ...]
+    windows: Mapping[str, tuple[tuple[float | None, ...], ...]]
+    open_loop: Mapping[str, tuple[float | None, ...]]
+
+
+def simulate_laws(
+    models: Mapping[str, FrictionModel], records: Records, robot: RobotModel, body: RigidBody
+) -> Simulated | None:
+    """Score laws as simulators on records [joint][log]; None where nothing can be simulated.
+
+    Why not is logged as a warning.
+    """
+    return simulate_tests(models, {"": records}, robot, body).get("")
+
+
+def simulate_tests(
+    models: Mapping[str, FrictionModel],
+    tests: Mapping[str, Records],
+    robot: RobotModel,
+    body: RigidBody,
+) -> dict[str, Simulated]:
+    """Score laws as simulators on test sets, by name; those that cannot be simulated are absent."""
+    windows: dict[str, list[Windows]] = {}
+    logs: dict[str, list[Windows]] = {}
+    for test, records in tests.items():
+        of_joints = by_joint(records)
+        try:
+            windows[test] = [windows_of(of_joints, length) for length in LENGTHS]
+        except SimulationError as error:
+            _unscored(error)
+            continue
+        if _weightless(of_joints, robot, body):
+            logs[test] = list(map(whole, of_joints))
+    cut = [w for of_test in (*windows.values(), *logs.values()) for w in of_test]
+    jobs = [partial(_simulated, model, cut, robot, body) for model in models.values()]
+    with parallel.results_of(jobs) as results:
+        of_laws = list(results)
+    parts = {}
+    for law, errors in zip(models, of_laws, strict=True):
+        if isinstance(errors, SimulationError):
+            _unscored(errors)
+            return {}
+        parts[law] = iter(errors)
+    found = {
+        test: Simulated(
+            joints=tuple(robot.description.joints),
+            lengths=LENGTHS,
+            windows={law: tuple(islice(part, len(LENGTHS))) for law, part in parts.items()},
+            open_loop={},
+        )
+        for test in windows
+    }
+    for test, of_test in logs.items():
+        rows = [w.t.shape[1] for w in of_test]
+        free = {law: _over_all(list(islice(p, len(rows))), rows) for law, p in parts.items()}
+        found[test] = replace(found[test], open_loop=free)
+    return found
+
+
+def _unscored(reason: SimulationError) -> None:
+    _log.warning("warning: laws are not scored as simulators: %s", reason)
+
+
+def _simulated(
+    model: FrictionModel, cut: Sequence[Windows], robot: RobotModel, body: RigidBody
+) -> list[_Errors] | SimulationError:
+    """Return the errors over each set of windows, or why there are none.
+
+    Sets of as many steps are stepped as one, which takes little longer than the largest of them.
+    """
+    one = Simulator(robot=robot, parameters=body.parameters, friction=model)
+    found: dict[int, _Errors] = {}
+    alike: dict[tuple[int, int], list[int]] = {}
+    for i, w in enumerate(cut):
+        alike.setdefault((w.t.shape[1], inner_steps(np.diff(w.t))), []).append(i)
+    try:
+        for places in alike.values():
+            q = one.run(joined([cut[i] for i in places]))
+            ends = np.cumsum([len(cut[i].t) for i in places])
+            for i, part in zip(places, np.split(q, ends[:-1]), strict=True):
+                found[i] = position_errors(part, cut[i])
+    except SimulationError as error:
+        return error
+    return [found[i] for i in range(len(cut))]
+
+
+def _weightless(logs: Logs, robot: RobotModel, body: RigidBody) -> bool:
+    """Tell whether gravity does no work on the joints."""
+    q = np.concatenate([np.column_stack([r.q for r in log]) for log in logs])
+    weight = robot.torque(body.parameters, q, np.zeros_like(q), np.zeros_like(q))
+    largest = max(np.abs(r.tau + r.tau_load).max() for log in logs for r in log)
+    return bool(np.abs(weight).max() <= _WEIGHTLESS * largest)
+
+
+def _over_all(errors: Sequence[_Errors], rows: Sequence[int]) -> _Errors:
+    """Return the RMS over all rows of several logs."""
+    return tuple(
+        None
+        if None in of_joint
+        else float(np.sqrt(np.average(np.square(np.array(of_joint, dtype=float)), weights=rows)))
+        for of_joint in zip(*errors, strict=True)
+    )

@@ -1,0 +1,312 @@
+"""The main job: a study's logs in; rigid body, laws, FMUs and their scores out."""
+
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from cosim.study.describe import save_run
+from cosim.study.health import told, write_findings
+from cosim.study.position_errors import SIMULATION, simulate_tests
+from cosim.study.results import TRUTHS
+from cosim.study.scored import Scored
+from cosim.study.scores import Comparison, Errors
+from cosim.study.steps import Job, LogRecords, records_of
+from cosim.study.study import Study
+from cosim.study.verdict import Verdict, verdict, write_verdict
+from fmu_src.export.toolchain import get_ready, targets
+from fmu_src.friction.friction_fmu import export_bare, export_fmu
+from fmu_src.pages.datasheet import ModelAudit
+from fmu_src.pages.live.body import PageBody
+from hesr_model.artifacts import newest, provenance, write_json, write_model, write_rigid_body
+from hesr_model.equations.rows import vectors
+from hesr_model.errors import SimulationError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.health.examine import checked
+from hesr_model.health.fit_checks import check_body, check_laws
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support import parallel
+from hesr_model.support.cache import USED, since
+from hesr_model.support.files import folder_written_whole, models_folder
+from hesr_model.support.progress import Progress, Stages, counted, silent
+from hesr_model.support.typed_json import to_json
+
+if TYPE_CHECKING:
+    from cosim.loop.run import LoopOutcome
+    from hesr_model.audit.properties import Properties
+
+Result = TypeVar("Result")
+
+QUICK_LAWS = ("stribeck", "lugre", "parfam_h")
+"""Laws of a quick run: the paper's law and its classic baselines."""
+
+
+_WORK = ("cosim.study.scores", "hesr_model.fitting.fit")
+"""Modules that the first work of a run needs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What a run made.
+
+    Attributes
+    ----------
+    rigid_body : the identified rigid body.
+    comparisons : scores of the FMUs on each test set.
+    models : fitted model of each law.
+    fmus : path of each law's FMU.
+    left_out : why a law of the study was not fitted, by law.
+    properties : what the property battery found, by law; empty for a quick run.
+    verdict : which FMU to take and why, in words.
+    loop : what the closed loop gave, None where the study has none.
+    truths : errors of the laws under other truths of a twin, by truth, test set and law.
+    truth : of the twin; empty for the friction of its MJCF.
+    cached : how many entries of each kind were in the cache, and how many were asked for.
+    """
+
+    rigid_body: RigidBody
+    comparisons: Mapping[str, Comparison]
+    models: Mapping[str, FrictionModel]
+    fmus: Mapping[str, Path]
+    left_out: Mapping[str, str]
+    properties: "Mapping[str, Properties]"
+    verdict: Verdict
+    loop: "LoopOutcome | None" = None
+    truths: Mapping[str, Errors] = field(default_factory=dict)
+    truth: str = ""
+    cached: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+
+
+def run_study(
+    path: Path,
+    output: Path,
+    *,
+    platforms: Sequence[str] = ("linux64",),
+    quick: bool = False,
+    accepted: Sequence[str] = (),
+    progress: Stages = silent,
+) -> Outcome:
+    """Run a study and write everything that it makes into a folder, or nothing on an error.
+
+    What takes long (laws of single joints, rows of the closed loop, findings of the property
+    battery) is kept beside the folder when it is done: a run that was stopped or killed goes on
+    from there. The battery comes last.
+
+    The scores are those of the FMUs, driven through FMPy over the test logs.
+
+    Parameters
+    ----------
+    path : study file.
+    output : folder of the results.
+    platforms : for which the FMUs hold a binary.
+    quick : run `QUICK_LAWS` only, without variants, without refining the rigid body and without
+        the property battery.
+    accepted : checks of the logs whose refusals are only told.
+    progress : told how far the run has come.
+
+    Raises
+    ------
+    HesrError
+        If the study, a log or the data in it do not allow the run.
+    """
+    study = Study.read(path)
+    if quick:
+        study = study.model_copy(
+            update={"laws": QUICK_LAWS, "variants": {}, "refinement": None, "tracking": None}
+        )
+        if study.twin:
+            twin = study.twin.model_copy(update={"truths": ()})
+            study = study.model_copy(update={"twin": twin})
+    targets(platforms)
+    used = USED.copy()
+    kept = unfinished(output)
+    job = Job(study=study, path=path, progress=progress, kept=kept)
+    with parallel.one_pool(*_WORK, first=(vectors, get_ready)):
+        with folder_written_whole(output) as folder:
+            run = score_study(job, folder, platforms=platforms, accepted=accepted)
+            models, records = run.models, run.records
+            tested = {test: records_of(names, records) for test, names in study.logs.test.items()}
+            simulated = simulate_tests(models, tested, run.robot, run.rigid_body)
+            write_json(folder / SIMULATION, {test: to_json(s) for test, s in simulated.items()})
+            truths = job.other_truths([law for law in models if law not in study.variants])
+            if truths:
+                write_json(folder / TRUTHS, truths)
+            loop = job.closed_loop(run.robot, run.rigid_body, folder, models)
+            found = {} if quick else job.properties(run.robot, run.rigid_body, models, folder)
+            # The battery tells what stands in the documentation, and comes last.
+            body = PageBody.of(run.robot, run.rigid_body)
+            audits = _of_each(
+                models,
+                partial(_documented, run.fmus, found, platforms=platforms, body=body),
+                partial(job.progress, "documenting FMUs"),
+            )
+            first_test = next(iter(study.logs.test.values()))
+            words = verdict(
+                run.comparisons,
+                models,
+                records_of(study.logs.training, records),
+                records_of(first_test, records),
+                found,
+                gear_ratio=job.robot.gear_ratio is not None,
+            )
+            write_verdict(folder, words)
+            command = _command(path, platforms, quick=quick)
+            save_run(folder, run, command=command, quick=quick)
+        shutil.rmtree(kept, ignore_errors=True)
+        from cosim.report import write_report  # draws, which takes long to load
+
+        known = {law: audit for law, audit in audits.items() if audit}
+        write_report(output, audits=known, progress=job.progress)
+    return Outcome(
+        rigid_body=run.rigid_body,
+        comparisons=run.comparisons,
+        models=models,
+        fmus={law: output / "fmus" / fmu.name for law, fmu in run.fmus.items()},
+        left_out=run.left_out,
+        properties=found,
+        verdict=words,
+        loop=loop,
+        truths=truths,
+        truth=(study.twin and study.twin.truth) or "",
+        cached=since(used),
+    )
+
+
+def score_study(
+    job: Job,
+    folder: Path,
+    *,
+    platforms: Sequence[str] = ("linux64",),
+    accepted: Sequence[str] = (),
+) -> Scored:
+    """Identify, fit, write the FMUs and score them on the test logs: the tables of a run.
+
+    Parameters
+    ----------
+    job : the steps of the study.
+    folder : there already; body, laws, FMUs, findings and scores are written into it.
+    platforms, accepted : as of `run_study`.
+
+    Raises
+    ------
+    HesrError
+        If the study, a log or the data in it do not allow the run.
+    """
+    study, model = job.study, RobotModel(job.robot)
+    files = job.log_files(folder)
+    logs = {name: job.read(name, file) for name, file in files.items()}
+    findings = told(checked(list(logs.values()), model, accepted))
+    rigid_body, refined = job.rigid_body(logs, model)
+    findings += told(check_body(rigid_body, model))
+    about = [study.robot, job.robot.model, *(files[name] for name in job.trained_on)]
+    owner = study.owner.known or job.robot.owner.known
+    source = provenance(files=about, seed=study.seed) | ({"owner": owner} if owner else {})
+    if study.twin is None:  # whose logs are new each time
+        source |= {"created": newest([files[name] for name in job.trained_on])}
+    write_rigid_body(folder / "rigid_body.json", rigid_body, source)
+    decouple = partial(friction_records, model=model, rigid_body=rigid_body)
+    runs = _runs(job, files, logs, decouple)
+    records = {
+        name: [
+            [run.rows(slice(-len(part.t), None)) for run in of_joints]
+            for part, of_joints in zip(log.parts(), runs[name], strict=True)
+        ]
+        for name, log in logs.items()
+    }
+    models, left_out = job.fit_all(records, source)
+    models |= {law: replace(m, provenance=source) for law, m in refined.items() if law in models}
+    findings += told(check_laws(models, records_of(study.logs.training, records)))
+    write_findings(folder, findings)
+    for law, fitted in models.items():
+        write_model(folder / "laws" / f"{law}.json", fitted)
+    fmus = {law: folder / "fmus" / f"{law}.fmu" for law in models}
+    _of_each(
+        models, partial(_built, fmus, platforms=platforms), partial(job.progress, "building FMUs")
+    )
+    comparisons, predictions = job.compare(models, records, files, folder / "fmus", runs)
+    write_json(folder / "evaluation.json", {name: to_json(c) for name, c in comparisons.items()})
+    return Scored(
+        job=job,
+        robot=model,
+        rigid_body=rigid_body,
+        files=files,
+        logs=logs,
+        records=records,
+        models=models,
+        left_out=left_out,
+        source=source,
+        fmus=fmus,
+        comparisons=comparisons,
+        predictions=predictions,
+    )
+
+
+def _runs(
+    job: Job,
+    files: Mapping[str, Path],
+    logs: Mapping[str, RobotLog],
+    decouple: Callable[[RobotLog], list[FrictionRecord]],
+) -> LogRecords:
+    """Return records of all logs; what is tested on a part of a log begins with what is before."""
+    tested = {name for names in job.study.logs.test.values() for name in names}
+    found = {}
+    for name, log in logs.items():
+        whole = job.led_up_to(name, files[name]) if name in tested else None
+        ends = {part.t[-1]: part for part in whole.parts()} if whole else {}
+        found[name] = [decouple(ends.get(part.t[-1], part)) for part in log.parts()]
+    return found
+
+
+def _built(fmus: Mapping[str, Path], law: str, model: FrictionModel, **more: Any) -> None:
+    export_bare(model, fmus[law], **more)
+
+
+def _documented(
+    fmus: Mapping[str, Path],
+    found: "Mapping[str, Properties]",
+    law: str,
+    model: FrictionModel,
+    **more: Any,
+) -> ModelAudit | None:
+    """Write an FMU with its documentation; return the audit that stands there, if it has one."""
+    audit = None
+    with suppress(SimulationError):
+        audit = ModelAudit.of(model, model.trained)
+    export_fmu(model, fmus[law], properties=found.get(law), audit=audit, **more)
+    return audit
+
+
+def _of_each(
+    models: Mapping[str, FrictionModel],
+    do: Callable[[str, FrictionModel], Result],
+    progress: Progress,
+) -> dict[str, Result]:
+    """Do something with each law, in processes."""
+    jobs = [partial(do, law, fitted) for law, fitted in models.items()]
+    with parallel.results_of(jobs, costs=[fitted.size for fitted in models.values()]) as done:
+        return {law: next(done) for law in counted(list(models), progress)}
+
+
+def unfinished(output: Path) -> Path:
+    """Return where what is finished is kept until a run is done."""
+    return output.parent / f".{output.name}-unfinished"
+
+
+def _command(study: Path, platforms: Sequence[str], *, quick: bool) -> str:
+    """Return the command that makes the same results again; folders of the machine stay out."""
+    default = models_folder() / "studies" / "default.toml"
+    given = [study.name if study.is_absolute() else study.as_posix()]
+    return " ".join(
+        [
+            "hesr run",
+            *(given if study.resolve() != default.resolve() else []),
+            *(f"--platform {platform}" for platform in platforms if list(platforms) != ["linux64"]),
+            *(["--quick"] if quick else []),
+        ]
+    )

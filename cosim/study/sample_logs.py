@@ -1,0 +1,163 @@
+"""Sample logs of any robot: motions within its limits, with friction and noise of plausible size.
+
+They stand in for measured logs until a user has some, so that everything can be run at once.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fmu_src.run.batch import Array
+from hesr_model.errors import RobotError
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.predict import predict
+from hesr_model.laws.lugre import LuGre
+from hesr_model.logs.noise import standard_normal
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.motions.excitation import ExcitationSettings, condition, random_motions
+from hesr_model.motions.limits import MotionLimits
+from hesr_model.motions.trajectories import Fourier
+from hesr_model.rigid_body.base_parameters import base_columns
+from hesr_model.rigid_body.identification import LEAST_PEAK
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support.files import sha256
+
+RATE = 200.0
+"""[Hz]"""
+
+_MARK = "SAMPLES.sha256"
+"""Beside the logs, as `sha256sum` writes it: who puts his own in their place need not say so."""
+
+_PERIOD = 20.0
+_HARMONICS = 5
+_CANDIDATES = 8
+
+_FINER = 10
+"""Friction is simulated at so many times the rate: it does not know when samples are taken."""
+
+_NO_LIMIT = 1e12
+"""[N.m] Simulated joints may have any torque; effort limits of model files are often invented."""
+
+# Relative to the largest rigid-body torque of the joint, but at least of the robot / 20.
+_COULOMB, _VISCOUS, _TORQUE_NOISE = 0.15, 0.15, 0.005
+_STATIC = 1.3  # to Coulomb
+_STRIBECK = 0.05  # of the peak velocity
+_DEFLECTION = 1e-3  # of the travel
+_POSITION_NOISE, _VELOCITY_NOISE = 5e-6, 5e-4  # of travel and of peak velocity
+
+
+def sample_logs(model: RobotModel) -> tuple[RobotLog, RobotLog]:
+    """Simulate two random Fourier motions of 20 s: one to train on, one to test.
+
+    Torque is that of the model file's rigid body, of LuGre friction (eq. 1-3) and of noise.
+
+    Raises
+    ------
+    RobotError
+        If the model file allows a joint no motion that is fast enough to be identified.
+    """
+    settings = sample_settings(model)
+    base = base_columns(model)
+    candidates = random_motions(model, settings, _CANDIDATES, 0)
+    training = min(candidates, key=lambda motion: condition(model, base, motion))
+    (test,) = random_motions(model, settings, 1, 1)
+    laws = plausible_friction(model, training)
+    return (
+        simulated(model, training, laws, name="sample_training", seed=1),
+        simulated(model, test, laws, name="sample_test", seed=2),
+    )
+
+
+def sample_settings(model: RobotModel, period: float = _PERIOD) -> ExcitationSettings:
+    """Return how sample motions are drawn, with their period [s]."""
+    return ExcitationSettings(
+        harmonics=_HARMONICS,
+        period=(period, period),
+        sample_rate=RATE,
+        limits=MotionLimits(torque=(_NO_LIMIT,) * model.n),
+    )
+
+
+def mark_samples(files: Sequence[Path]) -> None:
+    """Write down beside log files that they are samples, so that no report calls them measured."""
+    lines = [f"{sha256(file)}  {file.name}\n" for file in files]
+    (files[0].parent / _MARK).write_text("".join(lines), encoding="utf-8")
+
+
+def is_sample(file: Path) -> bool:
+    """Whether a log file still is one of the samples that were laid in its folder."""
+    mark = file.parent / _MARK
+    return mark.is_file() and sha256(file) in mark.read_text(encoding="utf-8")
+
+
+def plausible_friction(model: RobotModel, motion: Fourier) -> list[FrictionLaw]:
+    """Return LuGre laws whose size follows from what a motion takes of each joint.
+
+    Raises
+    ------
+    RobotError
+        If the motion does not move a joint fast enough to be identified.
+    """
+    q, dq, ddq = motion.sample(np.arange(round(_PERIOD * RATE)) / RATE)
+    speed, travel = np.abs(dq).max(axis=0), np.ptp(q, axis=0)
+    for joint, peak in zip(model.description.joints, speed, strict=True):
+        if peak <= LEAST_PEAK:
+            raise RobotError(
+                f"robot '{model.description.name}': the limits of joint '{joint}' admit no motion "
+                f"faster than {peak:.2g} rad/s (m/s); identification needs more than "
+                f"{LEAST_PEAK:g}, so leave the joint out."
+            )
+    return [
+        FrictionLaw(
+            name=LuGre.name,
+            form=LuGre.form({}),
+            values={
+                "sigma_0": _COULOMB * level / (_DEFLECTION * reach),
+                "sigma_1": 0.0,
+                "sigma_2": _VISCOUS * level / peak,
+                "F_c": _COULOMB * level,
+                "F_s": _STATIC * _COULOMB * level,
+                "v_s": _STRIBECK * peak,
+                "tau_0": 0.0,
+            },
+        )
+        for level, peak, reach in zip(_levels(model, q, dq, ddq), speed, travel, strict=True)
+    ]
+
+
+def _levels(model: RobotModel, q: Array, dq: Array, ddq: Array) -> Array:
+    """Size of the torques of each joint (n,) [N.m]: for a model without masses 1."""
+    peaks = np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0)
+    levels: Array = np.maximum(peaks, peaks.max() / 20.0)
+    return np.where(levels > 0.0, levels, 1.0)
+
+
+def simulated(
+    model: RobotModel,
+    motion: Fourier,
+    laws: Sequence[FrictionLaw],
+    *,
+    name: str,
+    seed: int,
+    seconds: float = _PERIOD,
+) -> RobotLog:
+    """Return the log of a motion of a robot with LuGre friction, of so many seconds, with noise."""
+    fine = np.arange(round(seconds * RATE) * _FINER + 1) / (RATE * _FINER)
+    velocity = motion.sample(fine)[1]
+    friction = np.column_stack(
+        [predict(law, t=fine, dq=v)[::_FINER] for law, v in zip(laws, velocity.T, strict=True)]
+    )
+    t = fine[::_FINER]
+    q, dq, ddq = motion.sample(t)
+    tau = model.torque(model.nominal_parameters, q, dq, ddq) + friction
+    size = np.array([law.values["F_c"] for law in laws]) / _COULOMB
+    streams, rows = np.arange(3 * model.n), np.arange(len(t))
+    noise = standard_normal(seed, streams[None, :], rows[:, None]).reshape(len(t), 3, model.n)
+    return RobotLog(
+        name=name,
+        t=t,
+        q=q + _POSITION_NOISE * np.ptp(q, axis=0) * noise[:, 0],
+        dq=dq + _VELOCITY_NOISE * np.abs(dq).max(axis=0) * noise[:, 1],
+        tau=tau + _TORQUE_NOISE * size * noise[:, 2],
+    )

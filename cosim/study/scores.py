@@ -1,0 +1,426 @@
+"""How well laws predict logs: as Python models, or as the FMUs made of them."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hesr_model.equations.over_log import Array
+from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.friction.banded import predict_band
+from hesr_model.friction.inputs import INPUTS
+from hesr_model.friction.metrics import BandScore, score, score_band, time_band
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import first_states
+from hesr_model.friction.records import record_start
+from hesr_model.inference.paired_test import compare_errors, holm
+from hesr_model.rigid_body.residual import FrictionRecord, at_friction
+from hesr_model.support.frames import pandas_frame
+from hesr_model.support.html import table
+from hesr_model.support.progress import Progress, counted, silent
+
+Records = Sequence[Sequence[FrictionRecord]]
+"""For each joint its records, one for each log."""
+
+MEASURES = ("rmse", "rmse_reversal", "rmse_moving", "r2")
+
+REFERENCE = "lugre"
+"""Law to which ratios are taken where no class has one of its own; else the first law."""
+CLASSIC = (
+    *("stribeck", "lugre", "lugre_textbook", "lugre_passive", "dahl", "strain_wave"),
+    *("lugre_load", "lugre_load_ripple", "dahl_load", "dahl_bound", "strain_wave_bound", "gms"),
+    *(f"bam_m{k}" for k in range(1, 7)),
+)
+"""Laws of the literature, the strongest of which is the reference of its class of inputs."""
+MEASURED_START = " + start"
+"""Behind the name of a law in the row where its start comes from measured torques."""
+Errors = Mapping[str, Mapping[str, Sequence[float]]]
+"""RMSE of each joint [N.m] by test set and law."""
+ORACLE = "true friction"
+"""Row of the twin's own friction: what is left is noise and the error of the rigid body."""
+SIGNIFICANCE = 0.05
+"""Probability, adjusted for all comparisons of a table, below which a difference counts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ratio:
+    """RMSE of a law over that of its reference.
+
+    Attributes
+    ----------
+    value, low, high : the ratio and its 95 % interval by itself, None of a log that is too short.
+    p : probability of such a difference by chance, adjusted for all ratios of the table (Holm);
+        None in results of earlier versions.
+    """
+
+    value: float
+    low: float | None
+    high: float | None
+    p: float | None = None
+
+    @property
+    def verdict(self) -> str:
+        """Whether the law is "better" or "worse" than its reference, or "alike"."""
+        if self.p is None:  # as earlier versions judged
+            low, high = self.low, self.high
+            sure = low is not None and high is not None and (high < 1.0 or low > 1.0)
+        else:
+            sure = self.p < SIGNIFICANCE
+        if not sure:
+            return "alike"
+        return "better" if self.value < 1.0 else "worse"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ratios:
+    """Ratios of each other law to the reference of its class, one for each joint.
+
+    Attributes
+    ----------
+    reference : of laws whose class has none of its own.
+    laws : ratios by law.
+    references : of each law, the strongest classic law that has no other inputs; empty in results
+        of earlier versions, and where inputs are not known.
+    """
+
+    reference: str
+    laws: Mapping[str, tuple[Ratio, ...]]
+    references: Mapping[str, str] = field(default_factory=dict)
+
+    def of(self, law: str) -> str:
+        """Return the law to which a law's ratios are taken."""
+        return self.references.get(law, self.reference)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawScores:
+    """Errors of a law, one for each joint [N.m] but for `r2`; None where no row is of that kind."""
+
+    rmse: tuple[float, ...]
+    rmse_reversal: tuple[float | None, ...]
+    rmse_moving: tuple[float | None, ...]
+    r2: tuple[float | None, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Scores of several laws on the same logs.
+
+    Attributes
+    ----------
+    joints : names of the joints.
+    tau_std : standard deviation of the measured friction of each joint [N.m].
+    laws : scores of each law.
+    ratios : of each other law to the reference.
+    leading : for each joint the law of the least error, and those that it is not better than
+        beyond chance, adjusted for all comparisons on the joint (Holm); empty in results of earlier
+        versions.
+    per_log : what of each test log was fitted before it was compared; empty where nothing was,
+        None in a study that fits nothing of the kind.
+    bands : of each law that has one, how measured friction lies within its 95 % band, one for each
+        joint; empty in results of earlier versions.
+    """
+
+    joints: tuple[str, ...]
+    tau_std: tuple[float, ...]
+    laws: Mapping[str, LawScores]
+    ratios: Ratios
+    leading: tuple[tuple[str, ...], ...] = ()
+    per_log: tuple[str, ...] | None = None
+    bands: Mapping[str, tuple[BandScore, ...]] = field(default_factory=dict)
+
+    def to_pandas(self) -> Any:
+        """Return a `pandas.DataFrame` of all measures [N.m; `r2` has none] by law and joint.
+
+        Raises
+        ------
+        ConfigError
+            If pandas is not installed.
+        """
+        rows = [(law, k, joint) for law in self.laws for k, joint in enumerate(self.joints)]
+        names = {"law": [law for law, *_ in rows], "joint": [joint for *_, joint in rows]}
+        scores = {m: [getattr(self.laws[law], m)[k] for law, k, _ in rows] for m in MEASURES}
+        return pandas_frame(names | scores).set_index(["law", "joint"])
+
+    def _repr_html_(self) -> str:
+        rows = ((law, *of_law.rmse) for law, of_law in self.laws.items())
+        spread = ("(standard deviation)", *self.tau_std)
+        return table("RMSE of the predicted friction [N.m]", ("law", *self.joints), (spread, *rows))
+
+
+def by_joint(logs: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
+    """Turn records by log and joint into records by joint and log."""
+    return [list(of_joint) for of_joint in zip(*logs, strict=True)]
+
+
+def compare(
+    records: Records,
+    predictions: Mapping[str, Sequence[Sequence[Array]]],
+    inputs: Mapping[str, str] | None = None,
+    models: Mapping[str, FrictionModel] | None = None,
+) -> Comparison:
+    """Score predictions [law][joint][log], (N,) [N.m] each, on records [joint][log].
+
+    Parameters
+    ----------
+    inputs : of each law, as `inputs_of` names them: laws are compared with the strongest classic
+        law that has no inputs besides.
+    models : whose bands are scored, too, where they have one; each predicts a row of its name.
+    """
+    errors = {
+        law: [
+            [p - r.tau for r, p in zip(*of_joint, strict=True)]
+            for of_joint in zip(records, predicted, strict=True)
+        ]
+        for law, predicted in predictions.items()
+    }
+    scores = {
+        law: [score(r, p) for r, p in zip(records, predicted, strict=True)]
+        for law, predicted in predictions.items()
+    }
+    fallback = REFERENCE if REFERENCE in predictions else next(iter(predictions))
+    size = {
+        law: float(np.mean([s.rmse / max(s.tau_std, 1e-300) for s in of]))
+        for law, of in scores.items()
+    }
+    references = {law: _reference(law, size, inputs or {}, fallback) for law in predictions}
+    periods = [[float(np.median(np.diff(r.t))) for r in of_joint] for of_joint in records]
+
+    def paired(pairs: Iterable[tuple[str, str, int]]) -> dict[tuple[str, str, int], Ratio]:
+        """Compare laws with others on joints, as one family."""
+        found = {
+            (law, other, j): compare_errors(errors[law][j], errors[other][j], periods[j])
+            for law, other, j in pairs
+        }
+        adjusted = holm({key: one.p for key, one in found.items()})
+        return {
+            key: Ratio(value=one.value, low=one.low, high=one.high, p=adjusted[key])
+            for key, one in found.items()
+        }
+
+    numbered = range(len(records))
+    others = [law for law in predictions if references[law] != law]
+    ratios = paired((law, references[law], j) for law in others for j in numbered)
+    ranked = [law for law in predictions if _runs(law)]
+    best = [min(ranked, key=lambda law: scores[law][j].rmse) for j in numbered] if ranked else []
+    # A family for each joint: over all of them so many comparisons leave few blocks no power.
+    apart = {
+        key: ratio
+        for j in numbered
+        if best
+        for key, ratio in paired((law, best[j], j) for law in ranked if law != best[j]).items()
+    }
+    return Comparison(
+        joints=tuple(of_joint[0].joint for of_joint in records),
+        tau_std=tuple(s.tau_std for s in scores[fallback]),
+        laws={
+            law: LawScores(**{m: tuple(getattr(s, m) for s in row) for m in MEASURES})
+            for law, row in scores.items()
+        },
+        ratios=Ratios(
+            reference=fallback,
+            laws={law: tuple(ratios[law, references[law], j] for j in numbered) for law in others},
+            references={law: references[law] for law in others} if inputs else {},
+        ),
+        leading=tuple(
+            (
+                best[j],
+                *(
+                    law
+                    for law in ranked
+                    if law != best[j] and apart[law, best[j], j].verdict == "alike"
+                ),
+            )
+            for j in numbered
+            if best
+        ),
+        bands=_band_scores(models or {}, records, predictions),
+    )
+
+
+def _band_scores(
+    models: Mapping[str, FrictionModel],
+    records: Records,
+    predictions: Mapping[str, Sequence[Sequence[Array]]],
+) -> dict[str, tuple[BandScore, ...]]:
+    return {
+        name: tuple(
+            score_band(
+                of_joint,
+                predicted,
+                [
+                    predict_band(law, t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load, torque=torque)
+                    for r, torque in zip(of_joint, predicted, strict=True)
+                ],
+            )
+            for law, of_joint, predicted in zip(model.laws, records, predictions[name], strict=True)
+        )
+        for name, model in models.items()
+        if model.banded
+    }
+
+
+def _runs(law: str) -> bool:
+    """Whether there is a row's law to run: no truth, no start from measured torques."""
+    return law != ORACLE and not law.endswith(MEASURED_START)
+
+
+def _reference(
+    law: str, size: Mapping[str, float], inputs: Mapping[str, str], fallback: str
+) -> str:
+    """Return the strongest classic law among those with no inputs that a law lacks."""
+    if law not in inputs:
+        return fallback
+    own = set(inputs[law].split(", "))
+    fair = [
+        k
+        for k in size
+        if k.removesuffix(MEASURED_START) in CLASSIC and set(inputs.get(k, "v").split(", ")) <= own
+    ]
+    return min(fair, key=lambda k: size[k]) if fair else fallback
+
+
+def within(
+    records: Records, torques: Sequence[Sequence[Array]], start: float, stop: float
+) -> tuple[list[list[FrictionRecord]], list[list[Array]]]:
+    """Return the rows of records and torques with start <= t < stop [s].
+
+    Torques are (N,) [N.m], by joint and log. Time counts from the beginning of each log; logs that
+    end before are left out.
+
+    Raises
+    ------
+    ConfigError
+        If no log has such rows.
+    """
+    kept_records, kept_torques = [], []
+    for of_joint, predicted in zip(records, torques, strict=True):
+        rows = [time_band(r.t - r.t[0], start, stop) for r in of_joint]
+        kept = [k for k, mask in enumerate(rows) if np.count_nonzero(mask) > 1]
+        if not kept:
+            longest = max(float(r.t[-1] - r.t[0]) for r in of_joint)
+            raise ConfigError(
+                f"the band from {start:g} to {stop:g} s holds no rows; the longest log of its test "
+                f"set lasts {longest:.3g} s."
+            )
+        kept_records.append([of_joint[k].rows(rows[k]) for k in kept])
+        kept_torques.append([predicted[k][rows[k]] for k in kept])
+    return kept_records, kept_torques
+
+
+def inputs_of(model: FrictionModel) -> str:
+    """Name the inputs that a model uses on any joint: laws of equal inputs compare fairly.
+
+    A start from measured torques is a row of its own (`measured_start`).
+    """
+    used = {symbol for law in model.laws for symbol in law.form.inputs}
+    names = [
+        label for symbol, label in zip(INPUTS, ("v", "q", "load"), strict=True) if symbol in used
+    ]
+    return ", ".join(names)
+
+
+def measured_start(law: str) -> str:
+    """Return the row of a law's model whose states start as the first measured torques say."""
+    return f"{law}{MEASURED_START}"
+
+
+def takes_start(model: FrictionModel) -> bool:
+    """Whether measured torques can say where the states of a model start."""
+    return any(law.start_samples for law in model.laws)
+
+
+def rows_of(models: Mapping[str, FrictionModel]) -> dict[str, tuple[str, bool]]:
+    """Return the model of each row of a table, and whether it starts from measured torques."""
+    return {
+        measured_start(name) if with_start else name: (name, with_start)
+        for name, model in models.items()
+        for with_start in ((False, True) if takes_start(model) else (False,))
+    }
+
+
+def input_classes(models: Mapping[str, FrictionModel]) -> dict[str, str]:
+    """Return the inputs of each row of a table, by which rows compare fairly.
+
+    Parameters
+    ----------
+    models : by their names; those that can start from measured torques are a second row, too.
+    """
+    return {
+        row: inputs_of(models[name]) + (", start" if with_start else "")
+        for row, (name, with_start) in rows_of(models).items()
+    }
+
+
+def predict_model(
+    model: FrictionModel, records: Records, *, measured_start: bool = False
+) -> list[list[Array]]:
+    """Return the model's torque for records, (N,) [N.m] by joint and log.
+
+    With `measured_start` its states start as the first measured torques say.
+
+    Raises
+    ------
+    ArtifactError
+        If the model is not of these joints.
+    """
+    joints = tuple(of_joint[0].joint for of_joint in records)
+    if joints != model.joints:
+        raise ArtifactError(
+            f"friction model '{model.law}' is for the joints {', '.join(model.joints)}; the robot "
+            f"has {', '.join(joints)}."
+        )
+    torques = [
+        model.predict(log, measured_start=measured_start) for log in zip(*records, strict=True)
+    ]
+    return [[torque[:, joint] for torque in torques] for joint in range(len(records))]
+
+
+def predict_models(
+    models: Mapping[str, FrictionModel], records: Records, progress: Progress = silent
+) -> dict[str, list[list[Array]]]:
+    """Return the torque of each row of a table, as `predict_model` does, by its name.
+
+    Rows are those of `rows_of`: models that can start from measured torques have two.
+    """
+    rows = rows_of(models)
+    return {
+        row: predict_model(models[name], records, measured_start=with_start)
+        for row, (name, with_start) in counted(rows.items(), progress)
+    }
+
+
+def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) -> list[list[Array]]:
+    """Return the torque that an FMU computes for records, through FMPy, by joint and log.
+
+    Each is (N,) [N.m].
+
+    With `measured_start` the start of those states that can take theirs from the first torque
+    samples is estimated from the model that the FMU carries and set before the initialisation.
+    """
+    from fmu_src.friction.embedded_model import embedded_model
+    from fmu_src.friction.friction_component import GIVEN, START_MODE
+    from fmu_src.friction.variable_names import place
+    from fmu_src.run.replay import replay
+
+    model = embedded_model(fmu) if measured_start else None
+    torques = []
+    for log in zip(*records, strict=True):
+        start: dict[str, float] = {}
+        if model is not None and len(model.laws) == len(log):
+            rubbing = at_friction([replace(r, coupling=model.coupling) for r in log])
+            start[START_MODE] = GIVEN
+            for i, (law, record) in enumerate(zip(model.laws, rubbing, strict=True), start=1):
+                first = (float(getattr(record, u)[0]) for u in ("dq", "q", "tau_load"))
+                estimated = law.start_samples > 0
+                values = record_start(law, record) if estimated else first_states(law, *first)
+                start |= dict(zip(place(law, i).starts, values, strict=True))
+        dq, q, tau_load = (
+            np.column_stack([getattr(r, u) for r in log]) for u in ("dq", "q", "tau_load")
+        )
+        warm = [r.temperature for r in log if r.temperature is not None]
+        temperature = np.column_stack(warm) if len(warm) == len(log) else None
+        torques.append(replay(fmu, log[0].t, dq, q, tau_load, start=start, temperature=temperature))
+    return [[torque[:, joint] for torque in torques] for joint in range(len(records))]

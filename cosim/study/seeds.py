@@ -1,0 +1,235 @@
+"""The prediction part of a twin's study over many draws: noise, motions and true friction.
+
+Each draw has noise of its own, Fourier motions of other seeds, other motions of another amplitude,
+and on each joint true friction of another level and viscosity. The rigid body is identified and the
+laws are fitted as in the study; what differs between draws gives the tables intervals.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.special import stdtrit
+
+from cosim.loop.excite import record
+from cosim.loop.motions import FourierMotion, Motion, Motions, SweepMotion, names_of
+from cosim.study.scores import ORACLE, Errors, by_joint, predict_models
+from cosim.study.study import Study
+from fmu_src.arm.plant import Arm, Plant
+from fmu_src.run.batch import Array
+from hesr_model.errors import ConfigError
+from hesr_model.fitting.fit import fit_models
+from hesr_model.friction.metrics import score
+from hesr_model.friction.model import FrictionModel
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import identify
+from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support import parallel
+from hesr_model.support.progress import Progress, counted, silent
+
+LEAST = 2
+"""Draws that have a scatter."""
+LEVEL, VISCOSITY = 0.15, 0.3
+"""Standard deviations of the logarithms of true Coulomb and viscous friction."""
+_AMPLITUDE = 0.8
+"""Least factor on the amplitude of what is no Fourier motion."""
+_TRIES = 100
+"""Fourier motions that are drawn until one stays within the limits."""
+_UPPER = 0.975
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """A mean over draws and its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeedScores:
+    """What laws err by on one test set, over draws.
+
+    Attributes
+    ----------
+    rmse : of each law and joint the mean over draws [N.m].
+    ratios : of each other law and joint the geometric mean of its RMSE over the reference's.
+    """
+
+    rmse: Mapping[str, tuple[Spread, ...]]
+    ratios: Mapping[str, tuple[Spread, ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seeds:
+    """Scores over draws.
+
+    Attributes
+    ----------
+    seeds : how many draws.
+    joints : their names.
+    reference : law to which ratios are taken.
+    tests : scores by test set.
+    """
+
+    seeds: int
+    joints: tuple[str, ...]
+    reference: str
+    tests: Mapping[str, SeedScores]
+
+
+def run_seeds(
+    path: Path, seeds: int, *, laws: Sequence[str] = (), progress: Progress = silent
+) -> Seeds:
+    """Run the prediction part of a twin's study over many draws.
+
+    Parameters
+    ----------
+    path : study file, of a twin.
+    seeds : how many draws; they are numbered from the study's seed on.
+    laws : names in the registry; those of the study where not given.
+    progress : told how many draws are done.
+
+    Raises
+    ------
+    ConfigError
+        If the study has no twin, there are fewer than two draws, or no law is named.
+    """
+    study = Study.read(path)
+    if study.twin is None:
+        raise ConfigError(f"{path}: seeds are drawn for a digital twin; this study has logs.")
+    if study.twin.truth is not None:
+        raise ConfigError(
+            f"{path}: seeds are drawn for the friction of the MJCF; key 'twin.truth' names another."
+        )
+    if seeds < LEAST:
+        raise ConfigError(f"--seeds is {seeds}; needed are at least {LEAST}, which can differ.")
+    named = tuple(laws or study.laws)
+    if not named:
+        raise ConfigError(f"{path}: key 'laws' names none; with --seeds it must, or use --quick.")
+    jobs = [partial(one_draw, study, study.seed + k, named) for k in range(seeds)]
+    with parallel.results_of(jobs) as results:
+        drawn = [next(results) for _ in counted(jobs, progress)]
+    reference = "lugre" if "lugre" in named else named[0]
+    return Seeds(
+        seeds=seeds,
+        joints=RobotDescription.read(study.robot).joints,
+        reference=reference,
+        tests={test: _scores([d[test] for d in drawn], reference) for test in study.logs.test},
+    )
+
+
+def one_draw(study: Study, seed: int, laws: Sequence[str]) -> Errors:
+    """Return the errors of laws on the test sets of one draw, and that of the true friction."""
+    if study.twin is None:
+        raise TypeError("the study has no twin")
+    rng = np.random.default_rng(seed)
+    plant = Plant.read(study.twin.plant)
+    noise = plant.noise.model_copy(update={"seed": int(rng.integers(2**31))})
+    arm = Arm(plant)
+    joints = len(plant.joints)
+    arm.scale_friction(
+        np.exp(rng.normal(0.0, LEVEL, joints)), np.exp(rng.normal(0.0, VISCOSITY, joints))
+    )
+    logs, truths = {}, {}
+    for motion in Motions.read(study.twin.motions).motions:
+        own = _drawn(motion, arm.limits, rng)
+        both = (own.trajectory(), own.trajectory().time_reversed())
+        for name, trajectory in zip(names_of(own), both, strict=False):
+            found = record(arm, trajectory, noise, name=name, unlogged=own.unlogged)
+            logs[name], truths[name] = found.log, found.truth.tau_f_true
+    return errors_on(study, logs, truths, laws, partial(fit_models, seed=seed, workers=1))
+
+
+def errors_on(
+    study: Study,
+    logs: Mapping[str, RobotLog],
+    truths: Mapping[str, Array],
+    laws: Sequence[str],
+    fit: Callable[..., dict[str, FrictionModel]],
+) -> Errors:
+    """Return the errors of laws on the test sets of a twin's logs, and that of the true friction.
+
+    Parameters
+    ----------
+    study : which logs serve for what.
+    logs, truths : of the twin, by name; truths (N, n) [N.m].
+    laws : names in the registry.
+    fit : `fit_models` with what is particular to the run.
+    """
+    robot = RobotModel(RobotDescription.read(study.robot))
+    body = identify(
+        [logs[name] for name in study.logs.identification],
+        robot,
+        reversed_logs=[logs[name] for name in study.logs.reversed],
+        physical=study.physical,
+    )
+
+    def of_logs(names: Sequence[str]) -> list[list[FrictionRecord]]:
+        return by_joint([friction_records(logs[name], robot, body) for name in names])
+
+    models = fit(
+        laws,
+        of_logs(study.logs.training),
+        robot=robot.description.name,
+        options=study.options,
+    )
+    errors: dict[str, dict[str, list[float]]] = {}
+    for test, names in study.logs.test.items():
+        tested = of_logs(names)
+        predicted = predict_models(models, tested)
+        predicted[ORACLE] = [[truths[name][:, k] for name in names] for k in range(len(tested))]
+        errors[test] = {
+            law: [score(r, p).rmse for r, p in zip(tested, of_law, strict=True)]
+            for law, of_law in predicted.items()
+        }
+    return errors
+
+
+def _drawn(motion: Motion, limits: Array, rng: np.random.Generator) -> Motion:
+    """Return another motion of the same kind, within the limits (n, 2) [rad]."""
+    if not isinstance(motion, FourierMotion):
+        factor = float(rng.uniform(_AMPLITUDE, 1.0))
+        keys = ("amplitude", "swing") if isinstance(motion, SweepMotion) else ("amplitude",)
+        smaller = {key: tuple(factor * a for a in getattr(motion, key)) for key in keys}
+        return motion.model_copy(update=smaller)
+    for _ in range(_TRIES):
+        own = motion.model_copy(update={"seed": int(rng.integers(2**31))})
+        trajectory = own.trajectory()
+        q = trajectory.sample(np.linspace(0.0, trajectory.duration, 4000))[0]
+        if np.all((q > limits[:, 0]) & (q < limits[:, 1])):
+            return own
+    return motion
+
+
+def _scores(drawn: Sequence[Mapping[str, Sequence[float]]], reference: str) -> SeedScores:
+    rmse = {law: np.array([of[law] for of in drawn]) for law in drawn[0]}
+    logarithms = {law: np.log(of / rmse[reference]) for law, of in rmse.items()}
+    return SeedScores(
+        rmse={law: _spreads(of) for law, of in rmse.items()},
+        ratios={
+            law: tuple(
+                Spread(
+                    mean=float(np.exp(s.mean)), low=float(np.exp(s.low)), high=float(np.exp(s.high))
+                )
+                for s in _spreads(of)
+            )
+            for law, of in logarithms.items()
+            if law != reference
+        },
+    )
+
+
+def _spreads(values: Array) -> tuple[Spread, ...]:
+    """Return mean and Student's 95 % interval of each column of (seeds, n)."""
+    count = len(values)
+    means = values.mean(axis=0)
+    halves = stdtrit(count - 1, _UPPER) * values.std(axis=0, ddof=1) / np.sqrt(count)
+    return tuple(
+        Spread(mean=float(m), low=float(m - h), high=float(m + h))
+        for m, h in zip(means, halves, strict=True)
+    )

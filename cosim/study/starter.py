@@ -1,0 +1,122 @@
+"""A folder to start from: a robot's model, a robot file, a study and sample logs."""
+
+import json
+import re
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import jinja2
+
+from cosim.study.sample_logs import RATE, mark_samples, sample_logs
+from cosim.study.study import Study
+from hesr_model.errors import ConfigError, RobotError
+from hesr_model.robots.model_file import driven_joints, joints_of
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import folder_written_whole, is_empty, models_folder
+
+_FILES = ("robot.toml", "study.toml", "README.txt")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Started:
+    """What was laid.
+
+    Attributes
+    ----------
+    joints : those of the robot file.
+    unused : joints of the model that stand still, or follow others.
+    """
+
+    folder: Path
+    joints: tuple[str, ...]
+    unused: tuple[str, ...]
+
+
+def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> Started:
+    """Lay a folder that `hesr run FOLDER/study.toml` runs at once.
+
+    The model file is copied; what it says of meshes does not matter. The logs are simulated, see
+    `sample_logs`.
+
+    Parameters
+    ----------
+    folder : a new or empty one.
+    model : URDF, or MJCF (``.xml``).
+    joints : those to use; by default all that turn about or slide along one axis and do not
+        follow others.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds something already.
+    RobotError
+        If the model cannot be used, or a joint in it.
+    ArtifactError
+        If the folder cannot be written.
+    """
+    if folder.is_file():
+        raise ConfigError(f"{folder}: is a file; give a new or an empty folder.")
+    if folder.is_dir() and not is_empty(folder):
+        raise ConfigError(f"{folder}: is not empty; give a new or an empty folder.")
+    if model.suffix.lower() == ".xacro":
+        raise RobotError(
+            f"{model}: is a xacro file, which must be expanded first: "
+            f"xacro {model.name} > {model.with_suffix('').with_suffix('.urdf').name}."
+        )
+    used = driven_joints(model, joints)
+    others = [joint for joint in joints_of(model) if joint not in used]
+    name = re.sub(r"[^A-Za-z0-9_-]+", "_", folder.resolve().name).lstrip("_-") or "study"
+    with folder_written_whole(folder) as temporary:
+        shutil.copyfile(model, temporary / model.name)
+        texts = _environment()
+        for file in _FILES:
+            text = texts.get_template(f"{file}.j2").render(
+                name=name,
+                study=name,
+                folder=folder.as_posix(),
+                model=model.name,
+                joints=used,
+                resting=[joint for joint in others if joint.freedom == 1],
+                unused=", ".join(joint.name for joint in others),
+                names=", ".join(json.dumps(joint.name, ensure_ascii=False) for joint in used),
+                ratios=", ".join(["100.0"] * len(used)),
+                matrix=[
+                    ", ".join("100.0" if i == k else "0.0" for i in range(len(used)))
+                    for k in range(len(used))
+                ],
+                columns=_columns(len(used)),
+                rate=RATE,
+            )
+            (temporary / file).write_text(text, encoding="utf-8")
+        description = RobotDescription.read(temporary / "robot.toml")
+        Study.read(temporary / "study.toml")
+        written = []
+        for log in sample_logs(RobotModel(description)):
+            written.append(temporary / "logs" / f"{log.name}.csv")
+            log.write(written[-1])
+        mark_samples(written)
+    return Started(
+        folder=folder,
+        joints=tuple(joint.name for joint in used),
+        unused=tuple(joint.name for joint in others),
+    )
+
+
+def _columns(joints: int) -> str:
+    last = f"..{{}}{joints}" if joints > 1 else ""
+    return ", ".join(["t", *(f"{c}1{last.format(c)}" for c in ("q", "dq", "tau"))])
+
+
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(models_folder() / "new"),
+        undefined=jinja2.StrictUndefined,
+        keep_trailing_newline=True,
+        # What is rendered is TOML and plain text, in which nothing is to be escaped for HTML.
+        autoescape=False,
+    )
+    # A basic string of TOML takes the escapes of JSON.
+    environment.filters["toml"] = lambda text: json.dumps(text, ensure_ascii=False)
+    return environment

@@ -1,0 +1,430 @@
+"""The steps of a study, from its logs to its closed loop."""
+
+import logging
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from inspect import signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cosim.study.scores import (
+    ORACLE,
+    Comparison,
+    Errors,
+    by_joint,
+    compare,
+    input_classes,
+    predict_fmu,
+    rows_of,
+    within,
+)
+from cosim.study.study import Part, Study
+from hesr_model.artifacts import write_json
+from hesr_model.equations.over_log import Array
+from hesr_model.errors import ConfigError, FitError, HesrError, LogError
+from hesr_model.fitting.day_offsets import with_own
+from hesr_model.fitting.fit import fit_models
+from hesr_model.forward.output_error import refine
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import estimator, registry
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.signals import smoothed
+from hesr_model.logs.tables import read_table
+from hesr_model.rigid_body.identification import RigidBody, identify
+from hesr_model.rigid_body.refinement import identify_again
+from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support import parallel
+from hesr_model.support.progress import Stages, counted
+from hesr_model.support.typed_json import to_json
+
+if TYPE_CHECKING:
+    from cosim.loop.run import LoopOutcome
+    from hesr_model.audit.properties import Properties
+
+
+_log = logging.getLogger(__name__)
+
+
+LogRecords = Mapping[str, Sequence[Sequence[FrictionRecord]]]
+"""Records of every log, by its name, [part][joint]: a log with gaps has several parts."""
+
+
+Predictions = Mapping[str, Mapping[str, Sequence[Sequence[Array]]]]
+"""Friction torques of each test set, by law, [joint][log], (N,) each [N.m]."""
+
+
+def records_of(names: Iterable[str], records: LogRecords) -> list[list[FrictionRecord]]:
+    """Return the records of some logs, [joint][part]."""
+    return by_joint([part for name in names for part in records[name]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """The steps of a study.
+
+    Attributes
+    ----------
+    study, path : the study and its file.
+    progress : told how far it has come.
+    kept : folder in which what is done is kept until the run has ended, so that a run that was
+        stopped or killed goes on from there; None for none.
+    """
+
+    study: Study
+    path: Path
+    progress: Stages
+    kept: Path | None = None
+
+    def __post_init__(self) -> None:
+        study = self.study
+        for law in study.laws:
+            self._require_law("laws", law, {})
+        for law, options in study.options.items():
+            self._require_law(f"options.{law}", law, options)
+        for name, variant in study.variants.items():
+            if name in registry():
+                raise ConfigError(
+                    f"{self.path}: key 'variants.{name}' has the name of a law; give it one of its "
+                    "own."
+                )
+            self._require_law(f"variants.{name}.law", variant.law, {})
+            self._require_law(f"variants.{name}.options", variant.law, variant.options)
+        if study.refinement:
+            self._require_law("refinement.law", study.refinement.law, {})
+        for law in study.tracking.sources if study.tracking else ():
+            if law not in self.laws:
+                raise ConfigError(
+                    f"{self.path}: key 'tracking.sources': law '{law}' is none of the study's, "
+                    f"{', '.join(self.laws)}."
+                )
+
+    def _require_law(self, key: str, law: str, options: Mapping[str, Any]) -> None:
+        """Check that there is the law and that it takes the options."""
+        if law not in registry():
+            raise ConfigError(
+                f"{self.path}: key '{key}': law '{law}' is unknown; known are "
+                f"{', '.join(registry())}."
+            )
+        allowed = signature(estimator(law)).parameters
+        if unknown := [name for name in options if name not in allowed]:
+            raise ConfigError(
+                f"{self.path}: unknown key '{key}.{unknown[0]}'; allowed here: "
+                f"{', '.join(allowed) or 'none'}."
+            )
+        try:
+            estimator(law)(**options)
+        except (HesrError, TypeError) as error:
+            raise ConfigError(f"{self.path}: table '{key}': {str(error).rstrip('.')}.") from error
+
+    @cached_property
+    def robot(self) -> RobotDescription:
+        """The robot of the study, as its file describes it."""
+        return RobotDescription.read(self.study.robot)
+
+    @cached_property
+    def laws(self) -> tuple[str, ...]:
+        """Laws and variants: where the study names none, everyday ones that the robot allows."""
+        possible = (
+            name
+            for name, law in registry().items()
+            if law.everyday and all(getattr(self.robot, need) is not None for need in law.needs)
+        )
+        return (*(self.study.laws or possible), *self.study.variants)
+
+    @property
+    def trained_on(self) -> list[str]:
+        """Names of the logs from which anything is estimated."""
+        logs = self.study.logs
+        return list(dict.fromkeys((*logs.identification, *logs.reversed, *logs.training)))
+
+    def log_files(self, folder: Path) -> dict[str, Path]:
+        """Return the file of every log of the study; the twin's are made now.
+
+        Raises
+        ------
+        ConfigError
+            If the study names a log that is no motion of the twin.
+        """
+        tested = (name for logs in self.study.logs.test.values() for name in logs)
+        names = dict.fromkeys((*self.trained_on, *tested))
+        if self.study.twin is None:
+            parts = self.study.logs.parts
+            files = {name: parts[name].log if name in parts else name for name in names}
+            return {name: self.path.parent / file for name, file in files.items()}
+        # MuJoCo is loaded for a twin only, not for measured logs.
+        from cosim.loop.excite import excite
+        from cosim.loop.motions import Motions
+        from cosim.loop.truth_arm import twins_fmu, twins_plant
+
+        self.progress("running the arm", 0, 1)
+        motions = self.study.twin.motions
+        plant, signals = twins_plant(self.study.twin, self.path, folder)
+        arm = twins_fmu(plant, signals, folder)
+        made = excite(Motions.read(motions), plant, folder / "logs", fmu=arm)
+        self.progress("running the arm", 1, 1)
+        for name in names:
+            if name not in made:
+                raise ConfigError(
+                    f"{self.path}: key 'logs' names '{name}', which is no motion of {motions}; "
+                    f"its motions give {', '.join(made)}."
+                )
+        return {name: made[name] for name in names}
+
+    def read(self, name: str, file: Path) -> RobotLog:
+        """Read a log of the study, or the part of one that bears a name.
+
+        Raises
+        ------
+        LogError
+            As `RobotLog.read`, or if there are no rows in the part.
+        """
+        log = RobotLog.read(file, self.robot)
+        part = self.study.logs.parts.get(name)
+        return log if part is None else self._part(log, name, part)
+
+    def led_up_to(self, name: str, file: Path) -> RobotLog | None:
+        """Read a part of a log with what is before it; None of a whole log, or from its beginning.
+
+        A law that is tested on the part runs through that first: its states are then what the
+        motion has made of them, as in anything that runs the law.
+        """
+        part = self.study.logs.parts.get(name)
+        if part is None or part.start == 0.0:
+            return None
+        whole = part.model_copy(update={"start": 0.0})
+        return self._part(RobotLog.read(file, self.robot), name, whole)
+
+    def _part(self, log: RobotLog, name: str, part: Part) -> RobotLog:
+        since = log.t - log.t[0]
+        rows = np.flatnonzero((since >= part.start) & (since < part.stop))
+        if len(rows) < 2:
+            raise LogError(
+                f"{log.path}: has no rows from {part.start:g} to {part.stop:g} s, the part "
+                f"'{name}' of the study; it is {since[-1]:.4g} s long."
+            )
+        return replace(log.rows(rows), name=name)
+
+    def properties(
+        self,
+        robot: RobotModel,
+        body: RigidBody,
+        models: Mapping[str, FrictionModel],
+        folder: Path,
+    ) -> "dict[str, Properties]":
+        """Put all laws to the property battery and write what it finds."""
+        from cosim.properties.battery import Subject, run_battery
+        from cosim.properties.inertia import standing_inertia
+        from hesr_model.audit.properties import write_properties
+
+        subjects = [
+            Subject(name=law, model=fitted, inertia=standing_inertia(robot, body, fitted))
+            for law, fitted in models.items()
+        ]
+        listed = run_battery(
+            subjects,
+            progress=partial(self.progress, "testing the laws"),
+            kept=self.kept and self.kept / "properties",
+        )
+        found = dict(zip(models, listed, strict=True))
+        write_properties(folder / "properties.json", found)
+        return found
+
+    def closed_loop(
+        self,
+        robot: RobotModel,
+        body: RigidBody,
+        folder: Path,
+        models: Mapping[str, FrictionModel],
+    ) -> "LoopOutcome | None":
+        """Run the loop of the study."""
+        if self.study.tracking is None or self.study.twin is None:
+            return None
+        from cosim.loop.run import run_loop
+        from cosim.loop.truth_arm import twins_plant
+        from fmu_src.arm.truth import true_friction
+
+        plant, signals = twins_plant(self.study.twin, self.path, folder)
+        truth = true_friction(
+            plant.model,
+            plant.joints,
+            sample_time=1.0 / plant.sample_rate,
+            losses=signals.losses if signals else None,
+        )
+        laws = {law: folder / "fmus" / f"{law}.fmu" for law in models}
+        outcome = run_loop(
+            self.study.tracking,
+            plant,
+            robot,
+            body,
+            folder,
+            truth=truth,
+            friction=laws,
+            kept=self.kept,
+            progress=self.progress,
+        )
+        write_json(folder / "closed_loop.json", to_json(outcome))
+        return outcome
+
+    def other_truths(self, laws: Sequence[str]) -> dict[str, Errors]:
+        """Score laws under the further truths of the twin; empty where the study names none."""
+        if self.study.twin is None or not self.study.twin.truths:
+            return {}
+        from cosim.loop.alternative_plants import under_truths
+
+        progress = partial(self.progress, "trying other truths")
+        return under_truths(self.study, self.path, laws, progress=progress)
+
+    def rigid_body(
+        self, logs: Mapping[str, RobotLog], model: RobotModel
+    ) -> tuple[RigidBody, dict[str, FrictionModel]]:
+        """Identify the rigid body, again once friction is known where the study wants that.
+
+        Returns the body, and the law that was refined together with it, if one was.
+        """
+        forward = [logs[name] for name in self.study.logs.identification]
+        backward = [logs[name] for name in self.study.logs.reversed]
+        self.progress("identifying the rigid body", 0, 1)
+        found = identify(forward, model, reversed_logs=backward, physical=self.study.physical)
+        self.progress("identifying the rigid body", 1, 1)
+        refinement, refined = self.study.refinement, {}
+        if refinement is None:
+            return found, {}
+        training, law = {name: logs[name] for name in self.study.logs.training}, refinement.law
+        for _ in range(refinement.rounds):
+            records = {
+                name: [friction_records(part, model, found) for part in log.parts()]
+                for name, log in training.items()
+            }
+            friction = self.fit(records, (law,), "refining the rigid body", {})[law]
+            if refinement.kind == "output_error":
+                moved = smoothed(list(training.values()), model)
+                together = refine(model, found, friction, moved)
+                found, refined = together.body, {law: together.friction}
+            else:
+                found = identify_again(forward, model, found, friction, reversed_logs=backward)
+        return found, refined
+
+    def fit(
+        self,
+        records: LogRecords,
+        laws: Sequence[str],
+        what: str,
+        source: Mapping[str, Any],
+        *,
+        left_out: Callable[[str, FitError], None] | None = None,
+    ) -> dict[str, FrictionModel]:
+        """Fit laws to the training logs; see `fit_models`."""
+        study = self.study
+        variants = study.variants
+        return fit_models(
+            laws,
+            records_of(study.logs.training, records),
+            robot=self.robot.name,
+            seed=study.seed,
+            options={**study.options, **{name: v.options for name, v in variants.items()}},
+            variants={name: v.law for name, v in variants.items()},
+            provenance=source,
+            progress=partial(self.progress, what),
+            left_out=left_out,
+            kept=self.kept and self.kept / "laws",
+            per_log=study.per_log,
+        )
+
+    def fit_all(
+        self, records: LogRecords, source: Mapping[str, Any]
+    ) -> tuple[dict[str, FrictionModel], dict[str, str]]:
+        """Fit all laws, but for those that the training logs do not determine.
+
+        Returns the models, and why each of the others was left out. Laws that the closed loop
+        needs are not left out.
+        """
+        reasons: dict[str, str] = {}
+
+        def leave_out(law: str, error: FitError) -> None:
+            if self.study.tracking and law in self.study.tracking.sources:
+                raise error
+            reasons[law] = str(error)
+            _log.warning("law '%s' is left out: %s", law, error)
+
+        models = self.fit(records, self.laws, "fitting laws", source, left_out=leave_out)
+        return models, reasons
+
+    def compare(
+        self,
+        models: Mapping[str, FrictionModel],
+        records: LogRecords,
+        files: Mapping[str, Path],
+        fmus: Path,
+        runs: LogRecords,
+    ) -> tuple[dict[str, Comparison], Predictions]:
+        """Score the FMUs on every test set and on its bands; of a twin the truth as well.
+
+        Where logs may differ by day, the same stands there with what is each log's own fitted.
+        FMUs go through all rows of `runs`, of which the last are those of `records`.
+
+        Returns the scores, and the torques on the test sets.
+        """
+        comparisons, predictions = {}, {}
+        inputs = input_classes(models)
+        tests = self.study.logs.test
+        variants = rows_of(models)
+        cases = [(name, row) for name in tests for row in variants]
+        jobs = [
+            partial(
+                predict_fmu,
+                fmus / f"{law}.fmu",
+                records_of(tests[name], runs),
+                measured_start=with_start,
+            )
+            for name, row in cases
+            for law, with_start in (variants[row],)
+        ]
+        replayed: dict[str, dict[str, list[list[Array]]]] = {name: {} for name in tests}
+        with parallel.results_of(jobs) as results:
+            for name, row in counted(cases, partial(self.progress, "replaying the FMUs")):
+                replayed[name][row] = next(results)
+        for name, logs in tests.items():
+            tested = records_of(logs, records)
+            predicted = {
+                row: [
+                    [tau[-len(r.t) :] for tau, r in zip(*of_joint, strict=True)]
+                    for of_joint in zip(torques, tested, strict=True)
+                ]
+                for row, torques in replayed[name].items()
+            }
+            if self.study.twin:
+                predicted[ORACLE] = self._true_friction([files[log] for log in logs])
+            comparisons[name] = compare(tested, predicted, inputs, models)
+            predictions[name] = predicted
+            if per_log := self.study.per_log:
+                comparisons[name] = replace(comparisons[name], per_log=())
+                fitted = {
+                    law: [with_own(p, r, per_log) for p, r in zip(whole, tested, strict=True)]
+                    for law, whole in predicted.items()
+                }
+                fitted_name = f"{name}, {' and '.join(per_log)} of each log fitted"
+                comparisons[fitted_name] = replace(compare(tested, fitted, inputs), per_log=per_log)
+            for band in self.study.bands:
+                if band.test == name:
+                    parts = {
+                        law: within(tested, whole, band.start, band.stop)
+                        for law, whole in predicted.items()
+                    }
+                    rows = next(iter(parts.values()))[0]
+                    comparisons[band.name] = compare(
+                        rows, {law: p for law, (_, p) in parts.items()}, inputs
+                    )
+        return comparisons, predictions
+
+    def _true_friction(self, logs: Sequence[Path]) -> list[list[Array]]:
+        """Return the true friction [joint][log] of the twin's logs [N.m]."""
+        from cosim.loop.excite import truth_of
+
+        joints = len(self.robot.joints)
+        names = [f"tau_f{k}" for k in range(1, joints + 1)]
+        truths = [read_table(truth_of(log)).numbers(names) for log in logs]
+        return [[truth[:, joint] for truth in truths] for joint in range(joints)]

@@ -1,0 +1,252 @@
+"""A system of FMUs inside one FMU of FMI 2.0, run there natively by FMPy's container runtime.
+
+The runtime comes with FMPy as a library. It reads container.json, steps all components together at
+the system's step, and then passes values on along the connections in their given order. That order
+is the one in which values become known, so an output with direct feedthrough is that of its newest
+inputs, while states move with the inputs of the step's beginning. It takes multiples of that step
+only; a library of ours stands before it that takes any step and holds the outputs in between.
+
+FMPy's own builder is not used: for FMI 2.0 it writes connections of type Real, which the runtime
+refuses; it counts value references from 0, where the runtime has the time; it puts the half-written
+archive into itself, and today's date; and it adds runtimes of platforms for which the components
+have no binary.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Mapping
+from importlib.metadata import distribution
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from cosim.systems.container_description import Exposed, exposed_variables, to_description
+from cosim.systems.contents import SystemContents
+from cosim.systems.ssv import text_of
+from cosim.systems.wiring import Element
+from fmu_src.export.interface import literal
+from fmu_src.export.package import own_source, write_archive
+from fmu_src.export.toolchain import TARGETS, build
+from fmu_src.run.archive import Archive
+from fmu_src.run.recorded import Stimuli, result_files
+from fmu_src.run.trust import is_ours, remember
+from hesr_model.errors import ConfigError, ExportError
+
+_RUNTIMES = {
+    "linux64": ("x86_64-linux", ".so"),
+    "win64": ("x86_64-windows", ".dll"),
+}
+"""Folder and suffix of FMPy's runtime; its two for macOS cannot share FMI 2.0's one folder."""
+
+_RUNTIME = "container_fmu"
+_LICENSE = "documentation/licenses/fmpy.txt"
+_TYPES = {"Real": "Float64", "Integer": "Int32", "Enumeration": "Int32"}
+
+
+def write_container(contents: SystemContents, path: Path) -> Path:
+    """Write a system as an FMU that holds all of its FMUs: the same bytes every time.
+
+    Where all of them are ours it carries its own answers as reference results, inputs at their
+    start values.
+
+    Parameters
+    ----------
+    contents : the system.
+    path : the file to write, ending in .fmu.
+
+    Returns
+    -------
+    `path`.
+
+    Raises
+    ------
+    ConfigError
+        If a component has a step of its own, or no platform has binaries of all components.
+    ExportError
+        If the name does not end so, FMPy has no runtime, or the FMU is not valid.
+    ArtifactError
+        If it cannot be written.
+    """
+    if path.suffix != ".fmu":
+        raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
+    _require_one_step(contents)
+    nested = {c.name: _members(c.fmu) for c in contents.spec.components}
+    identifier = re.sub(r"\W", "_", contents.spec.name, flags=re.ASCII)
+    members = _runtimes(contents, nested, identifier)
+    for name, files in nested.items():
+        members |= {f"resources/{name}/{file}": content for file, content in files.items()}
+    exposed = list(exposed_variables(contents))
+    described = to_description(contents, exposed, identifier, "")
+    guid = _guid({**members, "0": described, "1": _configuration(contents, exposed, "")})
+    members = {
+        "modelDescription.xml": to_description(contents, exposed, identifier, guid),
+        "resources/container.json": _configuration(contents, exposed, guid),
+        **members,
+    }
+    # Whose code is in it, the runtime's but for that of its components.
+    ours = [is_ours(component.fmu) for component in contents.spec.components]
+    if all(ours):
+        members |= result_files(members, Stimuli(step=contents.spec.step))
+    write_archive(members, path, contents.created)
+    if all(ours):
+        remember(path)
+    return path
+
+
+def _require_one_step(contents: SystemContents) -> None:
+    spec = contents.spec
+    for component in spec.components:
+        if spec.every(component) > 1:
+            raise ConfigError(
+                f"{contents.path}: component '{component.name}' steps every {component.step:g} s, "
+                f"and a container steps all components together, every {spec.step:g} s."
+            )
+
+
+def _members(fmu: Path) -> dict[str, bytes]:
+    with Archive(fmu) as archive:
+        return {name: archive.read(name) for name in archive.names}
+
+
+def _runtimes(
+    contents: SystemContents, nested: Mapping[str, Mapping[str, bytes]], identifier: str
+) -> dict[str, bytes]:
+    """Return the runtime for each platform of which all components have a binary, with licence.
+
+    It takes multiples of its own step only; before it stands a library of ours that takes any.
+    """
+    found: dict[str, bytes] = {}
+    for platform, (folder, suffix) in _RUNTIMES.items():
+        if all(
+            f"binaries/{platform}/{contents.descriptions[n].coSimulation.modelIdentifier}{suffix}"
+            in files
+            for n, files in nested.items()
+        ):
+            name = _RUNTIME + suffix
+            own = _holding(identifier, contents.spec.step, platform, name)
+            found[f"binaries/{platform}/{identifier}{suffix}"] = own
+            found[f"binaries/{platform}/{name}"] = _runtime(folder, name)
+    if not found:
+        raise ConfigError(
+            f"{contents.path}: no platform of a container, {' or '.join(_RUNTIMES)}, has a binary "
+            "of every component."
+        )
+    package = distribution("fmpy")
+    terms = [file for file in package.files or () if file.name.upper().startswith("LICENSE")]
+    return found | {_LICENSE: terms[0].read_binary()}
+
+
+def holding_sources(step: float, runtime: str) -> dict[str, str]:
+    """Return the C, by file, of the library that holds outputs between the steps of a runtime.
+
+    Parameters
+    ----------
+    step : of the runtime [s].
+    runtime : file beside the library.
+    """
+    texts = {name: own_source(name) for name in ("beside.h", "fmi2.h", "hold.c")}
+    texts["hold.h"] = (
+        f'#define RUNTIME_FILE "{runtime}"\n#define RUNTIME_STEP {literal(step)} /* [s] */\n'
+    )
+    return texts
+
+
+def _holding(identifier: str, step: float, platform: str, runtime: str) -> bytes:
+    """Return that library."""
+    with TemporaryDirectory(prefix="hesr-") as folder:
+        for name, text in holding_sources(step, runtime).items():
+            Path(folder, name).write_text(text, encoding="utf-8")
+        flags = ("-ldl",) if platform == "linux64" else ()
+        return build(Path(folder, "hold.c"), identifier, TARGETS[platform], flags)
+
+
+def _runtime(folder: str, name: str) -> bytes:
+    try:
+        from fmpy import container_fmu
+
+        return (Path(container_fmu.__file__).parent / "binaries" / folder / name).read_bytes()
+    except (ImportError, OSError) as error:
+        raise ExportError(
+            f"FMPy {distribution('fmpy').version} comes without the runtime of a container; needed "
+            "is FMPy 0.3.32 or newer."
+        ) from error
+
+
+def _configuration(contents: SystemContents, exposed: list[Exposed], guid: str) -> bytes:
+    """Return container.json."""
+    from fmpy.container_fmu import __version__
+
+    spec = contents.spec
+    place = {component.name: i for i, component in enumerate(spec.components)}
+    data = {
+        "containerVersion": __version__,
+        "instantiationToken": guid,
+        "fixedStepSize": spec.step,
+        "parallelDoStep": False,
+        "components": [
+            {
+                "fmiMajorVersion": "2",
+                "name": c.name,
+                "instantiationToken": contents.descriptions[c.name].instantiationToken,
+                "modelIdentifier": contents.descriptions[c.name].coSimulation.modelIdentifier,
+                "path": c.name,
+            }
+            for c in spec.components
+        ],
+        "variables": [_variable(contents, place, variable) for variable in exposed],
+        "connections": list(_connections(contents, place)),
+    }
+    return (json.dumps(data, indent=1) + "\n").encode()
+
+
+def _variable(
+    contents: SystemContents, place: Mapping[str, int], variable: Exposed
+) -> dict[str, Any]:
+    name, own = variable.element
+    described = contents.variables[name][own]
+    data: dict[str, Any] = {
+        "variableType": _TYPES.get(described.type, described.type),
+        "mappings": [{"component": place[name], "valueReference": described.valueReference}],
+    }
+    start = contents.wiring.start[name].get(own)
+    if start is not None and variable.start is not None:  # what is fed needs none
+        data["start"] = [text_of(contents.type_of(variable.element), start)]
+    return data
+
+
+def _connections(contents: SystemContents, place: Mapping[str, int]) -> Iterator[dict[str, Any]]:
+    """Yield the connections between pairs of components, as soon as their values are known."""
+    sources, variables = contents.wiring.sources, contents.variables
+    waiting = [element for element in contents.wiring.order if element in sources]
+
+    def known(output: Element) -> bool:
+        name, variable = output
+        needed = variables[name].feedthrough[variable]
+        return not any((name, into) in waiting for into in needed)
+
+    while waiting:
+        source, target = sources[waiting[0]][0], waiting[0][0]
+        ready = [
+            into
+            for into in waiting
+            if (sources[into][0], into[0]) == (source, target) and known(sources[into])
+        ]
+        waiting = [into for into in waiting if into not in ready]
+        outputs = [sources[into][1] for into in ready]
+        yield {
+            "variableType": "Float64",
+            "srcComponent": place[source],
+            "dstComponent": place[target],
+            "srcValueReferences": [variables[source][out].valueReference for out in outputs],
+            "dstValueReferences": [variables[target][into].valueReference for _, into in ready],
+            "size": len(ready),
+        }
+
+
+def _guid(members: Mapping[str, bytes]) -> str:
+    content = hashlib.sha256()
+    for name, data in members.items():
+        content.update(f"\0{name}\0{len(data)}\0".encode() + data)
+    digest = content.hexdigest()
+    return f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"

@@ -1,0 +1,224 @@
+"""modelDescription.xml of a container: what of its components is seen from outside."""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version as installed
+from typing import Any
+from xml.etree import ElementTree as ET
+
+from cosim.systems.contents import SystemContents, Unit
+from cosim.systems.markup import add_units, to_bytes
+from cosim.systems.ssv import text_of
+from cosim.systems.wiring import Element
+
+_PART = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
+_STRUCTURED = re.compile(rf"{_PART}(\.{_PART})*", re.ASCII)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exposed:
+    """A variable of a component that the container shows as `component.variable`.
+
+    Attributes
+    ----------
+    element : component and variable.
+    causality : that it has in the container.
+    initial : how its value at the start comes about, None where that is not said.
+    start : its start value, None where it has none.
+    """
+
+    element: Element
+    causality: str
+    initial: str | None
+    start: float | str | None
+
+
+def exposed_variables(contents: SystemContents) -> Iterator[Exposed]:
+    """Yield what a container shows.
+
+    Outputs are the signals that the system observes, or those of all components where it observes
+    none. Inputs are those that nothing feeds. Parameters and whatever else the system gives a start
+    value are kept; all other outputs can be looked at. What is observed and cannot be an output,
+    as a parameter or an input that nothing feeds, is shown as what it is.
+    """
+    wiring = contents.wiring
+    observed = set(wiring.observed)
+    for name, described in contents.descriptions.items():
+        for variable in described.modelVariables:
+            element = (name, variable.name)
+            given = wiring.start[name].get(variable.name)
+            fed = element in wiring.sources
+            seen = _causality(
+                variable, observed=element in observed, every=not observed, fed=fed, given=given
+            )
+            if seen is not None:
+                start = _own_start(variable) if given is None else given
+                initial = None if seen == "input" else variable.initial
+                yield Exposed(
+                    element=element,
+                    causality=seen,
+                    initial="calculated" if fed else initial,
+                    start=None if fed else start,
+                )
+
+
+def _causality(
+    variable: Any, *, observed: bool, every: bool, fed: bool, given: float | str | None
+) -> str | None:
+    """Return what a variable of a component is in the container, None if it need not be there."""
+    own: str = variable.causality
+    if own == "output":
+        return "output" if observed or every else "local"
+    if own == "parameter" or (own == "input" and not fed):
+        return own
+    if own == "independent" or not (observed or (given is not None and not fed)):
+        return None
+    # FMI: an output is continuous or discrete, not what changes with parameters alone.
+    follows = variable.variability in ("fixed", "tunable")
+    return "output" if observed and not follows else "local"
+
+
+def to_description(
+    contents: SystemContents, exposed: list[Exposed], identifier: str, guid: str
+) -> bytes:
+    """Return modelDescription.xml."""
+    spec = contents.spec
+    root = ET.Element(
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=spec.name,
+        guid=guid,
+        description=f"System of {len(spec.components)} FMUs, stepped every {spec.step:g} s.",
+        generationTool=f"HESR {installed('hesr')}",
+        generationDateAndTime=contents.created,
+        variableNamingConvention=_convention(exposed),
+        numberOfEventIndicators="0",
+    )
+    ET.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=identifier,
+        needsExecutionTool="false",
+        canHandleVariableCommunicationStepSize="true",
+        canBeInstantiatedOnlyOncePerProcess="false",
+        canNotUseMemoryManagementFunctions="true",
+        canGetAndSetFMUstate="false",
+    )
+    units = contents.units(e.element for e in exposed)
+    add_units(root, "UnitDefinitions", units, prefix="")
+    ET.SubElement(
+        root, "DefaultExperiment", startTime="0", stopTime=repr(spec.stop), stepSize=repr(spec.step)
+    )
+    variables = ET.SubElement(root, "ModelVariables")
+    for reference, shown in enumerate(exposed, start=1):  # 0 is the time
+        variables.append(_scalar(contents, shown, reference, units))
+    _unknowns(ET.SubElement(root, "ModelStructure"), contents, exposed)
+    return to_bytes(root)
+
+
+def _convention(exposed: list[Exposed]) -> str:
+    """Return "structured" if all names are; with what a component calls "der(x)" they are not."""
+    named = (".".join(shown.element) for shown in exposed)
+    return "structured" if all(_STRUCTURED.fullmatch(name) for name in named) else "flat"
+
+
+def _scalar(
+    contents: SystemContents, shown: Exposed, reference: int, units: Mapping[str, Unit]
+) -> ET.Element:
+    component, name = shown.element
+    variable = contents.variables[component][name]
+    said = {
+        "name": f"{component}.{name}",
+        "valueReference": str(reference),
+        "description": _text(variable),
+        "causality": shown.causality,
+        "variability": variable.variability,
+        "initial": shown.initial,
+    }
+    scalar = ET.Element("ScalarVariable", {k: v for k, v in said.items() if v is not None})
+    kind = ET.SubElement(
+        scalar, contents.type_of(shown.element), contents.unit(shown.element, units)
+    )
+    for key in ("min", "max"):
+        if (bound := getattr(variable, key)) is not None:
+            kind.set(key, bound)
+    if shown.start is not None:
+        kind.set("start", text_of(contents.type_of(shown.element), shown.start))
+    return scalar
+
+
+def _text(variable: Any) -> str | None:
+    """Return the description of a variable; of a choice, which is an integer here, with its names.
+
+    As in our own FMUs: not all engines load Enumerations.
+    """
+    described: str | None = variable.description
+    if variable.type != "Enumeration":
+        return described
+    choices = ", ".join(f"{item.value} = {item.name}" for item in variable.declaredType.items)
+    return f"{described or variable.name}: {choices}"
+
+
+def _own_start(variable: Any) -> float | str | None:
+    """Return the start value that a component's own description gives."""
+    text: str | None = variable.start
+    if text is None or variable.type == "String":
+        return text
+    if variable.type == "Boolean":
+        return float(text in ("true", "1"))
+    return float(text)
+
+
+def _unknowns(structure: ET.Element, contents: SystemContents, exposed: list[Exposed]) -> None:
+    """Add what is calculated: outputs, and those of them that are unknown at the start."""
+    index = {shown.element: i for i, shown in enumerate(exposed, start=1)}
+    shown_as_output = [shown for shown in exposed if shown.causality == "output"]
+    outputs = [shown.element for shown in shown_as_output]
+    unknown = [shown.element for shown in shown_as_output if shown.initial != "exact"]
+    for tag, elements, needs in (
+        ("Outputs", outputs, {n: v.feedthrough for n, v in contents.variables.items()}),
+        ("InitialUnknowns", unknown, {n: _at_start(contents, n) for n in contents.variables}),
+    ):
+        if elements:
+            parent = ET.SubElement(structure, tag)
+        for element in elements:
+            known = sorted(index[e] for e in _known(contents, element, needs) if e in index)
+            ET.SubElement(
+                parent,
+                "Unknown",
+                index=str(index[element]),
+                dependencies=" ".join(map(str, known)),
+            )
+
+
+def _at_start(contents: SystemContents, component: str) -> dict[str, list[str]]:
+    """Return for each initial unknown of a component what it depends on."""
+    described = contents.descriptions[component]
+    everything = [v.name for v in described.modelVariables if v.causality in ("input", "parameter")]
+    return {
+        unknown.variable.name: everything
+        if unknown.dependencies is None
+        else [v.name for v in unknown.dependencies]
+        for unknown in described.initialUnknowns
+    }
+
+
+def _known(
+    contents: SystemContents, output: Element, needs: Mapping[str, Mapping[str, list[str]]]
+) -> set[Element]:
+    """Return the variables, none of them fed by another, on which a signal depends."""
+    sources = contents.wiring.sources
+    # An input that is fed and observed is what feeds it.
+    seen, left = set[Element](), [sources.get(output, output)]
+    while left:
+        component, name = left.pop()
+        # What nothing is said of may depend on every input.
+        for needed in needs[component].get(name, contents.variables[component].inputs):
+            element = (component, needed)
+            if element in seen:
+                continue
+            seen.add(element)
+            if element in sources:
+                left.append(sources[element])
+    return seen - sources.keys()

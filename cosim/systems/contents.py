@@ -1,0 +1,146 @@
+"""A system that is about to be packaged, checked against the descriptions of its FMUs."""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from cosim.systems.system import SystemSpec
+from cosim.systems.wiring import Element, Wiring
+from fmu_src.run.variables import Variables
+from hesr_model.errors import ConfigError, SimulationError
+
+_FIRST_DATE = datetime(1980, 1, 1, tzinfo=UTC)  # before it an archive has no dates
+_LAST_DATE = datetime(2107, 12, 31, tzinfo=UTC)
+
+Unit = tuple[float, ...]
+"""A unit in terms of `fmu_src.run.variables.SI`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SystemContents:
+    """A system and what its FMUs say of themselves.
+
+    Attributes
+    ----------
+    spec : the system.
+    path : its file, for messages.
+    descriptions, variables : of the FMUs by component.
+    wiring : its checked connections and start values.
+    created : date of its newest FMU, ISO 8601 in UTC with a final Z.
+    """
+
+    spec: SystemSpec
+    path: Path
+    descriptions: Mapping[str, Any]
+    variables: Mapping[str, Variables]
+    wiring: Wiring
+    created: str
+
+    @property
+    def used(self) -> list[Element]:
+        """Outputs that feed an input or are observed, in the order of the components."""
+        wanted = dict.fromkeys([*self.wiring.sources.values(), *self.wiring.observed])
+        return [
+            (name, output)
+            for name, variables in self.variables.items()
+            for output in variables.feedthrough
+            if (name, output) in wanted
+        ]
+
+    def units(self, elements: Iterable[Element]) -> dict[str, Unit]:
+        """Return the units of variables that their FMUs define, by name.
+
+        Of units that have one name but are not the same, only the first is in it.
+        """
+        found: dict[str, Unit] = {}
+        for name, variable in elements:
+            unit, base = self.variables[name].unit(variable)
+            if unit and base is not None:
+                found.setdefault(unit, base)
+        return found
+
+    def unit(self, element: Element, defined: Mapping[str, Unit]) -> dict[str, str]:
+        """Return the attribute that gives a variable's unit; none if that is not a defined one."""
+        name, variable = element
+        unit, base = self.variables[name].unit(variable)
+        known = unit and base is not None and defined.get(unit) == base
+        return {"unit": str(unit)} if known and self.type_of(element) == "Real" else {}
+
+    def type_of(self, element: Element) -> str:
+        """Return the type of a variable; an Enumeration is the Integer that stands for it.
+
+        Not all engines know Enumerations: libcosim refuses a parameter set that holds one.
+        """
+        kind = self.variables[element[0]][element[1]].type
+        return "Integer" if kind == "Enumeration" else str(kind)
+
+
+def read_contents(spec: SystemSpec, path: Path) -> SystemContents:
+    """Read the descriptions of a system's FMUs and check the system against them.
+
+    Parameters
+    ----------
+    spec : the system.
+    path : its file, for messages.
+
+    Raises
+    ------
+    ConfigError
+        If an FMU is missing or none of FMI 2.0 for co-simulation, or if the system does not fit
+        its FMUs; see `Wiring`.
+    """
+    descriptions = {
+        c.name: description_of(c.fmu, f"{path}: component '{c.name}'") for c in spec.components
+    }
+    variables = {c.name: Variables(c.fmu, descriptions[c.name]) for c in spec.components}
+    return SystemContents(
+        spec=spec,
+        path=path,
+        descriptions=descriptions,
+        variables=variables,
+        wiring=Wiring(spec, variables, path),
+        created=_newest(d.generationDateAndTime for d in descriptions.values()),
+    )
+
+
+def description_of(fmu: Path, where: str) -> Any:
+    """Return FMPy's description of the FMU of a component.
+
+    Parameters
+    ----------
+    fmu : the file.
+    where : for messages: the file of the system and the component.
+
+    Raises
+    ------
+    ConfigError
+        If it is missing, or none of FMI 2.0 for co-simulation, of which systems are packaged.
+    SimulationError
+        If it cannot be read.
+    """
+    from fmu_src.run.description import model_description as read  # slow to import
+
+    if not fmu.is_file():
+        raise ConfigError(f"{where}: there is no FMU {fmu}.")
+    try:
+        found = read(fmu)
+    except SimulationError as error:
+        raise SimulationError(f"{where}: {error}") from error
+    if found.fmiVersion != "2.0" or found.coSimulation is None:
+        raise ConfigError(f"{where}: {fmu} is no FMU of FMI 2.0 for co-simulation.")
+    return found
+
+
+def _newest(dates: Iterable[str | None]) -> str:
+    newest = _FIRST_DATE
+    for text in dates:
+        try:
+            # Tools write fractions of seconds of any length.
+            date = datetime.fromisoformat(re.sub(r"\.\d+", "", text or ""))
+        except ValueError:
+            continue
+        newest = max(newest, date if date.tzinfo else date.replace(tzinfo=UTC))
+    return min(newest, _LAST_DATE).astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -1,0 +1,118 @@
+"""A friction model's coefficients as a parameter set of SSP 1.0, with their covariance.
+
+SSP has no place for a covariance, so it stands in an annotation of the set, for each joint:
+
+    <hesr:Joint number="1" names="joint[1].F_c joint[1].sigma_2">
+      <hesr:Row>0.012 -0.003</hesr:Row>
+      <hesr:Row>-0.003 0.04</hesr:Row>
+    </hesr:Joint>
+
+in products of the parameters' units, one row for each name. Tools that do not know it read values.
+"""
+
+from importlib.metadata import version as installed
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from cosim.systems.markup import NAMESPACES, add_units, to_bytes
+from fmu_src.export.description import si_exponents
+from fmu_src.friction.friction_component import scales
+from fmu_src.friction.validity import require_numbers
+from fmu_src.friction.variable_names import exposed, place
+from fmu_src.run.variables import SI
+from hesr_model.errors import ExportError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.support.files import written_whole
+
+ANNOTATION = "hesr.covariance"
+"""Type of the annotation."""
+COVARIANCE = "urn:hesr:covariance:1"
+"""Namespace of what stands in it."""
+
+
+def export_ssv(model: FrictionModel, path: Path) -> Path:
+    """Write the coefficients of a friction model, named as in its FMU, and their covariance.
+
+    Laws that show no coefficients have their factors on friction there.
+
+    Parameters
+    ----------
+    model : one law for each joint.
+    path : the file to write, ending in .ssv.
+
+    Returns
+    -------
+    `path`.
+
+    Raises
+    ------
+    ExportError
+        If the path ends in something else, or a number of the model is none of C.
+    ArtifactError
+        If `path` cannot be written.
+    """
+    if path.suffix != ".ssv":
+        raise ExportError(f"{path}: a parameter set of SSP is a file in .ssv.")
+    require_numbers(model)
+    with written_whole(path) as temporary:
+        temporary.write_bytes(to_ssv(model))
+    return path
+
+
+def to_ssv(model: FrictionModel) -> bytes:
+    """Return the text of the parameter set."""
+    root = ET.Element(
+        "ssv:ParameterSet",
+        {key: NAMESPACES[key] for key in ("xmlns:ssc", "xmlns:ssv")} | {"xmlns:hesr": COVARIANCE},
+        version="1.0",
+        name=f"{model.law} of {model.robot}",
+        generationTool=f"HESR {installed('hesr')}",
+    )
+    parameters = ET.SubElement(root, "ssv:Parameters")
+    units = []
+    for name, value, unit in _values(model):
+        parameter = ET.SubElement(parameters, "ssv:Parameter", name=name)
+        ET.SubElement(parameter, "ssv:Real", value=repr(float(value)), unit=unit)
+        units.append(unit)
+    bases = {unit: si_exponents(unit) for unit in dict.fromkeys(units)}
+    add_units(
+        root,
+        "ssv:Units",
+        {
+            unit: tuple(base.get(key, 1.0 if key == "factor" else 0.0) for key in SI)
+            for unit, base in bases.items()
+        },
+    )
+    joints = _covariances(model)
+    if joints:
+        annotations = ET.SubElement(root, "ssv:Annotations")
+        annotation = ET.SubElement(annotations, "ssc:Annotation", type=ANNOTATION)
+        ET.SubElement(annotation, "hesr:Covariance").extend(joints)
+    return to_bytes(root)
+
+
+def _values(model: FrictionModel) -> list[tuple[str, float, str]]:
+    """Return name, value and unit of every parameter."""
+    found = []
+    for i, law in enumerate(model.laws, start=1):
+        if exposed(law):
+            rows = zip(place(law, i).parameters, law.form.coefficients, strict=True)
+            found += [(name, law.values[c.name], c.unit) for name, c in rows]
+    shown = any(exposed(law) for law in model.laws)
+    return found if shown else [(v.name, v.start, v.unit or "1") for v in scales(model)]
+
+
+def _covariances(model: FrictionModel) -> list[ET.Element]:
+    """Return the covariance of each joint that has one."""
+    found = []
+    for i, law in enumerate(model.laws, start=1):
+        if law.covariance is None or not exposed(law):
+            continue
+        names = dict(zip(law.values, place(law, i).parameters, strict=True))
+        joint = ET.Element(
+            "hesr:Joint", number=str(i), names=" ".join(names[n] for n in law.covariance.names)
+        )
+        for row in law.covariance.matrix:
+            ET.SubElement(joint, "hesr:Row").text = " ".join(repr(float(x)) for x in row)
+        found.append(joint)
+    return found

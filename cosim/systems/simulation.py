@@ -1,0 +1,291 @@
+"""A fixed-step master: runs a system of FMUs and keeps the signals that are observed."""
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from cosim.systems.system import SystemSpec, Value
+from cosim.systems.wiring import Element, Wiring
+from fmu_src.arm.clock import untimed
+from fmu_src.run.batch import Array, Buffer
+from fmu_src.run.fmu import Component
+from fmu_src.run.master import Layout, Readable, Station
+from fmu_src.run.native import native
+from fmu_src.run.pool import Loaded
+from hesr_model.errors import ConfigError, HesrError, SimulationError
+from hesr_model.logs.tables import write_table
+from hesr_model.support.files import written_whole
+from hesr_model.support.progress import Progress, silent
+
+_TELL_EVERY = 200  # steps
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Result:
+    """What a run gave, up to its end or to where it failed.
+
+    Attributes
+    ----------
+    t : (N,) communication points [s].
+    signals : (N,) values of every observed scalar, by `component.variable`.
+    failure : why the run ended early, None if it did not.
+    """
+
+    t: Array
+    signals: dict[str, Array]
+    failure: HesrError | None = None
+
+    def vector(self, signal: str) -> Array:
+        """Return all elements of an observed signal, (N, n) in its unit.
+
+        Raises
+        ------
+        SimulationError
+            If it has not been observed.
+        """
+        names = [signal] if signal in self.signals else []
+        while (name := f"{signal}[{len(names) + 1}]") in self.signals:
+            names.append(name)
+        if not names:
+            raise SimulationError(f"signal '{signal}' has not been observed.")
+        return np.column_stack([self.signals[name] for name in names])
+
+    def require_success(self) -> "Result":
+        """Return itself, or raise what ended the run early."""
+        if self.failure:
+            raise self.failure
+        return self
+
+    def write(self, path: Path) -> None:
+        """Write time and signals as CSV, or Parquet where the name ends so."""
+        with written_whole(path) as temporary:
+            write_table(temporary, {"t": self.t} | self.signals)
+
+
+class Master:
+    """A system that is loaded and checked; a context manager that frees every FMU on any way out.
+
+    Parameters
+    ----------
+    spec : the system.
+    path : its file, for messages.
+    native : whether its steps are run in C where all of its FMUs are in this process; the results
+        are the same.
+    loaded : lends FMUs that are loaded already and keeps them for the next system; each is loaded
+        for this one alone where not given.
+
+    Raises
+    ------
+    ConfigError
+        On entering, if the system does not fit its FMUs; see `Wiring`.
+    SimulationError
+        On entering, if an FMU cannot be loaded.
+    """
+
+    def __init__(
+        self,
+        spec: SystemSpec,
+        path: Path = Path("system"),
+        *,
+        native: bool = True,
+        loaded: Loaded | None = None,
+    ) -> None:
+        self.spec, self._path, self._native, self._loaded = spec, path, native, loaded
+        self._cleanup = ExitStack()
+
+    def __enter__(self) -> "Master":
+        """Load all FMUs and check the wiring."""
+        with ExitStack() as cleanup:
+            lend = self._loaded.lend if self._loaded else Component
+            self._slaves = {
+                c.name: cleanup.enter_context(lend(c.fmu, name=c.name))
+                for c in self.spec.components
+            }
+            variables = {name: slave.variables for name, slave in self._slaves.items()}
+            self._wiring = Wiring(self.spec, variables, self._path)
+            self._build()
+            self._cleanup = cleanup.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Free all FMUs."""
+        self._cleanup.__exit__(kind, error, trace)
+
+    def _build(self) -> None:
+        """Give every output that is needed a place, those of a component side by side."""
+        wiring = self._wiring
+        wanted = [*wiring.sources.values(), *wiring.observed, *(e for e, _ in wiring.limited)]
+        names: list[Element] = [
+            element
+            for name in self._slaves
+            for element in dict.fromkeys(wanted)
+            if element[0] == name
+        ]
+        place = {element: i for i, element in enumerate(names)}
+        values = np.zeros(len(place))
+        stations = []
+        for component in self.spec.components:
+            slave = self._slaves[component.name]
+            own = [element for element in names if element[0] == component.name]
+            fed = [into for into in wiring.sources if into[0] == component.name]
+            start = place[own[0]] if own else 0
+            part = values[start : start + len(own)]
+            stations.append(
+                Station(
+                    slave=slave,
+                    every=self.spec.every(component),
+                    inputs=slave.batch([variable for _, variable in fed]),
+                    sources=np.array([place[wiring.sources[into]] for into in fed], dtype=np.intp),
+                    outputs=slave.batch([variable for _, variable in own], part),
+                )
+            )
+        self._single: dict[Element, Buffer] = {}
+        low, high = np.array([b for _, b in wiring.limited]).reshape(-1, 2).T
+        self._layout = Layout(
+            stations=tuple(stations),
+            order=self.spec.order,
+            step=self.spec.step,
+            values=values,
+            names=tuple(names),
+            rows=np.array([place[e] for e in wiring.observed], dtype=np.intp),
+            limited=np.array([place[e] for e, _ in wiring.limited], dtype=np.intp),
+            low=low,
+            high=high,
+        )
+        self._stepper = (native(self._layout) if self._native else None) or Readable(self._layout)
+
+    def run(
+        self,
+        progress: Progress = silent,
+        *,
+        start: Mapping[str, Mapping[str, Value]] | None = None,
+    ) -> Result:
+        """Run the system from its start values; a failure ends the run and stands in the result.
+
+        A system can be run again and again: each run begins with a reset.
+
+        Parameters
+        ----------
+        progress : told how far the run has come.
+        start : start values of components for this run, beside those of the system.
+        """
+        steps, step, stepper = self.spec.steps, self.spec.step, self._stepper
+        kept = np.empty((steps + 1, len(self._layout.rows)))
+        failure = None
+        stepper.begin(kept)
+        try:
+            self._initialise(start or {})
+            with untimed():
+                for k in range(0, steps + 1, _TELL_EVERY):
+                    progress(k, steps)
+                    stepper.advance(stop := min(k + _TELL_EVERY, steps + 1))
+                    if stepper.done < stop:
+                        break
+        except SimulationError as error:
+            failure = error
+        done = stepper.done
+        # Where one component gives what is no number, another may be the one that complains.
+        failure = self._not_finite(done * step) or failure
+        progress(steps, steps)
+        signals = {".".join(e): kept[:done, i] for i, e in enumerate(self._wiring.observed)}
+        return Result(t=step * np.arange(done, dtype=float), signals=signals, failure=failure)
+
+    def require_start(self, start: Mapping[str, Mapping[str, Value]], path: Path) -> None:
+        """Check that start values for a run fit the system.
+
+        Raises
+        ------
+        ConfigError
+            Naming the file that asks for them, and the component or variable.
+        """
+        try:
+            self._wiring.started(start)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from error
+        for name, values in start.items():
+            variables = self._slaves[name].variables
+            for variable in variables.expanded(values):
+                if variables[variable].causality in ("output", "local", "independent"):
+                    raise ConfigError(
+                        f"{path}: '{name}.{variable}' cannot be varied: its FMU calculates it."
+                    )
+
+    def require_alike(self, one: str, other: str, path: Path) -> None:
+        """Check that two observed signals have as many elements as each other.
+
+        Raises
+        ------
+        ConfigError
+            If not, naming the file that asks for it.
+        """
+        counts = [len(self._wiring.elements(signal)) for signal in (one, other)]
+        if counts[0] != counts[1]:
+            raise ConfigError(
+                f"{path}: '{one}' has {counts[0]} elements and its reference '{other}' {counts[1]}."
+            )
+
+    def _initialise(self, more: Mapping[str, Mapping[str, Value]]) -> None:
+        self._layout.values[:] = 0.0
+        for component, station in zip(self.spec.components, self._layout.stations, strict=True):
+            if station.slave.used:
+                station.slave.reset()
+            own = station.slave.variables.expanded(more.get(component.name, {}))
+            start = self._wiring.start[component.name] | own
+            station.slave.enter_initialisation(time=0.0, stop=self.spec.stop, start=start)
+        self._propagate()
+        for station in self._layout.stations:
+            station.slave.exit_initialisation()
+        for station in self._layout.stations:
+            station.read_outputs()
+
+    def _propagate(self) -> None:
+        """Set each connected input to what feeds it, in the order in which values become known.
+
+        Outputs may depend on more at the start than later; by repetition that settles, too.
+        """
+        order, sources = self._wiring.order, self._wiring.sources
+        feeding = set(sources.values())
+        known: dict[Element, float] = {}
+        for _ in order:
+            before = dict(known)
+            for element in order:
+                if element not in sources and element not in feeding:
+                    continue
+                if element not in self._single:
+                    name, variable = element
+                    self._single[element] = self._slaves[name].batch([variable])
+                single = self._single[element]
+                if element in sources:
+                    single.values[0] = known[sources[element]]
+                    single.write()
+                else:
+                    known[element] = float(single.read()[0])
+                    if not np.isfinite(known[element]):
+                        raise SimulationError(_not_a_number(element, 0.0))
+            if known == before:
+                break
+
+    def _not_finite(self, time: float) -> SimulationError | None:
+        finite = np.isfinite(self._layout.values)
+        if finite.all():
+            return None
+        return SimulationError(_not_a_number(self._layout.names[int(np.argmin(finite))], time))
+
+
+def _not_a_number(element: Element, time: float) -> str:
+    return f"at t = {time:.9g} s {'.'.join(element)} is not a finite number."
+
+
+def simulate(spec: SystemSpec, path: Path, progress: Progress = silent) -> Result:
+    """Load a system, run it once and free it."""
+    with Master(spec, path) as master:
+        return master.run(progress)

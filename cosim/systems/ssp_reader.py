@@ -1,0 +1,257 @@
+"""A system of FMUs as a user hands it over: a TOML file, or an SSP of any tool."""
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Any
+from urllib.parse import unquote
+from xml.etree import ElementTree as ET
+
+from cosim.systems.contents import Unit, description_of
+from cosim.systems.markup import NAMESPACES
+from cosim.systems.names import safe_names
+from cosim.systems.ssd import SSD
+from cosim.systems.system import SystemSpec
+from cosim.systems.units import Quantity, differ, in_unit_of, read_units
+from fmu_src.run.archive import MOST_BYTES, MOST_TEXT, Archive
+from fmu_src.run.variables import Variables
+from hesr_model.errors import ConfigError, SimulationError
+from hesr_model.support.config import validated
+
+_PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
+# Each engine's annotation that gives the step; any namespace, since tools differ in it.
+_STEPS = ((".//{*}FixedStepAlgorithm", "baseStepSize"), (".//{*}FixedStepMaster", "stepSize"))
+
+_TRUE = ("true", "1")
+_LONGEST = 100  # characters of a file's name
+
+
+@contextmanager
+def opened_system(path: Path) -> Iterator[SystemSpec]:
+    """Yield the system that a file describes; the FMUs of an SSP are unpacked for as long.
+
+    Of an SSP are read one level of components with their connections, start values and steps; all
+    outputs that have a connector are observed. Components whose names a system does not allow get
+    others; start values in units of their own are converted.
+
+    Raises
+    ------
+    ArtifactError
+        If an SSP cannot be read, or is not safe to unpack.
+    ConfigError
+        Naming the file and what is wrong or cannot be read in it.
+    SimulationError
+        If an FMU cannot be read, whose units are needed for its start values.
+    """
+    if path.suffix.lower() != ".ssp":
+        yield SystemSpec.read(path)
+        return
+    with Archive(path, "SSP") as archive, TemporaryDirectory(prefix="hesr-") as folder:
+        yield validated(path, SystemSpec, _Reader(path, archive, Path(folder)).system())
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """An SSP that is being read."""
+
+    path: Path
+    archive: Archive
+    folder: Path
+
+    def error(self, text: str) -> ConfigError:
+        return ConfigError(f"{self.path}: {text}")
+
+    def member(self, name: str, where: str = "", most: int = MOST_BYTES) -> bytes:
+        # Sources are URIs; some tools write plain names all the same.
+        names = self.archive.names
+        candidates = (str(PurePosixPath(n)) for n in (unquote(name), name))
+        member = next((n for n in candidates if n in names), None)
+        if member is None:
+            raise self.error(f"{where}there is no {name} in it.")
+        return self.archive.read(member, most)
+
+    def parsed(self, name: str, where: str = "") -> ET.Element:
+        try:
+            return ET.fromstring(self.member(name, where, MOST_TEXT))
+        except (ET.ParseError, LookupError, ValueError) as error:  # or no encoding that exists
+            raise self.error(f"{where}{name} is no valid XML ({error}).") from error
+
+    def attribute(self, node: ET.Element, name: str, where: str) -> str:
+        value = node.get(name)
+        if value is None:
+            raise self.error(f"{where}: attribute '{name}' is missing.")
+        return value
+
+    def system(self) -> dict[str, Any]:
+        """Return the data of a `SystemSpec`."""
+        root = self.parsed(SSD)
+        system = _one(root, "ssd:System")
+        if system is None:
+            raise self.error(f"{SSD} describes no system.")
+        experiment = _one(root, "ssd:DefaultExperiment")
+        stop = None if experiment is None else experiment.get("stopTime")
+        if stop is None:
+            raise self.error("gives no stopTime of its default experiment.")
+        nodes = _all(system, "ssd:Elements/*")
+        names = safe_names(self.attribute(node, "name", "an element") for node in nodes)
+        start = self.values(system, f"system '{system.get('name')}'")
+        return {
+            "name": root.get("name", self.path.stem),
+            "step": self.step(root),
+            "stop": stop,
+            "components": [self.component(node, names, start) for node in nodes],
+            "connections": self.connections(root, system, names),
+            "observe": [
+                self.signal(names[node.get("name", "")], connector, "name")
+                for node in nodes
+                for connector in _all(node, "ssd:Connectors/ssd:Connector[@kind='output']")
+            ],
+        }
+
+    def step(self, root: ET.Element) -> str:
+        for tag, key in _STEPS:
+            node = root.find(tag)
+            if node is not None and (text := node.get(key)):
+                return text
+        raise self.error("gives no step, as an annotation for libcosim or OMSimulator.")
+
+    def component(
+        self, node: ET.Element, names: Mapping[str, str], more: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        name = node.get("name", "")
+        where = f"component '{name}'"
+        if node.tag != f"{{{_PREFIXES['ssd']}}}Component":
+            raise self.error(f"element '{name}' is no FMU; only one level of FMUs is read.")
+        # A folder for each: names that differ here may be those of one file on other systems.
+        file = f"{re.sub(r'[^0-9A-Za-z_]', '_', names[name])[:_LONGEST]}.fmu"
+        fmu = self.folder / str(list(names).index(name)) / file
+        fmu.parent.mkdir(exist_ok=True)
+        fmu.write_bytes(self.member(self.attribute(node, "source", where), f"{where}: "))
+        outer = {
+            key.removeprefix(f"{name}."): value
+            for key, value in more.items()
+            if key.startswith(f"{name}.")
+        }
+        start = self.converted(self.values(node, where) | outer, fmu, where)
+        data = {"name": names[name], "fmu": fmu, "start": start}
+        hint = node.find(".//{*}StepSizeHint")
+        return data if hint is None else data | {"step": hint.get("value")}
+
+    def converted(self, start: Mapping[str, Any], fmu: Path, where: str) -> Mapping[str, Any]:
+        """Return start values in the units of an FMU, which is read only where one has a unit."""
+        if not any(isinstance(value, Quantity) for value in start.values()):
+            return start
+        variables = Variables(fmu, description_of(fmu, f"{self.path}: {where}"))
+        found: dict[str, Any] = {}
+        for name, value in start.items():
+            if not isinstance(value, Quantity):
+                found[name] = value
+                continue
+            parameter = f"{self.path}: {where}: parameter '{name}'"
+            try:
+                elements = variables.elements(name)
+            except SimulationError as error:
+                raise ConfigError(f"{parameter}: {error}") from error
+            found |= {e: in_unit_of(variables, e, value, parameter) for e in elements}
+        return found
+
+    def values(self, node: ET.Element, where: str) -> dict[str, Any]:
+        """Return what the parameter bindings of an element say."""
+        found: dict[str, Any] = {}
+        for binding in _all(node, "ssd:ParameterBindings/ssd:ParameterBinding"):
+            if _one(binding, "ssd:ParameterMapping") is not None:
+                raise self.error(f"{where}: mappings of parameters are not read.")
+            source, prefix = binding.get("source"), binding.get("prefix", "")
+            for values in (
+                _all(binding, "ssd:ParameterValues/ssv:ParameterSet")
+                if source is None
+                else [self.parsed(source, f"{where}: ")]
+            ):
+                units = read_units(_all(values, "ssv:Units/ssc:Unit"), f"{self.path}: {where}")
+                for parameter in _all(values, "ssv:Parameters/ssv:Parameter"):
+                    name = self.attribute(parameter, "name", f"{where}: a parameter")
+                    about = f"{where}: parameter '{name}'"
+                    found[prefix + name] = self.value(parameter, units, about)
+        return found
+
+    def value(
+        self, parameter: ET.Element, units: Mapping[str, Unit], where: str
+    ) -> float | int | bool | str | Quantity:
+        for node in parameter:
+            kind, text = node.tag.rpartition("}")[2], self.attribute(node, "value", where)
+            if kind in ("String", "Enumeration"):
+                return text
+            if kind == "Boolean":
+                return text in _TRUE
+            try:
+                number = int(text) if kind == "Integer" else float(text)
+            except ValueError as error:
+                raise self.error(f"{where} is '{text}', no {kind}.") from error
+            unit = node.get("unit")
+            return Quantity(value=number, unit=unit, base=units.get(unit)) if unit else number
+        raise self.error(f"{where} has no value.")
+
+    def signal(self, component: str, node: ET.Element, key: str) -> str:
+        """Return a connector as systems name it."""
+        connector = self.attribute(node, key, f"a connector of '{component}'")
+        if not connector or re.search(r"\s", connector):
+            raise self.error(
+                f"connector '{connector}' of '{component}': names with spaces are not read."
+            )
+        return f"{component}.{connector}"
+
+    def connections(
+        self, root: ET.Element, system: ET.Element, names: Mapping[str, str]
+    ) -> dict[str, str]:
+        defined = read_units(_all(root, "ssd:Units/ssc:Unit"), f"{self.path}: {SSD}")
+        units = {
+            (node.get("name"), connector.get("name")): kind.get("unit", "")
+            for node in _all(system, "ssd:Elements/*")
+            for connector in _all(node, "ssd:Connectors/ssd:Connector")
+            for kind in connector
+        }
+        found: dict[str, str] = {}
+        for node in _all(system, "ssd:Connections/ssd:Connection"):
+            into, out = self.connection(node, names)
+            if into in found:
+                raise self.error(f"'{into}' is connected to '{found[into]}' and to '{out}'.")
+            found[into] = out
+            taken, given = (
+                units.get((node.get(f"{end}Element"), node.get(f"{end}Connector")), "")
+                for end in ("end", "start")
+            )
+            if differ(taken, given, defined) and node.get("suppressUnitConversion") not in _TRUE:
+                raise self.error(
+                    f"connection '{into}' = '{out}': the input is in {taken}, the output in "
+                    f"{given}."
+                )
+        return found
+
+    def connection(self, node: ET.Element, names: Mapping[str, str]) -> tuple[str, str]:
+        ends = [node.get(f"{end}{what}") for end in ("end", "start")
+                for what in ("Element", "Connector")]  # fmt: skip
+        into, out = (".".join(filter(None, pair)) for pair in (ends[:2], ends[2:]))
+        where = f"connection '{into}' = '{out}'"
+        if None in ends:
+            raise self.error(f"{where}: connectors of the system itself are not read.")
+        if any(child.tag.endswith("Transformation") for child in node):
+            raise self.error(f"{where}: transformations are not read.")
+        for element in (ends[0], ends[2]):
+            if element not in names:
+                raise self.error(f"{where}: '{element}' is no component of the system.")
+        into, out = (
+            self.signal(names[str(node.get(f"{end}Element"))], node, f"{end}Connector")
+            for end in ("end", "start")
+        )
+        return into, out
+
+
+def _one(node: ET.Element, path: str) -> ET.Element | None:
+    return node.find(path, _PREFIXES)
+
+
+def _all(node: ET.Element, path: str) -> list[ET.Element]:
+    return node.findall(path, _PREFIXES)

@@ -1,0 +1,115 @@
+"""Reference results of a system in an SSP: its signals in each way in which engines couple FMUs.
+
+An SSP says which FMUs are connected, not when values are passed on; so there is one experiment for
+each way, and an engine is compared with its own. They are computed by our FMUs' own code.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from cosim.interop.case import TOGETHER, Together
+from cosim.interop.reference import Coupling, together
+from cosim.systems.contents import SystemContents
+from cosim.systems.ssp_reader import opened_system
+from cosim.systems.system import SystemSpec
+from fmu_src.run.archive import Archive
+from fmu_src.run.recorded import ROWS, table
+from fmu_src.run.reference_manifest import Experiment, manifest_files
+from fmu_src.run.reference_results import Experiment as Read
+from fmu_src.run.reference_results import Verified, experiments, judged
+from fmu_src.run.trust import is_ours
+from hesr_model.errors import HesrError
+
+_COUPLINGS: Mapping[str, tuple[Coupling, str]] = {
+    "hold": (Coupling(), "all FMUs step with the inputs of the step's beginning"),
+    "shown": (
+        Coupling(refreshed="shown"),
+        "the same, outputs shown once the inputs of the next step are set",
+    ),
+    "refreshed": (
+        Coupling(refreshed="all"),
+        "the same, outputs passed on once the inputs of the next step are set",
+    ),
+}
+_STEM = "extra/results/system"
+_README = """\
+Reference results of the system, in files that the manifest of FMI-LS-REF in
+org.fmi-standard.fmi-ls-ref/ names: each row is the state after a step of {step:.9g} s from the
+start on, in SI units, named component.variable. Engines pass values on in different ways, so
+there are results for each:
+
+{ways}
+"""
+
+
+def result_files(contents: SystemContents) -> dict[str, bytes]:
+    """Return the members of an SSP's folder `extra/`.
+
+    There are none where FMUs are not ours, whose code is not run here, where one has a step of its
+    own, nothing is passed on or observed, or a run fails.
+    """
+    spec = contents.spec
+    signals = [f"{component}.{output}" for component, output in contents.used]
+    mixed = any(spec.every(c) > 1 for c in spec.components)
+    if mixed or not signals or not all(is_ours(c.fmu) for c in spec.components):
+        return {}
+    t = np.round(spec.step * np.arange(min(ROWS, spec.steps) + 1), 12)
+    try:
+        found = {name: _run(spec, signals, t, name) for name in _COUPLINGS}
+    except HesrError:
+        return {}
+    ways = "\n".join(f"    {_STEM}_{name}.csv: {text}" for name, (_, text) in _COUPLINGS.items())
+    files = {"extra/README.txt": _README.format(step=spec.step, ways=ways).encode()}
+    files[f"{_STEM}_in.csv"] = table({"time": t}, 12)
+    files |= {f"{_STEM}_{name}.csv": table({"time": t, **rows}, 14) for name, rows in found.items()}
+    own = [
+        Experiment(
+            name=name, description=text, start=0.0, stop=float(t[-1]), step=spec.step,
+            tolerance=TOGETHER, stimuli=f"{_STEM}_in.csv", references=f"{_STEM}_{name}.csv",
+        )
+        for name, (_, text) in _COUPLINGS.items()
+    ]  # fmt: skip
+    return files | manifest_files(own, files)
+
+
+def verify_ssp(path: Path) -> Verified:
+    """Run an SSP as its experiments say, and compare with the reference results that it carries.
+
+    Raises
+    ------
+    HesrError
+        If it cannot be read as a system at all.
+    """
+    found = Verified()
+    with Archive(path, "SSP") as archive:
+        stored = experiments(archive, found)
+    if stored:
+        with opened_system(path) as spec:
+            for experiment in stored:
+                _judge(spec, experiment, found)
+    return found
+
+
+def _judge(spec: SystemSpec, experiment: Read, found: Verified) -> None:
+    own, t = experiment.name, experiment.t
+    signals = list(experiment.outputs)
+
+    def played(way: str) -> np.ndarray:
+        rows = _run(spec, signals, t, way)
+        return np.column_stack([rows[name] for name in signals])
+
+    if len(t) < 2 or np.any(np.abs(t - spec.step * np.arange(len(t))) > 1e-9 * spec.step):
+        found.skipped.append(f"Experiment '{own}': its rows are not at the system's steps.")
+        return
+    judged(experiment, [own] if own in _COUPLINGS else list(_COUPLINGS), played, found)
+
+
+def _run(spec: SystemSpec, signals: list[str], t: np.ndarray, way: str) -> dict[str, np.ndarray]:
+    """Return the signals (len(t),) of a system whose values are passed on in one way."""
+    coupling, _ = _COUPLINGS[way]
+    part = spec.model_copy(update={"stop": spec.step * (len(t) - 1)})
+    return together(
+        Together(name=spec.name, spec=part, ssp=Path(spec.name), signals=signals), coupling
+    )

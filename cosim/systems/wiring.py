@@ -1,0 +1,165 @@
+"""How the signals of a system are connected, checked against what its FMUs say of themselves."""
+
+from collections.abc import Iterator, Mapping
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+from typing import Any
+
+from cosim.systems.system import Bounds, SystemSpec, Value
+from fmu_src.run.variables import Variables, suggestion
+from hesr_model.errors import ConfigError, SimulationError
+
+Element = tuple[str, str]
+"""Component and variable."""
+
+
+class Wiring:
+    """The signals of a system.
+
+    Parameters
+    ----------
+    spec : the system.
+    slaves : variables of its components by name.
+    path : file of the system, for messages.
+
+    Attributes
+    ----------
+    sources : for each connected input the output that feeds it.
+    order : inputs and outputs, each after those that its value depends on directly.
+    start : for each component the start values by variable.
+    observed : elements of the signals that are kept.
+    limited : lowest and highest value of elements.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file and the signal: if it does not exist, does not fit what it is connected to,
+        or an input has no value; if outputs depend on themselves.
+    """
+
+    def __init__(self, spec: SystemSpec, slaves: Mapping[str, Variables], path: Path) -> None:
+        self._slaves, self._path = slaves, path
+        self.sources: dict[Element, Element] = {}
+        for target, source in spec.connections.items():
+            self._connect(target, source, f"connection '{target}' = '{source}'")
+        self.start = {c.name: self._start(c.name, c.start) for c in spec.components}
+        self.observed = list(
+            dict.fromkeys(
+                element
+                for signal in spec.observe
+                for element in self._elements(signal, f"observed '{signal}'", "Real")
+            )
+        )
+        self.limited: list[tuple[Element, Bounds]] = []
+        for signal, bounds in spec.limits.items():
+            self.limited += self._bounds(signal, bounds, f"limits of '{signal}'")
+        self._require_inputs()
+        self.order = self._sorted()
+
+    def started(self, more: Mapping[str, Mapping[str, Value]]) -> dict[str, dict[str, float | str]]:
+        """Return the start values of each component, with others in place of the system's."""
+        for name in more:
+            self._require_component(name, "start values")
+        return {n: own | self._start(n, more.get(n, {})) for n, own in self.start.items()}
+
+    def _error(self, text: str) -> ConfigError:
+        return ConfigError(f"{self._path}: {text}")
+
+    def _require_component(self, name: str, where: str) -> None:
+        if name not in self._slaves:
+            hint = suggestion(name, self._slaves, 1) or f"there are {', '.join(self._slaves)}."
+            raise self._error(f"{where}: there is no component '{name}'; {hint}")
+
+    def elements(self, signal: str) -> list[Element]:
+        """Return the elements of a signal."""
+        return self._elements(signal, f"'{signal}'")
+
+    def _elements(self, signal: str, where: str, kind: str | None = None) -> list[Element]:
+        """Return the elements of a signal, all of one type where that is given."""
+        name, _, variable = signal.partition(".")
+        self._require_component(name, where)
+        try:
+            found = self._slaves[name].elements(variable)
+            if kind:
+                self._slaves[name].references(found, kind)
+        except SimulationError as error:
+            raise self._error(f"{where}: {error}") from error
+        return [(name, element) for element in found]
+
+    def _start(self, name: str, values: Mapping[str, Value]) -> dict[str, float | str]:
+        try:
+            return self._slaves[name].expanded(values)
+        except SimulationError as error:
+            raise self._error(f"start values of '{name}': {error}") from error
+
+    def _bounds(self, signal: str, bounds: Any, where: str) -> Iterator[tuple[Element, Bounds]]:
+        """Yield the bounds of each element: one pair for all of them, or one for each."""
+        elements = self._elements(signal, where, "Real")
+        pairs = bounds if isinstance(bounds[0], tuple) else (bounds,) * len(elements)
+        if len(pairs) != len(elements):
+            raise self._error(f"{where}: {len(pairs)} pairs for {len(elements)} elements.")
+        yield from zip(elements, pairs, strict=True)
+
+    def _connect(self, target: str, source: str, where: str) -> None:
+        inputs, outputs = self._elements(target, where), self._elements(source, where)
+        if len(inputs) != len(outputs):
+            raise self._error(
+                f"{where}: '{target}' has {len(inputs)} element{'s'[: len(inputs) > 1]}, "
+                f"'{source}' has {len(outputs)}."
+            )
+        for into, out in zip(inputs, outputs, strict=True):
+            self._require_fit(into, out, where)
+            if into in self.sources:
+                raise self._error(
+                    f"{where}: '{'.'.join(into)}' is connected already, to "
+                    f"'{'.'.join(self.sources[into])}'."
+                )
+            self.sources[into] = out
+
+    def _require_fit(self, into: Element, out: Element, where: str) -> None:
+        """Check that an output can feed an input."""
+        for (name, variable), wanted in ((into, "input"), (out, "output")):
+            found = self._slaves[name][variable].causality
+            if found != wanted:
+                raise self._error(f"{where}: '{name}.{variable}' is no {wanted}, but {found}.")
+        kinds = [self._slaves[name][variable].type for name, variable in (into, out)]
+        if kinds != ["Real", "Real"]:
+            raise self._error(
+                f"{where}: an input of type {kinds[0]} and an output of type {kinds[1]}; both must "
+                "be Real."
+            )
+        taken, given = (self._slaves[name].unit(variable) for name, variable in (into, out))
+        # Tools spell units in many ways; what they are in SI base units says it.
+        alike = taken[0] == given[0] or (taken[1] is not None and taken[1] == given[1])
+        if taken[0] and given[0] and not alike:
+            raise self._error(f"{where}: the input is in {taken[0]}, the output in {given[0]}.")
+
+    def _require_inputs(self) -> None:
+        """Every input that matters has a source, or a start value in the file."""
+        for name, slave in self._slaves.items():
+            for variable in slave.needed:
+                if (name, variable) not in self.sources and variable not in self.start[name]:
+                    raise self._error(
+                        f"input '{name}.{variable}' is not connected and has no start value."
+                    )
+
+    def _sorted(self) -> tuple[Element, ...]:
+        # Lists, not sets: the order has to be the same in every run.
+        graph: dict[Element, list[Element]] = {i: [out] for i, out in self.sources.items()}
+        for name, slave in self._slaves.items():
+            for output, needed in slave.feedthrough.items():
+                graph[name, output] = [(name, element) for element in needed]
+        try:
+            return tuple(TopologicalSorter(graph).static_order())
+        except CycleError as error:
+            loop = error.args[1]
+            silent = [n for n in dict.fromkeys(name for name, _ in loop)
+                      if not self._slaves[n].declares_feedthrough]  # fmt: skip
+            hint = "".join(
+                f" ('{name}' does not say what its outputs depend on: every input counts)"
+                for name in silent
+            )
+            raise self._error(
+                f"algebraic loop through direct feedthrough: {' -> '.join(map('.'.join, loop))}"
+                f"{hint}."
+            ) from error

@@ -1,0 +1,1 @@
+"""Workflow functions, one per command, shared by the command line and `import hesr`."""

@@ -1,0 +1,410 @@
+"""The commands as calls in Python, which return what they find: `import hesr`.
+
+Paths are text or paths; a log, a robot, a rigid body or a friction model is itself or its file.
+Logs are checked as the command line checks them: what cannot be right raises, naming all of it;
+what is odd is logged.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from cosim.workflow.arguments import (
+    AnyPath,
+    Body,
+    Log,
+    Model,
+    examined,
+    listed,
+    logs_of,
+    model_given,
+    named,
+    page_body,
+    records_of,
+    robot_of,
+)
+from hesr_model.errors import ConfigError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import Method, RigidBody
+from hesr_model.rigid_body.identification import identify as identify_body
+from hesr_model.robots.robot_argument import RobotLike
+from hesr_model.support.files import models_folder, path_of
+
+if TYPE_CHECKING:
+    from cosim.loop.design import Design
+    from cosim.study.run import Outcome
+    from cosim.study.scores import Comparison
+    from cosim.study.starter import Started
+    from cosim.systems.simulation import Result
+    from fmu_src.check.report import Report
+    from hesr.extras.adaptive.monitor import Watched
+    from hesr.extras.fleet.result import Fleet
+    from hesr.extras.leaderboard.leaderboard import Leaderboard
+    from hesr.extras.thermal.thermal_fit import ThermalFit
+    from hesr_model.audit.audit import Audit
+    from hesr_model.audit.properties import Properties
+    from hesr_model.fitting.estimator import Estimator
+    from hesr_model.health.proposal import Proposal
+
+
+def new(folder: AnyPath, robot: AnyPath, joints: Sequence[str] = ()) -> "Started":
+    """Lay a folder to start from, for a robot's URDF or MJCF; see `cosim.study.starter.start`."""
+    from cosim.study.starter import start
+
+    return start(path_of(folder, "a folder"), path_of(robot, "a robot's model"), joints)
+
+
+def inspect(logs: Log | Sequence[Log], robot: RobotLike | None = None) -> "Proposal":
+    """Look at logs in files; return what is wrong or odd, and a robot that reads them."""
+    from hesr_model.health.proposal import inspected
+
+    files = [log.path if isinstance(log, RobotLog) else path_of(log, "a log")
+             for log in listed(logs)]  # fmt: skip
+    if None in files or not files:
+        raise ConfigError("logs are inspected in their files; needed is the path of each.")
+    return inspected([file for file in files if file], robot)
+
+
+def run(
+    study: AnyPath | None = None,
+    output: AnyPath | None = None,
+    *,
+    platforms: Sequence[str] = ("linux64",),
+    quick: bool = False,
+    accept: Sequence[str] = (),
+) -> "Outcome":
+    """Do the whole job of a study, by default that of the digital twin; see `cosim.study.run`.
+
+    Results stand in ``results/NAME`` where no folder is given.
+    """
+    from cosim.study.run import run_study
+    from cosim.study.study import Study
+
+    path = path_of(study or models_folder() / "studies" / "default.toml", "a study")
+    folder = path_of(output or Path("results") / Study.read(path).name, "a folder")
+    return run_study(path, folder, platforms=platforms, quick=quick, accepted=accept)
+
+
+def report(results: AnyPath, output: AnyPath | None = None) -> Path:
+    """Write the report of a run anew and return its path."""
+    from cosim.report import write_report
+
+    page = None if output is None else path_of(output, "a page")
+    return write_report(path_of(results, "a folder"), page)
+
+
+def results(folders: AnyPath | Sequence[AnyPath], output: AnyPath) -> Path:
+    """Write the tables of one or several runs as a page of Markdown and return its path."""
+    from cosim.report.digest import write_digest
+
+    return write_digest(
+        [path_of(folder, "a folder") for folder in listed(folders)], path_of(output, "a page")
+    )
+
+
+def excite(robot: AnyPath, output: AnyPath, settings: AnyPath | None = None) -> "Design":
+    """Design the motion that identifies a robot best; see `cosim.loop.design`."""
+    from cosim.loop.design import design
+
+    chosen = None if settings is None else path_of(settings, "a file of settings")
+    return design(path_of(robot, "a robot"), path_of(output, "a motion"), chosen)
+
+
+def identify(
+    logs: Log | Sequence[Log],
+    robot: RobotLike | None = None,
+    *,
+    reversed_logs: Sequence[Log] = (),
+    method: Method = "stacked",
+    physical: bool = False,
+    accept: Sequence[str] = (),
+) -> RigidBody:
+    """Identify the rigid body of a robot from logs.
+
+    Parameters
+    ----------
+    logs : one or several.
+    robot : whose logs they are; that for which a log was read where not given.
+    reversed_logs : time-reversed counterparts of the logs.
+    method, physical : see `hesr_model.rigid_body.identification`.
+    accept : names of checks whose refusals are only logged.
+
+    Raises
+    ------
+    HesrError
+        If a log, the robot or the data do not allow it.
+    """
+    forward, backward = logs_of(logs, robot), logs_of(reversed_logs, robot)
+    model = robot_of(robot, forward)
+    examined([*forward, *backward], model, accept)
+    return identify_body(forward, model, method=method, reversed_logs=backward, physical=physical)
+
+
+def fit(
+    law: str,
+    logs: Log | Sequence[Log],
+    robot: RobotLike | None = None,
+    rigid_body: Body | None = None,
+    *,
+    seed: int = 0,
+    options: Mapping[str, Any] | None = None,
+    accept: Sequence[str] = (),
+) -> FrictionModel:
+    """Fit a friction law to logs; the rigid body is identified from them where not given."""
+    from hesr_model.fitting.fit import fit as fit_law
+
+    records, model, _ = records_of(logs, robot, rigid_body, accept)
+    fitted = fit_law(law, *records, seed=seed, options=options, robot=model.description.name)
+    owner = model.description.owner.known
+    return replace(fitted, provenance={**fitted.provenance, "owner": owner}) if owner else fitted
+
+
+def evaluate(
+    models: Model | Sequence[Model] | Mapping[str, Model],
+    logs: Log | Sequence[Log],
+    rigid_body: Body,
+    robot: RobotLike | None = None,
+    *,
+    accept: Sequence[str] = (),
+) -> "Comparison":
+    """Score friction models on logs; they are named by their law, or as the mapping says.
+
+    Models that can start from measured torques have a second row, ``NAME + start``.
+    """
+    from cosim.study.scores import by_joint, compare, input_classes, predict_models
+
+    models_by_name = named(models)
+    records = by_joint(records_of(logs, robot, rigid_body, accept)[0])
+    predicted = predict_models(models_by_name, records)
+    return compare(records, predicted, input_classes(models_by_name), models_by_name)
+
+
+def replay(
+    fmu: AnyPath,
+    logs: Log | Sequence[Log],
+    rigid_body: Body,
+    robot: RobotLike | None = None,
+    *,
+    accept: Sequence[str] = (),
+) -> "Comparison":
+    """Run a friction FMU over logs through FMPy and score it."""
+    from cosim.study.scores import by_joint, compare, predict_fmu
+
+    file = path_of(fmu, "an FMU")
+    records = by_joint(records_of(logs, robot, rigid_body, accept)[0])
+    return compare(records, {file.stem: predict_fmu(file, records)})
+
+
+def thermal(
+    logs: Log | Sequence[Log],
+    law: Model,
+    rigid_body: Body,
+    robot: RobotLike | None = None,
+    *,
+    accept: Sequence[str] = (),
+) -> "tuple[FrictionModel, tuple[ThermalFit, ...]]":
+    """Find what temperature does to a fitted law's friction; return it with that, and how sure.
+
+    Raises
+    ------
+    HesrError
+        If a log, the robot or the law do not allow it, or temperature tells nothing.
+    """
+    from hesr.extras.thermal.thermal_fit import fit_thermal
+
+    model = model_given(law)
+    return fit_thermal(model, records_of(logs, robot, rigid_body, accept)[0])
+
+
+def monitor(
+    logs: Log | Sequence[Log],
+    law: Model,
+    rigid_body: Body,
+    robot: RobotLike | None = None,
+    *,
+    accept: Sequence[str] = (),
+) -> "Watched":
+    """Follow friction over days of logs, in their order, from a law of other logs.
+
+    Raises
+    ------
+    HesrError
+        If a log, the robot or the law do not allow it.
+    """
+    from hesr.extras.adaptive.monitor import watch
+
+    model = model_given(law)
+    return watch(model, records_of(logs, robot, rigid_body, accept)[0])
+
+
+def fleet(file: AnyPath, output: AnyPath | None = None, *, workers: int | None = None) -> "Fleet":
+    """Look at all robots of a fleet; see `hesr.extras.fleet.run`.
+
+    Results stand in ``results/NAME`` where no folder is given.
+    """
+    from hesr.extras.fleet.run import run_fleet
+    from hesr.extras.fleet.study import FleetStudy
+
+    path = path_of(file, "a fleet")
+    folder = path_of(output or Path("results") / FleetStudy.read(path).name, "a folder")
+    return run_fleet(path, folder, workers=workers)
+
+
+def audit(model: Model) -> "dict[str, Audit]":
+    """Audit a fitted friction model: does it brake, is it bounded. By joint.
+
+    Raises
+    ------
+    ConfigError
+        If the model does not say what it was fitted to.
+    """
+    from hesr_model.audit.audit import audit as audit_law
+
+    read = model_given(model)
+    if not read.trained:
+        raise ConfigError(f"friction model '{read.law}' does not say what it was fitted to; an "
+                          "audit needs these ranges.")  # fmt: skip
+    pairs = zip(read.joints, read.laws, read.trained, strict=True)
+    return {joint: audit_law(law, trained) for joint, law, trained in pairs}
+
+
+def properties(
+    models: Model | Sequence[Model] | Mapping[str, Model], *, load: float = 0.0
+) -> "dict[str, Properties]":
+    """Put friction models to the test of the property battery; `load` in N.m."""
+    from cosim.properties.battery import Subject, run_battery
+
+    subjects = [Subject(name=name, model=model) for name, model in named(models).items()]
+    found = run_battery(subjects, load=load)
+    return {subject.name: of_law for subject, of_law in zip(subjects, found, strict=True)}
+
+
+def arena(
+    file: AnyPath, entries: Sequence[AnyPath], output: AnyPath | None = None
+) -> "Leaderboard":
+    """Score friction FMUs of anybody on the logs of an arena file; see `hesr.extras.leaderboard`.
+
+    Parameters
+    ----------
+    file : arena file.
+    entries : FMUs; "ROBOT=FILE" where the arena has several robots.
+    output : page to write; none where not given.
+    """
+    from hesr.extras.leaderboard.board_file import Arena
+    from hesr.extras.leaderboard.leaderboard import entries_of, run_arena
+    from hesr.extras.leaderboard.page import write_page
+
+    read = Arena.read(path_of(file, "an arena file"))
+    entered = entries_of([str(path_of(entry, "an FMU")) for entry in listed(entries)], read)
+    board = run_arena(read, entered)
+    if output is not None:
+        write_page(board, path_of(output, "a page"))
+    return board
+
+
+def laws() -> "Mapping[str, type[Estimator]]":
+    """Return the laws that can be fitted, by name."""
+    from hesr_model.friction.registry import registry
+
+    return registry()
+
+
+def export(
+    model: Model,
+    output: AnyPath,
+    format: Literal["fmu", "drive", "mjcf", "modelica", "c", "torch", "jax", "ssv"] = "fmu",  # noqa: A002  # as --format
+    *,
+    robot: RobotLike | None = None,
+    rigid_body: Body | None = None,
+    **options: Any,
+) -> Path:
+    """Write a friction model for other tools.
+
+    Parameters
+    ----------
+    model, output : the model, and the file or folder to write.
+    format : an FMU, a drive, actuators of MuJoCo, a Modelica package, a header in C,
+        a module of PyTorch or JAX, or a parameter set of SSP.
+    robot, rigid_body : for the page of an FMU, which then finds the friction in a log of measured
+        torques itself.
+    options : of the format's own function, as `platforms` of FMUs or `inertia` of drives.
+
+    Raises
+    ------
+    ConfigError
+        If the format is unknown.
+    ExportError
+        If the model cannot be written so.
+    """
+    if format not in _WRITERS:
+        raise ConfigError(f"the format is '{format}'; allowed are {', '.join(_WRITERS)}.")
+    path = path_of(output, "an output")
+    if (robot is None) != (rigid_body is None):
+        raise ConfigError("'robot' and 'rigid_body' go together; only one of them was given.")
+    if robot is not None and rigid_body is not None:
+        if format != "fmu":
+            raise ConfigError(f"'rigid_body' is for the page of an FMU, the format is '{format}'.")
+        options["body"] = page_body(robot, rigid_body)
+    writer(format)(model_given(model), path, **options)
+    return path
+
+
+_WRITERS = {
+    "fmu": "fmu_src.friction.friction_fmu:export_fmu",
+    "drive": "fmu_src.drive.drive_fmu:export_drive",
+    "mjcf": "hesr.extras.mjcf.mjcf_file:export_mjcf_law",
+    "modelica": "hesr.extras.modelica.modelica_package:export_modelica",
+    "c": "hesr.extras.one_file.c_header:export_c",
+    "torch": "hesr.extras.one_file.tensors:export_torch",
+    "jax": "hesr.extras.one_file.tensors:export_jax",
+    "ssv": "cosim.systems.parameter_set:export_ssv",
+}
+
+
+def writer(format: str) -> Callable[..., Any]:  # noqa: A002  # as --format
+    """Return the function of a format of `export`."""
+    module, _, name = _WRITERS[format].partition(":")
+    function: Callable[..., Any] = getattr(import_module(module), name)
+    return function
+
+
+def check(fmu: AnyPath, *, vdmcheck: AnyPath | None = None, hostile: bool = False) -> "Report":
+    """Check an FMU by every validator there is."""
+    from fmu_src.check import check as check_fmu
+
+    folder = None if vdmcheck is None else path_of(vdmcheck, "a folder")
+    return check_fmu(path_of(fmu, "an FMU"), vdmcheck=folder, hostile=hostile)
+
+
+def simulate(system: AnyPath) -> "Result":
+    """Run a system of FMUs, of a TOML file or an SSP, and return the signals that it observes."""
+    from cosim.systems.simulation import Master
+    from cosim.systems.ssp_reader import opened_system
+
+    path = path_of(system, "a system")
+    with opened_system(path) as spec, Master(spec, path) as master:
+        result = master.run()
+    result.require_success()
+    return result
+
+
+def package(
+    system: AnyPath, output: AnyPath, *, container: bool = False, ssp: Literal["1.0", "2.0"] = "1.0"
+) -> Path:
+    """Write a system of FMUs as one file: an SSP, or one FMU."""
+    from cosim.systems.container import write_container
+    from cosim.systems.contents import read_contents
+    from cosim.systems.ssp import write_ssp
+    from cosim.systems.ssp_reader import opened_system
+
+    path, written = path_of(system, "a system"), path_of(output, "a package")
+    with opened_system(path) as spec:
+        contents = read_contents(spec, path)
+        if container:
+            write_container(contents, written)
+        else:
+            write_ssp(contents, written, version=ssp)
+    return written

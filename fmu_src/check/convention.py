@@ -1,0 +1,159 @@
+"""What an FMU gives for one motion when its inputs are handed over in different ways.
+
+Importers differ in when they set the inputs of a step (`fmu_src.friction.settings`), and a law that
+changes fast around reversals feels it. Here the FMU itself is run in each of the ways, and compared
+with its law as logs are replayed, and with its law in continuous time.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fmu_src.friction.embedded_model import embedded_model
+from fmu_src.friction.reference import reference_motion
+from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, errors, torques
+from fmu_src.run.batch import Array
+from fmu_src.run.description import model_description
+from fmu_src.run.fmu import Component
+from fmu_src.run.replay import require_finite
+from hesr.extras.adaptive.component import ADAPT
+from hesr_model.errors import SimulationError
+from hesr_model.friction.inputs import INPUTS
+from hesr_model.friction.model import FrictionModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class Convention:
+    """Errors of an FMU's torque for each way of handing its inputs over.
+
+    Attributes
+    ----------
+    joints : names of the joints.
+    sliding : whether each of them slides; empty if all turn.
+    step : of the runs, the model's sample time [s].
+    frequency : of the sinusoidal velocity [Hz].
+    speeds : its amplitude for each joint [rad/s].
+    replay : by setting, each joint's error against the law as logs are replayed, which is the
+        direct setting: that one is off by rounding only.
+    continuous : the same against the law in continuous time, inputs linear between the samples.
+    """
+
+    joints: tuple[str, ...]
+    sliding: tuple[bool, ...] = ()
+    step: float
+    frequency: float
+    speeds: tuple[float, ...]
+    replay: Mapping[str, tuple[Error, ...]]
+    continuous: Mapping[str, tuple[Error, ...]]
+
+
+def measure(fmu: Path, *, frequency: float = 0.25, periods: float = 5.0) -> Convention:
+    """Run a friction FMU on the reference motion in every setting, at its model's sample time.
+
+    All joints move alike, from rest at the middle of their sinusoidal motion.
+
+    Parameters
+    ----------
+    fmu : an FMU that carries its friction model.
+    frequency, periods : of the motion [Hz], and how many of its periods there are.
+
+    Raises
+    ------
+    ArtifactError
+        If the FMU cannot be read, or the model in it is damaged.
+    SimulationError
+        If it carries no friction model or has other connectors than a friction FMU, or fails.
+    """
+    model = judge(fmu)
+    motion = reference_motion(model, frequency=frequency, periods=periods)
+    truths = {truth: torques(model, motion, truth) for truth in ("direct", CONTINUOUS)}
+    found = {setting: run(fmu, motion, setting) for setting in SETTINGS}
+
+    def against(truth: str) -> dict[str, tuple[Error, ...]]:
+        return {way: errors(motion, torque, truths[truth]) for way, torque in found.items()}
+
+    return Convention(
+        joints=model.joints,
+        sliding=model.sliding,
+        step=model.sample_time,
+        frequency=frequency,
+        speeds=tuple(map(float, np.abs(motion.dq).max(axis=0))),
+        replay=against("direct"),
+        continuous=against(CONTINUOUS),
+    )
+
+
+def judge(fmu: Path) -> FrictionModel:
+    """Return the model by which the results of a friction FMU are judged; it does not run it.
+
+    Raises
+    ------
+    ArtifactError
+        If the FMU cannot be read, or the model in it is damaged.
+    SimulationError
+        If it carries no friction model, has other connectors than a friction FMU, or follows
+        friction or temperature.
+    """
+    model = embedded_model(fmu)
+    if model is None:
+        raise SimulationError(
+            f"{fmu}: carries no friction model, by which its results could be judged."
+        )
+    try:
+        variables = model_description(fmu).modelVariables
+    except SimulationError:  # what it is, a check of the FMU says better
+        return model
+    has = {(v.name, v.causality) for v in variables}
+    joints = range(1, len(model.joints) + 1)
+    needed = [(f"{symbol.name}[{i}]", "input") for symbol in INPUTS for i in joints]
+    for name, kind in (*needed, *((f"tau[{i}]", "output") for i in joints)):
+        if (name, kind) not in has:
+            raise SimulationError(
+                f"{fmu}: --convention needs a friction FMU (velocity in, torque out), and this one "
+                f"has no {kind} '{name}'."
+            )
+    if model.thermal or (ADAPT.name, "input") in has:
+        raise SimulationError(
+            f"{fmu}: --convention needs a friction FMU that follows neither friction nor "
+            "temperature, and this one does."
+        )
+    return model
+
+
+def run(fmu: Path, motion: Motion, setting: str) -> Array:
+    """Return the (N, n) torque [N.m] of an FMU whose inputs are handed over in one way.
+
+    Parameters
+    ----------
+    fmu : a friction FMU of the motion's joints.
+    motion : its inputs.
+    setting : one of `settings.SETTINGS`.
+
+    Raises
+    ------
+    SimulationError
+        If the FMU fails.
+    """
+    rows = np.hstack([getattr(motion, symbol.name) for symbol in INPUTS])
+    joints = range(1, motion.dq.shape[1] + 1)
+    names = [f"{symbol.name}[{i}]" for symbol in INPUTS for i in joints]
+    steps = np.diff(motion.t)
+    slopes = np.diff(rows, axis=0) / steps[:, None]
+    torque = np.empty_like(motion.dq)
+    with Component(fmu) as component:
+        inputs, outputs = component.batch(names), component.batch([f"tau[{i}]" for i in joints])
+        follow = component.slopes(names)
+        inputs.values[:] = rows[0]
+        component.initialise(time=float(motion.t[0]), inputs=inputs)
+        torque[0] = outputs.read()
+        for k, (time, step) in enumerate(zip(motion.t.tolist(), steps.tolist(), strict=False)):
+            inputs.values[:] = rows[k + 1 if setting == "direct" else k]
+            inputs.write()
+            if setting == "linear":
+                follow(slopes[k])
+            component.step(time, step)
+            torque[k + 1] = outputs.read()
+    require_finite(fmu, motion.t, torque)
+    return torque

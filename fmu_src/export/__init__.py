@@ -1,0 +1,1 @@
+"""Export: a component in, an FMU out."""

@@ -1,0 +1,328 @@
+"""modelDescription.xml of an FMU, from its interface."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from xml.etree import ElementTree as ET
+
+from fmu_src.export.interface import Interface, Role, Variable
+from hesr_model.errors import ExportError
+from hesr_model.robots.owner import Owner
+
+# Exponents of FMI's base units for each name from which our units are built.
+_BASE: Mapping[str, Mapping[str, int]] = {
+    "1": {},
+    "kg": {"kg": 1},
+    "m": {"m": 1},
+    "s": {"s": 1},
+    "A": {"A": 1},
+    "K": {"K": 1},
+    "degC": {"K": 1},
+    "rad": {"rad": 1},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "J": {"kg": 1, "m": 2, "s": -2},
+    "W": {"kg": 1, "m": 2, "s": -3},
+}
+QUANTITIES: Mapping[str, str] = {
+    "rad": "Angle",
+    "rad/s": "AngularVelocity",
+    "rad/s2": "AngularAcceleration",
+    "m": "Length",
+    "m/s": "Velocity",
+    "m/s2": "Acceleration",
+    "N.m": "Torque",
+    "N": "Force",
+    "W": "Power",
+    "s": "Time",
+    "kg": "Mass",
+    "degC": "ThermodynamicTemperature",
+    "kg.m2": "MomentOfInertia",
+    "N.m/rad": "RotationalSpringConstant",
+    "N.m.s/rad": "RotationalDampingConstant",
+    "N/m": "TranslationalSpringConstant",
+    "N.s/m": "TranslationalDampingConstant",
+}
+"""Names of quantities by their unit, as Modelica.Units.SI has them."""
+
+DISPLAY: Mapping[str, str] = {"rad": "deg", "rad/s": "deg/s", "rad/s2": "deg/s2"}
+"""Units in which tools show others."""
+
+RELEASED = "2026-11-22T00:00:00Z"
+"""Date of this version, and of FMUs that hold nothing that was made later; as in CITATION.cff."""
+
+OFFSETS: Mapping[str, float] = {"degC": 273.15}
+"""What a unit says in SI where it says 0, if that is not 0."""
+
+DEGREES = 180.0 / math.pi
+_EXPERIMENT = 1000
+
+RUNNING: tuple[Role, ...] = ("input", "state")
+STARTING: tuple[Role, ...] = ("input", "fixed", "tunable")
+"""Roles of what unknowns depend on: while a simulation runs, and before it begins."""
+
+_FACTOR = re.compile(r"([A-Za-z]+|1)(-?[0-9]+)?")
+
+
+CATEGORIES: Mapping[str, str] = {
+    "logEvents": "initialisation, end and, in model exchange, changes of sign",
+    "logStatusDiscard": "why a call was refused; the simulation can go on",
+    "logStatusError": "why a call failed",
+    "logAll": "all of these",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """What modelDescription.xml says of an FMU besides its variables.
+
+    Attributes
+    ----------
+    name : name of the model, for people.
+    identifier : C identifier: name of the binaries.
+    text : one sentence of description.
+    version : version of the exporter.
+    created : date and time, ISO 8601 in UTC with a final Z.
+    step : preferred step size [s].
+    sources : names of the files in sources/ to be compiled; none if they need a library.
+    owner : of the model; the licence of HESR's code is a file of its own in every FMU.
+    """
+
+    name: str
+    identifier: str
+    text: str
+    version: str = field(default_factory=lambda: version("hesr"))
+    created: str
+    step: float
+    sources: tuple[str, ...] = ("all.c",)
+    owner: Owner = field(default_factory=Owner)
+
+    @property
+    def experiment(self) -> dict[str, str]:
+        """Times of the default experiment: a thousand of the preferred steps [s]."""
+        times = {"stopTime": _EXPERIMENT * self.step, "stepSize": self.step}
+        return {"startTime": "0"} | {name: f"{value:.12g}" for name, value in times.items()}
+
+
+def shown_as(unit: str) -> dict[str, str]:
+    """Return the attributes that name the quantity of a unit and the unit in which it is shown."""
+    found = {"quantity": QUANTITIES.get(unit), "displayUnit": DISPLAY.get(unit)}
+    return {name: text for name, text in found.items() if text}
+
+
+def si_exponents(unit: str) -> dict[str, int]:
+    """Return the exponents of kg, m, s, A, K and rad of a unit such as "N.m.s/rad".
+
+    Dots multiply; all that follows the slash divides, in parentheses if it has several factors.
+
+    Raises
+    ------
+    ExportError
+        If the unit has a part that is not known.
+    """
+    exponents: dict[str, int] = {}
+    for i, group in enumerate(unit.split("/")):
+        for factor in group.removeprefix("(").removesuffix(")").split("."):
+            match = _FACTOR.fullmatch(factor)
+            if match is None or match[1] not in _BASE:
+                raise ExportError(
+                    f"unit '{unit}': '{factor}' is unknown; known are {', '.join(_BASE)}."
+                )
+            power = int(match[2] or 1) * (-1 if i else 1)
+            for base, exponent in _BASE[match[1]].items():
+                exponents[base] = exponents.get(base, 0) + power * exponent
+    return {base: exponent for base, exponent in exponents.items() if exponent}
+
+
+def to_xml(table: Interface, about: Description, guid: str) -> bytes:
+    """Return modelDescription.xml.
+
+    Outputs and derivatives declare what they depend on, since importers take a missing list for
+    "everything" and then see algebraic loops where there are none.
+    """
+    root = root_element(about, "2.0", {"guid": guid}, numberOfEventIndicators=str(table.indicators))
+    common = {
+        "modelIdentifier": about.identifier,
+        "needsExecutionTool": "false",
+        "canBeInstantiatedOnlyOncePerProcess": "false",
+        "canNotUseMemoryManagementFunctions": "true",
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+        "providesDirectionalDerivative": str(table.directional_derivatives).lower(),
+    }
+    kinds = {"ModelExchange": {"completedIntegratorStepNotNeeded": "false"}}
+    kinds["CoSimulation"] = {
+        "canHandleVariableCommunicationStepSize": "true",
+        "canInterpolateInputs": "true",
+        "maxOutputDerivativeOrder": "0",
+        "canRunAsynchronuously": "false",
+    }
+    for name, own in kinds.items():
+        if name == "CoSimulation" or table.model_exchange:
+            kind = ET.SubElement(root, name, common | own)
+            files = ET.SubElement(kind, "SourceFiles") if about.sources else kind
+            for source in about.sources:
+                ET.SubElement(files, "File", name=source)
+    add_units(root, table)
+    _types(root, table)
+    add_run(root, about)
+    variables = ET.SubElement(root, "ModelVariables")
+    for i, variable in enumerate(table.variables):
+        variables.append(_scalar(variable, i, table))
+    structure = ET.SubElement(root, "ModelStructure")
+    outputs = [v for v in table.variables if v.role in ("output", "on_demand")]
+    _unknowns(structure, "Outputs", outputs, table, RUNNING)
+    _unknowns(structure, "Derivatives", table.derivatives, table, RUNNING)
+    initial = [v for v in table.variables if v in outputs or v.derivative_of or v.role == "state"]
+    _unknowns(structure, "InitialUnknowns", initial, table, STARTING, initially=True)
+    return to_bytes(root)
+
+
+def root_element(
+    about: Description, version: str, token: Mapping[str, str], **more: str
+) -> ET.Element:
+    """Return the root of a description: version of FMI, what a host must name, and the FMU."""
+    attributes = {
+        "fmiVersion": version,
+        "modelName": about.name,
+        **token,
+        "description": about.text,
+        "version": about.version,
+        "generationTool": f"HESR {about.version}",
+        "generationDateAndTime": about.created,
+        "variableNamingConvention": "structured",
+        **more,
+        **about.owner.known,
+    }
+    return ET.Element("fmiModelDescription", attributes)
+
+
+def add_units(root: ET.Element, table: Interface) -> None:
+    """Add the definitions of all units."""
+    definitions = ET.SubElement(root, "UnitDefinitions")
+    for name in dict.fromkeys(v.unit for v in table.variables if v.unit):
+        unit = ET.SubElement(definitions, "Unit", name=name)
+        base = {base: str(exponent) for base, exponent in si_exponents(name).items()}
+        if name in OFFSETS:
+            base["offset"] = repr(OFFSETS[name])
+        ET.SubElement(unit, "BaseUnit", base)
+        if display := DISPLAY.get(name):
+            ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(DEGREES))
+
+
+def add_run(root: ET.Element, about: Description) -> None:
+    """Add what a host can log, and the times of the default experiment."""
+    categories = ET.SubElement(root, "LogCategories")
+    for name, text in CATEGORIES.items():
+        ET.SubElement(categories, "Category", name=name, description=text)
+    ET.SubElement(root, "DefaultExperiment", about.experiment)
+
+
+def to_bytes(root: ET.Element) -> bytes:
+    """Return an element and what is in it as the bytes of a file."""
+    ET.indent(root)
+    written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return written + b"\n"
+
+
+def _types(root: ET.Element, table: Interface) -> None:
+    enumerations = dict.fromkeys(v.enumeration for v in table.variables if v.enumeration)
+    if not enumerations:
+        return
+    definitions = ET.SubElement(root, "TypeDefinitions")
+    for enumeration in enumerations:
+        choices = ", ".join(f"{i} = {text}" for i, (_, text) in enumerate(enumeration.items, 1))
+        simple = ET.SubElement(definitions, "SimpleType", name=enumeration.name)
+        simple.set("description", choices)
+        ET.SubElement(simple, "Integer", min="1", max=str(len(enumeration.items)))
+
+
+def common_attributes(variable: Variable, name: str, place: int, text: str) -> dict[str, str]:
+    """Return the attributes that a variable has in both versions, of whatever type it is.
+
+    Parameters
+    ----------
+    variable : itself, or the first element of an array.
+    name, place, text : of the whole; the text of an enumeration is followed by its choices.
+    """
+    causality, variability, initial = variable.attributes
+    if variable.enumeration:
+        # Where tools show them; `fmu_src.run.variables` finds the names of the choices there.
+        names = (f"{i} = {name}" for i, (name, _) in enumerate(variable.enumeration.items, 1))
+        text = f"{text}: {', '.join(names)}"
+    found = {
+        "name": name,
+        "valueReference": str(place),
+        "description": text,
+        "causality": causality,
+        "variability": variability,
+    }
+    return found | ({"initial": initial} if initial else {})
+
+
+def values(elements: Sequence[Variable]) -> dict[str, str]:
+    """Return the attributes that say where the values of a variable begin and lie.
+
+    Parameters
+    ----------
+    elements : of an array, or a single one.
+    """
+    first = elements[0]
+    if first.enumeration:
+        return {
+            "min": "1",
+            "max": str(len(first.enumeration.items)),
+            "start": str(int(first.start)),
+        }
+    found = {}
+    if not (first.computed or first.role == "state"):
+        found["start"] = " ".join(repr(float(v.start)) for v in elements)
+    limits = {"min": first.least, "max": first.greatest}
+    return found | {name: repr(float(limit)) for name, limit in limits.items() if limit is not None}
+
+
+def _scalar(variable: Variable, place: int, table: Interface) -> ET.Element:
+    attributes = common_attributes(variable, variable.name, place, variable.description)
+    element = ET.Element("ScalarVariable", attributes)
+    if variable.enumeration:
+        # Since Maestro loads no FMU with an Enumeration and libcosim sets none.
+        declared = {"declaredType": variable.enumeration.name}
+        ET.SubElement(element, "Integer", declared | values([variable]))
+        return element
+    unit = variable.unit or "1"
+    real = {"unit": unit} | shown_as(unit) | values([variable])
+    if variable.nominal != 1.0:
+        real["nominal"] = repr(variable.nominal)
+    if variable.derivative_of:
+        real["derivative"] = _index(table, variable.derivative_of)
+    ET.SubElement(element, "Real", real)
+    return element
+
+
+def _unknowns(
+    structure: ET.Element,
+    kind: str,
+    unknowns: Sequence[Variable],
+    table: Interface,
+    known: Sequence[Role],
+    *,
+    initially: bool = False,
+) -> None:
+    if not unknowns:
+        return
+    parent = ET.SubElement(structure, kind)
+    for variable in unknowns:
+        names = table.made_of(variable, known, initially=initially)
+        numbers = sorted({table.places[name] + 1 for name in names})
+        ET.SubElement(
+            parent,
+            "Unknown",
+            index=_index(table, variable.name),
+            dependencies=" ".join(map(str, numbers)),
+        )
+
+
+def _index(table: Interface, name: str) -> str:
+    """FMI counts ScalarVariables from 1."""
+    return str(table.places[name] + 1)

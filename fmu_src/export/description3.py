@@ -1,0 +1,187 @@
+"""modelDescription.xml of FMI 3.0: the same interface, with arrays where variables are numbered."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from xml.etree import ElementTree as ET
+
+from fmu_src.export.description import (
+    RUNNING,
+    STARTING,
+    Description,
+    add_run,
+    add_units,
+    common_attributes,
+    root_element,
+    shown_as,
+    to_bytes,
+    values,
+)
+from fmu_src.export.interface import Array, Interface, Role, scalars
+
+_INDICATORS = "event_indicator"
+
+
+@dataclass(frozen=True)
+class Arrays:
+    """The variables of an interface as FMI 3.0 has them."""
+
+    table: Interface
+
+    @cached_property
+    def all(self) -> tuple[Array, ...]:
+        """Arrays, but one by one states, as their derivatives stand, and what terminals connect."""
+        return tuple(
+            part
+            for array in self.table.arrays
+            for part in (
+                scalars(array.place, array.elements)
+                if array.elements[0].role == "state" or array.name in self.table.connected
+                else (array,)
+            )
+        )
+
+    @cached_property
+    def of(self) -> dict[str, Array]:
+        """The array of each variable of the interface."""
+        return {v.name: array for array in self.all for v in array.elements}
+
+    def to_c(self) -> str:
+        """Return extents.h: how many elements the variable that begins at a place has, or 0."""
+        extents = ["0"] * len(self.table.variables)
+        for array in self.all:
+            extents[array.place] = str(len(array.elements))
+        return _EXTENTS.format(", ".join(extents))
+
+
+_EXTENTS = """\
+/* Generated: how many elements the variable of FMI 3.0 has that begins at a place, 0 within one. */
+static const int extents[VARIABLES] = {{{}}};
+"""
+
+
+def to_xml3(table: Interface, about: Description, token: str) -> bytes:
+    """Return modelDescription.xml of FMI 3.0."""
+    root = root_element(about, "3.0", {"instantiationToken": token})
+    common = {
+        "modelIdentifier": about.identifier,
+        "canGetAndSetFMUState": "true",
+        "canSerializeFMUState": "true",
+        "providesDirectionalDerivatives": str(table.directional_derivatives).lower(),
+    }
+    if table.model_exchange:
+        ET.SubElement(root, "ModelExchange", common, needsCompletedIntegratorStep="true")
+    ET.SubElement(
+        root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true",
+        hasEventMode="true", mightReturnEarlyFromDoStep=str(table.inner_steps).lower(),
+    )  # fmt: skip
+    add_units(root, table)
+    # Units and nominal values by types, since fmi-sim knows none at a variable.
+    types = ET.SubElement(root, "TypeDefinitions")
+    for of, nominal in dict.fromkeys((v.unit, v.nominal) for v in table.variables if v.unit):
+        element = ET.SubElement(types, "Float64Type", name=_type_of(of, nominal), unit=of)
+        element.attrib.update(shown_as(of))
+        if nominal != 1.0:
+            element.set("nominal", repr(nominal))
+    add_run(root, about)
+    arrays = Arrays(table)
+    variables = ET.SubElement(root, "ModelVariables")
+    for array in arrays.all:
+        variables.append(_variable(array, arrays))
+    time = len(table.variables)
+    ET.SubElement(
+        variables, "Float64", name="time", valueReference=str(time), causality="independent",
+        variability="continuous", description="simulation time",
+    )  # fmt: skip
+    if table.indicators and table.model_exchange:
+        indicator = ET.SubElement(
+            variables, "Float64", name=_INDICATORS, valueReference=str(time + 1),
+            causality="local", variability="continuous", initial="calculated",
+            description="positive while the signs that are held agree with the inputs",
+        )  # fmt: skip
+        ET.SubElement(indicator, "Dimension", start=str(table.indicators))
+    _structure(root, arrays)
+    return to_bytes(root)
+
+
+def _type_of(unit: str, nominal: float) -> str:
+    """Return the name of the type of all variables of a unit and a usual size."""
+    name = "number" if unit == "1" else f"number in {unit}"
+    return name if nominal == 1.0 else f"{name} of about {nominal:g}"
+
+
+def _variable(array: Array, arrays: Arrays) -> ET.Element:
+    first = array.elements[0]
+    text = first.description if first.enumeration else _description(array)
+    attributes = common_attributes(first, array.name, array.place, text)
+    if first.enumeration:
+        return ET.Element("Int32", attributes | values(array.elements))
+    attributes["declaredType"] = _type_of(first.unit or "1", first.nominal)
+    attributes |= values(array.elements)
+    if first.derivative_of:
+        attributes["derivative"] = str(arrays.of[first.derivative_of].place)
+    element = ET.Element("Float64", attributes)
+    for size in array.shape:
+        ET.SubElement(element, "Dimension", start=str(size))
+    return element
+
+
+def _description(array: Array) -> str:
+    """Return the texts of all elements, what they share once: 'velocity of a, b'."""
+    texts = [v.description for v in array.elements]
+    if len(texts) == 1:
+        return texts[0]
+    words = [text.split(" ") for text in texts]
+    if len({len(w) for w in words}) > 1:
+        return "; ".join(texts)
+    return " ".join(
+        column[0] if len(set(column)) == 1 else ", ".join(c.rstrip(":") for c in column)
+        for column in zip(*words, strict=True)
+    )
+
+
+def _structure(root: ET.Element, arrays: Arrays) -> None:
+    structure = ET.SubElement(root, "ModelStructure")
+    table = arrays.table
+    outputs = [a for a in arrays.all if a.elements[0].role in ("output", "on_demand")]
+    # States of a co-simulation are its own.
+    derivatives = table.derivatives if table.model_exchange else ()
+    rates = list(dict.fromkeys(arrays.of[v.name] for v in derivatives))
+    states = [a for a in arrays.all if a.elements[0].role == "state"] if derivatives else []
+    _unknowns(structure, "Output", outputs, arrays, RUNNING)
+    _unknowns(structure, "ContinuousStateDerivative", rates, arrays, RUNNING)
+    initial = dict.fromkeys((*outputs, *states, *rates))
+    _unknowns(structure, "InitialUnknown", initial, arrays, STARTING, initially=True)
+    if table.indicators and table.model_exchange:
+        ET.SubElement(structure, "EventIndicator", valueReference=str(len(table.variables) + 1))
+
+
+def _unknowns(
+    structure: ET.Element,
+    kind: str,
+    unknowns: Iterable[Array],
+    arrays: Arrays,
+    known: tuple[Role, ...],
+    *,
+    initially: bool = False,
+) -> None:
+    for array in unknowns:
+        places = {
+            arrays.of[name].place
+            for v in array.elements
+            for name in arrays.table.made_of(v, known, initially=initially)
+        }
+        ET.SubElement(
+            structure, kind, valueReference=str(array.place),
+            dependencies=" ".join(map(str, sorted(places))),
+        )  # fmt: skip
+
+
+def build_description(about: Description) -> bytes:
+    """Return sources/buildDescription.xml."""
+    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    build = ET.SubElement(root, "BuildConfiguration", modelIdentifier=about.identifier)
+    files = ET.SubElement(build, "SourceFileSet", language="C99")
+    for source in about.sources:
+        ET.SubElement(files, "SourceFile", name=source)
+    return to_bytes(root)

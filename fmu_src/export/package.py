@@ -1,0 +1,287 @@
+"""A component in, an FMU out: render, compile, zip, validate."""
+
+import hashlib
+import re
+import zipfile
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import datetime
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import Literal
+
+from fmu_src.export.description import Description, to_xml
+from fmu_src.export.description3 import Arrays, build_description, to_xml3
+from fmu_src.export.interface import Interface, to_c
+from fmu_src.export.terminals import ICON, TERMINALS, Terminal, to_terminals
+from fmu_src.export.toolchain import Target, build, targets
+from fmu_src.run import trust as exported
+from fmu_src.run.recorded import Stimuli, result_files
+from hesr_model.errors import ExportError
+from hesr_model.support.cache import kept
+from hesr_model.support.files import scratch_folder, written_whole
+from hesr_model.support.progress import Progress, counted, silent
+
+Version = Literal[2, 3]
+"""Of FMI."""
+
+_HERE = Path(__file__).parents[1]
+_C = _HERE / "c"
+_EQUATIONS = files("hesr_model") / "equations"
+_GLUE = ("component*.h", "fmi2*.[ch]", "variable.h")
+_OPTIONAL = ("component_plain.h",)  # only with components that include it
+
+_ALL_C = """\
+/* The whole FMU as one translation unit: compile this file and no other. */
+#ifdef __clang__
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+"""
+
+_INSIDE = """\
+/* The glue of FMI 3.0 calls that of FMI 2.0, which nobody else sees. */
+#define FMI2_EXPORT static __attribute__((unused))
+
+"""
+
+_FOLDERS = {
+    "linux64": ("x86_64-linux",),
+    "win64": ("x86_64-windows",),
+    "darwin64": ("x86_64-darwin", "aarch64-darwin"),
+}
+"""Folders of FMI 3.0 where they are not those of FMI 2.0."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Binary:
+    """A shared library that a component needs on a platform and that stands beside it in the FMU.
+
+    Attributes
+    ----------
+    name : the file's place beside the component's binary, under the name that loaders look for.
+    content : of the file.
+    flags : for the compiler.
+    link : flags by which the component is linked to it; none where it loads it itself.
+    """
+
+    name: str
+    content: bytes
+    flags: tuple[str, ...] = ()
+    link: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Content:
+    """What makes an FMU of a component.
+
+    Attributes
+    ----------
+    table : its variables.
+    about : what the description says of it.
+    sources : text of its own C files, by name; all .c files make one translation unit.
+    members : other members of the archive by name: documentation, resources.
+    libraries : for each platform the library that the component needs, if it needs one.
+    stimuli : for which it carries its own answers; none where its members hold results already.
+    terminals : in FMI 3.0, what is connected as one.
+    """
+
+    table: Interface
+    about: Description
+    sources: Mapping[str, str]
+    members: Mapping[str, bytes]
+    libraries: Mapping[str, Binary] = field(default_factory=dict)
+    stimuli: Stimuli | None = None
+    terminals: Sequence[Terminal] = ()
+
+
+def own_source(name: str) -> str:
+    """Return the text of a C file that comes with the package."""
+    folder = _C if (_C / name).is_file() else _EQUATIONS
+    return (folder / name).read_text(encoding="utf-8")
+
+
+def equation_sources(header: str) -> dict[str, str]:
+    """Return the C files of a component that is equations, whose equations.h is given."""
+    names = ("coupling.h", "equations.c", "law_math.h")
+    return {name: own_source(name) for name in names} | {"equations.h": header}
+
+
+def write_fmu(
+    content: Content,
+    path: Path,
+    *,
+    platforms: Sequence[str] = ("linux64",),
+    progress: Progress = silent,
+    fmi: Version = 2,
+) -> Path:
+    """Compile a component with the FMI glue and write both as an FMU.
+
+    Parameters
+    ----------
+    content : the component.
+    path : the FMU to write, ending in .fmu.
+    platforms : names of `toolchain.TARGETS`, or "all".
+    progress : told for how many of them it is built.
+    fmi : version of FMI; 3 has arrays for numbered variables.
+
+    Returns
+    -------
+    `path`.
+
+    Raises
+    ------
+    ExportError
+        If a binary cannot be built, or the FMU is not valid.
+    ArtifactError
+        If `path` cannot be written.
+    """
+    wanted = check_request(path, platforms)
+    _require_libraries(content, wanted)
+    table, about = content.table, content.about
+    guid, sources = translation_unit(content, fmi)
+    members: dict[str, bytes] = {
+        "modelDescription.xml": (to_xml3 if fmi == 3 else to_xml)(table, about, guid),
+        "documentation/licenses/license.txt": (_HERE / "pages/templates/license.txt").read_bytes(),
+        **content.members,
+    }
+    members |= {f"sources/{name}": text.encode() for name, text in sorted(sources.items())}
+    if fmi == 3:
+        members["sources/buildDescription.xml"] = build_description(about)
+        if picture := members.pop("model.png", None):
+            members[ICON] = picture
+        if connected := to_terminals(table, content.terminals, icon=picture is not None):
+            members[TERMINALS] = connected
+    with scratch_folder() as home:
+        for name, text in sources.items():
+            (home / name).write_text(text, encoding="utf-8")
+        for target in counted(wanted, progress):
+            own = content.libraries.get(target.folder)
+            library = _built(home / "all.c", about.identifier, target, own)
+            for folder in (
+                _FOLDERS.get(target.folder, (target.folder,)) if fmi == 3 else (target.folder,)
+            ):
+                members[f"binaries/{folder}/{about.identifier}{target.suffix}"] = library
+                if own:
+                    members[f"binaries/{folder}/{own.name}"] = own.content
+    if content.stimuli:
+        members |= result_files(members, content.stimuli)
+    write_archive(members, path, about.created)
+    exported.remember(path)
+    return path
+
+
+def translation_unit(content: Content, fmi: Version = 2) -> tuple[str, dict[str, str]]:
+    """Return an FMU's GUID and the texts of all its C files by name; all.c includes the others."""
+    table, about = content.table, content.about
+    sources = _sources(content.sources, fmi)
+    if fmi == 3:
+        sources["extents.h"] = Arrays(table).to_c()
+    guid = _guid(table, about, sources)
+    return guid, sources | {"interface.h": to_c(table, guid, about.step)}
+
+
+def write_archive(members: Mapping[str, bytes], path: Path, created: str) -> None:
+    """Write an archive with members of one date, ISO 8601, if it is a valid FMU."""
+    with written_whole(path) as temporary:
+        zip_members(temporary, members, created)
+        described = [c for name, c in members.items() if name.endswith(".xml")]
+        about: list[str | bytes] = [f"fmpy {version('fmpy')}", *members, *described]
+        kept("valid", about, lambda: _validated(temporary, path))
+
+
+def check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
+    """Return the wanted targets; refuses names before anything that takes time.
+
+    Raises
+    ------
+    ExportError
+        If the path does not end in .fmu, or a platform is unknown.
+    """
+    if path.suffix != ".fmu":
+        raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
+    return targets(platforms)
+
+
+def _require_libraries(content: Content, wanted: Sequence[Target]) -> None:
+    missing = [t.folder for t in wanted if content.libraries and t.folder not in content.libraries]
+    if missing:
+        raise ExportError(
+            f"platform '{missing[0]}': this FMU needs a library, which is given for "
+            f"{', '.join(content.libraries)} only."
+        )
+
+
+def _built(source: Path, identifier: str, target: Target, own: Binary | None) -> bytes:
+    """Compile a component, linked to the library that it needs, and return its binary."""
+    if own is None:
+        return build(source, identifier, target)
+    flags = own.flags
+    if own.link:
+        file = source.parent / target.folder / Path(own.name).name
+        file.parent.mkdir()
+        file.write_bytes(own.content)
+        flags += (str(file), *own.link)
+    return build(source, identifier, target, flags)
+
+
+def _sources(own: Mapping[str, str], fmi: Version) -> dict[str, str]:
+    patterns = (*_GLUE, "fmi3*.[ch]") if fmi == 3 else _GLUE
+    glue = [file.name for pattern in patterns for file in sorted(_C.glob(pattern))]
+    text = "".join(own.values())
+    files = {n: own_source(n) for n in glue if n not in _OPTIONAL or f'"{n}"' in text} | dict(own)
+    parts = [name for name in files if name.endswith(".c")]
+    files["all.c"] = (
+        (_INSIDE if fmi == 3 else "") + _ALL_C + "".join(f'#include "{name}"\n' for name in parts)
+    )
+    return files
+
+
+def _guid(table: Interface, about: Description, sources: Mapping[str, str]) -> str:
+    """Return a GUID of all content that is not itself made from the GUID."""
+    content = hashlib.sha256(to_xml(table, about, ""))
+    content.update(to_c(table, "", about.step).encode())
+    for name, text in sorted(sources.items()):
+        content.update(f"\0{name}\0{text}".encode())
+    digest = content.hexdigest()
+    return f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"
+
+
+_LARGE = 1 << 20  # [B]
+
+
+def zip_members(path: Path, members: Mapping[str, bytes], created: str) -> None:
+    """Write an archive with members of one date, ISO 8601: the same bytes every time."""
+    date = datetime.fromisoformat(created)
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in members.items():
+            entry = zipfile.ZipInfo(name, date.timetuple()[:6])
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.create_system = 3  # Unix, wherever it is made
+            entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
+            # The last 0.4 % of a physics engine would take thrice the time.
+            archive.writestr(entry, content, compresslevel=9 if len(content) < _LARGE else 6)
+
+
+_IDENTIFIER = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
+_PLAIN_NAME = re.compile(rf"{_IDENTIFIER}(\.{_IDENTIFIER})*|der\({_IDENTIFIER}(\.{_IDENTIFIER})*\)")
+"""Names of variables that are structured ones (FMI 2.0, 2.2.9); of others FMPy is asked."""
+
+
+def _validated(temporary: Path, path: Path) -> bytes:
+    """Refuse what FMPy finds fault with, in descriptions and in names of files."""
+    from fmpy import read_model_description  # slow to import
+    from fmpy.model_description import ValidationError
+    from fmpy.validation import validate_fmu
+
+    with suppress(ValidationError), zipfile.ZipFile(temporary) as archive:
+        found = read_model_description(str(temporary), validate_model_structure=True)
+        # FMPy parses names by a grammar that takes a millisecond for each.
+        plain = all(_PLAIN_NAME.fullmatch(v.name) for v in found.modelVariables)
+        if plain and not any("\\" in name for name in archive.namelist()):
+            return b"valid"
+    if problems := validate_fmu(str(temporary)):
+        raise ExportError(f"{path}: not a valid FMU: {problems[0]}")
+    return b"valid"

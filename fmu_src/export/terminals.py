@@ -1,0 +1,75 @@
+"""terminalsAndIcons.xml of FMI 3.0: variables that are connected together, and a picture."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+from xml.etree import ElementTree as ET
+
+from fmu_src.export.description import to_bytes
+from fmu_src.export.description3 import Arrays
+from fmu_src.export.interface import Interface
+
+TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
+ICON = "terminalsAndIcons/icon.png"
+
+Kind = Literal["signal", "inflow", "outflow"]
+"""Whether a member is passed on, or sums to zero with its like: what flows in, and out."""
+
+_SIZE = "100"  # of the picture in its own coordinates
+
+
+@dataclass(frozen=True, kw_only=True)
+class Terminal:
+    """Variables of a joint that are connected as one; see `Interface.connected`.
+
+    Attributes
+    ----------
+    name : of it.
+    kind : what it is, as a class of the Modelica Standard Library.
+    description : for the user.
+    members : name of a variable, without index, and its kind, by the name of the member.
+    """
+
+    name: str
+    kind: str
+    description: str
+    members: Mapping[str, tuple[str, Kind]]
+
+
+def to_terminals(table: Interface, terminals: Sequence[Terminal], *, icon: bool) -> bytes | None:
+    """Return terminalsAndIcons.xml, None where there is nothing to be said."""
+    if not terminals and not icon:
+        return None
+    root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
+    if icon:
+        picture = ET.SubElement(root, "GraphicalRepresentation")
+        place = {"x1": f"-{_SIZE}", "y1": f"-{_SIZE}", "x2": _SIZE, "y2": _SIZE}
+        ET.SubElement(picture, "CoordinateSystem", place, suggestedScalingFactorTo_mm="0.1")
+        ET.SubElement(picture, "Icon", place)
+    if terminals:
+        parent = ET.SubElement(root, "Terminals")
+        names = [array.name for array in Arrays(table).all]
+        for terminal in terminals:
+            for index in _indices(terminal, names):
+                _add(parent, terminal, index)
+    return to_bytes(root)
+
+
+def _indices(terminal: Terminal, names: Sequence[str]) -> Iterator[str]:
+    """Yield what stands behind the names of the variables of each terminal, as [1]."""
+    first, _ = next(iter(terminal.members.values()))
+    for name in names:
+        if name.startswith(f"{first}["):
+            yield name.removeprefix(first)
+
+
+def _add(parent: ET.Element, terminal: Terminal, index: str) -> None:
+    element = ET.SubElement(
+        parent, "Terminal", name=terminal.name + index, matchingRule="plug",
+        terminalKind=terminal.kind, description=terminal.description,
+    )  # fmt: skip
+    for member, (variable, kind) in terminal.members.items():
+        ET.SubElement(
+            element, "TerminalMemberVariable", variableName=variable + index, memberName=member,
+            variableKind=kind,
+        )  # fmt: skip

@@ -1,0 +1,249 @@
+"""The figures of an FMU's data sheet: audit, costs of the ways to step, fastest states."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu_src.friction.reference import UNKNOWN_SPEED, reference_motion
+from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, errors, torques
+from hesr_model.audit.audit import REACH, Audit, audit
+from hesr_model.audit.certificate import Certificate, certify
+from hesr_model.audit.cycles import ENCODER
+from hesr_model.equations.functions import lowered
+from hesr_model.equations.over_log import Array
+from hesr_model.errors import HesrError, SimulationError
+from hesr_model.friction.inputs import INPUTS
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import numbers
+from hesr_model.friction.trained_range import Range, TrainedRange
+from hesr_model.units import unit_of_joint, unit_of_joints
+
+RK4, EULER = 2.785, 2.0
+"""Largest rate * step at which Runge-Kutta of order 4 and forward Euler let a state decay."""
+
+_ALMOST_PASSIVE = 1e-6  # [J]; less is rounding
+
+
+@dataclass(frozen=True, kw_only=True)
+class Costs:
+    """What each way of handing inputs over costs on the reference motion, by joint.
+
+    Attributes
+    ----------
+    replay : errors against the law as logs are replayed: the direct way.
+    continuous : errors against the law in continuous time, inputs linear between the rows.
+    """
+
+    replay: Mapping[str, tuple[Error, ...]]
+    continuous: Mapping[str, tuple[Error, ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelAudit:
+    """What is known of how a model's laws behave, by joint.
+
+    Attributes
+    ----------
+    certificates : of passivity.
+    audits : figures of closed cycles, of rest and of what is just outside the trained range.
+    """
+
+    certificates: tuple[Certificate, ...]
+    audits: tuple[Audit, ...]
+
+    @classmethod
+    def of(cls, model: FrictionModel, seen: Sequence[TrainedRange]) -> "ModelAudit":
+        """Look at each joint's law, cycles being within its range.
+
+        Raises
+        ------
+        SimulationError
+            If a law has no audit, because it is not stable or not finite in its range.
+        """
+        return cls(certificates=certificates(model, seen), audits=audits(model, seen))
+
+
+def ranges(model: FrictionModel, motion: Motion) -> tuple[TrainedRange, ...]:
+    """Return the trained range of each joint, or that of the reference motion where not known.
+
+    Raises
+    ------
+    SimulationError, ArtifactError
+        If a range is not known and the law gives no finite torque on the motion.
+    """
+    if model.trained:
+        return model.trained
+    torque = torques(model, motion, "direct")
+    return tuple(
+        TrainedRange(
+            sample_time=model.sample_time,
+            dq=(-UNKNOWN_SPEED, UNKNOWN_SPEED),
+            q=(float(q.min()), float(q.max())),
+            tau_load=(0.0, 0.0),
+            tau=(float(tau.min()), float(tau.max())),
+        )
+        for q, tau in zip(motion.q.T, torque.T, strict=True)
+    )
+
+
+def audits(model: FrictionModel, seen: Sequence[TrainedRange]) -> tuple[Audit, ...]:
+    """Return the audit of each joint's law in a range.
+
+    Raises
+    ------
+    SimulationError
+        If a law has no audit, because it is not stable or not finite in its range.
+    """
+    return tuple(audit(law, range_) for law, range_ in zip(model.laws, seen, strict=True))
+
+
+def audited(model: FrictionModel) -> tuple[tuple[Audit, ...], str]:
+    """Return the audit of each joint's law, or none and a sentence where it cannot be done."""
+    try:
+        return audits(model, ranges(model, reference_motion(model))), ""
+    except HesrError as error:
+        return (), str(error)
+
+
+def certificates(model: FrictionModel, seen: Sequence[TrainedRange]) -> tuple[Certificate, ...]:
+    """Return what is known of the passivity of each joint's law, cycles being within its range."""
+    return tuple(certify(law, range_) for law, range_ in zip(model.laws, seen, strict=True))
+
+
+def certified(found: Certificate, *, slides: bool = False) -> str:
+    """Return a certificate in words.
+
+    Parameters
+    ----------
+    found : of one joint.
+    slides : whether the joint slides.
+    """
+    if found.verdict == "proven":
+        if found.largest_step is None:
+            reach = "in continuous time"
+        elif found.largest_step == np.inf:
+            reach = "at any step"
+        else:
+            reach = f"up to steps of {1e3 * found.largest_step:.3g} ms"
+        said = f"passive, proven {reach}: {found.storage}; " + "; ".join(found.rests_on)
+    elif found.cycle is not None:
+        said = f"not passive, refuted by a cycle: {found.cycle.text}"
+    else:
+        said = f"open: no cycle was found that gives energy, and no proof: {found.rests_on[0]}"
+    for unit in ("N.m.s/rad", "N.m", "rad/s"):
+        said = said.replace(unit, unit_of_joint(unit, slides=slides)) if slides else said
+    return f"{said}."
+
+
+def audit_rows(found: Sequence[Audit], sliding: Sequence[bool] = ()) -> dict[str, list[str]]:
+    """Return the figures of audits as text: what they are of, and a cell for each joint.
+
+    Parameters
+    ----------
+    found : audit of each joint.
+    sliding : whether each joint slides; empty if all turn.
+    """
+    speed, torque, slope, angle = (
+        unit_of_joints(unit, sliding) for unit in ("rad/s", "N.m", "N.m.s/rad", "µrad")
+    )
+    return {
+        f"Steady sliding drives the joint for dq [{speed}]": [_ranges(a.driving) for a in found],
+        f"The same without any offset, for |dq| [{speed}]": [
+            _ranges(a.driving_both_ways) for a in found
+        ],
+        "Most energy given in a closed cycle [J]": [figure(a.generated, 3) for a in found],
+        f"In the cycle of this amplitude [{speed}] and frequency [Hz]": [
+            f"{figure(c.amplitude, 2)}, {figure(c.frequency, 2)}" if (c := a.generating) else "–"
+            for a in found
+        ],
+        f"Jump of the torque at rest [{torque}]": [figure(a.jump, 3) for a in found],
+        f"Slope dtau/ddq at rest [{slope}]": [figure(a.slope) for a in found],
+        f"The same, held over one sample [{slope}]": [figure(a.slope_of_step) for a in found],
+        f"Chatter at rest, encoder noise {1e6 * ENCODER:.0f} {angle} [{torque}]": [
+            figure(a.chatter, 3) for a in found
+        ],
+        f"Largest |tau| within the range [{torque}]": [figure(a.largest, 3) for a in found],
+        f"Largest |tau| up to {REACH:g} times outside [{torque}]": [
+            figure(a.largest_outside, 3) + (": explodes" if a.explodes else "") for a in found
+        ],
+    }
+
+
+def verdict(found: Audit, *, known: bool, slides: bool = False) -> str:
+    """Return what an audit says, in words.
+
+    Parameters
+    ----------
+    found : audit of a joint.
+    known : whether its range is that of training.
+    slides : whether the joint does so, instead of turning.
+    """
+    speed = unit_of_joint("rad/s", slides=slides)
+    cycle = found.generating
+    if cycle is None or found.generated < _ALMOST_PASSIVE:
+        said = "None of the closed cycles that were tried gives energy."
+    else:
+        said = (
+            f"It is not passive: over a closed cycle of {figure(cycle.amplitude, 2)} {speed} at "
+            f"{figure(cycle.frequency, 2)} Hz it gives {figure(found.generated, 3)} J."
+        )
+    if found.driving_both_ways:
+        said += (
+            f" Steady sliding drives at speeds of {_ranges(found.driving_both_ways)} {speed}, so "
+            "do not use it as the friction of a simulated plant."
+        )
+    if known and found.explodes:
+        said += " Just outside the trained range its torque explodes."
+    return said
+
+
+def costs(model: FrictionModel, motion: Motion) -> Costs:
+    """Return what each way of handing inputs over costs.
+
+    Raises
+    ------
+    SimulationError
+        If the laws' discretisation is not stable at the motion's steps, or their torque is not
+        finite.
+    """
+    found = {way: torques(model, motion, way) for way in SETTINGS}
+    fine = torques(model, motion, CONTINUOUS)
+    if not np.all(np.isfinite([fine, *found.values()])):
+        raise SimulationError("the torque is not finite on this motion.")
+    return Costs(
+        replay={way: errors(motion, tau, found["direct"]) for way, tau in found.items()},
+        continuous={way: errors(motion, tau, fine) for way, tau in found.items()},
+    )
+
+
+def fastest(law: FrictionLaw, seen: TrainedRange) -> dict[str, float]:
+    """Return the largest rate [1/s] of each state within a range."""
+    speeds = np.unique([*np.linspace(*seen.dq, 401), *np.clip([-1e-3, 0.0, 1e-3], *seen.dq)])
+    places = np.linspace(*seen.q, 33)
+    loads = np.unique([*seen.tau_load, np.clip(0.0, *seen.tau_load)])
+    grid: list[Array] = [u.ravel() for u in np.meshgrid(speeds, places, loads)]
+    symbols = tuple(c.symbol for c in law.form.coefficients)
+    at_rest = dict.fromkeys((m.state for m in law.form.memory), 0)
+    rates = lowered((*symbols, *INPUTS), [r.rate.subs(at_rest) for r in law.form.relaxations])
+    with np.errstate(all="ignore"):  # what is not finite says so itself
+        values = rates(*numbers(law), *grid)
+    return {
+        r.name: float(np.max(value)) for r, value in zip(law.form.relaxations, values, strict=True)
+    }
+
+
+def figure(value: float | None, digits: int = 4) -> str:
+    """Return a number for people, rounded to some digits; a dash for none."""
+    if value is None:
+        return "–"
+    if value and not 1e-4 <= abs(value) < 1e6:
+        text = f"{value:.{digits}g}"
+    else:
+        text = np.format_float_positional(value + 0.0, precision=digits, fractional=False, trim="-")
+    return text.replace("-", "−")
+
+
+def _ranges(found: Sequence[Range]) -> str:
+    return ", ".join(f"{figure(low, 2)} to {figure(high, 2)}" for low, high in found) or "none"

@@ -1,0 +1,92 @@
+"""documentation/index.html of a drive FMU."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from fmu_src.export.description import Description
+from fmu_src.export.interface import Interface
+from fmu_src.pages import datasheet
+from fmu_src.pages.datasheet import figure
+from fmu_src.pages.friction_page import title
+from fmu_src.pages.html import rendered
+from fmu_src.pages.mathml import equations
+from hesr_model.equations.over_log import Array
+from hesr_model.friction.inputs import TAU_LOAD
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import predict
+
+_CRAWL, _LONG = 1e-9, 1e12
+"""Speed [rad/s] at which and time [s] after which only what a law keeps at rest is left."""
+_HOLDS = 0.01  # [N.m]; less counts as nothing
+
+
+def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
+    """Return the page; it needs nothing but itself."""
+    audits, refused = datasheet.audited(model)
+    verdicts = [datasheet.verdict(a, known=bool(model.trained)) for a in audits]
+    verdicts = verdicts or [""] * len(model.laws)
+    return rendered(
+        "drive.html.j2",
+        about=about,
+        model=model,
+        titles=list(dict.fromkeys(title(law) for law in model.laws)),
+        substep=table.variables[table.places["substep"]].start,
+        discretisation=model.laws[0].discretisation,
+        loaded=[
+            name
+            for name, law in zip(model.joints, model.laws, strict=True)
+            if TAU_LOAD in law.form.inputs
+        ],
+        joints=[
+            {
+                "name": name,
+                "equations": equations(law),
+                "rest": _rest(law, slides=slides),
+                "verdict": verdict,
+            }
+            for name, law, slides, verdict in zip(
+                model.joints, model.laws, model.slides, verdicts, strict=True
+            )
+        ],
+        refused=refused,
+    )
+
+
+def holding_torque(law: FrictionLaw) -> float:
+    """Return the torque [N.m] up to which a law holds a joint at rest, without load.
+
+    Half of what its torque changes by between endless crawling to either side: a jump at zero speed
+    or a memory of position. 0 for a law that forgets at rest, under which a joint creeps.
+    """
+    return float(_sliding(law, np.array([_CRAWL]))[0])
+
+
+def stopping_torque(law: FrictionLaw) -> float:
+    """Return the torque [N.m] below which no speed lasts: the least friction at any of them."""
+    return float(np.min(_sliding(law, np.geomspace(_CRAWL, 1.0, 200))))
+
+
+def _sliding(law: FrictionLaw, speeds: Array) -> Array:
+    """Return the friction torque in endless sliding at speeds [rad/s], less any offset."""
+    settled = replace(law, discretisation="exact")
+    # The first row has no step before it.
+    both = np.concatenate([[0.0], speeds, -speeds])
+    tau = predict(settled, t=_LONG * np.arange(len(both)), dq=both)[1:]
+    return np.asarray(0.5 * (tau[: len(speeds)] - tau[len(speeds) :]))
+
+
+def _rest(law: FrictionLaw, *, slides: bool) -> str:
+    effort, unit = ("force", "N") if slides else ("torque", "N.m")
+    with np.errstate(all="ignore"):  # what is not finite holds nothing
+        held, stopped = holding_torque(law), stopping_torque(law)
+    if held > _HOLDS:
+        return (
+            f"At rest this law holds up to {figure(held, 3)} {unit} without load; a {effort} "
+            f"below {figure(max(stopped, 0.0), 3)} {unit} lets no motion last."
+        )
+    return (
+        "At rest this law holds nothing: it forgets where it came to rest, and the joint creeps "
+        f"under any {effort}."
+    )

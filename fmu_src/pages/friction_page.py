@@ -1,0 +1,222 @@
+"""documentation/index.html of a friction FMU: its data sheet."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import PurePosixPath
+from typing import Any
+
+from fmu_src.export.description import Description
+from fmu_src.export.interface import Interface
+from fmu_src.friction.friction_component import DISCRETISATION
+from fmu_src.friction.reference import reference_motion
+from fmu_src.friction.settings import SETTINGS, Error
+from fmu_src.friction.variable_names import exposed
+from fmu_src.pages import datasheet
+from fmu_src.pages.datasheet import ModelAudit, figure
+from fmu_src.pages.html import rendered
+from fmu_src.pages.mathml import equations, symbol
+from hesr_model.equations.program import Jumps
+from hesr_model.errors import HesrError
+from hesr_model.friction.equation import equations as equations_with_numbers
+from hesr_model.friction.equation import form_lines
+from hesr_model.friction.inputs import INPUT_UNITS, INPUTS
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import registry
+from hesr_model.friction.trained_range import Range, TrainedRange
+from hesr_model.units import unit_of_joints
+
+_INTERVAL = 1.96  # standard errors to either side hold 95 %
+_NO_DATE = "1980-01-01"  # stands for none in archives
+_UNITS = {**INPUT_UNITS, "tau": "N.m", "dtau_ddq": "N.m.s/rad"}
+_RANGES = (*INPUT_UNITS, "tau")
+
+
+def to_html(
+    model: FrictionModel,
+    table: Interface,
+    about: Description,
+    *,
+    live: str = "",
+    properties: str = "",
+    audit: ModelAudit | None = None,
+) -> str:
+    """Return the page.
+
+    It needs nothing but itself and `model.png` beside its folder: no font, no network, and no
+    script but that of its live section.
+
+    Parameters
+    ----------
+    model, table, about : of the FMU.
+    live : HTML of `live.page`, if the page shall have such a section.
+    properties : HTML of `properties_sheet.section`, likewise.
+    audit : of the model, made here where not given.
+    """
+    units = {name: unit_of_joints(unit, model.sliding) for name, unit in _UNITS.items()}
+    used = {symbol for law in model.laws for symbol in law.form.inputs}
+    start = table.variables[table.places["discretisation"]].start
+    return rendered(
+        "index.html.j2",
+        about=about,
+        dated=not about.created.startswith(_NO_DATE),
+        model=model,
+        live=live,
+        properties=properties,
+        titles=list(dict.fromkeys(title(law) for law in model.laws)),
+        unused=[f"{symbol.name}[i]" for symbol in INPUTS if symbol not in used],
+        discretisation=DISCRETISATION.items[int(start) - 1][0],
+        joints=[
+            _joint(joint, name, law)
+            for joint, (name, law) in enumerate(zip(model.joints, model.laws, strict=True), start=1)
+        ],
+        training=training(model.provenance),
+        units=units,
+        trained_rows=_trained_rows(model.trained, units),
+        **_measured(model, audit),
+    )
+
+
+def title(law: FrictionLaw, otherwise: str | None = None) -> str:
+    """Return what the registry calls a law, or else its own name, or what is given."""
+    known = registry()
+    if law.name in known:
+        return known[law.name].title
+    return law.name if otherwise is None else otherwise
+
+
+def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
+    return {
+        "number": joint,
+        "name": name,
+        "equations": equations(law),
+        "text": form_lines(law.form),
+        # Of networks nobody reads the numbers in place.
+        "numbers": equations_with_numbers(law) if exposed(law) else [],
+        "rows": _rows(law, joint),
+        "exposed": exposed(law),
+        "intervals": bool(law.standard_errors),
+        "states": [m.name for m in law.form.memory],
+        "starts": [figure(value, 6) for value in law.start],
+        "start_samples": law.start_samples,
+        "switches": [
+            str(z).replace("absolute(", "abs(") for z in Jumps(law.form.component).expressions
+        ],
+    }
+
+
+def _rows(law: FrictionLaw, joint: int) -> list[dict[str, str]]:
+    prefix = f"joint[{joint}]." if exposed(law) else ""
+    errors = law.standard_errors
+    return [
+        {
+            "symbol": symbol(c.name),
+            "name": f"{prefix}{c.name}",
+            "value": figure(law.values[c.name], 6),
+            "exact": f"{law.values[c.name]:.17g}",
+            "interval": f"± {figure(_INTERVAL * errors[c.name], 2)}" if c.name in errors else "–",
+            "unit": "–" if c.unit == "1" else c.unit,
+            "text": c.description,
+        }
+        for c in law.form.coefficients
+    ]
+
+
+def training(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the model says of where it comes from; names of files without their folders."""
+    files = [f for f in provenance.get("files") or () if isinstance(f, Mapping)]
+    versions = provenance.get("versions") or {}
+    return {
+        "remarks": [str(provenance[key]) for key in ("source", "note") if provenance.get(key)],
+        "files": [
+            {"name": _bare(str(f.get("name", ""))), "sha256": str(f.get("sha256", ""))}
+            for f in files
+        ],
+        "seed": provenance.get("seed"),
+        "versions": ", ".join(f"{name} {number}" for name, number in versions.items()),
+    }
+
+
+def _bare(path: str) -> str:
+    return PurePosixPath(path.replace("\\", "/")).name
+
+
+def spelled(range_: Range) -> str:
+    """Return a range for people."""
+    low, high = range_
+    return f"{figure(low, 3)} to {figure(high, 3)}"
+
+
+def _trained_rows(
+    trained: Sequence[TrainedRange], units: Mapping[str, str]
+) -> dict[str, list[str]]:
+    if not trained:
+        return {}
+    rows = {
+        f"{name} [{units[name]}]": [spelled(getattr(seen, name)) for seen in trained]
+        for name in _RANGES
+    }
+    return rows | {"sample time [s]": [figure(seen.sample_time) for seen in trained]}
+
+
+def _measured(model: FrictionModel, audit: ModelAudit | None) -> dict[str, Any]:
+    """Return what is measured on the laws; a sentence in the place of what cannot be."""
+    found: dict[str, Any] = {"audit": {}, "certified": [], "verdicts": [], "refused": "",
+                             "rates": [], "costs": None, "costs_refused": ""}  # fmt: skip
+    motion = reference_motion(model)
+    try:
+        seen = datasheet.ranges(model, motion)
+        found["rates"] = [
+            _rate_rows(law, range_) for law, range_ in zip(model.laws, seen, strict=True)
+        ]
+        found["certified"] = [
+            datasheet.certified(c, slides=slides)
+            for c, slides in zip(
+                audit.certificates if audit else datasheet.certificates(model, seen),
+                model.slides,
+                strict=True,
+            )
+        ]
+        audits = audit.audits if audit else datasheet.audits(model, seen)
+        found["audit"] = datasheet.audit_rows(audits, model.sliding)
+        found["verdicts"] = [
+            datasheet.verdict(a, known=bool(model.trained), slides=slides)
+            for a, slides in zip(audits, model.slides, strict=True)
+        ]
+    except HesrError as error:
+        found["refused"] = str(error)
+    try:
+        costs = datasheet.costs(model, motion)
+        found["costs"] = {
+            "the log's convention": _cost_rows(costs.replay),
+            "the law in continuous time": _cost_rows(costs.continuous),
+        }
+    except HesrError as error:
+        found["costs_refused"] = str(error)
+    return found
+
+
+def _cost_rows(costs: Mapping[str, Sequence[Error]]) -> dict[str, list[tuple[str, str]]]:
+    return {
+        f"{way}: {SETTINGS[way]}": [(_torque(e.rmse), _torque(e.rmse_reversal)) for e in found]
+        for way, found in costs.items()
+    }
+
+
+def _torque(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
+
+
+def _rate_rows(law: FrictionLaw, seen: TrainedRange) -> list[dict[str, str]]:
+    return [
+        {
+            "name": name,
+            "rate": figure(rate, 3),
+            "rk4": _step(datasheet.RK4, rate),
+            "euler": _step(datasheet.EULER, rate),
+        }
+        for name, rate in datasheet.fastest(law, seen).items()
+    ]
+
+
+def _step(limit: float, rate: float) -> str:
+    return f"{1e3 * limit / rate:.3g} ms" if rate > 0.0 else "any"

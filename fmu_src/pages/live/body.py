@@ -1,0 +1,70 @@
+"""The rigid body in the page of a friction FMU: the C of the InverseDynamics FMU."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from fmu_src.blocks.inverse_dynamics import inverse_dynamics
+from fmu_src.export.package import Content, translation_unit
+from fmu_src.pages.live.wasm import packed, wasm
+from hesr_model.errors import ExportError
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import RobotModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageBody:
+    """A rigid body, for pages that find the friction in a log.
+
+    Attributes
+    ----------
+    joints : names.
+    fmu : what makes its InverseDynamics FMU.
+    cutoff : low pass of the robot's logs [Hz].
+    """
+
+    joints: Sequence[str]
+    fmu: Content
+    cutoff: float
+
+    @classmethod
+    def of(cls, robot: RobotModel, body: RigidBody) -> "PageBody":
+        """Return the body of a robot.
+
+        Raises
+        ------
+        RobotError
+            If `body` is of another robot.
+        """
+        return cls(
+            joints=robot.description.joints,
+            fmu=inverse_dynamics(robot, body.parameters_for(robot)),
+            cutoff=robot.description.log.filter_cutoff,
+        )
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Return the texts of its C files by name, which say all of it but the cut-off."""
+        return translation_unit(self.fmu)[1]
+
+    def data(self, joints: Sequence[str]) -> dict[str, Any]:
+        """Return what a page needs: the module, and the connectors of each joint.
+
+        Raises
+        ------
+        ExportError
+            If it is of other joints, or the compiler fails.
+        """
+        if tuple(joints) != tuple(self.joints):
+            raise ExportError(
+                f"the rigid body has the joints {', '.join(self.joints)}, but the friction model "
+                f"has {', '.join(joints)}: they belong to different robots."
+            )
+        places = self.fmu.table.places
+        return {
+            "module": packed(wasm(self.files)),
+            "joints": [
+                {"references": {x: places[f"{x}[{i}]"] for x in ("q", "dq", "ddq", "tau")}}
+                for i, _ in enumerate(joints, start=1)
+            ],
+        }

@@ -1,0 +1,64 @@
+"""What a page needs to read a measured log and to say whether friction has drifted."""
+
+from typing import Any
+
+from fmu_src.pages.html import rendered
+from fmu_src.pages.live.body import PageBody
+from hesr.extras.adaptive.tuning import TUNING
+from hesr_model.friction.model import FrictionModel
+from hesr_model.logs.guess import vocabulary
+from hesr_model.logs.log_format import LogFormat
+from hesr_model.units import OTHERS, SLIDING, TURNING
+
+_LOAD = ("load", "rigid", "gravity")
+_FRICTION = ("friction", "fric")
+"""Words of columns that no log of a robot has, but one that was worked on."""
+
+
+def log_section(model: FrictionModel, body: PageBody | None = None, key: str = "live") -> str:
+    """Return the section of a page that takes a log.
+
+    A live section of the same key, whose module and connectors it uses, must stand before it, and
+    `page.live_assets(log=True)` behind it. With a body it finds the rigid-body torque itself.
+
+    Raises
+    ------
+    ExportError
+        If the body is of other joints than the model, or the compiler fails.
+    """
+    return rendered("log.html.j2", data=_data(model, body), key=key)
+
+
+def _data(model: FrictionModel, body: PageBody | None) -> dict[str, Any]:
+    # Where motors turn with several joints, ranges and errors are not those of joints.
+    own = model.coupling is None
+    count = len(model.joints)
+    trained = model.trained if own and model.trained else (None,) * count
+    noise = model.training_rmse if own and model.training_rmse else (None,) * count
+    used = {s.name for law in model.laws for s in law.form.inputs}
+    rows = zip(model.joints, model.laws, trained, noise, strict=True)
+    return {
+        "words": {**vocabulary(), "load": _LOAD, "friction": _FRICTION},
+        "units": {"t": OTHERS["t"], **_units(model)},
+        "cutoff": body.cutoff if body else LogFormat().filter_cutoff,
+        "body": body.data(model.joints) if body else None,
+        "change": TUNING.change,
+        "shift": TUNING.change_of_offset,
+        "joints": [
+            {
+                "name": name,
+                "uses": sorted({s.name for s in law.form.inputs} if own else used),
+                "speeds": seen.dq if seen else None,
+                "noise": error,
+            }
+            for name, law, seen, error in rows
+        ],
+    }
+
+
+def _units(model: FrictionModel) -> dict[str, dict[str, float]]:
+    """Return units by quantity, SI first; where joints of both kinds are, SI alone."""
+    kinds = [SLIDING if slides else TURNING for slides in set(model.slides)]
+    if len(kinds) == 1:
+        return {quantity: dict(units) for quantity, units in kinds[0].items()}
+    return {quantity: {"SI": 1.0} for quantity in TURNING}

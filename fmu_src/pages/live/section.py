@@ -1,0 +1,178 @@
+"""What a page needs to bring a friction model to life: its module, its knobs, its joints."""
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from itertools import zip_longest
+from math import floor, log10
+from typing import Any
+
+import sympy
+
+from fmu_src.export.interface import Interface
+from fmu_src.friction.reference import trained_speed
+from fmu_src.friction.variable_names import place, scales_of
+from fmu_src.pages.live.wasm import packed
+from fmu_src.pages.mathml import symbol
+from hesr_model.friction.inputs import INPUTS, TAU_LOAD, Q
+from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.units import unit_of_joint
+
+_FACTOR = 5.0
+"""How far the slider of a coefficient goes to either side of its value."""
+_SLOWEST, _FASTEST = 0.05, 5.0  # [Hz]
+_FEWEST = 20  # rows of a cycle
+_USUAL = 0.25  # [Hz], that of the FMU's picture
+_UNITS = {"velocity": "rad/s", "position": "rad", "time": "s", "torque": "N.m"}
+_NO_LOAD = 20.0  # [N.m], where no load was trained
+# What a field takes beyond its slider, so that a page does not stand still: a sine has some rows,
+# and a browser runs as many as these within seconds.
+_LEAST_ROWS, _MOST_ROWS = 4, 20_000  # of a cycle
+_MOST_CYCLES = 100.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Knob:
+    """A number that can be moved: a slider and a field beside it.
+
+    Attributes
+    ----------
+    name : under which the page knows it.
+    symbol : the same as MathML; empty where it has none.
+    text : what it is.
+    unit : SI unit; empty if it has none.
+    value : at the start.
+    low, high : ends of the slider.
+    least, most : what the field takes; None where there is no bound.
+    scale : of the slider: "linear", "log" (both ends of one sign), or "whole" numbers.
+    reference : value reference, for a parameter of the FMU.
+    """
+
+    name: str
+    symbol: str = ""
+    text: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    least: float | None = None
+    most: float | None = None
+    scale: str = "linear"
+    reference: int | None = None
+
+
+def live_data(model: FrictionModel, table: Interface, module: bytes) -> dict[str, Any]:
+    """Return the JSON data of a live section.
+
+    Parameters
+    ----------
+    model : the laws.
+    table : variables of the model's FMU.
+    module : what `wasm` made of that FMU.
+    """
+    trained = model.trained or (None,) * len(model.joints)
+    return {
+        "module": packed(module),
+        "step": model.sample_time,
+        "joints": [
+            {
+                "name": model.joints[joint - 1],
+                "references": {
+                    name: table.places[f"{name}[{joint}]"]
+                    for name in (*(u.name for u in INPUTS), "tau")
+                },
+                "units": {
+                    name: unit_of_joint(unit, slides=slides) for name, unit in _UNITS.items()
+                },
+                "speeds": list(seen.dq) if seen else None,
+                "motion": [
+                    asdict(replace(k, unit=unit_of_joint(k.unit, slides=slides)))
+                    for k in _motion(law, seen, model.sample_time)
+                ],
+                "coefficients": [asdict(k) for k in _coefficients(law, joint, table)],
+            }
+            for joint, (law, seen, slides) in enumerate(
+                zip(model.laws, trained, model.slides, strict=True), start=1
+            )
+        ],
+    }
+
+
+def _motion(law: FrictionLaw, seen: TrainedRange | None, step: float) -> Iterator[Knob]:
+    """Yield the knobs of a motion dq = A sin(2 pi f t) under a constant load."""
+    speed = trained_speed(seen)
+    digits = 2 - floor(log10(speed))
+    within = floor(speed * 10.0**digits) / 10.0**digits  # short, and not outside what was trained
+    yield Knob(name="amplitude", text="velocity amplitude", unit="rad/s", value=within,
+               low=_short(speed / 200.0), high=_short(2.0 * speed), least=0.0,
+               scale="log")  # fmt: skip
+    fastest = max(min(_FASTEST, 1.0 / (_FEWEST * step)), 2.0 * _SLOWEST)
+    yield Knob(name="frequency", text="frequency", unit="Hz", value=min(_USUAL, fastest),
+               low=_SLOWEST, high=_short(fastest), scale="log",
+               least=min(_SLOWEST, _short(1.0 / (_MOST_ROWS * step))),
+               most=max(_short(fastest), _short(1.0 / (_LEAST_ROWS * step))))  # fmt: skip
+    yield Knob(name="cycles", text="cycles, the last one drawn in full", unit="", value=3.0,
+               low=1.0, high=10.0, least=1.0, most=_MOST_CYCLES, scale="whole")  # fmt: skip
+    if Q in law.form.inputs:
+        middle = seen.middle if seen else 0.0
+        yield Knob(name="centre", text="centre of the positions", unit="rad",
+                   value=middle, low=_short(middle - 3.0), high=_short(middle + 3.0))  # fmt: skip
+    if TAU_LOAD in law.form.inputs:
+        low, high = seen.tau_load if seen else (0.0, 0.0)
+        reach = max(high - low, abs(low), abs(high)) or _NO_LOAD
+        middle = 0.5 * (low + high)
+        yield Knob(name="load", text="load torque, constant", unit="N.m", value=middle,
+                   low=_short(middle - reach), high=_short(middle + reach))  # fmt: skip
+
+
+def _coefficients(law: FrictionLaw, joint: int, table: Interface) -> Iterator[Knob]:
+    own = place(law, joint).parameters
+    names = (*own, *scales_of(joint))
+    for name, coefficient in zip_longest(names, law.form.coefficients if own else ()):
+        reference = table.places[name]
+        variable = table.variables[reference]
+        factor = coefficient is None or _is_factor(law.form, coefficient.symbol)
+        low, high, scale = ends(variable.start, factor=factor)
+        yield Knob(
+            name=coefficient.name if coefficient else name,
+            symbol=symbol(coefficient.name) if coefficient else "",
+            text=variable.description,
+            unit="" if variable.unit in (None, "1") else str(variable.unit),
+            value=variable.start,
+            low=low,
+            high=high,
+            scale=scale,
+            reference=reference,
+        )
+
+
+def ends(value: float, *, factor: bool) -> tuple[float, float, str]:
+    """Return both ends and the scale of a coefficient's slider, its value in the middle.
+
+    A factor of a term goes from none of the term to twice of it. Of others, as widths, rates and
+    exponents, the order of magnitude counts, and zero may have no meaning. What is zero has no
+    size, so it gets one.
+    """
+    if value == 0.0:
+        return -1.0, 1.0, "linear"
+    if factor:
+        other = _short(2.0 * value)
+        return min(0.0, other), max(0.0, other), "linear"
+    one, other = sorted((_short(value / _FACTOR), _short(value * _FACTOR)))
+    return one, other, "log"
+
+
+def _is_factor(form: LawForm, c: sympy.Symbol) -> bool:
+    """Whether a coefficient is nothing but the factor of terms of the torque."""
+    inner = {s for m in form.memory for part in m.parts for s in part.free_symbols}
+    # A state's derivative holds the coefficients of its element; these are not looked into.
+    terms = (term for term in sympy.Add.make_args(form.output) if term.has(c))
+    return c not in inner and all(
+        c in (parts := sympy.Mul.make_args(term)) and not any(p.has(c) for p in parts if p != c)
+        for term in terms
+    )
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.3g}")

@@ -1,0 +1,1 @@
+"""Run FMUs: archives, instances, the sandbox, the master and reference results."""

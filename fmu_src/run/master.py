@@ -1,0 +1,189 @@
+"""The steps of a system of FMUs whose components have been initialised.
+
+`Readable` says in Python what happens in which order and runs any FMU. `fmu_src.run.native` does
+the same
+in C for FMUs in this process, with the same results, bit for bit.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.systems.system import Order
+from cosim.systems.wiring import Element
+from fmu_src.run.batch import Array, Buffer
+from fmu_src.run.fmu import Component
+from hesr_model.errors import SimulationError
+
+Places = NDArray[np.intp]
+
+
+@dataclass(kw_only=True, eq=False)
+class Station:
+    """A component at its place in the system.
+
+    Attributes
+    ----------
+    slave : the component.
+    every : its step in communication steps.
+    inputs : buffer of its connected inputs.
+    sources : (n,) for each of them the place of the output that feeds it.
+    outputs : buffer of its outputs, a part of the values of the system.
+    """
+
+    slave: Component
+    every: int
+    inputs: Buffer
+    sources: Places
+    outputs: Buffer
+
+    def set_inputs(self, values: Array) -> None:
+        """Set the connected inputs."""
+        if self.sources.size:
+            # All places are valid; without that promise NumPy would go through a copy.
+            values.take(self.sources, out=self.inputs.values, mode="clip")
+            self.inputs.write()
+
+    def step(self, k: int, step: float) -> None:
+        """Step to the end of communication step k, whose size is `step` [s]."""
+        self.slave.step(self.start(k, step), self.every * step)
+
+    def start(self, k: int, step: float) -> float:
+        """Return where its step begins that ends with communication step k [s]."""
+        return (k + 1 - self.every) * step
+
+    def reached(self, steps: int, step: float) -> float:
+        """Return how far it has come after a number of communication steps [s]."""
+        own = steps - steps % self.every
+        return self.start(own - 1, step) + self.every * step if own else 0.0
+
+    def read_outputs(self) -> None:
+        """Read the outputs."""
+        if self.outputs.values.size:
+            self.outputs.read()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Layout:
+    """A system as its steps need it.
+
+    Attributes
+    ----------
+    stations : the components, in the order in which they are stepped.
+    order : of the calls; see `SystemSpec`.
+    step : communication step [s].
+    values : (m,) of all outputs that are needed, those of a component side by side.
+    names : of the values.
+    rows : (n,) places of the values that are kept.
+    limited : (l,) places of those with limits.
+    low, high : (l,) these limits.
+    """
+
+    stations: tuple[Station, ...]
+    order: Order
+    step: float
+    values: Array
+    names: tuple[Element, ...]
+    rows: Places
+    limited: Places
+    low: Array
+    high: Array
+
+    def require_limits(self, time: float) -> None:
+        """Check the limits.
+
+        Raises
+        ------
+        SimulationError
+            Naming the first value that is outside, and the time [s].
+        """
+        values = self.values.take(self.limited, mode="clip")
+        outside = (values < self.low) | (values > self.high)
+        if np.count_nonzero(outside):
+            i = int(np.argmax(outside))
+            name = ".".join(self.names[self.limited[i]])
+            raise SimulationError(
+                f"at t = {time:.9g} s {name} is {values[i]:.6g}, outside its limits "
+                f"{self.low[i]:.6g} to {self.high[i]:.6g}."
+            )
+
+
+class Stepper(Protocol):
+    """Steps a system.
+
+    Attributes
+    ----------
+    done : rows that are kept.
+    """
+
+    done: int
+
+    def begin(self, kept: Array) -> None:
+        """Begin a run, whose rows are kept in an array (steps + 1, n)."""
+
+    def advance(self, stop: int) -> None:
+        """Go on until `stop` rows are kept, or to where a value is no finite number.
+
+        Raises
+        ------
+        SimulationError
+            If a component fails, or a value leaves its limits.
+        """
+
+
+class Readable:
+    """The steps, in Python.
+
+    Parameters
+    ----------
+    layout : the system.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self._layout = layout
+        self._zeros = np.zeros_like(layout.values)
+        self._step = self._gauss_seidel if layout.order == "gauss_seidel" else self._jacobi
+        self.begin(np.empty((0, len(layout.rows))))
+
+    def begin(self, kept: Array) -> None:
+        """See `Stepper`."""
+        self._kept, self.done = kept, 0
+
+    def advance(self, stop: int) -> None:
+        """See `Stepper`."""
+        layout, values = self._layout, self._layout.values
+        for k in range(self.done, stop):
+            if k > 0:
+                self._step(k - 1)
+            if values.dot(self._zeros) != 0.0:  # infinity and NaN times zero are NaN
+                break
+            values.take(layout.rows, out=self._kept[k], mode="clip")
+            self.done = k + 1
+            if layout.limited.size:
+                layout.require_limits(k * layout.step)
+
+    def _gauss_seidel(self, k: int) -> None:
+        """Step each component that reaches a communication point of its own at the end of step k.
+
+        It is given the newest outputs of all others.
+        """
+        values, step = self._layout.values, self._layout.step
+        for station in self._layout.stations:
+            if (k + 1) % station.every == 0:
+                station.set_inputs(values)
+                station.step(k, step)
+                station.read_outputs()
+
+    def _jacobi(self, k: int) -> None:
+        """Do the same with the outputs of the instant at which the component's step begins."""
+        values, step = self._layout.values, self._layout.step
+        for station in self._layout.stations:
+            if k % station.every == 0:
+                station.set_inputs(values)
+        ending = [s for s in self._layout.stations if (k + 1) % s.every == 0]
+        for station in ending:
+            station.step(k, step)
+        for station in ending:
+            station.read_outputs()

@@ -1,0 +1,235 @@
+"""The steps of a system in C (`fmu_src/c/master.c`), for FMUs that are loaded in this process."""
+
+import ctypes
+import logging
+import tempfile
+from collections.abc import Sequence
+from enum import IntEnum
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fmu_src.export.package import own_source
+from fmu_src.export.toolchain import TARGETS, build
+from fmu_src.run.batch import Array, Batch, Buffer
+from fmu_src.run.fmu import Component
+from fmu_src.run.instance import PLATFORM
+from fmu_src.run.master import Layout
+from hesr_model.errors import ExportError
+
+_log = logging.getLogger(__name__)
+
+
+class _End(IntEnum):
+    """What ended the steps, as in master.c."""
+
+    DONE, NOT_FINITE, OUTSIDE, SET_FAILED, STEP_FAILED, GET_FAILED = range(6)
+
+
+_FUNCTIONS = {
+    _End.SET_FAILED: "fmi2SetReal",
+    _End.STEP_FAILED: "fmi2DoStep",
+    _End.GET_FAILED: "fmi2GetReal",
+}
+
+
+class _Station(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("component", "set", "get", "step")),
+        *((name, ctypes.c_int64) for name in ("every", "inputs", "outputs")),
+        *((name, ctypes.c_void_p) for name in ("input_references", "output_references")),
+        *((name, ctypes.c_void_p) for name in ("sources", "input_values", "output_values")),
+    )
+
+
+class _System(ctypes.Structure):
+    _fields_ = (
+        ("stations", ctypes.POINTER(_Station)),
+        ("count", ctypes.c_int64),
+        ("jacobi", ctypes.c_bool),
+        ("step", ctypes.c_double),
+        ("values", ctypes.c_void_p),
+        ("size", ctypes.c_int64),
+        ("rows", ctypes.c_void_p),
+        ("width", ctypes.c_int64),
+        ("limited", ctypes.c_void_p),
+        ("low", ctypes.c_void_p),
+        ("high", ctypes.c_void_p),
+        ("limits", ctypes.c_int64),
+        ("kept", ctypes.c_void_p),
+        ("done", ctypes.c_int64),
+        ("failed", ctypes.c_int64),
+        ("status", ctypes.c_int),
+    )
+
+
+def native(layout: Layout) -> "Native | None":
+    """Return what steps a system in C, None where an FMU is foreign or there is no compiler."""
+    buffers = [b for station in layout.stations for b in (station.inputs, station.outputs)]
+    own = [buffer for buffer in buffers if isinstance(buffer, Batch)]
+    library = _library() if len(own) == len(buffers) else None
+    return Native(layout, own[::2], own[1::2], library) if library else None
+
+
+class Native:
+    """The steps, in C; see `Stepper`.
+
+    Parameters
+    ----------
+    layout : the system.
+    inputs, outputs : buffers of its components.
+    library : that holds master.c.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        inputs: Sequence[Batch],
+        outputs: Sequence[Batch],
+        library: ctypes.CDLL,
+    ) -> None:
+        self._layout, self._fail = layout, [buffer.fail for buffer in inputs]
+        self._advance = library["advance"]
+        stations = (_Station * len(inputs))()
+        self._held: list[Any] = [stations]  # as long as addresses of it are
+        for at, into, out, station in zip(stations, inputs, outputs, layout.stations, strict=True):
+            self._held += _connect(at, into, out)
+            at.every = station.every
+            at.sources = self._address(station.sources.astype(np.int64))
+            at.input_values = self._address(into.values)
+            at.output_values = self._address(out.values)
+        self._system = _System(
+            stations=ctypes.cast(stations, ctypes.POINTER(_Station)),
+            count=len(stations),
+            jacobi=layout.order == "jacobi",
+            step=layout.step,
+            values=self._address(layout.values),
+            size=layout.values.size,
+            rows=self._address(layout.rows.astype(np.int64)),
+            width=layout.rows.size,
+            limited=self._address(layout.limited.astype(np.int64)),
+            low=self._address(np.ascontiguousarray(layout.low)),
+            high=self._address(np.ascontiguousarray(layout.high)),
+            limits=layout.limited.size,
+        )
+
+    def _address(self, array: Any) -> int:
+        self._held.append(array)
+        return int(array.ctypes.data)
+
+    @property
+    def done(self) -> int:
+        """Rows that are kept."""
+        return int(self._system.done)
+
+    def begin(self, kept: Array) -> None:
+        """See `Stepper`."""
+        self._kept = kept
+        self._system.kept, self._system.done = kept.ctypes.data, 0
+
+    def advance(self, stop: int) -> None:
+        """See `Stepper`."""
+        layout, system = self._layout, self._system
+        end = _End(self._advance(ctypes.byref(system), ctypes.c_int64(stop)))
+        failing = int(system.failed) if end in _FUNCTIONS else -1
+        for i, station in enumerate(layout.stations):
+            steps = max(self.done - 1, 0) + (end is _End.NOT_FINITE)
+            station.slave.time = station.reached(steps, layout.step)
+            if i == failing and end is _End.STEP_FAILED:
+                station.slave.time = station.start(self.done - 1, layout.step)
+            elif i == failing and end is _End.GET_FAILED:
+                station.slave.time = station.reached(self.done, layout.step)
+        if end is _End.OUTSIDE:
+            layout.require_limits((self.done - 1) * layout.step)
+        if failing >= 0:
+            self._fail[failing](_FUNCTIONS[end], int(system.status))
+
+
+def _connect(at: _Station, into: Batch, out: Batch) -> tuple[Batch, Batch]:
+    """Fill in how a component is called; return what must stay while it is."""
+    at.component = into.instance
+    at.set, at.get, at.step = (
+        ctypes.cast(into.library[name], ctypes.c_void_p).value
+        for name in ("fmi2SetReal", "fmi2GetReal", "fmi2DoStep")
+    )
+    at.inputs, at.outputs = into.values.size, out.values.size
+    at.input_references = into.references.ctypes.data
+    at.output_references = out.references.ctypes.data
+    return into, out
+
+
+_AT_ONCE = 1 << 16  # rows, after which signals are seen
+
+
+def through(
+    component: Component, inputs: Buffer, outputs: Buffer, times: Array, sizes: Array, rows: Array
+) -> Array:
+    """Take a component through rows of inputs, each set, then stepped over, then read.
+
+    In C where the FMU runs in this process and there is a compiler; the numbers are the same.
+
+    Parameters
+    ----------
+    component : the FMU, after its initialisation.
+    inputs, outputs : batches of it.
+    times, sizes : (K,) where steps begin, and how long they are [s].
+    rows : (K, m) values of the inputs, in their units.
+
+    Returns
+    -------
+    (K, n) values of the outputs.
+
+    Raises
+    ------
+    SimulationError
+        If the FMU fails.
+    """
+    found = np.empty((len(rows), outputs.values.size))
+    if isinstance(inputs, Batch) and isinstance(outputs, Batch) and (library := _library()):
+        _through(library["through"], component, (inputs, outputs), times, sizes, rows, found)
+        return found
+    for k, (time, size) in enumerate(zip(times.tolist(), sizes.tolist(), strict=True)):
+        inputs.values[:] = rows[k]
+        inputs.write()
+        component.step(time, size)
+        found[k] = outputs.read()
+    return found
+
+
+def _through(
+    function: Any, component: Component, batches: tuple[Batch, Batch],
+    times: Array, sizes: Array, rows: Array, found: Array,
+) -> None:  # fmt: skip
+    at, done, status = _Station(), ctypes.c_int64(0), ctypes.c_int(0)
+    _connect(at, *batches)
+    arrays = [np.ascontiguousarray(part, dtype=float) for part in (times, sizes, rows)]
+    places = [ctypes.c_void_p(part.ctypes.data) for part in (*arrays, found)]
+    while done.value < len(rows):
+        stop = min(done.value + _AT_ONCE, len(rows))
+        end = _End(function(ctypes.byref(at), *places, ctypes.c_int64(stop), ctypes.byref(done),
+                            ctypes.byref(status)))  # fmt: skip
+        k = done.value - (end is _End.DONE)
+        over = end in (_End.DONE, _End.GET_FAILED)
+        component.time = float(times[k] + sizes[k]) if over else float(times[k])
+        if end is not _End.DONE:
+            batches[0].fail(_FUNCTIONS[end], status.value)
+
+
+@cache
+def _library() -> ctypes.CDLL | None:
+    """Return the compiled master, None where it cannot be had: steps in Python do as well."""
+    target = TARGETS.get(PLATFORM)
+    if target is None:
+        return None
+    try:
+        with tempfile.TemporaryDirectory(prefix="hesr-", ignore_cleanup_errors=True) as folder:
+            for name in ("master.c", "fmi2.h"):
+                Path(folder, name).write_text(own_source(name), encoding="utf-8")
+            file = Path(folder, f"master{target.suffix}")
+            file.write_bytes(build(Path(folder, "master.c"), "master", target))
+            return ctypes.CDLL(str(file))
+    except (ExportError, OSError) as error:
+        _log.info("systems are stepped in Python (%s).", error)
+        return None

@@ -1,0 +1,109 @@
+"""Run a friction FMU over a log."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmu_src.run.batch import Array
+from fmu_src.run.fmu import Component
+from fmu_src.run.native import through
+from hesr_model.errors import SimulationError
+from hesr_model.friction.inputs import INPUTS
+from hesr_model.friction.law import TORQUE
+from hesr_model.friction.thermal import TEMPERATURE, THERMOMETER
+
+
+def replay(
+    fmu: Path | Component,
+    t: ArrayLike,
+    dq: ArrayLike,
+    q: ArrayLike | None = None,
+    tau_load: ArrayLike | None = None,
+    start: Mapping[str, float] | None = None,
+    *,
+    temperature: ArrayLike | None = None,
+    output: str = TORQUE,
+) -> Array:
+    """Return the friction torque that an FMU computes for a log.
+
+    Sample 0 is set before the initialisation and read after it; then each sample is set, the FMU
+    steps from the time of the sample before to its own, and is read.
+
+    Parameters
+    ----------
+    fmu : a friction FMU; one that is loaded already is reset where it has been used.
+    t : (N,) time [s], increasing.
+    dq : (N, n) joint velocity [rad/s].
+    q : (N, n) joint position [rad]; zero where not given.
+    tau_load : (N, n) load torque [N.m]; zero where not given.
+    start : parameters by name, as {"start_mode": 2, "h_start[1]": 0.2}.
+    temperature : (N, n) of the joints [degC], of an FMU that follows it; where it is not given
+        friction heats.
+    output : what is read of each joint, as `tau_lower` of an FMU with a band.
+
+    Returns
+    -------
+    (N, n) friction torque, or what else is read [N.m].
+
+    Raises
+    ------
+    SimulationError
+        If the log does not fit the FMU, or the FMU fails.
+    """
+    if isinstance(fmu, Path):
+        with Component(fmu) as component:
+            return replay(
+                component, t, dq, q, tau_load, start, temperature=temperature, output=output
+            )
+    component, time = fmu, np.asarray(t, dtype=float)
+    if not len(time):
+        raise SimulationError(f"{component.fmu}: the log to be replayed has no samples.")
+    names = {v.name for v in component.description.modelVariables}
+    joints = sum(name.startswith("tau[") for name in names)
+    zero, indices = np.zeros((len(time), joints)), range(1, joints + 1)
+    given = dict(zip([symbol.name for symbol in INPUTS], (dq, q, tau_load), strict=True))
+    if f"{TEMPERATURE.name}[1]" in names:
+        if temperature is None:
+            start = {f"joint[{i}].{THERMOMETER}": 0.0 for i in indices} | dict(start or {})
+        else:
+            given[TEMPERATURE.name] = temperature
+    parts = [zero if part is None else np.asarray(part, dtype=float) for part in given.values()]
+    for name, part in zip(given, parts, strict=True):
+        if part.shape != zero.shape:
+            raise SimulationError(
+                f"{component.fmu}: '{name}' has the shape {part.shape}; needed is {zero.shape}, "
+                f"{len(time)} samples of {joints} joints."
+            )
+    if np.any(np.diff(time) <= 0.0):
+        row = int(np.argmax(np.diff(time) <= 0.0)) + 1
+        raise SimulationError(f"{component.fmu}: time does not increase at row {row} of the log.")
+    inputs = component.batch([f"{name}[{i}]" for name in given for i in indices])
+    outputs = component.batch([f"{output}[{i}]" for i in indices])
+    rows = np.hstack(parts)
+    torque = np.empty_like(zero)
+    if component.used:
+        component.reset()
+    inputs.values[:] = rows[0]
+    component.initialise(time=float(time[0]), start=start, inputs=inputs)
+    torque[0] = outputs.read()
+    torque[1:] = through(component, inputs, outputs, time[:-1], np.diff(time), rows[1:])
+    require_finite(component.fmu, time, torque)
+    return torque
+
+
+def require_finite(fmu: Path, t: Array, torque: Array) -> None:
+    """Check the (N, n) torque of a friction FMU at the times t (N,) [s].
+
+    Raises
+    ------
+    SimulationError
+        If it is no finite number somewhere, naming the first time and joint.
+    """
+    finite = np.isfinite(torque)
+    if not finite.all():
+        row, joint = np.argwhere(~finite)[0]
+        raise SimulationError(
+            f"{fmu}: at t = {t[row]:.9g} s tau[{joint + 1}] is not a finite number."
+        )

@@ -1,0 +1,43 @@
+"""The command line: parses, calls, prints. Everything else is imported when a command runs."""
+
+import sys
+from typing import NoReturn
+
+from hesr.cli import (  # noqa: F401  # each registers its commands
+    arena,
+    audit,
+    check,
+    constants,
+    excite,
+    export,
+    fleet,
+    inspect,
+    interop,
+    job,
+    monitor,
+    new,
+    package,
+    properties,
+    report,
+    simulate,
+    steps,
+    sweep,
+    thermal,
+    view,
+)
+from hesr.cli.app import app
+from hesr.cli.console import ended_by_signals
+from hesr.cli.errors import errors_said, home_where_needed, plain_where_needed
+from hesr_model.support.garbage import collect_seldom
+
+__all__ = ["app", "main"]
+
+
+def main() -> NoReturn:
+    """Run the command line; an error that a user can mend is one sentence and exit code 2."""
+    collect_seldom()
+    plain_where_needed()
+    home_where_needed()
+    with ended_by_signals(), errors_said():
+        app()
+    sys.exit(0)

@@ -1,0 +1,68 @@
+"""The command that shows the arm of a closed loop: view."""
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hesr.cli.app import Result, app
+from hesr.cli.console import shown_progress, working
+
+
+@app.command()
+def view(
+    result: Result,
+    law: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Law whose run is shown; repeated: side by side. Default: the rigid body alone "
+            "beside the law that tracks best.",
+        ),
+    ] = None,
+    scheme: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="How commands are made, as in the tables of the run. Default: servo_inversion.",
+        ),
+    ] = None,
+    magnify: Annotated[
+        float,
+        typer.Option(metavar="N", help="Show deviations from the commanded pose N times as large."),
+    ] = 1.0,
+    speed: Annotated[
+        float, typer.Option(metavar="N", help="Show the motion N times as fast.")
+    ] = 1.0,
+    video: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write a video (.mp4) or an animated picture (.webp) instead; needs no screen.",
+        ),
+    ] = None,
+) -> None:
+    """Show the arm of a closed loop beside the pose it was told.
+
+    Everything is replayed from the results. The commanded pose is a blue ghost; the arm and the
+    way of its end show where it really was, along the first motion of the study.
+
+    Examples: hesr view results/uf850; hesr view results/uf850 --law stribeck --law parfam_h
+    --magnify 20; hesr view results/uf850 --speed 0.5 --video arm.mp4
+    """
+    from hesr.extras.view.runs import Choice, choose
+
+    choice = Choice(laws=law or (), scheme=scheme, magnify=magnify, speed=speed)
+    with working(f"reading {result}"):
+        shown = choose(result, choice)
+    if video is None:
+        from hesr.extras.view.window import show
+
+        show(shown, choice)
+        return
+    from hesr.extras.view.video import write_video
+
+    with shown_progress() as progress:
+        seconds = write_video(video, shown, choice, progress=partial(progress, "drawing"))
+    typer.echo(f"{seconds:.1f} s of video, written to {video}.")

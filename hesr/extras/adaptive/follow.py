@@ -1,0 +1,129 @@
+"""Friction followed over logs: the equations of the adaptive FMU, run in Python, log after log."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hesr.extras.adaptive.component import adaptive_component
+from hesr.extras.adaptive.tuning import TUNING, Tuning
+from hesr_model.audit.certificate import least_viscosity
+from hesr_model.equations.component import Component, Parameter
+from hesr_model.equations.stepping import Steps
+from hesr_model.errors import SimulationError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.records import predict_record
+from hesr_model.friction.thermal_law import inputs_over
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Followed:
+    """What was known of one joint's friction in one log, at each row before its torque.
+
+    Attributes
+    ----------
+    record : of the joint.
+    fixed : (N,) torque of the law as it was fitted [N.m].
+    outputs : (N,) each, by name: torque, factors with standard deviations, alarms and health.
+    """
+
+    record: FrictionRecord
+    fixed: Array
+    outputs: dict[str, Array]
+
+
+def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[Component, ...]:
+    """Return the adaptive equations of each joint of a model.
+
+    Raises
+    ------
+    ExportError
+        If a law has nothing that a level could scale.
+    SimulationError
+        If the model does not say how well it fitted and what it was fitted to, or motors turn with
+        several joints.
+    """
+    if model.coupling is not None:
+        raise SimulationError(
+            f"friction model '{model.law}': its motors turn with several joints, and friction is "
+            "followed joint by joint only."
+        )
+    if not (model.trained and model.training_rmse):
+        raise SimulationError(
+            f"friction model '{model.law}' does not say what it was fitted to and how well; "
+            "following friction needs both."
+        )
+    thermal = model.thermal or (None,) * len(model.laws)
+    rows = zip(model.laws, model.training_rmse, model.trained, thermal, strict=True)
+    return tuple(
+        adaptive_component(
+            law,
+            tuning,
+            noise=noise,
+            speed=trained.speed,
+            viscosity_least=least_viscosity(law),
+            thermal=thermal,
+        )
+        for law, noise, trained, thermal in rows
+    )
+
+
+class Follower:
+    """A friction model on a robot: a share of what its factors become is carried from log to log.
+
+    Each log is an FMU that starts from these factors, as uncertain as one that has just begun.
+
+    Parameters
+    ----------
+    model : fitted to other logs.
+    tuning : of the filter.
+    """
+
+    def __init__(self, model: FrictionModel, tuning: Tuning = TUNING) -> None:
+        self._model, self._tuning = model, tuning
+        components = adaptive_components(model, tuning)
+        self._steps = [Steps(own) for own in components]
+        self._values = [
+            dict(law.values) | {p.name: p.start for p in own.parameters if isinstance(p, Parameter)}
+            for law, own in zip(model.laws, components, strict=True)
+        ]
+
+    def follow(self, records: Sequence[FrictionRecord], *, adapt: bool = True) -> list[Followed]:
+        """Follow friction over one log.
+
+        Parameters
+        ----------
+        records : of every joint, in the model's order; `tau` may hold what is no number.
+        adapt : whether factors follow.
+
+        Raises
+        ------
+        SimulationError
+            If the records are not those of the model's joints.
+        """
+        found = tuple(r.joint for r in records)
+        if found != self._model.joints:
+            raise SimulationError(
+                f"friction model '{self._model.law}': the records to follow are of the joints "
+                f"{', '.join(found) or 'none'}; needed are those of "
+                f"{', '.join(self._model.joints)}."
+            )
+        return [self._of_joint(j, record, adapt) for j, record in enumerate(records)]
+
+    def _of_joint(self, j: int, record: FrictionRecord, adapt: bool) -> Followed:
+        law, steps = self._model.laws[j], self._steps[j]
+        columns, more = inputs_over(record)
+        columns |= {
+            "tau_meas": record.tau + record.tau_load, "tau_rigid": record.tau_load,
+            "adapt": np.full_like(record.t, float(adapt)),
+        }  # fmt: skip
+        slow = len(steps.component.memory) - len(law.start)
+        start = (*(0.0,) * slow, *law.start)
+        values = steps.over(record.t, columns, self._values[j] | more, start)
+        outputs = dict(zip(steps.observed, values, strict=True))
+        for name, known in (("level", 1.0), ("viscosity", 1.0), ("offset", 0.0)):
+            learned = self._tuning.carried * (float(outputs[name][-1]) - known)
+            self._values[j][f"{name}_start"] = known + learned
+        return Followed(record=record, fixed=predict_record(law, record), outputs=outputs)

@@ -1,0 +1,170 @@
+"""Friction over days of logs: factors at the end of each log, alarms, and what they point to.
+
+What signals can tell apart: temperature and lubrication change all joints, and slowly; wear changes
+friction of one joint; a payload, an error of gravity or a sensor moves offsets. A level that one
+joint alone has lost to heat looks like wear, and an offset like an error of gravity.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hesr.extras.adaptive.follow import Followed, Follower
+from hesr.extras.adaptive.tuning import TUNING, Tuning
+from hesr_model.friction.metrics import rmse
+from hesr_model.friction.model import FrictionModel
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
+
+_SHARED = 0.5
+"""Share of the joints from which on a change of friction is one of all."""
+
+POINTS_TO = {
+    "drift": "wear or damage of this joint, or heat of it alone",
+    "shared drift": "temperature or lubrication: most joints change alike",
+    "shift": "a payload, an error of gravity, or a sensor",
+}
+"""What an alarm points to, by its kind."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alarm:
+    """A change that was found.
+
+    Attributes
+    ----------
+    log, joint : names.
+    time : of the log [s].
+    kind : a key of `POINTS_TO`.
+    sign : 1 for more friction or torque than was known, -1 for less.
+    """
+
+    log: str
+    joint: str
+    time: float
+    kind: str
+    sign: int
+
+    @property
+    def points_to(self) -> str:
+        """What such a change comes from."""
+        return POINTS_TO[self.kind]
+
+
+@dataclass(frozen=True, kw_only=True)
+class State:
+    """One joint at the end of one log.
+
+    Attributes
+    ----------
+    log, joint : names.
+    level, viscosity : factors on Coulomb and viscous friction.
+    offset : [N.m], or [N] where the joint slides.
+    level_sd, viscosity_sd, offset_sd : their standard deviations.
+    learning : share of the rows in which factors followed.
+    rmse_fixed, rmse : errors over the log of the law as fitted, and of what was followed [N.m].
+    """
+
+    log: str
+    joint: str
+    level: float
+    level_sd: float
+    viscosity: float
+    viscosity_sd: float
+    offset: float
+    offset_sd: float
+    learning: float
+    rmse_fixed: float
+    rmse: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Watched:
+    """What logs tell of a friction model over days.
+
+    Attributes
+    ----------
+    model : as it was fitted.
+    followed : [log][joint], every row.
+    states : of each joint at the end of each log, in this order.
+    alarms : in the order in which they came.
+    """
+
+    model: FrictionModel
+    followed: tuple[tuple[Followed, ...], ...]
+    states: tuple[State, ...]
+    alarms: tuple[Alarm, ...]
+
+
+def watch(
+    model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]], tuning: Tuning = TUNING
+) -> Watched:
+    """Follow friction over logs [log][joint], in the order of their days.
+
+    Raises
+    ------
+    HesrError
+        If the model is none that can be followed, or the records are not of its joints.
+    """
+    follower = Follower(model, tuning)
+    followed = tuple(tuple(follower.follow(records)) for records in logs)
+    return Watched(
+        model=model,
+        followed=followed,
+        states=tuple(_state(one) for log in followed for one in log),
+        alarms=tuple(alarm for log in followed for alarm in _alarms(log)),
+    )
+
+
+def _state(one: Followed) -> State:
+    last = {name: float(column[-1]) for name, column in one.outputs.items()}
+    known = np.isfinite(one.record.tau)
+    return State(
+        log=one.record.log,
+        joint=one.record.joint,
+        **{name: last[name] for name in (
+            "level", "level_sd", "viscosity", "viscosity_sd", "offset", "offset_sd"
+        )},
+        learning=float(np.mean(one.outputs["health"] == 0.0)),
+        rmse_fixed=rmse((one.fixed - one.record.tau)[known]),
+        rmse=rmse((one.outputs["tau"] - one.record.tau)[known]),
+    )  # fmt: skip
+
+
+def _alarms(log: Sequence[Followed]) -> Iterator[Alarm]:
+    found = [
+        Alarm(
+            log=one.record.log,
+            joint=one.record.joint,
+            time=float(one.record.t[row]),
+            kind=kind,
+            sign=int(one.outputs[kind][row]),
+        )
+        for one in log
+        for kind in ("drift", "shift")
+        for row in _begins(one.outputs[kind])
+    ]
+    shared = shared_signs(((a.joint, a.sign) for a in found if a.kind == "drift"), len(log))
+    for alarm in sorted(found, key=lambda a: a.time):
+        kind = "shared drift" if alarm.kind == "drift" and alarm.sign in shared else alarm.kind
+        yield replace(alarm, kind=kind)
+
+
+def shared_signs(drifts: Iterable[tuple[str, int]], joints: int) -> list[int]:
+    """Return the signs of a change of friction that more than half of so many joints share.
+
+    Parameters
+    ----------
+    drifts : joint and sign of each change that was found.
+    joints : how many there are.
+    """
+    found = set(drifts)
+    most = max(1.0, _SHARED * joints)
+    return [sign for sign in (1, -1) if sum(own == sign for _, own in found) > most]
+
+
+def _begins(alarm: Array) -> list[int]:
+    """Return the rows in which an alarm begins."""
+    before = np.concatenate([[0.0], alarm[:-1]])
+    return [int(row) for row in np.flatnonzero((alarm != 0.0) & (alarm != before))]

@@ -1,0 +1,112 @@
+"""Robots of a fleet beside each other: which are unlike their type, which have changed."""
+
+from collections.abc import Iterator, Sequence
+
+from hesr.extras.adaptive.monitor import POINTS_TO, shared_signs
+from hesr.extras.fleet.result import BODY, Change, Deviant, JointResult, RobotResult
+from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
+from hesr_model.inference.deviation import ENOUGH, Deviation, deviations
+from hesr_model.inference.paired_test import holm
+
+Key = tuple[str, str, str, str]
+"""Robot, law, joint, and name of a number."""
+
+_KINDS = {"level": "drift", "offset": "shift", "error": "error"}
+_POINTS_TO = POINTS_TO | {"error": "what no law of friction explains: play, damage, or a sensor"}
+_ERROR = "rmse"
+"""Name of the error of a law, which is compared as a coefficient is."""
+
+
+def compared(
+    robots: Sequence[RobotResult], level: float
+) -> tuple[dict[tuple[str, str, str], dict[str, float]], list[Deviant]]:
+    """Compare all numbers of each type whose laws have one structure, `ENOUGH` robots at least.
+
+    Parameters
+    ----------
+    robots : of the fleet.
+    level : probability, adjusted for all comparisons (Holm), below which one deviates.
+
+    Returns
+    -------
+    Robust z by robot, law and joint, then by name; and what deviates, the farthest first.
+    """
+    groups: dict[tuple[str, ...], list[tuple[RobotResult, float, float | None]]] = {}
+    for robot in robots:
+        for one in robot.joints:
+            for name, value in _numbers(one):
+                group = (robot.type, one.law, one.joint, one.structure, name)
+                groups.setdefault(group, []).append((robot, value, one.errors.get(name)))
+    found: dict[Key, tuple[str, Deviation]] = {}
+    for (type_, law, joint, _, name), of in groups.items():
+        if len(of) >= ENOUGH:
+            each = deviations([value for _, value, _ in of], [error for *_, error in of])
+            for (robot, *_), apart in zip(of, each, strict=True):
+                found[robot.robot, law, joint, name] = type_, apart
+    p = holm({key: apart.p for key, (_, apart) in found.items()})
+    deviants = [
+        Deviant(
+            robot=key[0], type=type_, law=key[1], joint=key[2], name=key[3],
+            value=apart.value, median=apart.median, z=apart.z, p=p[key],
+        )
+        for key, (type_, apart) in found.items()
+        if p[key] < level
+    ]  # fmt: skip
+    z: dict[tuple[str, str, str], dict[str, float]] = {}
+    for (*place, name), (_, apart) in found.items():
+        z.setdefault((place[0], place[1], place[2]), {})[name] = apart.z
+    return z, sorted(deviants, key=lambda d: (-abs(d.z), d.robot, d.law, d.joint, d.name))
+
+
+def _numbers(one: JointResult) -> Iterator[tuple[str, float]]:
+    if len(one.values) <= MOST_COEFFICIENTS or one.law == BODY:  # no network, say
+        yield from one.values.items()
+    if one.law != BODY:
+        yield _ERROR, one.rmse
+
+
+def changed(robots: Sequence[RobotResult], level: float, least: float) -> list[Change]:
+    """Return what has changed over days, what got worse first.
+
+    Parameters
+    ----------
+    robots : of the fleet.
+    level : probability, adjusted for all trends (Holm), below which one counts.
+    least : share of friction by which it must have changed.
+    """
+    trends = {
+        (robot.robot, one.law, one.joint, name): (robot, found)
+        for robot in robots
+        for one in robot.joints
+        for name, found in one.trends.items()
+    }
+    p = holm({key: found.p for key, (_, found) in trends.items()})
+    counting = {
+        key: robot_and_trend
+        for key, robot_and_trend in trends.items()
+        if p[key] < level and abs(robot_and_trend[1].change) >= least
+    }
+    drifts: dict[tuple[str, str], list[tuple[str, int]]] = {}
+    for (name, law, joint, what), (_, found) in counting.items():
+        if what == "level":
+            drifts.setdefault((name, law), []).append((joint, _sign(found.change)))
+    changes = []
+    for key, (robot, found) in counting.items():
+        name, law, joint, what = key
+        kind, joints = _KINDS[what], sum(one.law == law for one in robot.joints)
+        if kind == "drift" and _sign(found.change) in shared_signs(drifts[name, law], joints):
+            kind = "shared drift"
+        changes.append(
+            Change(
+                robot=name, type=robot.type, law=law, joint=joint, kind=kind,
+                change=found.change, per_day=found.slope, p=p[key],
+                worse=what == "offset" or found.change > 0.0, points_to=_POINTS_TO[kind],
+            )
+        )  # fmt: skip
+    return sorted(
+        changes, key=lambda c: (not c.worse, -abs(c.change), c.robot, c.law, c.joint, c.kind)
+    )
+
+
+def _sign(number: float) -> int:
+    return 1 if number > 0.0 else -1

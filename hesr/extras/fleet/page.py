@@ -1,0 +1,40 @@
+"""The page of a fleet."""
+
+from pathlib import Path
+
+from markupsafe import Markup
+
+from cosim.report.markup import Section, joined, paragraph, table, write_sections
+from hesr.extras.fleet import tables
+from hesr.extras.fleet.result import Fleet
+
+
+def write_page(fleet: Fleet, path: Path) -> None:
+    """Write the page, the same bytes for the same results.
+
+    Raises
+    ------
+    ArtifactError
+        If it cannot be written.
+    """
+    rows = sum(robot.rows for robot in fleet.robots)
+    logs = sum(robot.logs for robot in fleet.robots)
+    text = (
+        f"{len(fleet.robots)} robots, {logs} logs of {rows} rows. Everything is in fleet.parquet, "
+        "a row for each robot, law and joint; robots/ holds the rigid body, the laws and the "
+        "parameter sets of each robot, types/ the FMUs that they are for."
+    )
+    write_sections(
+        path,
+        title=f"HESR fleet: {fleet.name}",
+        heading=f"Fleet ‘{fleet.name}’",
+        summary=paragraph(text),
+        sections=[
+            Section(
+                key=f"table-{k}",
+                title=one.caption,
+                html=joined(table(one), paragraph(one.note, note=True) if one.note else Markup()),
+            )
+            for k, one in enumerate(tables.all_tables(fleet))
+        ],
+    )

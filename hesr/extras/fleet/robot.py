@@ -1,0 +1,279 @@
+"""One robot of a fleet: its logs are read one after the other, never all at once."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from cosim.study.scores import by_joint
+from cosim.systems.parameter_set import export_ssv
+from fmu_src.friction.variable_names import exposed
+from fmu_src.run.batch import Array
+from hesr.extras.fleet.result import BODY, JointResult, RobotResult
+from hesr.extras.fleet.study import FleetStudy, Member
+from hesr_model.artifacts import read_json, write_json, write_model, write_rigid_body
+from hesr_model.errors import ArtifactError, FitError, HesrError, LogError
+from hesr_model.fitting.day_offsets import own_of_log
+from hesr_model.fitting.fit import fit_models
+from hesr_model.friction.metrics import rmse
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.records import predict_record
+from hesr_model.health.examine import examine
+from hesr_model.health.findings import Finding, merged
+from hesr_model.health.fit_checks import check_body, check_laws
+from hesr_model.inference.deviation import trend
+from hesr_model.logs.robot_log import RobotLog
+from hesr_model.logs.sample import Sample
+from hesr_model.logs.signals import Motion, smooth
+from hesr_model.rigid_body.accumulation import Streamed
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.rigid_body.residual import at_friction, motion_records
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.files import sha256
+from hesr_model.support.typed_json import from_json, to_json
+
+RESULT, RESULT_FORMAT = "result.json", "hesr-fleet-robot-1"
+BODY_FILE = f"{BODY}.json"
+
+_VERSIONED = ("hesr", "numpy", "scipy", "sympy", "pin")
+
+
+def look_at(member: Member, study: FleetStudy, folder: Path) -> bool:
+    """Do all of one robot and write it into its folder; return whether it was there already.
+
+    What is wrong with its logs is a part of the result.
+
+    Raises
+    ------
+    ArtifactError
+        If something cannot be written.
+    """
+    key, file = _key(member, study), folder / RESULT
+    try:
+        if read_result(folder).key == key:
+            return True
+    except ArtifactError:
+        pass  # there is none, or half of one
+    try:
+        with threadpool_limits(1):
+            result = _Robot(member, study, key).result(folder)
+    except ArtifactError:
+        raise  # a full disk is no fault of the robot's, and must not be kept as one
+    except HesrError as error:
+        result = RobotResult(key=key, robot=member.name, type=member.type, failure=str(error))
+    # Last: whoever is killed before begins this robot anew.
+    write_json(file, {"format": RESULT_FORMAT, **to_json(result)})
+    return False
+
+
+def read_result(folder: Path) -> RobotResult:
+    """Read what is found of a robot.
+
+    Raises
+    ------
+    ArtifactError
+        If it is not there, or damaged.
+    """
+    file = folder / RESULT
+    return from_json(RobotResult, read_json(file, RESULT_FORMAT), file, "a robot of a fleet")
+
+
+def _key(member: Member, study: FleetStudy) -> str:
+    """Return a hash of all that a robot's results depend on; where files stand does not count."""
+    kind = member.kind
+    files = [kind.robot, *(path for _, path in member.logs)]
+    if kind.robot.is_file():
+        files.insert(1, RobotDescription.read(kind.robot).model)
+    about = {
+        "robot": (member.name, member.type, kind.accept),
+        "names": [name for name, _ in member.logs],
+        "files": [_hash(file) for file in files],
+        "study": study.model_dump(mode="json", include={"seed", "laws", "options", "rows"}),
+        "versions": [version(name) for name in _VERSIONED],
+    }
+    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
+
+
+def _hash(file: Path) -> str | None:
+    """Return the hash of a file; none where reading it will tell what is wrong with it."""
+    try:
+        return sha256(file)
+    except OSError:
+        return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Day:
+    """One joint in one log: rows, error, friction's sum and squares, and what is the log's own."""
+
+    rows: int
+    rmse: float
+    total: float
+    squares: float
+    level: float
+    offset: float
+
+
+class _Robot:
+    def __init__(self, member: Member, study: FleetStudy, key: str) -> None:
+        self._member, self._study, self._key = member, study, key
+        self._description = RobotDescription.read(member.kind.robot)
+        self._model = RobotModel(self._description)
+        self._where = f"robot '{member.name}'"
+        self._refused: dict[str, str] = {}
+        self._findings: list[Finding] = []
+
+    def result(self, folder: Path) -> RobotResult:
+        """Do everything, and write rigid body and laws."""
+        member, study = self._member, self._study
+        if not member.logs:
+            raise LogError(f"{self._where}: there is no log in its folders.")
+        stream, sample = self._collected(None)
+        if not stream.fits:  # a joint that is always slow: its slowest rows are others
+            stream, sample = self._collected(stream.slow)
+        body = stream.body(sample, self._where)
+        records = by_joint([motion_records(m, self._model, body) for m in sample])
+        source = {
+            "robot": member.name,
+            "fleet": study.name,
+            "sample": sum(len(m.t) for m in sample),
+        }
+        failed: dict[str, FitError] = {}
+        models = fit_models(
+            study.laws,
+            records,
+            robot=member.name,
+            seed=study.seed,
+            options=study.options,
+            provenance=source,
+            workers=1,
+            left_out=failed.__setitem__,
+        )
+        findings = [*check_body(body, self._model), *check_laws(models, records)]
+        for law, model in models.items():
+            write_model(folder / f"{law}.json", model)
+            if all(map(exposed, model.laws)):
+                export_ssv(model, folder / f"{law}.ssv")
+        write_rigid_body(folder / BODY_FILE, body, source)
+        return RobotResult(
+            key=self._key,
+            robot=member.name,
+            type=member.type,
+            logs=len(member.logs) - len(self._refused),
+            rows=stream.rows,
+            refused=(*self._refused.values(), *map(str, failed.values())),
+            findings=tuple(merged([*self._findings, *findings])),
+            joints=(_of_body(body), *self._joints(models, body)),
+        )
+
+    def _collected(self, slow: Any) -> tuple[Streamed, list[Motion]]:
+        """Read all logs once, for the rigid body and for the sample."""
+        stream = Streamed(self._model, slow)
+        sample = Sample(self._study.rows, self._study.seed)
+        for parts in self._motions(check=slow is None):
+            for part in parts:
+                stream.add(part)
+                sample.add(part)
+        if not stream.rows:
+            first = next(iter(self._refused.values()))
+            raise LogError(f"none of its {len(self._refused)} logs can be used, the first: {first}")
+        return stream, sample.motions()
+
+    def _motions(self, *, check: bool = False) -> Iterator[list[Motion]]:
+        """Yield the parts of each log that can be used, one log after the other."""
+        cutoff = self._description.log.filter_cutoff
+        for name, path in self._member.logs:
+            if name in self._refused:
+                continue
+            try:
+                log = replace(RobotLog.read(path, self._description), name=name)
+                if check:
+                    self._check(log)
+                parts = [smooth(part, cutoff) for part in log.parts()]
+            except LogError as error:
+                if not check:  # it could be used before
+                    raise
+                self._refused[name] = str(error)
+                continue
+            yield parts
+
+    def _check(self, log: RobotLog) -> None:
+        accept = self._member.kind.accept
+        found = examine([log], self._description, self._model).findings
+        wrong = [f for f in found if f.severity == "refusal" and f.check not in accept]
+        if wrong:
+            raise LogError("; ".join(f"{f.sentence.removesuffix('.')} [{f.check}]" for f in wrong))
+        self._findings = merged([*self._findings, *found])
+
+    def _joints(self, models: Mapping[str, FrictionModel], body: RigidBody) -> list[JointResult]:
+        """Read all logs once more, for errors and trends."""
+        plain = replace(body, covariance=None)  # whose spread nobody asks for here
+        found: dict[tuple[str, int], dict[str, _Day]] = {}
+        for parts in self._motions():
+            logs = [at_friction(motion_records(part, self._model, plain)) for part in parts]
+            for law, model in models.items():
+                for joint, own in enumerate(model.laws):
+                    predicted = np.concatenate([predict_record(own, r[joint]) for r in logs])
+                    tau = np.concatenate([r[joint].tau for r in logs])
+                    found.setdefault((law, joint), {})[parts[0].name] = _day(predicted, tau)
+        days = self._member.days
+        return [
+            _joint(models[law], joint, of_logs, [days[log] for log in of_logs])
+            for (law, joint), of_logs in found.items()
+        ]
+
+
+def _day(predicted: Array, tau: Array) -> _Day:
+    own = own_of_log(predicted, tau, ("level", "offset"))
+    return _Day(
+        rows=len(tau),
+        rmse=rmse(predicted - tau),
+        total=float(tau.sum()),
+        squares=float(tau @ tau),
+        level=own.level,
+        offset=own.offset,
+    )
+
+
+def _joint(
+    model: FrictionModel, joint: int, logs: Mapping[str, _Day], days: Sequence[float]
+) -> JointResult:
+    law, of = model.laws[joint], list(logs.values())
+    rows = sum(day.rows for day in of)
+    error = float(np.sqrt(sum(day.rows * day.rmse**2 for day in of) / rows))
+    mean = sum(day.total for day in of) / rows
+    tau_std = float(np.sqrt(max(sum(day.squares for day in of) / rows - mean**2, 0.0)))
+    size = tau_std or 1.0
+    courses = {
+        "level": [day.level for day in of],
+        "offset": [day.offset / size for day in of],
+        "error": [day.rmse / size for day in of],
+    }
+    trends = {name: trend(days, values) for name, values in courses.items()}
+    return JointResult(
+        law=model.law,
+        joint=model.joints[joint],
+        structure=json.dumps(law.structure, sort_keys=True),
+        values=law.values,
+        errors=law.standard_errors,
+        rmse=error,
+        tau_std=tau_std,
+        trends={name: one for name, one in trends.items() if one is not None},
+    )
+
+
+def _of_body(body: RigidBody) -> JointResult:
+    names = [body.names[k] for k in body.base]
+    return JointResult(
+        law=BODY,
+        joint="",
+        structure=json.dumps(names),
+        values=dict(zip(names, body.parameters[list(body.base)].tolist(), strict=True)),
+        errors=dict(zip(names, body.standard_errors.tolist(), strict=True)),
+    )

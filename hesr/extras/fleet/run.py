@@ -1,0 +1,71 @@
+"""A fleet: each robot by itself, then all together; it goes on where it was interrupted."""
+
+from functools import partial
+from pathlib import Path
+
+from hesr.extras.fleet.comparison import changed, compared
+from hesr.extras.fleet.parquet import write_table
+from hesr.extras.fleet.result import Fleet
+from hesr.extras.fleet.robot import look_at, read_result
+from hesr.extras.fleet.study import FleetStudy, members
+from hesr.extras.fleet.types import ROBOTS, write_types
+from hesr.extras.sweep.store import taken
+from hesr_model.friction.registry import estimator
+from hesr_model.health.examine import CHECKS
+from hesr_model.health.findings import require_known
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support import parallel
+from hesr_model.support.progress import Stages, counted, silent
+
+ABOUT, TABLE, PAGE = "fleet.json", "fleet.parquet", "fleet.html"
+
+
+def run_fleet(
+    path: Path, output: Path, *, workers: int | None = None, progress: Stages = silent
+) -> Fleet:
+    """Look at all robots of a fleet, and write what was found; robots that are done are not redone.
+
+    Parameters
+    ----------
+    path : file of the fleet.
+    output : folder of the results.
+    workers : processes; one for each core where not given, none of its own for 1. The files do not
+        depend on it.
+    progress : told how many robots are done.
+
+    Raises
+    ------
+    HesrError
+        If the file, a robot file or the folder is wrong. What is wrong with the logs of a robot is
+        part of its results.
+    """
+    study = FleetStudy.read(path)
+    for law in study.laws:
+        estimator(law)
+    for robot in dict.fromkeys(kind.robot for kind in study.types.values()):
+        RobotModel(RobotDescription.read(robot))
+    for kind in study.types.values():
+        require_known(kind.accept, CHECKS)
+    robots = members(study, path)
+    with taken(output, ROBOTS, ABOUT, {"key": study.name}):
+        jobs = [partial(look_at, robot, study, output / ROBOTS / robot.name) for robot in robots]
+        with parallel.results_of(jobs, workers) as done_before:
+            each = counted(jobs, partial(progress, study.name))
+            reused = sum(next(done_before) for _ in each)
+        results = tuple(read_result(output / ROBOTS / robot.name) for robot in robots)
+        z, deviants = compared(results, study.level)
+        found = Fleet(
+            name=study.name,
+            robots=results,
+            z=z,
+            deviants=tuple(deviants),
+            changes=tuple(changed(results, study.level, study.least_change)),
+            fmus=write_types(study, results, output, progress) if study.fmu else {},
+            folder=output,
+            reused=reused,
+        )
+        write_table(output / TABLE, found)
+        from hesr.extras.fleet.page import write_page  # draws, which takes long to load
+
+        write_page(found, output / PAGE)
+    return found

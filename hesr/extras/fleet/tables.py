@@ -1,0 +1,108 @@
+"""Tables of a fleet: its types, who deviates, what has changed, and what could not be used."""
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from cosim.report.tables.table import ResultTable, TableCell, fixed, number, row_of
+from hesr.extras.fleet.result import BODY
+from hesr_model.inference.deviation import ENOUGH
+
+if TYPE_CHECKING:
+    from hesr.extras.fleet.result import Fleet
+
+_MOST = 30
+"""Rows of a table; all are in the Parquet file."""
+
+
+def all_tables(fleet: "Fleet") -> Iterator[ResultTable]:
+    """Yield the tables that have something to show."""
+    yield types(fleet)
+    for table in (deviants(fleet), changes(fleet), broken(fleet)):
+        if table.rows:
+            yield table
+
+
+def types(fleet: "Fleet") -> ResultTable:
+    """Return how many robots of each type there are, and of how many there is something to say."""
+    type_of = {robot.robot: robot.type for robot in fleet.robots}
+    columns = [
+        {robot.robot for robot in fleet.robots},
+        {d.robot for d in fleet.deviants},
+        {c.robot for c in fleet.changes if c.worse},
+        {robot.robot for robot in fleet.robots if robot.findings},
+        {robot.robot for robot in fleet.broken},
+    ]
+    counts = [Counter(type_of[name] for name in names) for names in columns]
+    few = [t for t in sorted(counts[0]) if counts[0][t] < ENOUGH]
+    note = f"Fewer than {ENOUGH} robots are not compared: {', '.join(few)}." if few else ""
+    return ResultTable(
+        caption=f"Fleet {fleet.name}",
+        head=("type", "robots", "deviate", "got worse", "with findings", "not all used"),
+        rows=[row_of(t, *(fixed(c[t], 0) for c in counts)) for t in sorted(counts[0])],
+        note=note,
+    )
+
+
+def deviants(fleet: "Fleet") -> ResultTable:
+    """Return which numbers of which robots are unlike those of their type."""
+    rows = [
+        row_of(
+            d.robot, "rigid body" if d.law == BODY else d.law, d.joint or "–", d.name,
+            number(d.value, 4), number(d.median, 4), fixed(d.z, 1), _p(d.p),
+        )
+        for d in fleet.deviants[:_MOST]
+    ]  # fmt: skip
+    return ResultTable(
+        caption="Robots that deviate from their type",
+        head=("robot", "law", "joint", "number", "value", "median", "z", "p"),
+        rows=rows,
+        words=(1, 2, 3),
+        note=f"z in robust standard deviations, p adjusted for all numbers compared."
+        f"{_more(len(fleet.deviants))}",
+    )
+
+
+def changes(fleet: "Fleet") -> ResultTable:
+    """Return what has changed over days, what got worse first."""
+    rows = [
+        row_of(
+            c.robot, c.law, c.joint, c.kind, _share(c.change, 1), _share(c.per_day, 2), _p(c.p),
+            "yes" if c.worse else "no", c.points_to,
+        )
+        for c in fleet.changes[:_MOST]
+    ]  # fmt: skip
+    return ResultTable(
+        caption="Robots that have changed",
+        head=("robot", "law", "joint", "what", "change", "per day", "p", "worse", "points to"),
+        rows=rows,
+        words=(1, 2, 3, 7, 8),
+        note=f"Shares of friction; p adjusted for all trends.{_more(len(fleet.changes))}",
+    )
+
+
+def broken(fleet: "Fleet") -> ResultTable:
+    """Return what could not be used, and why."""
+    sentences = [
+        (robot.robot, text)
+        for robot in fleet.broken
+        for text in (*filter(None, [robot.failure]), *robot.refused)
+    ]
+    return ResultTable(
+        caption="Not used",
+        head=("robot", "why"),
+        rows=[row_of(name, text) for name, text in sentences],
+        numeric=False,
+    )
+
+
+def _more(count: int) -> str:
+    return f" {count - _MOST} more are in the Parquet file." if count > _MOST else ""
+
+
+def _share(share: float, decimals: int) -> TableCell:
+    return TableCell(text=f"{100.0 * share:+.{decimals}f} %".replace("-", "−"), value=share)
+
+
+def _p(p: float) -> TableCell:
+    return TableCell(text="< 0.001" if p < 1e-3 else f"{p:.3f}", value=p)

@@ -1,0 +1,166 @@
+"""Servo friction of BAM (better actuator models), M1 to M6: maps of velocity and load.
+
+Source: M. Duclusaud, G. Passault, V. Padois, O. Ly, Extended friction models for the physics
+simulation of servo actuators, 2024 (arXiv 2410.08650), and the documentation of BAM.
+
+With e = exp(-|v/v_s|^alpha), alpha 1, 2 or 3, and the load L, the torque is sgn(v) times
+
+    M1  F_c                             M2  F_c + F_e e
+    M3  F_c + mu |L|                    M4  F_c + mu |L| + e (F_e + mu_e |L|)
+    M5  as M4, and mu, mu_e differ where the motor drives the load and where the load drives it
+    M6  as M5, and + e nu L^2, likewise
+
+plus viscous friction and an offset. BAM weighs the torque of the motor, K_m, against that of the
+load, K_e. A motor's torque is load plus friction, tau, and nobody tells it to a friction law here;
+solved for it, tau = F_c + |(K_m + K_e) L + K_m tau| is a level per load of (K_m + K_e)/(1 -+ K_m):
+one where the motor drives, another one where it is driven. These are what is fitted. With its one
+weight M3 and M4 are that to first order, the same both ways.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+import sympy
+
+from hesr_model.equations.functions import absolute, positive, sgn
+from hesr_model.errors import ArtifactError
+from hesr_model.fitting.declarative import OneForm
+from hesr_model.fitting.estimator import register
+from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.separable import SearchSpace, Separable
+from hesr_model.friction.inputs import DQ, TAU_LOAD
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.laws.stribeck import F_C, SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
+from hesr_model.rigid_body.residual import FrictionRecord
+
+ALPHAS = (1, 2, 3)
+"""Exponents of the Stribeck curve, of which a fit takes the best."""
+
+_AT_REST = sympy.Symbol("e", real=True)  # stands for exp(-|v/v_s|^alpha)
+_AHEAD, _BACK = (positive(way * sgn(DQ) * TAU_LOAD) for way in (1, -1))
+_ANY = absolute(TAU_LOAD)
+
+
+def _term(name: str, unit: str, description: str, factor: sympy.Expr) -> tuple[Any, sympy.Expr]:
+    return Coefficient(name=name, unit=unit, description=description), factor
+
+
+_LEVEL = _term("F_c", F_C.unit, F_C.description, sympy.Integer(1))
+_RISE = _term("F_e", "N.m", "rise of friction at rest", _AT_REST)
+_LOAD = _term("mu", "1", "friction per load", _ANY)
+_LOAD_RISE = _term("mu_e", "1", "rise of that at rest", _AT_REST * _ANY)
+_DRIVING = tuple(
+    _term(name + way, unit, f"{what}, {when}", factor * load**power)
+    for way, when, load in (("_d", "the motor drives", _AHEAD), ("_b", "it is driven", _BACK))
+    for name, unit, what, factor, power in (
+        ("mu", "1", "friction per load", sympy.Integer(1), 1),
+        ("mu_e", "1", "rise of that at rest", _AT_REST, 1),
+    )
+)
+_SQUARES = tuple(
+    _term(name, "1/(N.m)", f"rise at rest per square of the load, {when}", _AT_REST * load**2)
+    for name, when, load in (("nu_d", "the motor drives", _AHEAD), ("nu_b", "it is driven", _BACK))
+)
+
+
+class _Bam(OneForm):
+    """A level that is a sum of terms, none of them negative."""
+
+    terms: ClassVar[tuple[tuple[Coefficient, sympy.Expr], ...]]
+    everyday = False
+
+    @classmethod
+    def core(cls, structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions; {"alpha": 1} gives another exponent than 2."""
+        alpha = structure.get("alpha", 2)
+        falls = cls._falls()
+        if structure.keys() - ({"alpha"} if falls else set()) or alpha not in ALPHAS:
+            known = f"'alpha', one of {', '.join(map(str, ALPHAS))}" if falls else "nothing"
+            raise ArtifactError(f"law '{cls.name}' has {known} to choose, found {dict(structure)}.")
+        at_rest = sympy.exp(-((absolute(DQ) / V_S.symbol) ** alpha))
+        level = sum(c.symbol * factor for c, factor in cls.terms).xreplace({_AT_REST: at_rest})
+        return LawForm(
+            coefficients=(*(c for c, _ in cls.terms), SIGMA_2, TAU_0, *((V_S,) if falls else ())),
+            output=level * sgn(DQ) + SIGMA_2.symbol * DQ + TAU_0.symbol,
+        )
+
+    def space(self) -> SearchSpace:
+        """Search v_s where there is one; everything else is linear."""
+        names = (*(c.name for c, _ in self.terms), SIGMA_2.name)
+        return SearchSpace(
+            bounds=((V_S.name, VELOCITY_BOUNDS),) if self._falls() else (),
+            linear=(*names, TAU_0.name),
+            non_negative=len(names),
+        )
+
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Fit with each exponent, as many coefficients each, and keep the least squares."""
+        if not self._falls():
+            return super().fit(records, rng)
+        samples = Samples.of(records, coefficients=len(self.core({}).coefficients))
+        fits = []
+        for alpha in ALPHAS:
+            problem = Separable(self.core({"alpha": alpha}), self.space(), samples)
+            point = problem.polish(problem.search(rng))
+            fits.append((problem.solve(point)[1], alpha, problem, point))
+        _, alpha, problem, point = min(fits, key=lambda fit: fit[0])
+        return self.finish({"alpha": alpha}, problem, point)
+
+    @classmethod
+    def _falls(cls) -> bool:
+        return any(factor.has(_AT_REST) for _, factor in cls.terms)
+
+
+@register
+class BamM1(_Bam):
+    """tau = F_c sgn(v) + sigma_2 v + tau_0: Coulomb and viscous friction."""
+
+    name = "bam_m1"
+    title = "BAM M1"
+    terms = (_LEVEL,)
+
+
+@register
+class BamM2(_Bam):
+    """tau = (F_c + F_e e) sgn(v) + ...: M1 with Stribeck's rise e = exp(-|v/v_s|^alpha)."""
+
+    name = "bam_m2"
+    title = "BAM M2"
+    terms = (_LEVEL, _RISE)
+
+
+@register
+class BamM3(_Bam):
+    """tau = (F_c + mu |L|) sgn(v) + ...: M1 with the load."""
+
+    name = "bam_m3"
+    title = "BAM M3"
+    terms = (_LEVEL, _LOAD)
+
+
+@register
+class BamM4(_Bam):
+    """tau = (F_c + mu |L| + e (F_e + mu_e |L|)) sgn(v) + ...: M2 with the load."""
+
+    name = "bam_m4"
+    title = "BAM M4"
+    terms = (_LEVEL, _RISE, _LOAD, _LOAD_RISE)
+
+
+@register
+class BamM5(_Bam):
+    """M4 whose friction per load differs where the motor drives and where it is driven."""
+
+    name = "bam_m5"
+    title = "BAM M5"
+    terms = (_LEVEL, _RISE, *_DRIVING)
+
+
+@register
+class BamM6(_Bam):
+    """M5 with the square of the load in what rises at rest."""
+
+    name = "bam_m6"
+    title = "BAM M6"
+    terms = (_LEVEL, _RISE, *_DRIVING, *_SQUARES)

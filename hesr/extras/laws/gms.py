@@ -1,0 +1,90 @@
+"""Maxwell-slip in general: parallel stops whose level follows Stribeck's curve with a delay.
+
+Sources: V. Lampaert, F. Al-Bender, J. Swevers, A generalized Maxwell-slip friction model
+appropriate for control purposes, 2003; F. Al-Bender, V. Lampaert, J. Swevers, The generalized
+Maxwell-slip model: a novel model for friction simulation and compensation, 2005.
+
+There an element sticks, F_i' = k_i v, up to alpha_i s(v), and slides until v turns,
+
+    F_i' = sgn(v) C (alpha_i - F_i / s(v))
+
+With F_i = sgn(v) alpha_i b this is b' = C (1 - b / s(v)), alpha_i of an element in it for all of
+them: one relaxation, and while it slides an element stands at that bound. Here it does so at all
+times, x_i = clip(x_i + v dt / w_i, -b, b). What differs is the moment of sliding: at b, which lags,
+and not at s(v); and elements that stick below b go on as stops do. It spares the switch that is
+neither a relaxation nor a stop, and which gives energy where motions are so small that s(v) rises
+while an element slides: a bound gives none.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import sympy
+
+from hesr_model.equations.memory import Relaxation, Stop
+from hesr_model.fitting.declarative import OneForm, no_structure
+from hesr_model.fitting.estimator import register
+from hesr_model.fitting.separable import SearchSpace
+from hesr_model.friction.inputs import DQ
+from hesr_model.friction.law import Coefficient, LawForm
+from hesr_model.laws.lugre import RATIO_TEXTBOOK
+from hesr_model.laws.stops.form import DEFLECTIONS
+from hesr_model.laws.stribeck import SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
+
+RATIO = Coefficient(name="ratio", unit="1", description="static friction over Coulomb friction")
+ATTRACTION = Coefficient(name="C", unit="1/s", description="rate at which sliding friction settles")
+ATTRACTION_BOUNDS = (1.0, 1e3)
+"""Of that rate [1/s]."""
+
+_WIDTHS = DEFLECTIONS[::2]
+_FORCES = tuple(
+    Coefficient(name=f"F_{i}", unit="N.m", description="Coulomb friction of an element")
+    for i, _ in enumerate(_WIDTHS, start=1)
+)
+_CURVE = 1 + (RATIO.symbol - 1) * sympy.exp(-((DQ / V_S.symbol) ** 2))
+_RATE = ATTRACTION.symbol / _CURVE
+# How far the bound is below that of rest, so that it begins at 0 as states do.
+_BELOW = Relaxation(name="y", unit="1", drive=_RATE * (RATIO.symbol - _CURVE), rate=_RATE)
+_STOPS = tuple(
+    Stop(
+        name=f"x{i}",
+        unit="1",
+        velocity=DQ,
+        deflection=float(f"{w:.4g}"),
+        bound=RATIO.symbol - _BELOW.state,
+    )
+    for i, w in enumerate(_WIDTHS, start=1)
+)
+
+
+@register
+class Gms(OneForm):
+    """Stops of Coulomb friction F_i between -b and b, b' = C (1 - b/s(v)), + sigma_2 v + tau_0."""
+
+    name = "gms"
+    title = "GMS, bounds that relax"
+    everyday = False
+
+    @staticmethod
+    def core(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        no_structure("gms", structure)
+        torque = sum(f.symbol * x.state for f, x in zip(_FORCES, _STOPS, strict=True))
+        return LawForm(
+            coefficients=(*_FORCES, SIGMA_2, TAU_0, RATIO, V_S, ATTRACTION),
+            memory=(_BELOW, *_STOPS),
+            output=torque + SIGMA_2.symbol * DQ + TAU_0.symbol,
+        )
+
+    def space(self) -> SearchSpace:
+        """Search F_s / F_c, v_s and C; everything else is linear."""
+        forces = (*(f.name for f in _FORCES), SIGMA_2.name)
+        return SearchSpace(
+            bounds=(
+                (RATIO.name, RATIO_TEXTBOOK),
+                (V_S.name, VELOCITY_BOUNDS),
+                (ATTRACTION.name, ATTRACTION_BOUNDS),
+            ),
+            linear=(*forces, TAU_0.name),
+            non_negative=len(forces),
+        )

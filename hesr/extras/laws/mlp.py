@@ -1,0 +1,146 @@
+"""MLP-H: one hidden layer of tanh on velocity, hysteresis state and its derivative."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hesr_model.equations.over_log import Discretisation
+from hesr_model.fitting.estimator import Estimator, register
+from hesr_model.fitting.samples import Samples
+from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.laws.networks.inputs import Inputs, candidates, first_tame, size, sizes
+from hesr_model.laws.networks.training import Network, path
+from hesr_model.laws.parfam import evolve, family
+from hesr_model.laws.parfam.features import HysteresisFeatures
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array, Mask
+from hesr_model.support.progress import counted, step
+
+MAX_HIDDEN = 16
+"""Largest hidden layer."""
+DECAYS = (3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
+"""Weight decays that are tried, on standardised data. Each network starts from the one with the
+decay before, which makes its result depend less on the random start."""
+SEARCHED_ROWS = 1600
+"""Rows on which the choices are compared; the chosen network is trained on all."""
+_TINY = 1e-12
+
+
+@register
+class MlpH(Estimator):
+    """tau = c_0 + sum_k c_k tanh(theta_k . (1, dq, h, h')).
+
+    For each (alpha, beta) of stage 1 and each size, Levenberg-Marquardt with weight decay trains
+    networks from several random starts. (alpha, beta), size and decay are those that predict
+    left-out logs best on the mean of the starts; then the start is taken that fits best.
+
+    Parameters
+    ----------
+    hidden : sizes of the hidden layer that are tried, up to `MAX_HIDDEN`.
+    cells, starts : how many (alpha, beta) and how many random starts are tried.
+    discretisation : of the hysteresis state.
+    """
+
+    name = "mlp_h"
+    title = "MLP-H"
+    typical: ClassVar[Mapping[str, Any]] = {"hidden": 1}
+
+    def __init__(
+        self,
+        *,
+        hidden: Sequence[int] = (2, 4, 8, 16),
+        cells: int = 3,
+        starts: int = 2,
+        discretisation: Discretisation = "exact",
+    ) -> None:
+        self.hidden = sizes(self.name, "hidden", hidden, 1, MAX_HIDDEN)
+        self.cells = cells
+        self.starts = starts
+        self.discretisation = discretisation
+
+    @staticmethod
+    def form(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions of a structure {"hidden": size}: ParFam's with as many units."""
+        units = size("mlp_h", structure, "hidden", MAX_HIDDEN)
+        unit = {"g": "tanh", "arguments": list(family.FEATURES)}
+        return family.form({"linear": ["1"], "units": [unit] * units})
+
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Train every choice with each log left out in turn, then the best (starts by `rng`)."""
+        samples = Samples.of(records, coefficients=3 + 5 * max(self.hidden))
+        features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
+        inputs = candidates(features, self.cells)
+        return first_tame(self._best_first(inputs, samples, rng), records)
+
+    def _best_first(
+        self, inputs: Sequence[Inputs], samples: Samples, rng: np.random.Generator
+    ) -> Iterator[FrictionLaw]:
+        level, scale = float(samples.tau.mean()), max(float(samples.tau.std()), _TINY)
+        y = (samples.tau - level) / scale
+        starts = {
+            hidden: [evolve.starting_points(rng, hidden, 4).T for _ in range(self.starts)]
+            for hidden in self.hidden
+        }
+        choices = [(cell, hidden) for cell in inputs for hidden in self.hidden]
+        costs = np.array(
+            [
+                left_out(cell.z, y, samples.folds, starts[hidden])
+                for cell, hidden in counted(choices, step)
+            ]
+        )
+        for place in np.argsort(costs, axis=None):
+            i, decay = np.unravel_index(place, costs.shape)
+            cell, hidden = choices[i]
+            found = [path(cell.z, y, theta, DECAYS[: decay + 1])[-1] for theta in starts[hidden]]
+            yield self._law(cell, min(found, key=lambda network: network.cost), level, scale)
+
+    def _law(self, inputs: Inputs, network: Network, level: float, scale: float) -> FrictionLaw:
+        gains, theta = network.gains, network.theta
+        # tanh is odd: positive gains, the largest first, so that a network prints in one way only.
+        theta = np.where(gains < 0.0, -theta, theta)
+        gains = np.abs(gains)
+        order = np.argsort(-gains, kind="stable")
+        slopes = theta[1:] / inputs.spread[:, None]
+        arguments = np.vstack([theta[0] - inputs.mean @ slopes, slopes])
+        values = {
+            family.linear_name("1"): level + scale * network.bias,
+            "alpha": inputs.cell.alpha,
+            "beta": inputs.cell.beta,
+        }
+        for k, unit in enumerate(order, start=1):
+            values[family.gain_name(k)] = float(scale * gains[unit])
+            for x, value in zip(family.FEATURES, arguments[:, unit], strict=True):
+                values[family.argument_name(k, x)] = float(value)
+        structure = {"hidden": len(gains)}
+        return FrictionLaw(
+            name=self.name,
+            structure=structure,
+            form=self.form(structure),
+            values=values,
+            discretisation=self.discretisation,
+        )
+
+
+def left_out(z: Array, y: Array, folds: Sequence[Mask], starts: Sequence[Array]) -> Array:
+    """Mean square on left-out rows of networks trained without them.
+
+    Parameters
+    ----------
+    z : (N, 3) standardised inputs.
+    y : (N,) standardised torque.
+    folds : (N,) masks of the rows that are left out in turn.
+    starts : (4, H) hidden layers from which training starts.
+
+    Returns
+    -------
+    (decays,) mean over the starts and all rows, relative to the torque's variance.
+    """
+    stride = max(1, len(y) // SEARCHED_ROWS)
+    total = np.zeros(len(DECAYS))
+    for fold in folds:
+        trained = np.flatnonzero(~fold)[::stride]
+        for theta in starts:
+            for i, network in enumerate(path(z[trained], y[trained], theta, DECAYS)):
+                total[i] += np.sum((network.output(z[fold]) - y[fold]) ** 2)
+    return total / (len(y) * len(starts))

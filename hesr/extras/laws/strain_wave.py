@@ -1,0 +1,107 @@
+"""The strain-wave law: gear meshing whose friction is proportional to the load."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from hesr_model.equations.functions import absolute, positive, sgn
+from hesr_model.equations.memory import Relaxation
+from hesr_model.fitting.declarative import OneForm, no_structure
+from hesr_model.fitting.estimator import register
+from hesr_model.fitting.separable import SearchSpace
+from hesr_model.friction.inputs import DQ, TAU_LOAD
+from hesr_model.friction.law import Coefficient, LawForm
+from hesr_model.laws.stribeck import F_C, SIGMA_2, TAU_0
+
+MU_AVG = Coefficient(name="mu_avg", unit="1", description="friction per load, both ways alike")
+MU_DIF = Coefficient(name="mu_dif", unit="1", description="friction per load, driving or driven")
+X_0 = Coefficient(name="x_0", unit="rad", description="sliding deflection")
+
+DEFLECTION_BOUNDS = (1e-5, 0.1)
+"""Bounds of the sliding deflection [rad]."""
+
+
+@register
+class StrainWave(OneForm):
+    """Meshing z' = (v - |v| z)/x_0 with friction mu_avg |tau_load| z + mu_dif tau_load z^2 + ...
+
+    Source: issue 3528 of the MuJoCo tracker, plus a Coulomb, a viscous and an offset term. While
+    sliding z^2 = 1, so mu_dif tau_load is collinear with the rigid-body torque: from motor currents
+    alone mu_dif is determined by reversals only, and hardly so.
+    """
+
+    name = "strain_wave"
+    title = "Strain wave"
+
+    @staticmethod
+    def core(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        no_structure("strain_wave", structure)
+        mesh = Relaxation(name="z", unit="1", drive=DQ / X_0.symbol, rate=absolute(DQ) / X_0.symbol)
+        z = mesh.state
+        return LawForm(
+            coefficients=(X_0, MU_AVG, MU_DIF, F_C, SIGMA_2, TAU_0),
+            memory=(mesh,),
+            output=MU_AVG.symbol * absolute(TAU_LOAD) * z
+            + MU_DIF.symbol * TAU_LOAD * z**2
+            + F_C.symbol * z
+            + SIGMA_2.symbol * DQ
+            + TAU_0.symbol,
+        )
+
+    def space(self) -> SearchSpace:
+        """Search the deflection; everything else is linear."""
+        return SearchSpace(
+            bounds=((X_0.name, DEFLECTION_BOUNDS),),
+            linear=("F_c", "sigma_2", "mu_avg", "mu_dif", "tau_0"),
+            non_negative=2,
+        )
+
+
+RISE_BOUNDS = (1e-4, 10.0)
+"""Of the bounds' rises per load [1/(N.m)]."""
+RISE_D = Coefficient(
+    name="rise_d", unit="1/(N.m)", description="relative rise per load, the motor drives"
+)
+RISE_B = Coefficient(
+    name="rise_b", unit="1/(N.m)", description="relative rise per load, it is driven"
+)
+
+
+@register
+class StrainWaveBound(OneForm):
+    """Meshing z' = (v - |v| z/b)/x_0, b = 1 + rise_d max(L sgn(v), 0) + rise_b max(-L sgn(v), 0).
+
+    The strain-wave law with the load L in the bound of its deflection, where it gives no energy;
+    what differs while the gear drives and is driven are two rises of it.
+    """
+
+    name = "strain_wave_bound"
+    title = "Strain wave, load as bound"
+    everyday = False
+
+    @staticmethod
+    def core(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        no_structure("strain_wave_bound", structure)
+        ahead, back = (positive(way * sgn(DQ) * TAU_LOAD) for way in (1, -1))
+        bound = 1 + RISE_D.symbol * ahead + RISE_B.symbol * back
+        mesh = Relaxation(
+            name="z", unit="1", drive=DQ / X_0.symbol, rate=absolute(DQ) / (X_0.symbol * bound)
+        )
+        return LawForm(
+            coefficients=(X_0, RISE_D, RISE_B, F_C, SIGMA_2, TAU_0),
+            memory=(mesh,),
+            output=F_C.symbol * mesh.state + SIGMA_2.symbol * DQ + TAU_0.symbol,
+        )
+
+    def space(self) -> SearchSpace:
+        """Search the deflection and both rises; everything else is linear."""
+        return SearchSpace(
+            bounds=(
+                (X_0.name, DEFLECTION_BOUNDS),
+                (RISE_D.name, RISE_BOUNDS),
+                (RISE_B.name, RISE_BOUNDS),
+            ),
+            linear=("F_c", "sigma_2", "tau_0"),
+            non_negative=2,
+        )

@@ -1,0 +1,169 @@
+"""What an arena file says: robots, logs, classes of inputs, scores; and its logs, read."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from cosim.workflow.arguments import examined
+from hesr_model.artifacts import read_rigid_body
+from hesr_model.errors import ConfigError
+from hesr_model.logs.robot_log import RobotLog, parts_of
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.config import Config, PrintableName, RelativePath
+from hesr_model.support.files import sha256
+
+Kind = Literal["all", "moving", "reversals", "rests"]
+Score = Literal["all", "moving", "reversals", "rests", "properties", "time"]
+Connector = Literal["dq", "q", "tau_load"]
+Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+KINDS: tuple[Kind, ...] = ("all", "moving", "reversals", "rests")
+"""Rows by which torque is scored."""
+
+CLASSES: Mapping[str, tuple[Connector, ...]] = {
+    "v": ("dq",),
+    "v, q": ("dq", "q"),
+    "v, load": ("dq", "tau_load"),
+    "v, q, load": ("dq", "q", "tau_load"),
+}
+"""Where an arena names none."""
+
+
+class ArenaRobot(Config):
+    """A robot, and the rigid body by which friction is told from its torque.
+
+    Attributes
+    ----------
+    name : in this arena.
+    file : robot file.
+    rigid_body, rigid_body_sha256 : result of `hesr identify`, and the file's hash.
+    """
+
+    name: PrintableName = Field(min_length=1)
+    file: RelativePath
+    rigid_body: RelativePath
+    rigid_body_sha256: Hash
+
+
+class ArenaLog(Config):
+    """A log.
+
+    Attributes
+    ----------
+    file, sha256 : the file, and its hash.
+    robot : whose log it is; may be left out where there is one robot.
+    source : where to get it.
+    licence : under which.
+    """
+
+    file: RelativePath
+    sha256: Hash
+    robot: str = ""
+    source: PrintableName = Field(min_length=1)
+    licence: PrintableName = Field(min_length=1)
+
+
+class Arena(Config):
+    """What entries are scored on.
+
+    Attributes
+    ----------
+    name : of the arena.
+    robots, logs : at least one log of each robot.
+    warm_up : replayed at the beginning of each log, not scored [s]: nobody who runs an FMU knows
+        the state in which friction begins.
+    block : length of the bootstrap's blocks [s].
+    classes : inputs that entries of a class may use, by its name.
+    scores : what stands on the leaderboard.
+    accept : checks of logs whose refusals are only told.
+    """
+
+    name: PrintableName = Field(min_length=1)
+    robots: tuple[ArenaRobot, ...] = Field(min_length=1)
+    logs: tuple[ArenaLog, ...] = Field(min_length=1)
+    warm_up: float = Field(default=2.0, ge=0.0)
+    block: float = Field(default=8.0, gt=0.0)
+    classes: Mapping[PrintableName, tuple[Connector, ...]] = Field(default=CLASSES, min_length=1)
+    scores: tuple[Score, ...] = (*KINDS, "properties", "time")
+    accept: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _names_fit(self) -> Self:
+        names = [robot.name for robot in self.robots]
+        if twice := [name for name, count in Counter(names).items() if count > 1]:
+            raise ValueError(f"two robots have the name '{twice[0]}'")
+        of_robots = {log.robot or (names[0] if len(names) == 1 else "") for log in self.logs}
+        if unknown := sorted(of_robots - set(names)):
+            raise ValueError(f"a log is of the robot '{unknown[0]}'; known are {', '.join(names)}")
+        if idle := [name for name in names if name not in of_robots]:
+            raise ValueError(f"robot '{idle[0]}' has no log")
+        if "all" not in self.scores:
+            raise ValueError("'scores' lacks 'all', by which entries are ranked")
+        return self
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ground:
+    """What entries for one robot are scored on.
+
+    Attributes
+    ----------
+    model, body : the robot and its rigid body.
+    records : of each part of each log, [part][joint].
+    """
+
+    model: RobotModel
+    body: RigidBody
+    records: Sequence[Sequence[FrictionRecord]] = field(repr=False)
+
+
+def read_grounds(arena: Arena) -> dict[str, Ground]:
+    """Read robots, bodies and logs, by name of the robot.
+
+    Raises
+    ------
+    ConfigError
+        If a file is not there or is another one than the arena's.
+    HesrError
+        If a robot, a body or a log cannot be used.
+    """
+    grounds = {}
+    for robot in arena.robots:
+        _require_same(robot.rigid_body, robot.rigid_body_sha256, "")
+        model = RobotModel(RobotDescription.read(robot.file))
+        body = read_rigid_body(robot.rigid_body)
+        logs = []
+        for log in arena.logs:
+            if log.robot in ("", robot.name):
+                whence = f" It can be had from {log.source} ({log.licence})."
+                _require_same(log.file, log.sha256, whence)
+                logs.append(RobotLog.read(log.file, model.description))
+        examined(logs, model, arena.accept)
+        records = [friction_records(part, model, body) for part in parts_of(logs)]
+        for part in records:
+            if part[0].t[-1] - part[0].t[0] <= arena.warm_up:
+                raise ConfigError(
+                    f"log '{part[0].log}' lasts {part[0].t[-1] - part[0].t[0]:.3g} s, of which a "
+                    f"warm-up of {arena.warm_up:g} s leaves nothing to score."
+                )
+        grounds[robot.name] = Ground(model=model, body=body, records=records)
+    return grounds
+
+
+def _require_same(file: Path, expected: str, whence: str) -> None:
+    try:
+        found = sha256(file)
+    except OSError as error:
+        raise ConfigError(f"{file}: no such file of the arena ({error.strerror}).{whence}") from (
+            error
+        )
+    if found != expected:
+        raise ConfigError(
+            f"{file}: its SHA-256 is {found}, but the arena's file has {expected}.{whence}"
+        )

@@ -1,0 +1,108 @@
+"""One entry on its robot's logs: its torque, the inputs that it uses, its properties, its time."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.properties.battery import Subject, measure
+from cosim.properties.bench import FrictionBench
+from cosim.properties.inertia import standing_inertia
+from fmu_src.friction.embedded_model import embedded_model
+from fmu_src.run.batch import Array
+from fmu_src.run.fmu import Component
+from fmu_src.run.replay import replay
+from fmu_src.run.trust import is_ours
+from hesr.extras.leaderboard.board_file import Ground
+from hesr_model.audit.properties import Properties
+from hesr_model.errors import SimulationError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.rigid_body.residual import FrictionRecord
+
+_OPTIONAL = ("q", "tau_load")
+"""Inputs that an entry may use; all use the velocity."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """An FMU that is entered: its name on the leaderboard, its file, the robot that it is for."""
+
+    name: str
+    fmu: Path
+    robot: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tried:
+    """What an entry does on the logs.
+
+    Attributes
+    ----------
+    inputs : that its torque depends on, as a replay without each of them shows.
+    torques : of each part of each log, (N, n) [N.m].
+    seconds : of one step, with its inputs set and its outputs read [s].
+    ours : whether it was exported here, so that it runs in this process.
+    model : the law that it carries, where it is one of ours.
+    properties : what the battery finds; None where not wanted.
+    """
+
+    inputs: tuple[str, ...]
+    torques: Sequence[Array]
+    seconds: float
+    ours: bool
+    model: FrictionModel | None
+    properties: Properties | None
+
+
+def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
+    """Replay an entry over all logs of its robot.
+
+    Raises
+    ------
+    SimulationError
+        If it lacks a connector, is for another number of joints, fails, or gives no number.
+    ArtifactError
+        If it cannot be read.
+    """
+    ours = is_ours(entry.fmu) if entry.fmu.is_file() else False
+    with Component(entry.fmu) as component:
+        joints = FrictionBench(component).joints
+        if joints != ground.model.n:
+            raise SimulationError(
+                f"{entry.fmu}: is for {joints} joints; the robot '{entry.robot}' has "
+                f"{ground.model.n}."
+            )
+        columns = [_columns(part) for part in ground.records]
+        begin = time.perf_counter()
+        torques = [replay(component, **part) for part in columns]
+        seconds = time.perf_counter() - begin
+        steps = sum(len(part) for part in torques)
+        used = ["dq"]
+        for name in _OPTIONAL:
+            without = (replay(component, **part | {name: None}) for part in columns)
+            if any(np.any(one != torque) for one, torque in zip(without, torques, strict=True)):
+                used.append(name)
+    # Of a foreign FMU nobody knows whether it is the law that it carries.
+    model = embedded_model(entry.fmu) if ours else None
+    return Tried(
+        inputs=tuple(used),
+        torques=torques,
+        seconds=seconds / steps,
+        ours=ours,
+        model=model,
+        properties=_properties(entry, ground, model) if properties else None,
+    )
+
+
+def _columns(part: Sequence[FrictionRecord]) -> dict[str, Any]:
+    """Return t (N,) [s], and dq, q, tau_load (N, n) [rad/s, rad, N.m] of one part of a log."""
+    names = ("dq", *_OPTIONAL)
+    return {"t": part[0].t} | {x: np.column_stack([getattr(r, x) for r in part]) for x in names}
+
+
+def _properties(entry: Entry, ground: Ground, model: FrictionModel | None) -> Properties:
+    inertia = standing_inertia(ground.model, ground.body, model) if model else None
+    return measure(Subject(name=entry.name, model=model, fmu=entry.fmu, inertia=inertia))

@@ -1,0 +1,248 @@
+"""The leaderboard: all entries of an arena, scored and ranked within classes of inputs."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from cosim.workflow.arguments import telling_apart
+from hesr.extras.leaderboard.board_file import KINDS, Arena, Kind, read_grounds
+from hesr.extras.leaderboard.entry import Entry, Tried, tried
+from hesr.extras.leaderboard.score import Interval, Judge
+from hesr_model.audit.properties import Properties
+from hesr_model.errors import ConfigError
+from hesr_model.support import parallel
+from hesr_model.support.files import sha256
+from hesr_model.support.progress import Progress, counted, silent
+
+FORMAT = "hesr-arena-1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoredLog:
+    """A log that entries were scored on: where it is from, and how much of it counts [s]."""
+
+    name: str
+    robot: str
+    sha256: str
+    source: str
+    licence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoredRobot:
+    """A robot: its joints, whether each slides, and how large friction is [N.m; N]."""
+
+    name: str
+    joints: tuple[str, ...]
+    sliding: tuple[bool, ...]
+    tau_std: tuple[float, ...]
+    rigid_body: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """Where an entry stands.
+
+    Attributes
+    ----------
+    name, robot, sha256 : of the entry.
+    law : that it carries; empty for a foreign FMU.
+    group : class of inputs in which it stands.
+    inputs : that its torque was found to depend on.
+    relative : by kind of rows, its error over the size of friction, of all joints, with a 95 %
+        interval; None where no row is of the kind.
+    joints : by kind of rows, RMSE of each joint [N.m; N where it slides].
+    ratio : to the leader of its class; None for that one. Its intervals hold for all of a class at
+        once with 95 %.
+    leads : whether no entry of its class is better than it beyond chance.
+    properties : what the battery finds; None where the arena does not score it.
+    step : time of a step, with inputs set and outputs read [s]; None where not scored.
+    foreign : whether it ran in a process of its own, which takes longer.
+    """
+
+    name: str
+    robot: str
+    sha256: str
+    law: str
+    group: str
+    inputs: tuple[str, ...]
+    relative: Mapping[Kind, Interval | None]
+    joints: Mapping[Kind, tuple[float | None, ...]]
+    ratio: Interval | None
+    leads: bool
+    properties: Properties | None
+    step: float | None
+    foreign: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leaderboard:
+    """All standings, by robot, by class of inputs, the least error first.
+
+    Attributes
+    ----------
+    arena : its name.
+    warm_up, block : rows that are not scored, and length of the bootstrap's blocks [s].
+    classes : inputs of each class.
+    robots, logs : what entries were scored on.
+    standings : of all entries.
+    """
+
+    arena: str
+    warm_up: float
+    block: float
+    classes: Mapping[str, tuple[str, ...]]
+    robots: tuple[ScoredRobot, ...]
+    logs: tuple[ScoredLog, ...]
+    standings: tuple[Standing, ...]
+
+
+def entries_of(given: Sequence[str], arena: Arena) -> list[Entry]:
+    """Return the entries that a command line names, as FILE or ROBOT=FILE.
+
+    Raises
+    ------
+    ConfigError
+        If one does not say for which of several robots it is, or is given twice.
+    """
+    robots = [robot.name for robot in arena.robots]
+    found = []
+    for text in given:
+        robot, equals, file = text.partition("=")
+        if not (equals and robot in robots):
+            if len(robots) > 1:
+                raise ConfigError(
+                    f"'{text}': the arena has {len(robots)} robots; needed is ROBOT=FILE with one "
+                    f"of {', '.join(robots)}."
+                )
+            robot, file = robots[0], text
+        found.append((robot, Path(file)))
+    namings = [[fmu.stem for _, fmu in found], [f"{r}={fmu}" for r, fmu in found]]
+    names = telling_apart(namings, "entered")
+    return [Entry(name=n, fmu=fmu, robot=r) for n, (r, fmu) in zip(names, found, strict=True)]
+
+
+def run_arena(
+    arena: Arena,
+    entries: Sequence[Entry],
+    *,
+    workers: int | None = None,
+    progress: Progress = silent,
+) -> Leaderboard:
+    """Score entries, each in a process of its own.
+
+    Parameters
+    ----------
+    arena, entries : see there.
+    workers : processes; one for each core where not given. Only times depend on it.
+    progress : told how many entries are done.
+
+    Raises
+    ------
+    ConfigError
+        If a file is not the arena's, or an entry is of none of its classes.
+    HesrError
+        If a log cannot be used.
+    SimulationError, ArtifactError
+        If an entry is no friction FMU for its robot, fails, or gives no number.
+    """
+    if not entries:
+        raise ConfigError("nobody has entered the arena; needed is at least one FMU.")
+    grounds = read_grounds(arena)
+    wanted = "properties" in arena.scores
+    jobs = [partial(tried, e, grounds[e.robot], properties=wanted) for e in entries]
+    with parallel.results_of(jobs, workers) as results:
+        done = [next(results) for _ in counted(jobs, progress)]
+    judges = {
+        name: Judge(ground, warm_up=arena.warm_up, block=arena.block)
+        for name, ground in grounds.items()
+    }
+    groups: dict[tuple[str, str], list[tuple[Entry, Tried]]] = {}
+    for entry, of_entry in zip(entries, done, strict=True):
+        key = entry.robot, _group(arena, entry, of_entry)
+        groups.setdefault(key, []).append((entry, of_entry))
+    order = [(robot.name, name) for robot in arena.robots for name in arena.classes]
+    return Leaderboard(
+        arena=arena.name,
+        warm_up=arena.warm_up,
+        block=arena.block,
+        classes=dict(arena.classes),
+        robots=tuple(
+            ScoredRobot(
+                name=name,
+                joints=ground.model.description.joints,
+                sliding=tuple(joint.prismatic for joint in ground.model.tree),
+                tau_std=tuple(map(float, judges[name].tau_std)),
+                rigid_body=ground.body.robot,
+            )
+            for name, ground in grounds.items()
+        ),
+        logs=tuple(
+            ScoredLog(
+                name=log.file.stem,
+                robot=log.robot or arena.robots[0].name,
+                sha256=log.sha256,
+                source=log.source,
+                licence=log.licence,
+            )
+            for log in arena.logs
+        ),
+        standings=tuple(
+            standing
+            for key in order
+            if key in groups
+            for standing in _ranked(arena, key[1], groups[key], judges[key[0]])
+        ),
+    )
+
+
+def _group(arena: Arena, entry: Entry, of_entry: Tried) -> str:
+    """Return the smallest class whose inputs are enough for an entry, the first of equal ones."""
+    holding = [n for n, may in arena.classes.items() if set(of_entry.inputs) <= {*may, "dq"}]
+    if not holding:
+        raise ConfigError(
+            f"{entry.fmu}: its torque depends on {', '.join(of_entry.inputs)}, which no class of "
+            f"the arena allows; its classes are {'; '.join(arena.classes)}."
+        )
+    return min(holding, key=lambda name: len(arena.classes[name]))
+
+
+def _ranked(
+    arena: Arena, group: str, members: Sequence[tuple[Entry, Tried]], judge: Judge
+) -> list[Standing]:
+    """Return the standings of a class, the least error first."""
+    errors = {entry.name: judge.errors(of_entry.torques) for entry, of_entry in members}
+    size = {
+        name: float(np.mean(np.square(np.vstack(of_entry) / judge.tau_std)))
+        for name, of_entry in errors.items()
+    }
+    ranked = sorted(members, key=lambda member: size[member[0].name])
+    leader = ranked[0][0].name
+    kinds = [kind for kind in KINDS if kind in arena.scores]
+    found = []
+    for entry, of_entry in ranked:
+        own = errors[entry.name]
+        ratio = None
+        if entry.name != leader:
+            ratio = judge.ratio(own, errors[leader], len(members) - 1)
+        found.append(
+            Standing(
+                name=entry.name,
+                robot=entry.robot,
+                sha256=sha256(entry.fmu),
+                law=of_entry.model.law if of_entry.model else "",
+                group=group,
+                inputs=of_entry.inputs,
+                relative={kind: judge.relative(own, kind) for kind in kinds},
+                joints={kind: judge.by_joint(own, kind) for kind in kinds},
+                ratio=ratio,
+                leads=ratio is None or ratio.low <= 1.0,
+                properties=of_entry.properties,
+                step=of_entry.seconds if "time" in arena.scores else None,
+                foreign=not of_entry.ours,
+            )
+        )
+    return found

@@ -1,0 +1,119 @@
+"""Tables of an arena: who stands where, joint by joint, and on which logs."""
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+
+from cosim.report.tables.table import (
+    ResultTable,
+    TableCell,
+    decimals,
+    fixed,
+    joints,
+    number,
+    row_of,
+)
+from hesr.extras.leaderboard.board_file import Kind
+from hesr.extras.leaderboard.leaderboard import Leaderboard, ScoredRobot, Standing
+from hesr.extras.leaderboard.score import Interval
+from hesr_model.units import unit_of_joints
+
+_HEADS = {"all": "all rows", "moving": "moving", "reversals": "reversals", "rests": "rests"}
+
+
+def standings(board: Leaderboard) -> Iterator[ResultTable]:
+    """Yield the leaderboard of each robot, its classes of inputs one below the other."""
+    for robot in board.robots:
+        of_robot = [s for s in board.standings if s.robot == robot.name]
+        if not of_robot:
+            continue
+        kinds = list(of_robot[0].relative)
+        battery = of_robot[0].properties is not None
+        timed = of_robot[0].step is not None
+        rows = []
+        for group, members in groupby(of_robot, key=lambda s: s.group):
+            listed = list(members)
+            alone = sum(s.leads for s in listed) == 1
+            rows.append(row_of(f"inputs {group}"))
+            for standing in listed:
+                cells = [
+                    _cell(standing.relative[kind], best=alone and standing.leads and kind == "all")
+                    for kind in kinds
+                ]
+                cells.append(_cell(standing.ratio))
+                if battery:
+                    cells.append(TableCell(text=_passed(standing)))
+                if timed and standing.step is not None:
+                    cells.append(number(1e6 * standing.step, 2))
+                name = f"{standing.name} (foreign)" if standing.foreign else standing.name
+                rows.append(row_of(name, *cells))
+        yield ResultTable(
+            caption=f"{board.arena}, {robot.name}: error of the torque over the size of friction, "
+            "with 95\u00a0% intervals",
+            head=(
+                "entry",
+                *(_HEADS[kind] for kind in kinds),
+                "ratio to leader",
+                *(["properties"] if battery else []),
+                *(["µs per step"] if timed else []),
+            ),
+            rows=rows,
+            note="Intervals of ratios hold for all entries of a class at once. Bold: better than "
+            "all others of its class beyond chance.",
+        )
+
+
+def by_joint(board: Leaderboard, robot: ScoredRobot, kind: Kind) -> ResultTable:
+    """Return the RMSE of each joint on rows of one kind."""
+    of_robot = [s for s in board.standings if s.robot == robot.name]
+    values = [s.joints[kind] for s in of_robot]
+    places = [decimals(column) for column in zip(*values, strict=True)]
+    unit = unit_of_joints("N.m", robot.sliding)
+    spread = [fixed(s, n) for s, n in zip(robot.tau_std, places, strict=True)]
+    return ResultTable(
+        caption=f"{robot.name}: RMSE of the torque [{unit}], {_HEADS[kind]}",
+        head=("entry", *joints(len(robot.joints))),
+        rows=[
+            row_of("(std of friction)", *spread, quiet=True),
+            *(
+                row_of(s.name, *(fixed(v, n) for v, n in zip(row, places, strict=True)))
+                for s, row in zip(of_robot, values, strict=True)
+            ),
+        ],
+    )
+
+
+def logs(board: Leaderboard) -> ResultTable:
+    """Return the logs: their hashes, where to get them, under which licence."""
+    return ResultTable(
+        caption="Logs",
+        head=("log", "robot", "SHA-256", "from", "licence"),
+        rows=[
+            row_of(log.name, log.robot, log.sha256, log.source, log.licence) for log in board.logs
+        ],
+        numeric=False,
+    )
+
+
+def entries(standings: Sequence[Standing]) -> ResultTable:
+    """Return what was entered."""
+    return ResultTable(
+        caption="Entries",
+        head=("entry", "robot", "law", "inputs", "SHA-256"),
+        rows=[
+            row_of(s.name, s.robot, s.law or "–", ", ".join(s.inputs), s.sha256) for s in standings
+        ],
+        numeric=False,
+    )
+
+
+def _cell(value: Interval | None, *, best: bool = False) -> TableCell:
+    if value is None:
+        return TableCell(text="–")
+    return fixed(value.value, 3, best=best, notes=(f"{value.low:.3f}–{value.high:.3f}",))
+
+
+def _passed(standing: Standing) -> str:
+    """Return how many of the joints' experiments pass, of those that could be run."""
+    found = standing.properties.joints if standing.properties else ()
+    verdicts = [f.verdict for joint in found for f in joint.findings.values()]
+    return f"{verdicts.count('pass')}/{verdicts.count('pass') + verdicts.count('fail')}"

@@ -1,0 +1,192 @@
+"""A friction model in, an MJCF of passive actuators out, to be included in the model of a robot."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+from fmu_src.friction.validity import require_exportable
+from hesr.extras.mjcf.parts import JointFriction, NoCounterpartError, Wave, parts_of
+from hesr.extras.mjcf.projection import Misfit, projected, records
+from hesr_model.errors import ExportError, HesrError
+from hesr_model.friction.model import FrictionModel
+from hesr_model.support.files import written_whole
+from hesr_model.support.progress import Progress, counted, silent
+from hesr_model.units import unit_of_joint
+
+_HEAD = """\
+<!-- Friction of joints as passive actuators of MuJoCo (4.0 or later). Put
+       <include file="FILE.xml"/>
+     into the model of the robot, whose joints are named as here and which has no other friction
+     (frictionloss, damping, friction actuators). MuJoCo relaxes a bristle exactly over a step in
+     which the velocity is held, and applies its torque explicitly: take steps of about 1 ms. -->
+<mujoco>
+  <custom>
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointProjection:
+    """What became of the law of one joint.
+
+    Attributes
+    ----------
+    joint : its name.
+    missing : what in the law MuJoCo has no part for; None where the MJCF is the law itself.
+    fitted, unseen : how far the projection is off where it was fitted and on another motion; None
+        where there is none.
+    unit : of its torque.
+    """
+
+    joint: str
+    missing: str | None = None
+    fitted: Misfit | None = None
+    unseen: Misfit | None = None
+    unit: str = "N.m"
+
+    def __str__(self) -> str:
+        if self.fitted is None or self.unseen is None:
+            return f"{self.joint}: exact"
+        fitted, unseen = self.fitted, self.unseen
+        return (
+            f"{self.joint}: projected, since {self.missing}; RMSE {fitted.rmse:.3g} {self.unit} "
+            f"where fitted and {unseen.rmse:.3g} {self.unit} on another motion, at most "
+            f"{100.0 * fitted.relative:.3g} and {100.0 * unseen.relative:.3g} % of the largest "
+            "torque"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Projection:
+    """What became of a friction model: one entry for each joint."""
+
+    joints: tuple[JointProjection, ...]
+
+    @property
+    def exact(self) -> bool:
+        """Whether the MJCF is the model itself, but for rounding."""
+        return all(joint.missing is None for joint in self.joints)
+
+    def lines(self) -> list[str]:
+        """Return a line of text for each joint."""
+        return [str(joint) for joint in self.joints]
+
+
+def export_mjcf_law(
+    model: FrictionModel, path: Path, *, project: bool = False, progress: Progress = silent
+) -> Projection:
+    """Write a friction model as passive dcmotor actuators in an MJCF.
+
+    The same model gives the same bytes. Numbers have all their digits.
+
+    Parameters
+    ----------
+    model : one law for each joint; the actuators act on joints of these names.
+    path : the MJCF to write, ending in .xml.
+    project : approximate a law for which MuJoCo has no parts; refused otherwise.
+    progress : told how many joints are done.
+
+    Returns
+    -------
+    Which joints are exact, and how far the others are off.
+
+    Raises
+    ------
+    ExportError
+        If a law has no exact counterpart and `project` is not set, or cannot be run.
+    ArtifactError
+        If `path` cannot be written.
+    """
+    if path.suffix.lower() != ".xml":
+        raise ExportError(f"{path}: the name of an MJCF ends in .xml.")
+    require_exportable(model, "an MJCF of one actuator per joint", coupled=False)
+    with written_whole(path) as temporary:
+        joints = [
+            _of_joint(model, index, project)
+            for index in counted(range(len(model.joints)), progress)
+        ]
+        report = Projection(joints=tuple(found for _, found in joints))
+        text = "".join(_document(model, [parts for parts, _ in joints], report))
+        temporary.write_text(text, encoding="utf-8")
+    return report
+
+
+def _of_joint(
+    model: FrictionModel, index: int, project: bool
+) -> tuple[JointFriction, JointProjection]:
+    law, joint = model.laws[index], model.joints[index]
+    try:
+        return parts_of(law), JointProjection(joint=joint)
+    except NoCounterpartError as error:
+        slides = model.slides[index]
+        missing = error.at_joint(slides=slides)
+        refused = f"law '{model.law}' of joint '{joint}' is not expressible in MJCF: {missing};"
+        trained = model.trained[index] if model.trained else None
+        try:
+            if project:
+                nearest, fitted, unseen = projected(law, trained, model.sample_time)
+            else:
+                records(law, trained, model.sample_time)  # so that nothing is promised below
+        except HesrError as reason:
+            raise ExportError(f"{refused} nor can it be projected: {reason}") from reason
+        if not project:
+            raise ExportError(
+                f"{refused} --project writes the nearest bristles and says how far off they are."
+            ) from error
+        found = JointProjection(
+            joint=joint,
+            missing=missing,
+            fitted=fitted,
+            unseen=unseen,
+            unit=unit_of_joint("N.m", slides=slides),
+        )
+        return parts_of(nearest), found
+
+
+def _document(
+    model: FrictionModel, joints: list[JointFriction], report: Projection
+) -> Iterator[str]:
+    yield _HEAD
+    texts = {
+        "law": f"{model.law} of {model.robot}, made at {model.sample_time:g} s, by HESR "
+        f"{version('hesr')}",
+        "provenance": json.dumps(dict(model.provenance), sort_keys=True),
+        "error": "; ".join(report.lines()),
+    }
+    for name, text in texts.items():
+        name = quoteattr(f"{model.robot}_friction_{name}")
+        yield f"    <text name={name} data={quoteattr(text)}/>\n"
+    yield "  </custom>\n  <actuator>\n"
+    for joint, parts in zip(model.joints, joints, strict=True):
+        for number, attributes in enumerate(_actuators(parts), start=1):
+            name = quoteattr(f"{joint}_{model.law}{number}")
+            yield (
+                f"    <dcmotor name={name} joint={quoteattr(joint)}"
+                f' input="none" resistance="1" motorconst="0 0" gear="1"\n'
+                f"      {attributes}/>\n"
+            )
+    yield "  </actuator>\n</mujoco>\n"
+
+
+def _actuators(parts: JointFriction) -> Iterator[str]:
+    """Yield the attributes of each actuator of a joint; the first carries what is viscous.
+
+    Everything is written, since a robot's defaults may say otherwise.
+    """
+    count = max(len(parts.bristles), len(parts.waves), 1)
+    for k in range(count):
+        bristle = parts.bristles[k] if k < len(parts.bristles) else None
+        wave = parts.waves[k] if k < len(parts.waves) else Wave(amplitude=0.0, poles=0.0, phase=0.0)
+        numbers = {
+            "lugre": (
+                bristle.stiffness, bristle.damping, bristle.coulomb, bristle.static,
+                bristle.stribeck,
+            ) if bristle else (0.0,) * 5,
+            "damping": (parts.viscous if k == 0 else 0.0,),
+            "cogging": (wave.amplitude, wave.poles, wave.phase),
+        }  # fmt: skip
+        yield " ".join(
+            f'{name}="{" ".join(f"{x:.17g}" for x in values)}"' for name, values in numbers.items()
+        )

@@ -1,0 +1,220 @@
+"""A friction model in, a Modelica package out."""
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fmu_src.friction.friction_component import nominal
+from fmu_src.friction.reference import reference_motion
+from fmu_src.friction.validity import require_exportable
+from fmu_src.pages import datasheet
+from fmu_src.pages.friction_page import title
+from fmu_src.pages.html import code_templates
+from hesr.extras.modelica.annotations import joint_html, package_html
+from hesr.extras.modelica.printer import FUNCTIONS, Equations, equations, start_of
+from hesr_model.audit.audit import Audit
+from hesr_model.equations.functions import sgn
+from hesr_model.equations.memory import DT
+from hesr_model.errors import ExportError
+from hesr_model.friction.inputs import INPUTS, TAU_LOAD
+from hesr_model.friction.law import MOVING, FrictionLaw, LawForm
+from hesr_model.friction.model import FrictionModel
+from hesr_model.support.files import written_whole
+
+_KEYWORDS = """
+    algorithm and annotation block break class connect connector constant constrainedby der
+    discrete each else elseif elsewhen encapsulated end enumeration equation expandable extends
+    external false final flow for function if import impure in initial inner input loop model not
+    operator or outer output package parameter partial protected public pure record redeclare
+    replaceable return stream then true type when while within
+    time Real Integer Boolean String
+"""
+_WORDS = frozenset(_KEYWORDS.split())
+_LIBRARIES = frozenset({"Modelica", "ModelicaServices", "Complex"})
+_TAKEN = _WORDS | _LIBRARIES
+_IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+
+_FREQUENCY = 0.25
+"""Of the motions in the examples [Hz], as of the reference motion."""
+
+
+_STEADY = "steadyStart"
+"""Name of the parameter that says where states begin."""
+
+
+def export_modelica(model: FrictionModel, path: Path) -> Path:
+    """Write a friction model as a Modelica package, in one file.
+
+    The package has the equations of each distinct form, a block of each joint's law, the same
+    between rotational flanges, and examples. It uses the Modelica Standard Library 4.0.
+    States begin where those of FMUs do.
+
+    Parameters
+    ----------
+    model : one law for each joint.
+    path : the file to write, NAME.mo; NAME becomes the name of the package.
+
+    Returns
+    -------
+    `path`.
+
+    Raises
+    ------
+    ExportError
+        If a joint slides, the file's or a law's names are none in Modelica, or an expression has no
+        counterpart.
+    ArtifactError
+        If `path` cannot be written.
+    """
+    _check_name(path)
+    text = package(model, path.stem)
+    with written_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+    return path
+
+
+def package(model: FrictionModel, name: str) -> str:
+    """Return the text of the package; errors are those of `export_modelica`."""
+    for joint, slides in zip(model.joints, model.slides, strict=True):
+        if slides:
+            raise ExportError(
+                f"Modelica: joint '{joint}' slides, and the package has rotational flanges; export "
+                "its law as a friction FMU (--format fmu), which Modelica tools import."
+            )
+    require_exportable(model, "a Modelica package", coupled=False)
+    environment = code_templates(
+        block_start_string="<%",
+        block_end_string="%>",
+        variable_start_string="<<",
+        variable_end_string=">>",
+        comment_start_string="<#",
+        comment_end_string="#>",
+    )
+    environment.filters["quoted"] = _quoted
+    laws = _forms(model.laws)
+    forms = [_form(form, law) for form, law in laws.items()]
+    audits, refused = datasheet.audited(model)
+    joints = _joints(model, {law.form: form for form, law in laws.items()}, audits)
+    return environment.get_template("modelica.mo.j2").render(
+        name=name,
+        title=f"Friction of {model.robot} by {model.law}",
+        forms=forms,
+        joints=joints,
+        frequency=_FREQUENCY,
+        info=package_html(model, joints, audits, refused),
+    )
+
+
+def _check_name(path: Path) -> None:
+    name = path.stem
+    if path.suffix != ".mo":
+        raise ExportError(f"{path}: a Modelica package ends in .mo, found '{path.suffix}'.")
+    if not _IDENTIFIER.fullmatch(name) or name in _TAKEN:
+        odd = "taken by Modelica" if name in _TAKEN else "no name in Modelica"
+        raise ExportError(
+            f"{path}: the package gets the name of its file, but '{name}' is {odd}; needed are "
+            "letters, digits and underscores, a letter first."
+        )
+
+
+def _forms(laws: Sequence[FrictionLaw]) -> dict[str, FrictionLaw]:
+    """Return the first law of each distinct form by a name for the form, as `ParfamH`."""
+    first: dict[LawForm, FrictionLaw] = {}
+    for law in laws:
+        first.setdefault(law.form, law)
+    stems = [
+        "".join(part.capitalize() for part in re.findall(r"[A-Za-z0-9]+", law.name))
+        for law in first.values()
+    ]
+    stems = [s if s[:1].isalpha() and s not in _TAKEN else f"Law{s}" for s in stems]
+    return {
+        stem if stems.count(stem) == 1 else f"{stem}_{stems[:i].count(stem) + 1}": law
+        for i, (stem, law) in enumerate(zip(stems, first.values(), strict=True))
+    }
+
+
+def _form(name: str, law: FrictionLaw) -> dict[str, Any]:
+    """Return a form as the template has it."""
+    form = law.form
+    found = equations(form)
+    _check_names(law, found)
+    coefficients = [(c.name, c.unit, c.description) for c in form.coefficients]
+    starts = [(start_of(m.name), m.unit, f"Start value of {m.name}") for m in form.memory]
+    return {
+        "name": name,
+        "title": f"Equations of {title(law)}",
+        "parameters": [*coefficients, *starts],
+        "states": [(m.name, m.unit) for m in form.memory],
+        "equations": found,
+        "steady": _STEADY if found.beginning else "",
+        "moving": f"{MOVING:g}",
+    }
+
+
+def _check_names(law: FrictionLaw, found: Equations) -> None:
+    seen = {*(u.name for u in INPUTS), "tau", _STEADY}
+    names = [*law.values, *found.signs]
+    names += [n for m in law.form.memory for n in (m.name, start_of(m.name))]
+    for name in names:
+        odd = (
+            "used twice" if name in seen
+            else "taken by Modelica" if name in _WORDS or name in FUNCTIONS
+            else "no name in Modelica" if not _IDENTIFIER.fullmatch(name)
+            else ""
+        )  # fmt: skip
+        if odd:
+            raise ExportError(
+                f"law '{law.name}': the name '{name}' is {odd}; needed are distinct names of "
+                "letters, digits and underscores."
+            )
+        seen.add(name)
+
+
+def _joints(
+    model: FrictionModel, names: Mapping[LawForm, str], audits: Sequence[Audit]
+) -> list[dict[str, Any]]:
+    """Return each joint as the template has it."""
+    motion = reference_motion(model, frequency=_FREQUENCY)
+    found = []
+    for i, law in enumerate(model.laws):
+        audit = audits[i] if audits else None
+        speed = float(np.abs(motion.dq[:, i]).max())
+        largest = audit.largest if audit else 0.0
+        parts = (law.form.output.subs(DT, 0), *(part for m in law.form.memory for part in m.parts))
+        jumps = any(part.has(sgn) for part in parts)
+        found.append(
+            {
+                "name": f"Joint{i + 1}",
+                "label": model.joints[i],
+                "title": f"Friction of {model.joints[i]}",
+                "form": names[law.form],
+                "modifications": _modifications(law),
+                "info": joint_html(model, i, audit),
+                "jumps": jumps,
+                "uses_load": TAU_LOAD in law.form.inputs,
+                "load": f"{motion.tau_load[:, i].mean():.4g}",
+                "speed": f"{speed:.4g}",
+                # Overcomes the friction; its inertia lets the speed stay near the trained ones.
+                "torque": "" if jumps or not largest else f"{1.5 * largest:.4g}",
+                "inertia": f"{largest / (2.0 * np.pi * _FREQUENCY * speed):.4g}",
+            }
+        )
+    return found
+
+
+def _modifications(law: FrictionLaw) -> list[str]:
+    """Return what makes a form the law of a joint: its numbers."""
+    values = [f"{name}={value!r}" for name, value in law.values.items()]
+    for element, start in zip(law.form.memory, law.start, strict=True):
+        values.append(f"{start_of(element.name)}={start!r}")
+        values.append(f"{element.name}(nominal={nominal(law, element):g})")
+    return values
+
+
+def _quoted(text: str) -> str:
+    """Return a string of Modelica."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'

@@ -1,0 +1,139 @@
+"""A friction model in, one C99 header out: no FMI, no allocation, nothing of HESR."""
+
+import re
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from fmu_src.equations.c_functions import Functions
+from fmu_src.equations.header import Joint
+from fmu_src.export.interface import literal
+from fmu_src.export.package import own_source
+from fmu_src.friction.friction_component import joints_of
+from fmu_src.friction.validity import require_exportable
+from fmu_src.pages.html import code_templates
+from hesr.extras.one_file.reference import write_beside
+from hesr_model.errors import ExportError
+from hesr_model.friction.model import FrictionModel
+
+_IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+_LANES = 8
+"""Robots side by side: two vectors of AVX2, one of AVX-512."""
+
+_OWN_MATH = re.compile(r"^(?:static inline|IN_ONE_PLACE) \w+ (\w+)\(", re.MULTILINE)
+
+
+def export_c(model: FrictionModel, path: Path) -> Path:
+    """Write a friction model as one C99 header, and its test data beside it.
+
+    The functions are those of the FMU, so the torques are the same bits where compiler flags and
+    mathematical library are.
+
+    Parameters
+    ----------
+    model : one law for each joint.
+    path : the file to write, NAME.h; functions and types begin with NAME.
+
+    Returns
+    -------
+    `path`.
+
+    Raises
+    ------
+    ExportError
+        If the file's name is none in C, or the model cannot be expressed in C, as one of motors
+        that turn with several joints.
+    ArtifactError
+        If a file cannot be written.
+    """
+    if path.suffix != ".h":
+        raise ExportError(f"{path}: a C header ends in .h, found '{path.suffix}'.")
+    if not _IDENTIFIER.fullmatch(path.stem):
+        raise ExportError(
+            f"{path}: the functions get the name of the file, but '{path.stem}' is no name in C; "
+            "needed are letters, digits and underscores, a letter first."
+        )
+    return write_beside(path, header(model, path.stem), model)
+
+
+def header(model: FrictionModel, name: str) -> str:
+    """Return the text of the header, whose names begin with `name`."""
+    require_exportable(model, "one C header", coupled=False)
+    joints = joints_of(model)
+    distinct = list(dict.fromkeys(j.component for j in joints))
+    functions = [Functions(c, f"{name}_law_{i}") for i, c in enumerate(distinct, start=1)]
+    euler = any(law.discretisation == "euler" for law in model.laws)
+    texts = [
+        text
+        for own in functions
+        for text in (
+            own.read(),
+            own.invariants(),
+            own.step(),
+            *([] if euler else [own.lanes()]),
+            *([own.begin()] if own.component.memory else []),
+            *([own.switches()] if own.jumps.expressions else []),
+            *([own.rates()] if euler and own.component.memory else []),
+        )
+    ]
+    text = code_templates().get_template("law.h.j2").render(
+        name=name,
+        title=_comment(f"Friction of {model.robot} by {model.law}"),
+        version=version("hesr"),
+        sample_time=literal(model.sample_time),
+        law_math=own_source("law_math.h"),
+        functions=texts,
+        joints=_rows(model, joints, {f.component: f for f in functions}, euler=euler),
+        slides=model.slides,
+        lanes=_LANES,
+        shared=max(len(joint.component.shared) for joint in joints),
+        coefficients=sum(len(law.values) for law in model.laws),
+    )  # fmt: skip
+    return _with_prefix(text, name)
+
+
+def _rows(
+    model: FrictionModel, joints: Sequence[Joint], functions: dict[Any, Functions], *, euler: bool
+) -> list[dict[str, Any]]:
+    """Return each joint as the template has it."""
+    rows: list[dict[str, Any]] = []
+    states, coefficients = 0, 0
+    for label, law, joint in zip(model.joints, model.laws, joints, strict=True):
+        own = functions[joint.component]
+        numbers = [
+            (literal(value), quantity.name, quantity.unit)
+            for quantity, value in zip(law.form.coefficients, law.values.values(), strict=True)
+        ]
+        rows.append(
+            {
+                "place": len(rows),
+                "label": _comment(label),
+                "law": own.name,
+                "numbers": numbers,
+                "shared": len(joint.component.shared),
+                "starts": [literal(start) for start in law.start],
+                "states": len(law.form.memory),
+                "first_state": states,
+                "first_coefficient": coefficients,
+                "switches": len(own.jumps.expressions),
+                "invariants": max(own.invariant_count, 1),
+                "names": [m.name for m in law.form.memory],
+                "euler": euler and bool(law.form.relaxations),
+            }
+        )
+        states += len(law.form.memory)
+        coefficients += len(numbers)
+    return rows
+
+
+def _comment(text: str) -> str:
+    """Return a text that ends no comment."""
+    return text.replace("*/", "* /").replace("\\", "/")
+
+
+def _with_prefix(text: str, name: str) -> str:
+    """Give what is ours names that do not meet those of others, nor of other headers."""
+    text = re.sub(r"\bLANES\b", f"{name.upper()}_LANES", text)
+    names = "|".join(_OWN_MATH.findall(own_source("law_math.h")))
+    return re.sub(rf"\b({names})\(", r"law_\1(", text)

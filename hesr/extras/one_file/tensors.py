@@ -1,0 +1,96 @@
+"""A friction model in, one Python file for PyTorch or JAX out: batched and differentiable."""
+
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+from fmu_src.friction.validity import discretisation_of, require_exportable
+from fmu_src.pages.html import code_templates
+from hesr.extras.one_file.reference import write_beside
+from hesr.extras.one_file.tensor_printer import begin_function, law_function
+from hesr_model.errors import ExportError
+from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.friction.model import FrictionModel
+
+Library = Literal["torch", "jax"]
+
+_TITLES: Mapping[Library, str] = {"torch": "PyTorch", "jax": "JAX"}
+
+
+def export_torch(model: FrictionModel, path: Path) -> Path:
+    """Write a friction model as one file for PyTorch, and its test data beside it.
+
+    See `tensor_code` for what is in it and for the arguments.
+    """
+    return _export(model, path, "torch")
+
+
+def export_jax(model: FrictionModel, path: Path) -> Path:
+    """Write a friction model as one file for JAX, and its test data beside it.
+
+    See `tensor_code` for what is in it and for the arguments.
+    """
+    return _export(model, path, "jax")
+
+
+def _export(model: FrictionModel, path: Path, library: Library) -> Path:
+    if path.suffix != ".py":
+        raise ExportError(f"{path}: a file for {_TITLES[library]} ends in .py.")
+    return write_beside(path, tensor_code(model, library), model)
+
+
+def tensor_code(model: FrictionModel, library: Library) -> str:
+    """Return the text of a Python file that needs nothing but PyTorch or JAX.
+
+    It steps any batch of robots at once and carries their hidden states, in the precision of its
+    numbers. Joints of one form are computed together.
+
+    Parameters
+    ----------
+    model : one law for each joint.
+    library : "torch" or "jax".
+
+    Raises
+    ------
+    ExportError
+        If the model has no finite numbers, or a law a function that there is none of for tensors,
+        or its joints use both exact and Euler integration.
+    """
+    require_exportable(model, "a file of tensors")
+    discretisation = discretisation_of(model)
+    groups: dict[LawForm, list[int]] = {}
+    for i, law in enumerate(model.laws):
+        groups.setdefault(law.form, []).append(i)
+    laws = [
+        _law(f"_law_{n}", form, joints, [model.laws[i] for i in joints])
+        for n, (form, joints) in enumerate(groups.items(), start=1)
+    ]
+    return code_templates().get_template(f"law_{library}.py.j2").render(
+        title=_text(f"Friction of {model.robot} by {model.law}"),
+        library=_TITLES[library],
+        version=version("hesr"),
+        joints=tuple(model.joints),
+        slides=any(model.slides),
+        sample_time=model.sample_time,
+        euler=discretisation == "euler",
+        laws=laws,
+    )  # fmt: skip
+
+
+def _law(name: str, form: LawForm, joints: list[int], laws: list[FrictionLaw]) -> dict[str, Any]:
+    """Return the law of some joints as the template has it."""
+    return {
+        "name": name,
+        "function": law_function(form, name),
+        "begin": begin_function(form, f"{name}_begin"),
+        "joints": tuple(joints),
+        "values": {c.name: tuple(law.values[c.name] for law in laws) for c in form.coefficients},
+        "units": {c.name: c.unit for c in form.coefficients},
+        "starts": {m.name: tuple(law.start[i] for law in laws) for i, m in enumerate(form.memory)},
+    }
+
+
+def _text(text: str) -> str:
+    """Return a text that ends no string."""
+    return text.replace("\\", "/").replace('"', "'")

@@ -1,0 +1,143 @@
+"""The runs of a sweep on the workers of a dask.distributed scheduler.
+
+FMUs travel by their content hash: each worker gets them once and keeps them as files in its
+machine's cache. Where workers die, dask gives their chunks to others; where the last copy of an FMU
+dies with them, it is sent again.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from fmu_src.run import trust as exported
+from fmu_src.run.batch import Array
+from fmu_src.run.trust import is_ours
+from hesr.extras.sweep.plan import Plan
+from hesr.extras.sweep.work import Rows, Task, run_rows
+from hesr_model.errors import ConfigError, HesrError, WorkerError
+from hesr_model.support import cache
+from hesr_model.support.files import sha256, written_whole
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_ROUNDS = 5
+_SECONDS = 20
+"""In which the scheduler must answer, and have a worker."""
+
+
+@contextmanager
+def results_of(plan: Plan, firsts: list[int], address: str) -> Iterator[Iterator[tuple[int, Rows]]]:
+    """Yield the iterator of chunks as they are done, with the first run of each.
+
+    Parameters
+    ----------
+    plan : the sweep.
+    firsts : first runs of the chunks to do.
+    address : of the scheduler, such as tcp://host:8786.
+
+    Raises
+    ------
+    ConfigError
+        If dask.distributed is not installed, or there is no scheduler with a worker.
+    WorkerError
+        By the iterator, if workers die again and again.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ConfigError(
+            "--cluster needs dask.distributed; install it with: pip install 'hesr[cluster]'."
+        ) from error
+    try:
+        client = Client(address, timeout=_SECONDS, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"--cluster: there is no scheduler at {address}.") from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_SECONDS)
+        except TimeoutError as error:
+            raise ConfigError(f"--cluster: the scheduler at {address} has no worker.") from error
+        yield _done(client, plan, firsts)
+
+
+def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int, Rows]]:
+    from distributed import as_completed
+
+    ours = {digest: is_ours(fmu) for fmu, digest in plan.digests.items()}
+    left = dict.fromkeys(firsts)
+    for _ in range(_ROUNDS):
+        if not left:
+            return
+        # Held by every worker, so that those that live have what one that dies has had.
+        contents = client.scatter(
+            {digest: fmu.read_bytes() for fmu, digest in plan.digests.items()}, broadcast=True
+        )
+        names = {str(fmu): digest for fmu, digest in plan.digests.items()}
+        fmus = names, ours, contents
+        futures = {
+            client.submit(run_there, plan.task, plan.chunk(first), *fmus, pure=False): first
+            for first in left
+        }
+        for future in as_completed(futures, loop=client.loop):
+            if future.status == "finished":
+                first = futures[future]
+                del left[first]
+                yield first, future.result()
+            else:
+                _require_lost(future)
+            future.release()
+    if left:
+        raise WorkerError(
+            f"workers of the cluster died {_ROUNDS} times; {len(left)} chunks of runs are left; "
+            "the same command goes on with them."
+        )
+
+
+def _require_lost(future: Any) -> None:
+    """Raise what a run has raised; a chunk that was lost with its worker is done again."""
+    error = future.exception() if future.status == "error" else None
+    if isinstance(error, HesrError):
+        raise error
+    if error is not None and type(error).__name__ not in _LOST:
+        raise error
+
+
+_LOST = ("KilledWorker", "CancelledError", "FutureCancelledError", "CommClosedError")
+
+
+def run_there(
+    task: Task,
+    values: Array,
+    names: Mapping[str, str],
+    ours: Mapping[str, bool],
+    contents: Mapping[str, bytes],
+) -> Rows:
+    """Do runs on a worker of a cluster, with FMUs that came as bytes.
+
+    Parameters
+    ----------
+    task : what all runs share.
+    values : (n, d) of the inputs.
+    names : content hash of each FMU by its file in `task`.
+    ours : whether it may run as our own code, by hash; trust comes with the FMU.
+    contents : of the FMUs, by hash.
+    """
+    folder = cache.folder() / "fmus"
+    files = {}
+    for name, digest in names.items():
+        file = files[name] = folder / f"{digest}.fmu"
+        if not (file.is_file() and sha256(file) == digest):
+            with written_whole(file) as temporary:
+                temporary.write_bytes(contents[digest])
+        if ours[digest] and not exported.is_known(digest):
+            exported.remember(file)
+    spec = task.spec
+    components = tuple(
+        component.model_copy(update={"fmu": files[str(component.fmu)]})
+        for component in spec.components
+    )
+    local = spec.model_copy(update={"components": components})
+    return run_rows(
+        Task(key=task.key, spec=local, targets=task.targets, outputs=task.outputs), values
+    )

@@ -1,0 +1,99 @@
+"""The page of a sweep: distributions, the worst runs, and what the outputs depend on."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from markupsafe import Markup
+
+from cosim.report.markup import Pictures, Section, joined, paragraph, table, write_sections
+from hesr.extras.sweep import tables
+from hesr.extras.sweep.figures import distributions, shares
+
+if TYPE_CHECKING:
+    from hesr.extras.sweep.result import Swept
+
+_DESIGNS = {
+    "grid": "a grid",
+    "latin_hypercube": "a Latin hypercube",
+    "monte_carlo": "random points",
+    "sobol": "Saltelli's design of Sobol points",
+}
+
+
+def write_page(swept: "Swept", path: Path, study: Path) -> None:
+    """Write the page, the same bytes for the same results.
+
+    Parameters
+    ----------
+    swept : the results.
+    path : the page.
+    study : file of the study, which stands in commands.
+
+    Raises
+    ------
+    ArtifactError
+        If it cannot be written.
+    """
+    pictures = Pictures(folder=path.parent)  # its figures stand in the page only
+    sections = [
+        Section(key="outputs", title="Outputs", html=_outputs(swept, pictures)),
+        Section(key="worst", title="Worst runs", html=_worst(swept, study)),
+    ]
+    if swept.sensitivities:
+        html = _sensitivities(swept, pictures)
+        sections.append(Section(key="sensitivities", title="Sensitivities", html=html))
+    plan = swept.plan
+    text = (
+        f"{len(plan.values)} runs of {plan.task.spec.stop:g} s, {_DESIGNS[plan.study.design]} over "
+        f"{len(plan.study.names)} inputs, seed {plan.study.seed}. The runs stand in runs/, a "
+        "Parquet data set with the inputs of each."
+    )
+    write_sections(
+        path,
+        title=f"HESR sweep: {plan.study.name}",
+        heading=f"Sweep ‘{plan.study.name}’",
+        summary=paragraph(text),
+        sections=sections,
+    )
+
+
+def _outputs(swept: "Swept", pictures: Pictures) -> Markup:
+    names = [output.name for output in swept.plan.study.outputs]
+    drawn = pictures.shown(
+        "distributions",
+        distributions(names, swept.table.outputs),
+        "Distribution of each output over the runs; dashed: 5, 50 and 95 % quantiles.",
+        alt="A histogram of each output.",
+    )
+    return joined(drawn, table(tables.outputs(swept)))
+
+
+def _worst(swept: "Swept", study: Path) -> Markup:
+    count = len(swept.plan.study.outputs)
+    return joined(
+        paragraph("Largest magnitude first, runs that failed before all others."),
+        *(table(tables.worst(swept, k, study)) for k in range(count)),
+    )
+
+
+def _sensitivities(swept: "Swept", pictures: Pictures) -> Markup:
+    parts = [
+        paragraph(
+            "First order is what an input explains by itself, total what it explains with all of "
+            "its interactions. Of correlated inputs it is the independent normal numbers that they "
+            "are made from."
+        )
+    ]
+    found = zip(swept.sensitivities, tables.sensitivities(swept), strict=True)
+    for k, (one, listed) in enumerate(found):
+        intervals = np.stack([one.first_interval, one.total_interval])
+        figure = shares(swept.plan.study.names, one.first, one.total, intervals)
+        drawn = pictures.shown(
+            f"shares-{k}",
+            figure,
+            f"Shares of the variance of {one.output}.",
+            alt="Two bars for each input.",
+        )
+        parts += [drawn, table(listed)]
+    return joined(*parts)

@@ -1,0 +1,138 @@
+"""A sweep before it runs: its study checked against its system, and a key of all that it is."""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.systems.simulation import Master
+from cosim.systems.system import SystemSpec, Value
+from fmu_src.run.batch import Array
+from fmu_src.run.pool import HERE
+from hesr.extras.sweep.design import chosen
+from hesr.extras.sweep.study import SweepStudy
+from hesr.extras.sweep.work import Target, Task
+from hesr_model.errors import ConfigError
+from hesr_model.support.files import sha256
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """A sweep.
+
+    Attributes
+    ----------
+    study : what was asked for.
+    task : what all runs share.
+    values : (runs, d) of the inputs.
+    digests : SHA-256 of each FMU.
+    """
+
+    study: SweepStudy
+    task: Task
+    values: Array
+    digests: dict[Path, str]
+
+    @property
+    def firsts(self) -> list[int]:
+        """First run of each chunk."""
+        return list(range(0, len(self.values), self.study.chunk))
+
+    def chunk(self, first: int) -> Array:
+        """Return the values of the chunk that begins with a run, (n, d)."""
+        return self.values[first : first + self.study.chunk]
+
+    def about(self) -> dict[str, Any]:
+        """Return what is written beside the results."""
+        study = self.study.model_dump(mode="json", exclude={"system"})
+        return {"key": self.task.key, "runs": len(self.values), "study": study}
+
+
+def planned(path: Path) -> Plan:
+    """Read a study and check all that can be checked before a run.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file, and the variable or signal that is not in the system or cannot be varied.
+    SimulationError
+        If an FMU cannot be loaded.
+    """
+    study = SweepStudy.read(path)
+    spec = SystemSpec.read(study.system)
+    signals = [s for o in study.outputs for s in (o.signal, o.reference) if s is not None]
+    spec = spec.model_copy(update={"observe": tuple(dict.fromkeys(signals))})
+    for output in study.outputs:
+        if output.start > spec.stop:
+            raise ConfigError(
+                f"{path}: output '{output.name}' counts from {output.start:g} s on, and a run ends "
+                f"at {spec.stop:g} s."
+            )
+    targets = tuple(_targets(study, spec, path))
+    values = chosen(study)
+    digests = {fmu: sha256(fmu) for fmu in {c.fmu for c in spec.components} if fmu.is_file()}
+    task = Task(key="", spec=spec, targets=targets, outputs=study.outputs)
+    with Master(spec, study.system, loaded=HERE) as master:
+        master.require_start(task.start(values[0]), path)
+        for output in study.outputs:
+            if output.reference:
+                master.require_alike(output.signal, output.reference, path)
+    task = Task(key=_key(study, spec, digests), spec=spec, targets=targets, outputs=study.outputs)
+    return Plan(study=study, task=task, values=values, digests=digests)
+
+
+def _targets(study: SweepStudy, spec: SystemSpec, path: Path) -> list[Target]:
+    found = []
+    for column, one in enumerate(study.inputs):
+        for name in one.variables:
+            component, _, variable = name.partition(".")
+            base = _base(spec, component, variable, path) if one.factor else None
+            whole = bool(one.values) and all(float(value).is_integer() for value in one.values)
+            found.append(
+                Target(
+                    component=component,
+                    variable=variable,
+                    column=column,
+                    base=base,
+                    integer=one.integer or whole,
+                )
+            )
+    column = len(study.inputs)
+    for group in study.correlated:
+        for name in group.variables:
+            component, _, variable = name.partition(".")
+            found.append(Target(component=component, variable=variable, column=column))
+            column += 1
+    return found
+
+
+def _base(spec: SystemSpec, component: str, variable: str, path: Path) -> tuple[float, ...]:
+    starts = {c.name: c.start for c in spec.components}
+    value: Value | None = starts.get(component, {}).get(variable)
+    if value is None or isinstance(value, str | bool):
+        raise ConfigError(
+            f"{path}: '{component}.{variable}' is varied by a factor, and the system gives it no "
+            "start value that is a number."
+        )
+    return tuple(map(float, value)) if isinstance(value, tuple) else (float(value),)
+
+
+def _key(study: SweepStudy, spec: SystemSpec, digests: dict[Path, str]) -> str:
+    """Return a hash of all that results depend on; where files stand does not count."""
+    system = spec.model_dump(mode="json", exclude={"components"})
+    components = [
+        c.model_dump(mode="json", exclude={"fmu"}) | {"fmu": digests.get(c.fmu)}
+        for c in spec.components
+    ]
+    data = {
+        "study": study.model_dump(mode="json", exclude={"system"}),
+        "system": system,
+        "components": components,
+        "version": version("hesr"),
+        "numpy": np.__version__,
+    }
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,135 @@
+"""A sweep: planned, done chunk by chunk, kept, summed up; it goes on where it was interrupted."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+from cosim.systems.simulation import Master, Result
+from hesr.extras.sweep.plan import Plan, planned
+from hesr.extras.sweep.result import Swept
+from hesr.extras.sweep.sensitivity import Sensitivity, sensitivities
+from hesr.extras.sweep.store import ABOUT, RUNS, Store, Table, taken
+from hesr.extras.sweep.work import Rows, release, run_rows
+from hesr_model.errors import ConfigError, SimulationError
+from hesr_model.support import parallel
+from hesr_model.support.progress import Stages, silent
+
+PAGE = "sweep.html"
+
+
+def run_sweep(
+    path: Path,
+    output: Path,
+    *,
+    workers: int | None = None,
+    cluster: str | None = None,
+    progress: Stages = silent,
+) -> Swept:
+    """Do all runs of a study that are not done yet, and write the page.
+
+    Parameters
+    ----------
+    path : study file.
+    output : folder of the results.
+    workers : processes; one for each core where not given, none of its own for 1. The files do not
+        depend on it.
+    cluster : address of a scheduler of dask.distributed, whose workers do the runs instead.
+    progress : told how many runs are done.
+
+    Raises
+    ------
+    HesrError
+        If the study or its system is wrong, the folder holds another sweep, or every run failed.
+    """
+    try:
+        plan = planned(path)
+        outputs = tuple(one.name for one in plan.study.outputs)
+        store = Store(output, plan.study.names, outputs)
+        with taken(output, RUNS, ABOUT, plan.about()):
+            left = [k for k in plan.firsts if not store.has(k, plan.chunk(k))]
+            reused = len(plan.values) - sum(len(plan.chunk(k)) for k in left)
+            _run(plan, store, left, workers, cluster, partial(progress, plan.study.name))
+            table = store.read(plan.firsts)
+            swept = Swept(
+                plan=plan, table=table, sensitivities=_sensitivities(plan, table), reused=reused
+            )
+            if all(table.failures):
+                raise SimulationError(
+                    f"{path}: every one of the {len(table.failures)} runs failed, the first one "
+                    f"because {table.failures[0]}"
+                )
+            from hesr.extras.sweep.page import write_page  # draws, which takes long to load
+
+            write_page(swept, output / PAGE, path)
+    finally:
+        release()
+    return swept
+
+
+def _run(
+    plan: Plan,
+    store: Store,
+    left: list[int],
+    workers: int | None,
+    cluster: str | None,
+    progress: "partial[None]",
+) -> None:
+    done, count = len(plan.values) - sum(len(plan.chunk(k)) for k in left), len(plan.values)
+    progress(done, count)
+    with _results(plan, left, workers, cluster) as results:
+        for first, rows in results:
+            store.write(first, plan.chunk(first), rows)
+            done += len(plan.chunk(first))
+            progress(done, count)
+
+
+@contextmanager
+def _results(
+    plan: Plan, left: list[int], workers: int | None, cluster: str | None
+) -> Iterator[Iterator[tuple[int, Rows]]]:
+    """Yield the iterator of chunks that are done."""
+    if cluster is not None:
+        from hesr.extras.sweep.cluster import results_of
+
+        with results_of(plan, left, cluster) as results:
+            yield results
+        return
+    jobs = [partial(run_rows, plan.task, plan.chunk(first)) for first in left]
+    with parallel.results_of(jobs, workers) as found:
+        yield zip(left, found, strict=True)
+
+
+def _sensitivities(plan: Plan, table: Table) -> list[Sensitivity]:
+    study = plan.study
+    if study.design != "sobol" or study.runs is None:
+        return []
+    names = tuple(one.name for one in study.outputs)
+    return sensitivities(
+        table.outputs, names, inputs=len(study.names), runs=study.runs, seed=study.seed
+    )
+
+
+def replay(path: Path, run: int) -> tuple[Plan, Result]:
+    """Do one run of a study again, with all signals that are measured or that its system observes.
+
+    Raises
+    ------
+    ConfigError
+        If the study has no such run.
+    """
+    try:
+        plan = planned(path)
+        if not 0 <= run < len(plan.values):
+            raise ConfigError(
+                f"{path}: there is no run {run}; its runs are 0 to {len(plan.values) - 1}."
+            )
+        from cosim.systems.system import SystemSpec
+
+        own = SystemSpec.read(plan.study.system).observe
+        spec = plan.task.spec
+        spec = spec.model_copy(update={"observe": tuple(dict.fromkeys((*spec.observe, *own)))})
+        with Master(spec, plan.study.system) as master:
+            return plan, master.run(start=plan.task.start(plan.values[run]))
+    finally:
+        release()

@@ -1,0 +1,143 @@
+"""Results of a sweep on disk: a Parquet file for each chunk of runs, whole or not there at all."""
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from filelock import FileLock, Timeout
+
+from fmu_src.run.batch import Array
+from hesr.extras.sweep.work import Rows
+from hesr_model.artifacts import read_json, write_json
+from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.support.files import folder_made, written_whole
+
+ABOUT = "sweep.json"
+RUNS = "runs"
+"""Folder of the Parquet files; all of them are one data set."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Table:
+    """All runs of a sweep.
+
+    Attributes
+    ----------
+    inputs : (runs, d) in their variables' units.
+    outputs : (runs, m) in the signals' units; NaN for runs that failed.
+    failures : why they failed; empty for the others.
+    """
+
+    inputs: Array
+    outputs: Array
+    failures: tuple[str, ...]
+
+
+class Store:
+    """The folder of a sweep, once it is `taken`.
+
+    Parameters
+    ----------
+    folder : of the results.
+    inputs, outputs : names of the columns.
+    """
+
+    def __init__(self, folder: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> None:
+        self._folder, self._inputs, self._outputs = folder, inputs, outputs
+
+    def file(self, first: int) -> Path:
+        """Return the file of the chunk that begins with a run."""
+        return self._folder / RUNS / f"part-{first:08d}.parquet"
+
+    def write(self, first: int, values: Array, rows: Rows) -> None:
+        """Write a chunk: the same bytes for the same runs."""
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        columns: dict[str, Any] = {"run": np.arange(first, first + len(values), dtype=np.int64)}
+        columns |= dict(zip(self._inputs, values.T, strict=True))
+        columns |= dict(zip(self._outputs, rows.outputs.T, strict=True))
+        columns["failure"] = pa.array(rows.failures, pa.string())
+        with written_whole(self.file(first)) as temporary:
+            parquet.write_table(pa.table(columns), temporary, compression="zstd")
+
+    def has(self, first: int, values: Array) -> bool:
+        """Whether a chunk is there, readable and of these inputs."""
+        from pyarrow import ArrowException
+
+        try:
+            return np.array_equal(self._read(first).inputs, values)
+        except (OSError, ValueError, KeyError, ArrowException):
+            return False
+
+    def read(self, firsts: list[int]) -> Table:
+        """Read chunks, in their order."""
+        parts = [self._read(first) for first in firsts]
+        return Table(
+            inputs=np.concatenate([part.inputs for part in parts]),
+            outputs=np.concatenate([part.outputs for part in parts]),
+            failures=tuple(text for part in parts for text in part.failures),
+        )
+
+    def _read(self, first: int) -> Table:
+        from pyarrow import parquet
+
+        found = parquet.read_table(self.file(first))
+
+        def numbers(names: tuple[str, ...]) -> Array:
+            return np.column_stack([found.column(name).to_numpy() for name in names])
+
+        return Table(
+            inputs=numbers(self._inputs),
+            outputs=numbers(self._outputs),
+            failures=tuple(found.column("failure").to_pylist()),
+        )
+
+
+@contextmanager
+def taken(folder: Path, within: str, file: str, about: Mapping[str, Any]) -> Iterator[None]:
+    """Keep others out of a folder of results, to which this run may add.
+
+    Parameters
+    ----------
+    folder : of the results.
+    within : folder in it that holds their parts.
+    file : in which stands whose results they are, for instance ``sweep.json``.
+    about : what is written there; its "key" is that of whoever may add.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds results of another one.
+    ArtifactError
+        If another one is writing there, or it cannot be written.
+    """
+    what = Path(file).stem
+    with ExitStack() as cleanup:
+        try:
+            cleanup.enter_context(folder_made(folder / within))
+            lock = FileLock(folder / f".{what}-lock", timeout=0)
+            lock.acquire()
+        except Timeout as error:
+            raise ArtifactError(
+                f"{folder}: another {what} is writing into this folder; wait until it has ended, "
+                "or give another folder."
+            ) from error
+        except OSError as error:
+            raise ArtifactError(f"{folder}: cannot be written there ({error.strerror}).") from error
+        cleanup.callback((folder / f".{what}-lock").unlink, missing_ok=True)
+        cleanup.callback(lock.release)
+        if not (folder / file).is_file():
+            write_json(folder / file, json.loads(json.dumps(about)))
+        elif read_json(folder / file).get("key") != about["key"]:
+            raise ConfigError(
+                f"{folder}: holds results of another {what}, of other files; "
+                "give another folder, or remove this one."
+            )
+        for left in (folder / within).glob(".part-*"):  # of a run that was killed
+            left.unlink(missing_ok=True)
+        yield

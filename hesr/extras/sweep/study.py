@@ -1,0 +1,189 @@
+"""What `hesr sweep` varies in a system, what it measures, and how its runs are chosen."""
+
+from collections import Counter
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
+
+from cosim.systems.system import Signal
+from hesr_model.support.config import Config, RelativePath
+
+MOST_RUNS = 10**7
+_SYMMETRIC = 1e-9  # relative
+
+
+def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise ValueError(f"'{name}' stands there twice")
+    return names
+
+
+Signals = Annotated[tuple[Signal, ...], Field(min_length=1), AfterValidator(_distinct)]
+
+
+class Input(Config):
+    """What is varied by itself: one number, given to one or more variables.
+
+    One of three groups of keys says which values it takes: `values`; `low` and `high`, between
+    which all are equally likely; `mean` and `std` of a normal distribution.
+
+    Attributes
+    ----------
+    variables : `component.variable`; without an index it stands for all elements of a vector.
+    factor : whether the number is a factor on the start values in the system, instead of a value.
+    values : that it takes, in the variables' unit as all numbers here.
+    low, high : its range.
+    mean, std : of its normal distribution.
+    integer : whether only whole numbers are taken, as by the seed of a noise.
+    levels : values of a range in a grid.
+    """
+
+    variables: Signals
+    factor: bool = False
+    values: tuple[float, ...] = ()
+    low: float | None = None
+    high: float | None = None
+    mean: float | None = None
+    std: float | None = Field(default=None, gt=0.0)
+    integer: bool = False
+    levels: int = Field(default=5, ge=2)
+
+    @property
+    def name(self) -> str:
+        """The first variable, by which tables call it."""
+        return self.variables[0]
+
+    @model_validator(mode="after")
+    def _one_distribution(self) -> Self:
+        pairs = ((self.low, self.high), (self.mean, self.std))
+        given = [bool(self.values), *(None not in pair for pair in pairs)]
+        halves = [pair for pair in pairs if (None in pair) and pair != (None, None)]
+        if sum(given) != 1 or halves:
+            raise ValueError(
+                f"'{self.name}' needs one of 'values', 'low' and 'high', or 'mean' and 'std'"
+            )
+        if self.low is not None and self.high is not None and self.low >= self.high:
+            raise ValueError(f"'{self.name}' has a range from {self.low:g} to {self.high:g}")
+        return self
+
+
+class Correlated(Config):
+    """What is varied together, by a normal distribution: coefficients of a law, say.
+
+    Attributes
+    ----------
+    variables : one for each number.
+    mean : of the numbers, in their variables' units.
+    covariance : (n, n) of the numbers.
+    """
+
+    variables: Signals
+    mean: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+
+    @model_validator(mode="after")
+    def _is_a_covariance(self) -> Self:
+        n = len(self.variables)
+        rows = [len(row) for row in self.covariance]
+        if len(self.mean) != n or rows != [n] * n:
+            raise ValueError(
+                f"{n} variables that are correlated need a mean of {n} and a covariance of "
+                f"{n} x {n} numbers"
+            )
+        found = np.array(self.covariance)
+        scale = float(np.abs(found).max())
+        if np.abs(found - found.T).max() > _SYMMETRIC * scale or (
+            np.linalg.eigvalsh(found).min() < -_SYMMETRIC * scale
+        ):
+            raise ValueError(
+                f"the covariance of '{self.variables[0]}' and others is not symmetric and positive "
+                "semidefinite"
+            )
+        return self
+
+
+Measure = Literal["rms", "max", "mean", "final"]
+
+
+class Measured(Config):
+    """What is measured in each run: one number, over all elements of a signal.
+
+    Attributes
+    ----------
+    name : of the number.
+    signal : of which it is measured.
+    reference : signal that is subtracted first, where one is given.
+    measure : root mean square, largest magnitude, mean, or mean magnitude at the end.
+    start : before which nothing counts [s].
+    """
+
+    name: str = Field(pattern=r"^[A-Za-z][\w ]*$")
+    signal: Signal
+    reference: Signal | None = None
+    measure: Measure = "rms"
+    start: float = Field(default=0.0, ge=0.0)
+
+
+Design = Literal["grid", "latin_hypercube", "monte_carlo", "sobol"]
+
+
+class SweepStudy(Config):
+    """A study of many runs.
+
+    Attributes
+    ----------
+    name : of the study.
+    system : file of the system.
+    design : how the runs are chosen. "sobol" gives first- and total-order sensitivities and takes
+        `runs` x (inputs + 2) runs (Saltelli's design).
+    runs : how many; a power of 2 for "sobol", not given for "grid".
+    seed : of the choice: the same seed gives the same files, byte for byte.
+    chunk : runs that a worker does at a time, which stand in one file.
+    inputs, correlated : what is varied.
+    outputs : what is measured.
+    """
+
+    name: str = Field(default="sweep", min_length=1)
+    system: RelativePath
+    design: Design = "latin_hypercube"
+    runs: int | None = Field(default=None, ge=1, le=MOST_RUNS)
+    seed: int = Field(default=0, ge=0)
+    chunk: int = Field(default=50, ge=1, le=100_000)
+    inputs: tuple[Input, ...] = ()
+    correlated: tuple[Correlated, ...] = ()
+    outputs: tuple[Measured, ...] = Field(min_length=1)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the numbers that are varied."""
+        together = (name for group in self.correlated for name in group.variables)
+        return (*(one.name for one in self.inputs), *together)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        variables = [name for one in self.inputs for name in one.variables]
+        variables += [name for group in self.correlated for name in group.variables]
+        if not variables:
+            raise ValueError("nothing is varied: there are neither 'inputs' nor 'correlated'")
+        measured = [output.name for output in self.outputs]
+        for name, count in Counter((*variables, *measured)).items():
+            if count > 1:
+                raise ValueError(f"'{name}' is varied or measured twice")
+        self._fits_design()
+        return self
+
+    def _fits_design(self) -> None:
+        if self.design == "grid":
+            if self.runs is not None:
+                raise ValueError(
+                    "a grid has as many runs as its inputs have values; leave out 'runs'"
+                )
+            if self.correlated or any(one.mean is not None for one in self.inputs):
+                raise ValueError("a grid needs 'values' or 'low' and 'high' of every input")
+            return
+        if self.runs is None:
+            raise ValueError(f"the design '{self.design}' needs the key 'runs'")
+        if self.design == "sobol" and self.runs & (self.runs - 1):
+            raise ValueError(f"the design 'sobol' needs a power of 2 as 'runs', not {self.runs}")

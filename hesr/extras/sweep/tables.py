@@ -1,0 +1,73 @@
+"""Tables of a sweep: what its outputs are, its worst runs, and what they depend on."""
+
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cosim.report.tables.table import ResultTable, TableCell, row_of
+from fmu_src.run.batch import Array
+
+if TYPE_CHECKING:
+    from hesr.extras.sweep.result import Swept
+
+_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+
+def outputs(swept: "Swept") -> ResultTable:
+    """Return how the outputs are distributed over the runs that went well."""
+    rows = []
+    for output, values in zip(swept.plan.study.outputs, swept.table.outputs.T, strict=True):
+        found = values[np.isfinite(values)]
+        numbers = (found.mean(), found.std(), *np.quantile(found, _QUANTILES), found.max())
+        rows.append(row_of(output.name, *(_cell(value) for value in numbers)))
+    failed = sum(map(bool, swept.table.failures))
+    note = f"{failed} of {len(swept.table.failures)} runs failed." if failed else ""
+    head = ("output", "mean", "std", *(f"{100 * q:.0f} %" for q in _QUANTILES), "largest")
+    return ResultTable(caption="Outputs over all runs", head=head, rows=rows, note=note)
+
+
+def worst(swept: "Swept", k: int, path: Path) -> ResultTable:
+    """Return the runs with the largest magnitudes of output k, and how to see each again."""
+    name, study = swept.plan.study.outputs[k].name, swept.plan.study
+    rows = []
+    for run in swept.worst(k):
+        inputs = [_cell(value) for value in swept.table.inputs[run]]
+        command = f"hesr sweep {shlex.quote(path.name)} --replay {run} -o run{run}.csv"
+        value = swept.table.failures[run] or _cell(swept.table.outputs[run, k])
+        rows.append(row_of(f"{run}", value, *inputs, command))
+    return ResultTable(
+        caption=f"Worst runs by {name}",
+        head=("run", name, *study.names, "again by"),
+        rows=rows,
+        words=(2 + len(study.names),),
+    )
+
+
+def sensitivities(swept: "Swept") -> Iterator[ResultTable]:
+    """Yield what each output depends on."""
+    for one in swept.sensitivities:
+        rows = [
+            row_of(
+                name,
+                _with(one.first[i], one.first_interval[i]),
+                _with(one.total[i], one.total_interval[i]),
+            )
+            for i, name in enumerate(swept.plan.study.names)
+        ]
+        yield ResultTable(
+            caption=f"Shares of the variance of {one.output}, with 95 % bootstrap intervals",
+            head=("input", "first order", "total"),
+            rows=rows,
+        )
+
+
+def _cell(value: float) -> TableCell:
+    return TableCell(text=f"{value:.4g}", value=float(value))
+
+
+def _with(value: float, interval: Array) -> TableCell:
+    low, high = interval
+    return TableCell(text=f"{value:.3f}", value=float(value), notes=(f"{low:.3f} to {high:.3f}",))

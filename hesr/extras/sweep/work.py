@@ -1,0 +1,138 @@
+"""What a worker does: runs of a system whose FMUs stay loaded from one run to the next."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from threading import Lock
+
+import numpy as np
+
+from cosim.systems.simulation import Master, Result
+from cosim.systems.system import SystemSpec, Value
+from fmu_src.run.batch import Array
+from fmu_src.run.pool import HERE
+from hesr.extras.sweep.study import Measure, Measured
+
+Start = dict[str, dict[str, Value]]
+
+_MEASURES: Mapping[Measure, Callable[[Array], float]] = {
+    "rms": lambda values: float(np.sqrt(np.mean(values**2))),
+    "max": lambda values: float(np.abs(values).max()),
+    "mean": lambda values: float(np.mean(values)),
+    "final": lambda values: float(np.abs(values[-1]).mean()),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """A variable that an input sets.
+
+    Attributes
+    ----------
+    component, variable : where it is.
+    column : of the input.
+    base : start values that the input is a factor on; None where it is the value.
+    integer : whether the value is a whole number.
+    """
+
+    component: str
+    variable: str
+    column: int
+    base: tuple[float, ...] | None = None
+    integer: bool = False
+
+    def value(self, row: Array) -> Value:
+        """Return the start value in a run."""
+        number = float(row[self.column])
+        if self.base is not None:
+            scaled = tuple(number * part for part in self.base)
+            return scaled if len(scaled) > 1 else scaled[0]
+        return int(number) if self.integer else number
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """What all runs of a sweep share.
+
+    Attributes
+    ----------
+    key : changes with anything that the results depend on.
+    spec : the system; what is measured is observed.
+    targets : what the inputs set.
+    outputs : what is measured.
+    """
+
+    key: str
+    spec: SystemSpec
+    targets: tuple[Target, ...]
+    outputs: tuple[Measured, ...]
+
+    def start(self, row: Array) -> Start:
+        """Return the start values of a run from those of the inputs (d,)."""
+        start: Start = {}
+        for target in self.targets:
+            start.setdefault(target.component, {})[target.variable] = target.value(row)
+        return start
+
+    def measured(self, result: Result) -> Array:
+        """Return what is measured of a run (m,), in the signals' units; NaN where it failed."""
+        if result.failure:
+            return np.full(len(self.outputs), np.nan)
+        return np.array([self._measured(output, result) for output in self.outputs])
+
+    @staticmethod
+    def _measured(output: Measured, result: Result) -> float:
+        values = result.vector(output.signal)
+        if output.reference:
+            values = values - result.vector(output.reference)
+        return _MEASURES[output.measure](values[result.t >= output.start])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rows:
+    """What runs gave.
+
+    Attributes
+    ----------
+    outputs : (n, m) in the signals' units; NaN for runs that failed.
+    failures : why they failed; empty for the others.
+    """
+
+    outputs: Array
+    failures: tuple[str, ...]
+
+
+_LOCK = Lock()
+_held: tuple[str, Master] | None = None
+"""The system of the last task, loaded."""
+
+
+def run_rows(task: Task, values: Array) -> Rows:
+    """Do the runs whose inputs have these values (n, d)."""
+    with _LOCK:  # a worker of a cluster may have several threads
+        return _run_rows(_master(task), task, values)
+
+
+def _run_rows(master: Master, task: Task, values: Array) -> Rows:
+    outputs, failures = np.empty((len(values), len(task.outputs))), []
+    for k, row in enumerate(values):
+        result = master.run(start=task.start(row))
+        outputs[k] = task.measured(result)
+        failures.append(str(result.failure or ""))
+    return Rows(outputs=outputs, failures=tuple(failures))
+
+
+def release() -> None:
+    """Free what this process holds of the last task."""
+    global _held
+    if _held is not None:
+        held, _held = _held, None
+        held[1].__exit__(None, None, None)
+    HERE.clear()
+
+
+def _master(task: Task) -> Master:
+    global _held
+    if _held is None or _held[0] != task.key:
+        release()
+        _held = task.key, Master(task.spec, loaded=HERE).__enter__()
+    return _held[1]

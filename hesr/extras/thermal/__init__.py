@@ -1,0 +1,1 @@
+"""Temperature in friction, fitted to logs."""

@@ -1,0 +1,274 @@
+"""Temperature in friction, from logs: with a thermometer, or by the heat of long logs.
+
+Of a law that is fitted already five numbers are found by least squares: both factors at the
+reference, both coefficients, and an offset, with the factors on bounds and on viscous friction as
+the adaptive FMU has them. Where no temperature is measured the thermal time constant is searched
+with them, and a log begins at the ambient; R is 1 then, since temperatures are known up to a
+factor only. Where it is measured, R, T_th and the ambient are those with which the heat of friction
+explains it best.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import sympy
+from scipy.optimize import least_squares, minimize_scalar
+
+from hesr_model.errors import FitError
+from hesr_model.friction.factors import parts
+from hesr_model.friction.inputs import INPUTS
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.metrics import rmse
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import numbers, over_log
+from hesr_model.friction.thermal import Thermal
+from hesr_model.inference.covariance import blocks_of_time, covariance, left_out
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
+
+LEAST_SPREAD = 3.0
+"""[K] between the coldest and the warmest twentieth of the rows."""
+
+LEAST_TIME = 300.0
+"""[s] of the longest log, where no temperature is measured: heat is slow."""
+
+_TIMES = (60.0, 14_400.0)
+"""Between which the thermal time constant is searched [s]."""
+
+_WIDTH = 1.96
+"""Standard errors of a 95 % interval to either side."""
+
+_ROUNDS = 2
+"""By which heat and what it does to friction agree."""
+
+
+class Factored:
+    """A law whose bounds and viscous friction have factors that change from row to row.
+
+    Parameters
+    ----------
+    law : of one joint, with stops or bristles.
+
+    Raises
+    ------
+    ExportError
+        If it has neither.
+    """
+
+    def __init__(self, law: FrictionLaw) -> None:
+        level, viscosity = sympy.symbols("level viscosity", real=True)
+        own = parts(law, level)
+        output = own.hysteresis + viscosity * own.viscous + own.rest
+        self._law = law
+        arguments = (*(c.symbol for c in law.form.coefficients), *INPUTS, level, viscosity)
+        settling = law.form.component.settling
+        self._memory, self._output = over_log(own.memory, arguments, (output,), settling)
+
+    def torque(self, record: FrictionRecord, level: Array, viscosity: Array) -> Array:
+        """Return the torque (N,) [N.m] over a record, factors (N,) beside its rows."""
+        law, dt = self._law, np.diff(record.t, prepend=record.t[0])
+        values = (*numbers(law), record.dq, record.q, record.tau_load, level, viscosity)
+        first = [float(np.atleast_1d(np.asarray(v))[0]) for v in values]
+        states = self._memory(
+            values, dt, np.arange(len(dt)) == 0, self._memory.beginning(first, law.start),
+            law.discretisation,
+        )  # fmt: skip
+        found = self._output(*values, *states, dt)[0]
+        return np.array(np.broadcast_to(found, dt.shape))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalFit:
+    """What logs tell of temperature in the friction of one joint.
+
+    Attributes
+    ----------
+    joint : its name.
+    thermal : the model.
+    coulomb_error, viscous_error : standard errors of both coefficients [1/K].
+    rmse_fixed, rmse : errors of the law without and with temperature [N.m].
+    """
+
+    joint: str
+    thermal: Thermal
+    coulomb_error: float
+    viscous_error: float
+    rmse_fixed: float
+    rmse: float
+
+
+def fit_thermal(
+    model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]]
+) -> tuple[FrictionModel, tuple[ThermalFit, ...]]:
+    """Find what temperature does to the friction of a model, joint by joint.
+
+    Parameters
+    ----------
+    model : fitted already; its own numbers stay.
+    logs : records [log][joint], temperatures in all of them or in none.
+
+    Returns
+    -------
+    The model with its thermal models, and what was found of each joint.
+
+    Raises
+    ------
+    FitError
+        If temperatures hardly vary, logs without them are short, or friction does not follow.
+    ExportError
+        If a law has nothing that a factor could act on.
+    """
+    if model.coupling is not None:
+        raise FitError(
+            f"friction model '{model.law}': its motors turn with several joints; temperature is "
+            "followed joint by joint only."
+        )
+    found = tuple(_of_joint(law, [log[j] for log in logs]) for j, law in enumerate(model.laws))
+    return replace(model, thermal=tuple(f.thermal for f in found)), found
+
+
+def _of_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit:
+    measured = [r.temperature for r in records if r.temperature is not None]
+    if measured and len(measured) < len(records):
+        without = next(r.log for r in records if r.temperature is None)
+        raise FitError(
+            f"log {without}: holds no temperatures, but others do; use logs of one kind."
+        )
+    problem = _Problem(law, records)
+    if measured:
+        every = np.concatenate(measured)
+        low, high = np.percentile(every, (5.0, 95.0))
+        if high - low < LEAST_SPREAD:
+            raise FitError(
+                f"joint '{records[0].joint}': its temperature varies by {high - low:.2g} K over "
+                f"the logs; at least {LEAST_SPREAD:g} K tell what it does to friction."
+            )
+        start = Thermal(coulomb=0.0, viscous=0.0, reference=round(float(np.mean(every)), 1))
+        fitted = problem.solved(start, lambda _: measured)
+        return replace(fitted, thermal=problem.heated(fitted.thermal, measured))
+    longest = max(float(np.ptp(r.t)) for r in records)
+    if longest < LEAST_TIME:
+        raise FitError(
+            f"joint '{records[0].joint}': the longest log takes {longest:.3g} s; without "
+            f"temperatures, logs of at least {LEAST_TIME:g} s from a cold start are needed."
+        )
+    start = Thermal(
+        coulomb=0.0, viscous=0.0, time_constant=longest / 3.0, resistance=1.0, measured=False
+    )
+    fitted = problem.solved(start, problem.by_heat, searched=True)
+    thermal = fitted.thermal
+    if (
+        abs(thermal.coulomb) < _WIDTH * fitted.coulomb_error
+        and abs(thermal.viscous) < _WIDTH * fitted.viscous_error
+    ):
+        raise FitError(
+            f"joint '{fitted.joint}': its friction does not change with the heat of the logs; "
+            "longer ones from a cold start are needed."
+        )
+    return fitted
+
+
+class _Problem:
+    """Least squares of one joint: ln c_0, ln n_0, b_c, b_v, an offset; ln T_th where searched."""
+
+    def __init__(self, law: FrictionLaw, records: Sequence[FrictionRecord]) -> None:
+        self._law, self._records = Factored(law), records
+        self._known = [np.isfinite(r.tau) for r in records]
+        self._steps = [np.diff(r.t, prepend=r.t[0]) for r in records]
+
+    def solved(
+        self, start: Thermal, temperatures: Callable[[Thermal], Sequence[Array]], *,
+        searched: bool = False,
+    ) -> ThermalFit:  # fmt: skip
+        """Return the best numbers; `temperatures` of each record may depend on them.
+
+        The time constant is one of them where it is `searched`.
+        """
+
+        def thermal_of(x: Array) -> Thermal:
+            time = float(np.exp(x[5])) if searched else start.time_constant
+            return replace(
+                start, coulomb_scale=float(np.exp(x[0])), viscous_scale=float(np.exp(x[1])),
+                coulomb=float(x[2]), viscous=float(x[3]), time_constant=time,
+            )  # fmt: skip
+
+        def left(thermal: Thermal, offset: float) -> Array:
+            torques = self._torques(thermal, temperatures(thermal))
+            rows = zip(torques, self._records, self._known, strict=True)
+            return np.concatenate([(tau + offset - r.tau)[known] for tau, r, known in rows])
+
+        count = 6 if searched else 5
+        low = np.array([-1.0, -1.5, -0.5, -0.5, -np.inf, np.log(_TIMES[0])])[:count]
+        high = np.array([1.0, 1.5, 0.5, 0.5, np.inf, np.log(_TIMES[1])])[:count]
+        first = np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.log(start.time_constant)])[:count]
+        scale = np.array([0.1, 0.1, 0.01, 0.01, 1.0, 0.3])[:count]
+        if searched:  # where nothing depends on heat its time constant has no slope
+            first[2:4] = 1e-3
+        found = least_squares(
+            lambda x: left(thermal_of(x), x[4]), first, bounds=(low, high), x_scale=scale
+        )
+        errors = self._errors(found.jac, found.fun)
+        return ThermalFit(
+            joint=self._records[0].joint, thermal=thermal_of(found.x),
+            coulomb_error=float(errors[2]), viscous_error=float(errors[3]),
+            rmse_fixed=rmse(left(start, 0.0)), rmse=rmse(found.fun),
+        )  # fmt: skip
+
+    def _torques(self, thermal: Thermal, temperatures: Sequence[Array]) -> list[Array]:
+        return [
+            self._law.torque(r, *thermal.factors(t))
+            for r, t in zip(self._records, temperatures, strict=True)
+        ]
+
+    def _errors(self, jacobian: Array, residual: Array) -> Array:
+        labels = blocks_of_time(np.repeat(
+            np.arange(len(self._records)), [int(known.sum()) for known in self._known]
+        ))  # fmt: skip
+        own = [jacobian[labels == k] for k in range(int(labels.max()) + 1)]
+        hessians = [j.T @ j for j in own]
+        gradients = jacobian * left_out(jacobian, residual, np.sum(hessians, axis=0))[:, None]
+        names = ("coulomb_scale", "viscous_scale", "coulomb", "viscous", "offset", "time_constant")
+        return covariance(names[: len(jacobian.T)], gradients, hessians, labels).standard_errors
+
+    def by_heat(self, thermal: Thermal) -> list[Array]:
+        """Return temperatures of each record that its friction and the ambient give it [degC]."""
+        found = [np.full_like(r.t, thermal.ambient) for r in self._records]
+        for _ in range(_ROUNDS):
+            found = [
+                thermal.ambient + thermal.rise(power, dt)
+                for power, dt in zip(self._powers(thermal, found), self._steps, strict=True)
+            ]
+        return found
+
+    def _powers(self, thermal: Thermal, temperatures: Sequence[Array]) -> list[Array]:
+        torques = self._torques(thermal, temperatures)
+        return [np.abs(tau * r.dq) for tau, r in zip(torques, self._records, strict=True)]
+
+    def heated(self, thermal: Thermal, temperatures: Sequence[Array]) -> Thermal:
+        """Return the model with the lumped mass that explains measured temperatures best."""
+        powers = self._powers(thermal, temperatures)
+        measured = np.concatenate(list(temperatures))
+
+        def mass(time: float) -> tuple[Array, float]:
+            """Resistance, ambient and the first temperature of each log; and their error."""
+            rows = []
+            for k, (power, dt, r) in enumerate(
+                zip(powers, self._steps, self._records, strict=True)
+            ):
+                left = np.exp(-(r.t - r.t[0]) / time)
+                firsts = np.outer(left, np.arange(len(powers)) == k)
+                heat = replace(thermal, resistance=1.0, time_constant=time).rise(power, dt)
+                rows.append(np.column_stack([heat, 1.0 - left, firsts]))
+            columns = np.concatenate(rows)
+            x = np.linalg.lstsq(columns, measured, rcond=None)[0]
+            return x, float(np.sum((columns @ x - measured) ** 2))
+
+        best = minimize_scalar(
+            lambda x: mass(float(np.exp(x)))[1], bounds=np.log(_TIMES), method="bounded"
+        )
+        time = float(np.exp(best.x))
+        x, _ = mass(time)
+        return replace(
+            thermal, resistance=max(float(x[0]), 0.0), time_constant=time, ambient=float(x[1])
+        )

@@ -1,0 +1,123 @@
+"""Which runs of a closed loop are shown, from the results of a study alone."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cosim.loop.closed_loop import ARM, StandIn
+from cosim.loop.traces import TRACES, Trace, read_traces
+from cosim.report.tables.table import title
+from fmu_src.run.archive import Archive
+from hesr_model.artifacts import read_rigid_body
+from hesr_model.errors import ArtifactError, ConfigError
+
+_SCHEME = "servo_inversion"  # in which models pay most
+_MODEL = "resources/model.xml"
+_MOST = 4  # arms side by side
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """What a user wants to see.
+
+    Attributes
+    ----------
+    laws : to be shown side by side; where there are none, the rigid body alone and the law that
+        tracks best.
+    scheme : how commands are made; the one where models pay most where not given.
+    magnify : factor on the deviations from the commanded pose.
+    speed : of the motion over its own.
+    """
+
+    laws: Sequence[str] = ()
+    scheme: str | None = None
+    magnify: float = 1.0
+    speed: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in (("magnify", self.magnify), ("speed", self.speed)):
+            if not (np.isfinite(value) and value > 0):
+                raise ConfigError(f"--{name} is {value:g}; needed is a number above 0.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """What is shown.
+
+    Attributes
+    ----------
+    mjcf : of the arm.
+    joints : names of its joints, in the order of the traces.
+    scheme : of all runs.
+    runs : traces by title of the law.
+    """
+
+    mjcf: str
+    joints: Sequence[str]
+    scheme: str
+    runs: Mapping[str, Trace]
+
+
+def choose(folder: Path, choice: Choice) -> Shown:
+    """Read from the results of a study what is to be shown.
+
+    Raises
+    ------
+    ArtifactError
+        If the folder holds no results of a closed loop, or damaged ones.
+    ConfigError
+        If there is no such law or scheme in it.
+    """
+    if not folder.is_dir():
+        raise ArtifactError(f"{folder}: no such folder; needed is what 'hesr run' has written.")
+    traces = read_traces(folder / TRACES)
+    schemes = list(dict.fromkeys(scheme.name for scheme, _ in traces))
+    scheme = choice.scheme or (_SCHEME if _SCHEME in schemes else schemes[-1])
+    if scheme not in schemes:
+        raise ConfigError(f"--scheme is '{scheme}'; there are {_listed(schemes)} in {folder}.")
+    of_scheme = {law: trace for (s, law), trace in traces.items() if s.name == scheme}
+    laws = list(choice.laws) or _telling(of_scheme)
+    for law in laws:
+        if law not in of_scheme:
+            raise ConfigError(
+                f"--law is '{law}'; with scheme '{scheme}' there are {_listed(of_scheme)} in "
+                f"{folder}."
+            )
+    if len(laws) > _MOST:
+        raise ConfigError(f"--law is given {len(laws)} times; at most {_MOST} fit side by side.")
+    return Shown(
+        mjcf=_mjcf(folder / "fmus" / ARM),
+        joints=read_rigid_body(folder / "rigid_body.json").joints,
+        scheme=scheme,
+        runs={title(law): of_scheme[law] for law in laws},
+    )
+
+
+def _telling(runs: Mapping[str, Trace]) -> list[str]:
+    """Return what shows best what a law is good for: none beside the best one."""
+    errors = {
+        law: float(np.sqrt(np.mean((trace.q - trace.q_d) ** 2)))
+        for law, trace in runs.items()
+        if law not in set(StandIn)
+    }
+    best = min(errors, key=lambda law: errors[law], default=None)
+    chosen = [law for law in (StandIn.BODY_ONLY, best) if law in runs]
+    return [law for law in chosen if law is not None] or list(runs)[:1]
+
+
+def _mjcf(fmu: Path) -> str:
+    if not fmu.is_file():
+        raise ArtifactError(f"{fmu}: no such file; the arm cannot be shown without it.")
+    with Archive(fmu) as archive:
+        content = archive.read(_MODEL) if _MODEL in archive.names else b""
+    with suppress(UnicodeDecodeError):
+        if text := content.decode("utf-8"):
+            return text
+    raise ArtifactError(f"{fmu}: holds no {_MODEL}, the arm that is to be shown.")
+
+
+def _listed(names: Sequence[str] | Mapping[str, object]) -> str:
+    return ", ".join(f"'{name}'" for name in names)

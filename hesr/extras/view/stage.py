@@ -1,0 +1,258 @@
+"""The scene: arms side by side, each with its commanded pose as a translucent ghost."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.loop.traces import Trace
+from fmu_src.run.batch import Array
+from hesr.extras.view.runs import Choice, Shown
+from hesr.extras.view.skeleton import Colour, Paint, arm, reach
+
+WIDTH, HEIGHT = 1280, 720  # of a video
+
+_BLUE: Colour = (0.0, 0.45, 0.70, 0.3)
+_ORANGE: Colour = (0.84, 0.37, 0.0, 1.0)
+_RUST: Colour = (0.50, 0.15, 0.0, 1.0)  # lines are lit brighter: this one looks orange
+_TEXT: Colour = (0.1, 0.1, 0.12, 1.0)
+_ARM = Paint(links=(0.78, 0.80, 0.83, 1.0), joints=(0.25, 0.27, 0.31, 1.0), end=_ORANGE)
+# Around the arm like a shell.
+_GHOST = Paint(
+    links=(*_BLUE[:3], 0.14), joints=(*_BLUE[:3], 0.14), end=(*_BLUE[:3], 0.14), thick=1.12
+)
+_TRAIL = 2.5  # [s] of the way that the arm's end has come
+_PIECES = 60  # of a trail
+_LINE, _LEFT = 0.09, 0.3  # [m] between lines of text; they begin on the left of the arm
+_FOVY = 40.0  # [degrees]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Placed:
+    """An arm with its ghost on the stage; positions of their joints in qpos."""
+
+    label: tuple[str, str]
+    t: Array
+    q_d: Array
+    q: Array
+    ghost: NDArray[np.intp]
+    solid: NDArray[np.intp]
+    ends: tuple[int, int]
+    above: Array
+
+
+class Stage:
+    """A MuJoCo model of all arms that are shown, and how it is to be moved.
+
+    Parameters
+    ----------
+    shown : the arm and its runs.
+    choice : speed and magnification.
+
+    Raises
+    ------
+    RobotError
+        If the model of the arm cannot be shown.
+    """
+
+    def __init__(self, shown: Shown, choice: Choice) -> None:
+        self._magnify, self._scheme = choice.magnify, shown.scheme
+        self.duration = max(float(run.t[-1]) for run in shown.runs.values())
+        low, high = _space(shown)
+        gap = (high[1] - low[1]) + 0.25 * float(np.linalg.norm(high - low))
+        spots = gap * (np.arange(len(shown.runs)) - 0.5 * (len(shown.runs) - 1))
+        spec = _room()
+        for k, spot in enumerate(spots):
+            frame = spec.worldbody.add_frame(pos=[0.0, float(spot), 0.0])
+            solid = arm(shown.mjcf, shown.joints, paint=_ARM)
+            ghost = arm(shown.mjcf, shown.joints, paint=_GHOST)
+            spec.attach(solid, prefix=f"actual{k}/", frame=frame)
+            spec.attach(ghost, prefix=f"commanded{k}/", frame=frame)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self._arms = [
+            self._place(k, spots[k], label, run, shown.joints, high[2])
+            for k, (label, run) in enumerate(shown.runs.items())
+        ]
+        self._paths = [self._path(one) for one in self._arms]
+        self.camera = _camera(low, high, spots)
+
+    def _place(
+        self, k: int, spot: float, label: str, run: Trace, joints: Sequence[str], top: float
+    ) -> _Placed:
+        def addresses(prefix: str) -> NDArray[np.intp]:
+            found = [self.model.joint(f"{prefix}/{name}").qposadr[0] for name in joints]
+            return np.array(found, dtype=np.intp)
+
+        off = run.q - run.q_d
+        errors = ", ".join(f"{1e3 * e:.2g}" for e in np.sqrt(np.mean(off**2, axis=0)))
+        ends = [_end(self.model, f"{prefix}{k}/", joints[-1]) for prefix in ("commanded", "actual")]
+        return _Placed(
+            label=(label, f"{errors} mrad"),
+            t=run.t,
+            q_d=run.q_d,
+            q=run.q_d + self._magnify * off,
+            ghost=addresses(f"commanded{k}"),
+            solid=addresses(f"actual{k}"),
+            ends=(ends[0], ends[1]),
+            above=np.array([0.0, spot - _LEFT, top + 2 * _LINE]),
+        )
+
+    def _path(self, one: _Placed) -> Array:
+        """Return where the ends of ghost and arm go, (N, 2, 3) [m]."""
+        path = np.empty((len(one.t), 2, 3))
+        for k in range(len(one.t)):
+            self.data.qpos[one.ghost], self.data.qpos[one.solid] = one.q_d[k], one.q[k]
+            mujoco.mj_kinematics(self.model, self.data)
+            path[k] = self.data.xpos[list(one.ends)]
+        return path
+
+    def set(self, t: float) -> None:
+        """Put all arms where they are at a time of the motion [s]."""
+        for one in self._arms:
+            k = _row(one.t, t)
+            self.data.qpos[one.ghost], self.data.qpos[one.solid] = one.q_d[k], one.q[k]
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
+    def annotate(self, scene: mujoco.MjvScene, t: float) -> None:
+        """Add trails and words to a scene that MuJoCo has filled or that is empty."""
+        for one, path in zip(self._arms, self._paths, strict=True):
+            last = _row(one.t, t)
+            first = _row(one.t, t - _TRAIL)
+            rows = np.unique(np.linspace(first, last, _PIECES).astype(int))
+            for side, pixels, colour in ((0, 9.0, _BLUE), (1, 3.0, _RUST)):
+                for a, b in pairwise(rows):
+                    _line(scene, path[a, side], path[b, side], pixels, colour)
+            for line, text in enumerate(one.label):
+                _text(scene, one.above - np.array([0.0, 0.0, _LINE * line]), text)
+
+    def legend(self, t: float) -> tuple[str, str]:
+        """Return what is what, in two columns, at a time [s]."""
+        size = "" if self._magnify == 1.0 else f", deviations x {self._magnify:g}"
+        told = {
+            "blue": "commanded",
+            "orange": f"actual{size}",
+            "mrad": "RMSE by joint",
+            f"{t:4.1f} s": self._scheme,
+        }
+        return "\n".join(told), "\n".join(told.values())
+
+
+def _row(t: Array, at: float) -> int:
+    return int(np.clip(np.searchsorted(t, at + 1e-9) - 1, 0, len(t) - 1))
+
+
+def _end(model: mujoco.MjModel, prefix: str, joint: str) -> int:
+    """Return the body that is farthest down the chain from a joint."""
+    start = int(model.joint(f"{prefix}{joint}").bodyid[0])
+    depth = {start: 0}
+    for body in range(start + 1, model.nbody):  # parents come first
+        if (parent := int(model.body_parentid[body])) in depth:
+            depth[body] = depth[parent] + 1
+    return max(depth, key=lambda body: depth[body])
+
+
+def _space(shown: Shown) -> tuple[Array, Array]:
+    """Return the corners of the box in which all bodies of the arm stay [m]."""
+    model = arm(shown.mjcf, shown.joints, paint=_ARM).compile()
+    data = mujoco.MjData(model)
+    places = [model.joint(name).qposadr[0] for name in shown.joints]
+    margin = 0.06 * reach(model)
+    points = [np.zeros(3)]
+    for run in shown.runs.values():
+        for q in run.q_d[:: max(len(run.q_d) // 200, 1)]:
+            data.qpos[places] = q
+            mujoco.mj_kinematics(model, data)
+            points += list(data.xpos[1:])
+    return np.min(points, axis=0) - margin, np.max(points, axis=0) + margin
+
+
+def _camera(low: Array, high: Array, spots: Array) -> mujoco.MjvCamera:
+    """Return a camera that sees all arms, from ahead and a little above."""
+    camera = mujoco.MjvCamera()
+    words = 3 * _LINE
+    camera.lookat = [
+        0.5 * (low[0] + high[0]),
+        0.5 * (low[1] + high[1]),
+        0.5 * (high[2] + words),
+    ]
+    camera.azimuth, camera.elevation = 170.0, -10.0
+    width = float(spots[-1] - spots[0] + high[1] - low[1])
+    height = high[2] + words
+    half = np.tan(np.radians(_FOVY) / 2)
+    camera.distance = float(max(height, width * HEIGHT / WIDTH) / (2 * half) + 0.6 * high[0])
+    return camera
+
+
+def _room() -> Any:
+    """Return a floor under a bright sky."""
+    spec = mujoco.MjSpec()
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = WIDTH, HEIGHT
+    spec.visual.global_.fovy = _FOVY
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.35] * 3, [0.35] * 3
+    spec.visual.headlight.specular = [0.1] * 3
+    spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 2048, 2
+    # Shadows are sharp within that distance, whatever the size of the floor.
+    spec.stat.extent, spec.stat.center = 3.0, [0.0, 0.0, 0.5]
+    spec.visual.map.znear = 0.01
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.97, 0.98, 1.0],
+        rgb2=[0.80, 0.85, 0.90],
+        width=256,
+        height=1536,
+    )
+    spec.add_texture(
+        name="tiles",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        mark=mujoco.mjtMark.mjMARK_EDGE,
+        rgb1=[0.90, 0.91, 0.92],
+        rgb2=[0.86, 0.87, 0.88],
+        markrgb=[0.80, 0.81, 0.82],
+        width=256,
+        height=256,
+    )
+    floor = spec.add_material(name="floor", texrepeat=[2.0, 2.0], texuniform=True, reflectance=0.05)
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[200.0, 200.0, 0.1], material="floor"
+    )
+    spec.worldbody.add_light(
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[0.5, 0.4, 3.0],
+        dir=[-0.2, -0.15, -1.0],
+        diffuse=[0.55] * 3,
+        specular=[0.15] * 3,
+        castshadow=True,
+    )
+    return spec
+
+
+def _line(scene: mujoco.MjvScene, start: Array, end: Array, pixels: float, colour: Colour) -> None:
+    if scene.ngeom < scene.maxgeom:
+        geom = scene.geoms[scene.ngeom]
+        kind = mujoco.mjtGeom.mjGEOM_LINE  # four times as fast as tubes, where software draws
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), _floats(colour))
+        mujoco.mjv_connector(geom, kind, pixels, start, end)
+        scene.ngeom += 1
+
+
+def _text(scene: mujoco.MjvScene, place: Array, text: str) -> None:
+    if scene.ngeom < scene.maxgeom:
+        geom = scene.geoms[scene.ngeom]
+        kind = mujoco.mjtGeom.mjGEOM_LABEL
+        mujoco.mjv_initGeom(geom, kind, np.full(3, 0.01), place, np.eye(3).ravel(), _floats(_TEXT))
+        geom.label = text[:99]  # MuJoCo has room for 100 characters
+        scene.ngeom += 1
+
+
+def _floats(colour: Colour) -> NDArray[np.float32]:
+    return np.array(colour, dtype=np.float32)

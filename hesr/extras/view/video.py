@@ -1,0 +1,210 @@
+"""A video of the scene, drawn without a screen."""
+
+import ctypes.util
+import errno
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from typing import IO, Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hesr.extras.view.runs import Choice, Shown
+from hesr.extras.view.stage import HEIGHT, WIDTH, Stage
+from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.support.files import written_whole
+from hesr_model.support.progress import Progress, counted, silent
+
+Image = NDArray[np.uint8]
+
+RATE = 30  # frames per second
+_PAGE = 2  # an animated picture for a page has the size and the rate of a video over this
+_BACKENDS = {"egl": "EGL", "osmesa": "OSMesa"}
+_GEOMS = 4000
+
+
+def write_video(path: Path, shown: Shown, choice: Choice, *, progress: Progress = silent) -> float:
+    """Write a video; return how long it is [s].
+
+    Parameters
+    ----------
+    path : file in ``.mp4``, or an animated picture for a page in ``.webp``.
+    shown, choice : what is shown, and how.
+    progress : told how many frames are done and how many there are.
+
+    Raises
+    ------
+    ConfigError
+        If the file's name ends in neither, if nothing can draw on this machine, or if the package
+        that encodes videos is not installed.
+    RobotError
+        If the arm cannot be shown.
+    ArtifactError
+        If the file cannot be written or encoded.
+    """
+    kind = path.suffix.lower()
+    if kind not in (".mp4", ".webp"):
+        raise ConfigError(f"--video is '{path}'; needed is a file in .mp4 or .webp.")
+    rate = RATE if kind == ".mp4" else RATE / _PAGE
+    encoding = partial(_encoding, _encoder()) if kind == ".mp4" else _animating
+    stage = Stage(shown, choice)
+    count = max(round(stage.duration / choice.speed * rate), 1)
+    with (
+        written_whole(path) as temporary,
+        drawing(stage) as draw,
+        encoding(temporary, path) as write,
+    ):
+        for k in counted(range(count), progress):
+            write(draw(k * choice.speed / rate))
+    return count / rate
+
+
+@contextmanager
+def drawing(stage: Stage) -> Iterator[Callable[[float], Image]]:
+    """Yield a function that draws the scene at a time [s], as an image (HEIGHT, WIDTH, 3).
+
+    Raises
+    ------
+    ConfigError
+        If there is no OpenGL that draws without a screen.
+    """
+    with ExitStack() as cleanup:
+        try:
+            context = _gl()(WIDTH, HEIGHT)
+            cleanup.callback(context.free)
+            context.make_current()
+            target = mujoco.MjrContext(stage.model, mujoco.mjtFontScale.mjFONTSCALE_150)
+        except Exception as error:  # drivers fail in ways of their own
+            if isinstance(error, ConfigError):
+                raise
+            raise ConfigError(
+                f"--video: OpenGL does not draw on this machine ({_first_line(error)}); try "
+                "MUJOCO_GL=osmesa or MUJOCO_GL=egl, or another machine."
+            ) from error
+        cleanup.callback(target.free)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, target)
+        scene = mujoco.MjvScene(stage.model, maxgeom=_GEOMS)
+        option = mujoco.MjvOption()
+        view = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
+        image: Image = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
+
+        def draw(t: float) -> Image:
+            stage.set(t)
+            mujoco.mjv_updateScene(
+                stage.model,
+                stage.data,
+                option,
+                None,
+                stage.camera,
+                mujoco.mjtCatBit.mjCAT_ALL,
+                scene,
+            )
+            stage.annotate(scene, t)
+            mujoco.mjr_render(view, scene, target)
+            mujoco.mjr_overlay(
+                mujoco.mjtFont.mjFONT_NORMAL,
+                mujoco.mjtGridPos.mjGRID_BOTTOMLEFT,
+                view,
+                *stage.legend(t),
+                target,
+            )
+            mujoco.mjr_readPixels(image, None, view, target)
+            return np.ascontiguousarray(image[::-1])
+
+        yield draw
+
+
+def _gl() -> Any:
+    """Return the class of an OpenGL context that needs no screen."""
+    wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if sys.platform == "linux" and not wanted:
+        found = [name for name, library in _BACKENDS.items() if ctypes.util.find_library(library)]
+        if not found:
+            raise ConfigError(
+                "--video needs OpenGL without a screen, and neither libEGL nor libOSMesa is "
+                "installed (Debian: apt install libegl1 or libosmesa6)."
+            )
+        wanted = found[0]
+    if wanted == "egl":
+        from mujoco.egl import GLContext
+    elif wanted == "osmesa":
+        from mujoco.osmesa import GLContext
+    else:
+        from mujoco.gl_context import GLContext
+    return GLContext
+
+
+def _encoder() -> str:
+    """Return the path of ffmpeg, which comes with a package."""
+    try:
+        import imageio_ffmpeg
+
+        return str(imageio_ffmpeg.get_ffmpeg_exe())
+    except ImportError as error:
+        raise ConfigError(
+            "--video needs the package imageio-ffmpeg: pip install 'hesr[video]'."
+        ) from error
+    except RuntimeError as error:
+        raise ConfigError(f"--video: there is no ffmpeg ({_first_line(error)}).") from error
+
+
+@contextmanager
+def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image], None]]:
+    """Yield a function that adds an image to the video in a file, which will be `path`."""
+    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{WIDTH}x{HEIGHT}", "-r", str(RATE)]
+    result = ["-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+    command = [encoder, "-y", "-loglevel", "error", *source, "-i", "-", *result, str(file)]
+    with tempfile.TemporaryFile() as said:
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said)
+        pipe = process.stdin
+        assert pipe is not None  # as it is to be a pipe
+        try:
+            yield lambda image: _send(pipe, image)
+            pipe.close()
+        except BrokenPipeError:  # said below
+            pass
+        except BaseException:
+            process.kill()
+            raise
+        finally:
+            with suppress(BrokenPipeError):
+                pipe.close()
+            process.wait()
+        if process.returncode:
+            said.seek(0)
+            lines = said.read().decode(errors="replace").strip().splitlines()
+            full = os.strerror(errno.ENOSPC)
+            if any(full in line for line in lines):  # of the last lines it is only one
+                raise OSError(errno.ENOSPC, full, str(path))
+            reason = lines[-1].rstrip(".") if lines else f"exit code {process.returncode}"
+            raise ArtifactError(f"{path}: the video cannot be encoded ({reason}).")
+
+
+@contextmanager
+def _animating(file: Path, path: Path) -> Iterator[Callable[[Image], None]]:
+    """Yield a function that adds an image to an animated WebP, which pages play by themselves."""
+    import PIL.Image
+
+    del path
+    frames: list[PIL.Image.Image] = []
+    size = (WIDTH // _PAGE, HEIGHT // _PAGE)
+    yield lambda image: frames.append(PIL.Image.fromarray(image).resize(size))
+    frames[0].save(
+        file, format="WEBP", save_all=True, append_images=frames[1:], loop=0, quality=60, method=4,
+        duration=round(1000 * _PAGE / RATE),
+    )  # fmt: skip
+
+
+def _send(pipe: IO[bytes], image: Image) -> None:
+    pipe.write(image.tobytes())
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")

@@ -1,0 +1,84 @@
+"""The scene in MuJoCo's viewer, on a screen."""
+
+import os
+import sys
+import threading
+import time
+from contextlib import ExitStack
+
+import mujoco
+
+from hesr.extras.view.runs import Choice, Shown
+from hesr.extras.view.stage import Stage
+from hesr_model.errors import ConfigError
+
+_PATIENCE = 10.0  # [s] for the viewer to close
+_RATE = 60.0  # [Hz] at which the viewer is told where the arms are
+
+
+def show(shown: Shown, choice: Choice, *, turns: int | None = None) -> None:
+    """Show the motion again and again until the viewer is closed.
+
+    Parameters
+    ----------
+    shown, choice : what is shown, and how.
+    turns : number of times the motion is shown; until the viewer is closed where not given.
+
+    Raises
+    ------
+    ConfigError
+        If there is no screen, or the viewer does not open.
+    RobotError
+        If the arm cannot be shown.
+    """
+    require_screen()
+    from mujoco import viewer  # fails without a screen
+
+    stage = Stage(shown, choice)
+    before = set(threading.enumerate())
+    try:
+        window = viewer.launch_passive(
+            stage.model, stage.data, show_left_ui=False, show_right_ui=False
+        )
+    except RuntimeError as error:  # macOS wants MuJoCo's own interpreter
+        raise ConfigError(
+            f"the viewer does not open ({str(error).rstrip('.')}); --video FILE.mp4 writes a video "
+            "instead."
+        ) from error
+    with ExitStack() as cleanup:
+        # Its thread draws on until it sees that it should end; Python must not end before it.
+        for thread in set(threading.enumerate()) - before:
+            cleanup.callback(thread.join, _PATIENCE)
+        cleanup.enter_context(window)
+        camera = window.cam
+        camera.lookat, camera.distance = stage.camera.lookat, stage.camera.distance
+        camera.azimuth, camera.elevation = stage.camera.azimuth, stage.camera.elevation
+        start = time.monotonic()
+        while window.is_running():
+            turn, t = divmod(choice.speed * (time.monotonic() - start), stage.duration)
+            if turns is not None and turn >= turns:
+                break
+            with window.lock():
+                stage.set(t)
+                if window.user_scn is not None:
+                    window.user_scn.ngeom = 0
+                    stage.annotate(window.user_scn, t)
+            window.set_texts((None, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT, *stage.legend(t)))
+            window.sync()
+            time.sleep(1.0 / _RATE)
+
+
+def require_screen() -> None:
+    """Refuse to open a window where there is no screen.
+
+    Raises
+    ------
+    ConfigError
+        If there is none.
+    """
+    if sys.platform == "linux" and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        raise ConfigError(
+            "there is no screen to open a window on; --video FILE.mp4 writes a video instead."
+        )

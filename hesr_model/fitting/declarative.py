@@ -1,0 +1,108 @@
+"""Estimators that are only a description: a form and how its coefficients are searched."""
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hesr_model.errors import ArtifactError
+from hesr_model.fitting.estimator import Estimator
+from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.separable import SearchSpace, Separable
+from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.laws import ripple
+from hesr_model.laws.ripple import Ripple
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
+from hesr_model.support.typed_json import to_json
+
+
+class Described(Estimator):
+    """A law given by its core, to which ripple and an estimated start can be added.
+
+    A concrete law gives `core`; ripple in the joint angle and a start that follows from the first
+    samples are added here, so every law can have them.
+
+    Attributes
+    ----------
+    ripple : whether harmonics of the motor's angle are added, where the gear ratio is known.
+    start_samples : torque samples at the beginning of a log that set the start of the state.
+    """
+
+    ripple: ClassVar[bool] = False
+    start_samples: ClassVar[int] = 0
+
+    @staticmethod
+    @abstractmethod
+    def core(structure: Mapping[str, Any]) -> LawForm:
+        """Return the law's expressions without ripple."""
+
+    @classmethod
+    def form(cls, structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions of a structure; {"ripple": ...} adds harmonics."""
+        own = {key: value for key, value in structure.items() if key != "ripple"}
+        core = cls.core(own)
+        if "ripple" not in structure:
+            return core
+        return Ripple.of_structure(structure["ripple"]).extend(core)
+
+    def finish(self, structure: Mapping[str, Any], problem: Separable, point: Array) -> FrictionLaw:
+        """Return the law at a point of a core's problem, with ripple added where it helps.
+
+        The point is that of `Separable.numbers`.
+        """
+        complete = dict(structure)
+        samples = problem.samples
+        if self.ripple and samples.gear_ratio is not None:
+            chosen = ripple.select(
+                problem.columns(point), samples, samples.gear_ratio, samples.folds
+            )
+            if chosen is not None:
+                waves, (lag, smoothing) = chosen
+                complete["ripple"] = to_json(waves)
+                numbers = dict(zip(problem.space.names, problem.numbers(point), strict=True))
+                problem = Separable(
+                    waves.extend(problem.form), waves.extend_space(problem.space), samples
+                )
+                point = problem.polish(
+                    problem.point(
+                        {**numbers, ripple.LAG.name: lag, ripple.SMOOTHING.name: smoothing}
+                    )
+                )
+        unknowns, _ = problem.solve(point)
+        return FrictionLaw(
+            name=self.name,
+            structure=complete,
+            form=problem.form,
+            values=problem.values(point, unknowns),
+            start_samples=self.start_samples,
+        )
+
+
+class OneForm(Described):
+    """A law of one form, linear in most coefficients, fitted by differential evolution."""
+
+    @abstractmethod
+    def space(self) -> SearchSpace:
+        """Return how the coefficients of the core are searched."""
+
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Search the non-linear coefficients (seeded by `rng`) and solve the linear ones."""
+        form = self.core({})
+        samples = Samples.of(records, coefficients=len(form.coefficients))
+        problem = Separable(form, self.space(), samples)
+        point = problem.polish(problem.search(rng))
+        return self.finish({}, problem, point)
+
+
+def no_structure(name: str, structure: Mapping[str, Any]) -> None:
+    """Refuse structure data for a law that has only one form.
+
+    Raises
+    ------
+    ArtifactError
+        Naming the law and what was found.
+    """
+    if structure:
+        raise ArtifactError(f"law '{name}' has no structure, found {dict(structure)}.")

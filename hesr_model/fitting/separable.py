@@ -1,0 +1,281 @@
+"""Laws that are linear in most of their coefficients: searched in the few others only.
+
+The torque's columns are the derivatives of the law's own output expression by its linear
+coefficients, so the description of a law is all that an estimator needs. For given non-linear
+coefficients the linear ones follow by least squares (variable projection, Golub and Pereyra 1973).
+"""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+import sympy
+from scipy.optimize import differential_evolution
+from scipy.optimize import least_squares as minimise_squares
+
+from hesr_model.equations.kernel import Kernel, Rows, kernel_of
+from hesr_model.equations.memory import Element
+from hesr_model.equations.over_log import Discretisation, StatesOverLog
+from hesr_model.equations.rows import RUNS, OutsideError
+from hesr_model.fitting.samples import (
+    Samples,
+    in_one_piece,
+    non_negative_least_squares,
+)
+from hesr_model.friction.inputs import INPUTS
+from hesr_model.friction.law import LawForm
+from hesr_model.friction.predict import over_log
+from hesr_model.support.arrays import Array, Mask
+from hesr_model.support.progress import step
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchSpace:
+    """How the coefficients of a form are searched.
+
+    Attributes
+    ----------
+    bounds : name of each searched number and its bounds; with two positive bounds it is searched
+        on a logarithmic scale.
+    linear : names of the unknowns that are solved for; the first `non_negative` must not be
+        negative.
+    values : for each coefficient that is neither searched nor solved for, its expression in those
+        that are.
+    """
+
+    bounds: tuple[tuple[str, tuple[float, float]], ...]
+    linear: tuple[str, ...]
+    non_negative: int = 0
+    values: tuple[tuple[str, sympy.Expr], ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the searched numbers."""
+        return tuple(name for name, _ in self.bounds)
+
+
+LEAST = 1e-9
+"""[N.m or alike] Smallest value of a non-negative coefficient that scales others."""
+
+
+class Separable:
+    """The least-squares problem of a form on the rows of a joint.
+
+    A point is the vector of searched numbers, logarithms where the bounds are positive.
+
+    Parameters
+    ----------
+    form : the law's expressions.
+    space : how its coefficients are searched.
+    samples : rows of the joint.
+    discretisation : of the states.
+    start : of the states, from which they begin; 0 where not given.
+    """
+
+    def __init__(
+        self,
+        form: LawForm,
+        space: SearchSpace,
+        samples: Samples,
+        discretisation: Discretisation = "exact",
+        start: Sequence[float] = (),
+    ) -> None:
+        self.start = tuple(start) or (0.0,) * len(form.memory)
+        self.discretisation = discretisation
+        self.form = form
+        self.space = space
+        self.samples = samples
+        self._equations = _equations(form, space)
+        limits = np.array([limits for _, limits in space.bounds]).reshape(-1, 2)
+        self._logarithmic = limits[:, 0] > 0.0
+        self.bounds = np.where(
+            self._logarithmic[:, None], np.log(np.maximum(limits, 1e-300)), limits
+        )
+
+    def numbers(self, point: Array) -> Array:
+        """Return the searched numbers of a point (searched,), in the units of the coefficients."""
+        return np.where(self._logarithmic, np.exp(np.where(self._logarithmic, point, 0.0)), point)
+
+    def point(self, numbers: Mapping[str, float]) -> Array:
+        """Return the point of searched numbers, shape (searched,) in their units or as logarithms.
+
+        It is moved inside the bounds.
+        """
+        raw = np.array([numbers[name] for name in self.space.names])
+        scaled = np.where(self._logarithmic, np.log(np.where(self._logarithmic, raw, 1.0)), raw)
+        low, high = self.bounds.T
+        margin = 1e-9 * (high - low)
+        return np.clip(scaled, low + margin, high - margin)
+
+    def columns(self, point: Array) -> Array:
+        """Return the (N, len(linear)) columns of the torque at a point [N.m per unit of each]."""
+        if self._rows is not None:
+            with suppress(OutsideError):
+                return self._rows.at(self.numbers(point)).copy(order="F")
+        return self._in_numpy(point)
+
+    @cached_property
+    def _rows(self) -> Rows | None:
+        s, kernel = self.samples, self._equations.kernel
+        inputs, euler = (s.dq, s.q, s.tau_load), self.discretisation == "euler"
+        if kernel is None:
+            return None
+        return kernel.over(
+            inputs, s.dt, np.flatnonzero(s.begins), euler=euler, start=self.start, target=s.tau
+        )
+
+    def _in_numpy(self, point: Array) -> Array:
+        RUNS["NumPy"] += 1
+        s, (memory, columns_of) = self.samples, self._equations.lowered
+        inputs, numbers = (s.dq, s.q, s.tau_load), self.numbers(point)
+        values = (*numbers, *inputs)
+        start = np.repeat(np.array(self.start)[:, None], len(s.dq), axis=1)
+        firsts = (u[s.begins] for u in inputs)
+        begun = memory.beginning((*numbers, *firsts), list(start[:, s.begins]))
+        for of_state, first in zip(start, begun, strict=True):
+            of_state[s.begins] = first
+        states = memory(values, s.dt, s.begins, list(start), self.discretisation)
+        columns = np.empty((len(s.dq), len(self.space.linear)), order="F")
+        for i, column in enumerate(columns_of(*values, *states, s.dt)):
+            columns[:, i] = column
+        return columns
+
+    def solve(self, point: Array) -> tuple[Array, float]:
+        """Return (len(linear),) unknowns at a point and the sum of squared residuals [N^2.m^2]."""
+        own = self.space.non_negative
+        if self._rows is not None:
+            with suppress(OutsideError):
+                found = self._rows.solved(self.numbers(point), non_negative=own)
+                if found is not None:
+                    return found
+        return non_negative_least_squares(self.columns(point), self.samples.tau, non_negative=own)
+
+    def _residual(self, point: Array, weights: Array | None) -> Array:
+        """Return the (N,) residual of all rows, its unknowns solved for by their weights."""
+        own, tau = self.space.non_negative, self.samples.tau
+        if self._rows is not None:
+            with suppress(OutsideError):
+                found = self._rows.solved(
+                    self.numbers(point), non_negative=own, weights=weights, keep=True
+                )
+                if found is not None:
+                    return np.asarray(self._rows.found @ found[0] - tau)
+        columns, w = self.columns(point), np.ones_like(tau) if weights is None else weights
+        x, _ = non_negative_least_squares(w[:, None] * columns, w * tau, non_negative=own)
+        return np.asarray(columns @ x - tau)
+
+    def search(self, rng: np.random.Generator, *, effort: int = 40) -> Array:
+        """Return the best point of differential evolution (`effort` generations at most).
+
+        Shape and units are those of `point`.
+        """
+        if not len(self.bounds):
+            return np.zeros(0)
+        generations = iter(range(1, effort + 2))
+
+        def told(*_: object) -> None:
+            step(next(generations, effort), effort + 1)
+
+        best = differential_evolution(
+            lambda point: self.solve(point)[1], self.bounds, rng=rng, popsize=10, maxiter=effort,
+            tol=1e-4, callback=told,
+        )  # fmt: skip
+        return np.asarray(best.x)
+
+    def polish(self, point: Array, *, evaluations: int = 12, rows: Mask | None = None) -> Array:
+        """Return the point after a local search of all coefficients at once.
+
+        The residual has its linear unknowns projected out, so the search runs over everything while
+        it steps in the searched numbers only. Only `rows` count, a mask (N,), all where not given.
+        Shape and units of the point are those of `point`.
+        """
+        if not len(self.bounds):
+            return point
+        weights = None if rows is None else rows.astype(float)
+
+        def residual(trial: Array) -> Array:
+            found = self._residual(trial, weights)
+            return found if rows is None else found[rows]
+
+        low, high = self.bounds.T
+        found = minimise_squares(
+            residual, np.clip(point, low, high), bounds=(low, high), x_scale=high - low,
+            max_nfev=evaluations, diff_step=1e-6,
+        )  # fmt: skip
+        return np.asarray(found.x)
+
+    def values(self, point: Array, unknowns: Array) -> dict[str, float]:
+        """Return every coefficient of the form by name, in its unit, from a point and its unknowns.
+
+        Both have the shapes of `solve`.
+        """
+        known = dict(zip(self.space.names, self.numbers(point), strict=True))
+        known |= dict(zip(self.space.linear, unknowns, strict=True))
+        # Coefficients that are multiples of a zero would leave their ratios undefined: 0 / 0.
+        divided = {symbol.name for _, e in self.space.values for symbol in e.free_symbols}
+        for name in divided & set(self.space.linear[: self.space.non_negative]):
+            known[name] = max(known[name], LEAST)
+        symbols = {sympy.Symbol(name, real=True): value for name, value in known.items()}
+        known |= {name: float(e.subs(symbols)) for name, e in self.space.values}
+        return {c.name: float(known[c.name]) for c in self.form.coefficients}
+
+
+def left_out_cost(columns: Array, tau: Array, folds: Sequence[Mask]) -> float:
+    """Mean square on each fold of a linear law solved on the other rows, over all rows.
+
+    Parameters
+    ----------
+    columns, tau : (N, K) columns and (N,) torque [N.m].
+    folds : (N,) masks of the rows that are left out in turn.
+    """
+    gram, moment = columns.T @ columns, columns.T @ tau
+    total = 0.0
+    for fold in map(in_one_piece, folds):
+        out, target = columns[fold], tau[fold]
+        x = np.linalg.lstsq(gram - out.T @ out, moment - out.T @ target, rcond=1e-12)[0]
+        total += float(np.sum((target - out @ x) ** 2))
+    return total / len(tau)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Equations:
+    """Memory and columns of a form, and what runs them over rows."""
+
+    memory: tuple[Element, ...]
+    columns: tuple[sympy.Expr, ...]
+    searched: tuple[sympy.Symbol, ...]
+    settling: sympy.Expr
+
+    @cached_property
+    def kernel(self) -> Kernel | None:
+        """The same in C, where that can be had."""
+        return kernel_of(self.memory, self.searched, INPUTS, self.columns, self.settling)
+
+    @cached_property
+    def lowered(self) -> tuple[StatesOverLog, Any]:
+        """States and columns in NumPy."""
+        return over_log(self.memory, (*self.searched, *INPUTS), self.columns, self.settling)
+
+
+@lru_cache(maxsize=64)
+def _equations(form: LawForm, space: SearchSpace) -> _Equations:
+    """Return the states and the columns of a form."""
+    replaced = {sympy.Symbol(name, real=True): e for name, e in space.values}
+    searched = tuple(sympy.Symbol(name, real=True) for name in space.names)
+    linear = tuple(sympy.Symbol(name, real=True) for name in space.linear)
+    # Products are multiplied out, so that factors cancel; nothing else is rewritten, because
+    # SymPy's other simplifications may turn exp(-x) into 1/exp(x), which overflows.
+    memory = tuple(m.subs(replaced) for m in form.memory)
+    output = sympy.expand_mul(form.output.xreplace(replaced))
+    columns = tuple(sympy.diff(output, symbol) for symbol in linear)
+    rest = output.xreplace(dict.fromkeys(linear, sympy.Integer(0)))
+    parts = (part for m in memory for part in m.parts)
+    mixed = set(linear) & set().union(*(e.free_symbols for e in (*parts, *columns)))
+    if mixed or rest != 0:
+        raise ValueError(f"not linear in {sorted(map(str, mixed)) or 'an offset'}: {output}")
+    return _Equations(
+        memory=memory, columns=columns, searched=searched, settling=form.component.settling
+    )

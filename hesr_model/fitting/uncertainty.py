@@ -1,0 +1,269 @@
+"""How well data determine the coefficients of a law: the one covariance, by their Jacobian.
+
+Searched unknowns enter as the solved ones do, by the derivatives of the law's own prediction.
+Coefficients at a bound, or in a structure that the data chose, have a covariance for what is made
+of the law, but no interval: it would be that of a fit that knew what this one had to find. Where
+the torque bends over a coefficient, the data tell less of one side; stated is the wider one.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+
+import numpy as np
+import sympy
+
+from hesr_model.errors import SimulationError
+from hesr_model.fitting.separable import LEAST, SearchSpace
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.predict import predict
+from hesr_model.friction.records import record_start
+from hesr_model.inference.covariance import blocks_of_time, covariance, left_out, pooled
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
+
+MOST_COEFFICIENTS = 64
+"""Laws with more coefficients are networks, whose single coefficients mean nothing."""
+_STEP = 1e-6
+_NONE = 1e-12
+"""A derivative below this is rounding."""
+_WIDTH = 2.0
+"""Standard errors to either side at which the bend of the torque is looked at."""
+_FLATTEST = 0.25
+"""Of the torque that a coefficient moves by its slope: below, it is hardly determined at all."""
+_AT_BOUND = 1e-3
+"""Of the logarithmic range of a searched number: nearer to an end it is at the bound."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coordinates:
+    """The numbers of a law that its fit could move.
+
+    Attributes
+    ----------
+    point : (P,) the numbers, in their units.
+    values : all coefficients of the law at a point.
+    held : names of the coefficients that a bound holds.
+    """
+
+    point: Array
+    values: Callable[[Array], dict[str, float]]
+    held: frozenset[str]
+
+
+def with_standard_errors(
+    law: FrictionLaw, records: Sequence[FrictionRecord], space: SearchSpace | None = None
+) -> FrictionLaw:
+    """Return the law with the covariance of its coefficients, and with their standard errors.
+
+    Parameters
+    ----------
+    law : the law of one joint.
+    records : those that it was fitted to.
+    space : how it was searched, where its form was not chosen by the data.
+    """
+    if len(law.values) > MOST_COEFFICIENTS:
+        return law
+    moved = _searched(law, space) if space and not law.structure else _every(law)
+    # Where a log starts is held: it is measured, and no coefficient.
+    starts = [record_start(law, r) for r in records]
+    size = np.abs(moved.point)
+    steps = _STEP * np.maximum(size, 1e-3)
+    # Laws divide by some of their coefficients, so none may become zero.
+    steps = np.where(size > 0.0, np.minimum(steps, 0.5 * size), steps)
+    columns, slopes, names = [], [], list(law.values)
+    for k, step in enumerate(steps):
+        sides = []
+        for sign in (1.0, -1.0):
+            point = moved.point.copy()
+            point[k] += sign * step
+            values = moved.values(point)
+            there = replace(law, values=values)
+            sides.append((_predicted(there, records, starts), np.array([values[n] for n in names])))
+        columns.append((sides[0][0] - sides[1][0]) / (2.0 * step))
+        slopes.append((sides[0][1] - sides[1][1]) / (2.0 * step))
+    jacobian, slope = np.stack(columns, axis=1), np.stack(slopes, axis=1)
+    used = np.abs(jacobian).max(axis=0) > _NONE
+    jacobian, slope = jacobian[:, used], slope[:, used]
+    torque = _predicted(law, records, starts)
+    residual = np.concatenate([r.tau for r in records]) - torque
+    logs = list(dict.fromkeys(r.log for r in records))
+    own = np.repeat([logs.index(r.log) for r in records], [len(r.t) for r in records])
+    labels = blocks_of_time(own)
+    spreads = [r.tau_load_spread for r in records]
+    carried = (
+        None
+        if any(s is None for s in spreads)
+        else jacobian.T @ np.concatenate([s for s in spreads if s is not None])
+    )
+    found = covariance(
+        [str(k) for k in np.flatnonzero(used)],
+        jacobian * left_out(jacobian, residual, jacobian.T @ jacobian)[:, None],
+        [jacobian[labels == k].T @ jacobian[labels == k] for k in range(int(labels[-1]) + 1)],
+        labels,
+        carried=carried,
+    )
+    # Of coefficients that move, in their order.
+    moves = np.any(slope != 0.0, axis=1)
+    own_names = [name for name, m in zip(names, moves, strict=True) if m]
+    whole = found.mapped(own_names, slope[moves])
+    whole_law = replace(law, covariance=whole)
+    if law.structure:
+        return _stated(whole_law, {})
+    q, r = np.linalg.qr(jacobian)
+
+    def moved_by(name: str, step: Array) -> tuple[float, Array]:
+        point = moved.point.copy()
+        point[used] += step
+        with np.errstate(all="ignore"):  # out there a law need not be defined
+            values = moved.values(point)
+            try:
+                there = _predicted(replace(law, values=values), records, starts)
+            except SimulationError:  # nor Euler's step be stable
+                return 0.0, np.zeros_like(torque)
+        return values[name] - law.values[name], there - torque
+
+    wider = {
+        name: wider_side(slope[names.index(name)], found.matrix, q, r, partial(moved_by, name))
+        for name in own_names
+        if name not in moved.held
+    }
+    return _stated(whole_law, wider)
+
+
+def with_pooled_errors(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:
+    """Return the laws of all joints of a robot with one between-log factor for all of them."""
+    shared = iter(pooled([law.covariance for law in laws if law.covariance is not None]))
+    found = []
+    for law in laws:
+        if law.covariance is None:
+            found.append(law)
+            continue
+        plain = dict(zip(law.covariance.names, law.covariance.standard_errors, strict=True))
+        wider = {n: e / plain[n] if plain[n] else 1.0 for n, e in law.standard_errors.items()}
+        found.append(_stated(replace(law, covariance=next(shared)), wider))
+    return found
+
+
+def _stated(law: FrictionLaw, wider: Mapping[str, float]) -> FrictionLaw:
+    """Return the law with the standard errors of some coefficients, each wider by a factor."""
+    if law.covariance is None:
+        return law
+    errors = dict(
+        zip(law.covariance.names, map(float, law.covariance.standard_errors), strict=True)
+    )
+    return replace(law, standard_errors={n: errors[n] * factor for n, factor in wider.items()})
+
+
+def wider_side(
+    slope: Array,
+    covariance: Array,
+    q: Array,
+    r: Array,
+    moved_by: Callable[[Array], tuple[float, Array]],
+) -> float:
+    """Return by what the wider side of a coefficient's interval exceeds its standard error.
+
+    As many standard errors as the coefficient is moved, all else moved along and then fitted again,
+    the torque should have moved. Where it has moved less, the interval reaches further in that
+    ratio: the profile's t of Bates and Watts (1988, ch. 6), at its end.
+
+    Parameters
+    ----------
+    slope : (P,) of the coefficient over the coordinates.
+    covariance : (P, P) of these.
+    q, r : of the QR decomposition of the torque's (N, P) slopes.
+    moved_by : the change of the coefficient, and that of the torque (N,) [N.m], for a step (P,) of
+        the coordinates.
+    """
+    error = float(np.sqrt(slope @ covariance @ slope))
+    # Perpendicular to whatever leaves the coefficient as it is.
+    normal = np.linalg.lstsq(r.T, slope, rcond=None)[0]
+    size = float(np.linalg.norm(normal))
+    if not error or not size:
+        return 1.0
+    ratios = []
+    for sign in (1.0, -1.0):
+        aside, moved = moved_by(sign * _WIDTH * covariance @ slope / error)
+        within = q.T @ moved
+        left = moved @ moved - within @ within + (normal @ within / size) ** 2
+        ratio = np.sqrt(left) * size / abs(aside) if aside and left > 0.0 else 1.0
+        ratios.append(ratio if np.isfinite(ratio) else 1.0)
+    return 1.0 / float(np.clip(min(ratios), _FLATTEST, 1.0))
+
+
+def _every(law: FrictionLaw) -> Coordinates:
+    """Return every coefficient that is not at zero as a coordinate of its own."""
+    names = [name for name, value in law.values.items() if abs(value) > LEAST]
+
+    def values(point: Array) -> dict[str, float]:
+        return {**law.values, **dict(zip(names, map(float, point), strict=True))}
+
+    return Coordinates(
+        point=np.array([law.values[name] for name in names]),
+        values=values,
+        held=frozenset(law.values) - frozenset(names),
+    )
+
+
+def _searched(law: FrictionLaw, space: SearchSpace) -> Coordinates:
+    """Return the searched and solved numbers of a law that are at no bound as coordinates."""
+    numbers = _unknowns(law.values, space)
+    at = {name for name, (low, high) in space.bounds if _at_end(numbers[name], low, high)}
+    at |= {name for name in space.linear[: space.non_negative] if numbers[name] <= LEAST}
+    names = [name for name in numbers if name not in at]
+    through = [(name, tuple(str(s) for s in e.free_symbols)) for name, e in space.values]
+    held = at | {name for name, sources in through if at & set(sources) or not sources}
+
+    def values(point: Array) -> dict[str, float]:
+        known = numbers | dict(zip(names, map(float, point), strict=True))
+        computed = _functions(space)(*(known[name] for name in numbers))
+        known |= dict(zip((name for name, _ in space.values), map(float, computed), strict=True))
+        return {name: known[name] for name in law.values}
+
+    return Coordinates(
+        point=np.array([numbers[name] for name in names]),
+        values=values,
+        held=frozenset(held),
+    )
+
+
+def _at_end(number: float, low: float, high: float) -> bool:
+    value, ends = (np.log(number), np.log([low, high])) if low > 0 else (number, (low, high))
+    margin = _AT_BOUND * (ends[1] - ends[0])
+    return bool(value < ends[0] + margin or value > ends[1] - margin)
+
+
+def _unknowns(values: Mapping[str, float], space: SearchSpace) -> dict[str, float]:
+    """Return the searched and the solved numbers of a law, each by its name."""
+    every = (*space.names, *space.linear)
+    known = {name: values[name] for name in every if name in values}
+    for name, expression in space.values:
+        rest = [s for s in expression.free_symbols if s.name not in known]
+        if len(rest) == 1:
+            at = {s: known[s.name] for s in expression.free_symbols if s.name in known}
+            at[sympy.Symbol(name, real=True)] = values[name]
+            found = _solved(expression, name, rest[0]).subs(at)
+            known[rest[0].name] = float(found) if found.is_finite else 0.0
+    return {name: known[name] for name in every}
+
+
+@lru_cache(maxsize=64)
+def _solved(expression: sympy.Expr, name: str, unknown: sympy.Symbol) -> sympy.Expr:
+    """Return the unknown in an expression by the expression's own name."""
+    (found, *_) = sympy.solve(expression - sympy.Symbol(name, real=True), unknown)
+    return found
+
+
+@lru_cache(maxsize=64)
+def _functions(space: SearchSpace) -> Callable[..., Sequence[float]]:
+    symbols = [sympy.Symbol(name, real=True) for name in (*space.names, *space.linear)]
+    found: Callable[..., Sequence[float]] = sympy.lambdify(symbols, [e for _, e in space.values])
+    return found
+
+
+def _predicted(
+    law: FrictionLaw, records: Sequence[FrictionRecord], starts: Sequence[tuple[float, ...]]
+) -> Array:
+    parts = zip(records, starts, strict=True)
+    return np.concatenate([predict(law, **r.motion, start=start) for r, start in parts])

@@ -1,0 +1,100 @@
+"""What is odd about a result: bodies that cannot exist, laws that say nothing or hit a bound."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from hesr_model.friction.model import FrictionModel
+from hesr_model.health.findings import Finding
+from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
+from hesr_model.robots.robot import RobotModel
+from hesr_model.support.arrays import Array
+
+CHECKS = ("mass-matrix", "negative-friction", "no-better-than-nothing", "bound", "other-robot")
+"""Names of the checks of results."""
+
+_STATES = 60
+_NOTHING = 0.95
+"""Share of friction's deviation from which on a law explains nothing."""
+_AT_BOUND = 0.01
+_NEGATIVE = 0.5
+"""Of the residual: a friction that is less negative than that may be zero."""
+
+
+def check_body(body: RigidBody, model: RobotModel) -> Iterator[Finding]:
+    """Check that a body's mass matrix is positive definite, and that its friction brakes."""
+    joints = model.description.joints
+    lowest, q, joint = _least_inertia(body, model)
+    if lowest <= 0.0:
+        at = ", ".join(f"{value:.2f}" for value in q)
+        yield Finding(
+            check="mass-matrix", severity="warning", joints=(joints[joint],),
+            found=f"the identified mass matrix is not positive definite (eigenvalue {lowest:.2g}, "
+            f"for instance at q = {at})",
+            cause="the logs do not determine all inertias, and the body cannot exist; longer or "
+            "faster logs, or physical = true in the study (--physical), give one that can",
+        )  # fmt: skip
+    for name, (coulomb, _, _), rmse in zip(joints, body.friction, body.rmse, strict=True):
+        if -coulomb > _NEGATIVE * rmse:
+            yield Finding(
+                check="negative-friction", severity="warning", joints=(name,),
+                found=f"its Coulomb friction is identified as {coulomb:.3g} N.m",
+                cause="torque or velocity count backwards, or lag each other",
+            )  # fmt: skip
+
+
+def _least_inertia(body: RigidBody, model: RobotModel) -> tuple[float, Array, int]:
+    """Return the least eigenvalue of the mass matrix within the limits, where, and of what joint.
+
+    The matrix is scaled to a unit diagonal of its means, so that a wrist counts as a shoulder does.
+    """
+    lower, upper, _ = model.limits
+    q = np.random.default_rng(0).uniform(lower, upper, (_STATES, model.n))
+    mass, _ = model.dynamics(body.parameters, q, np.zeros_like(q))
+    mass = 0.5 * (mass + mass.transpose(0, 2, 1))
+    scale = np.sqrt(np.maximum(np.abs(np.mean(np.diagonal(mass, axis1=1, axis2=2), axis=0)), 1e-12))
+    values, vectors = np.linalg.eigh(mass / np.outer(scale, scale))
+    state = int(np.argmin(values[:, 0]))
+    return float(values[state, 0]), q[state], int(np.argmax(np.abs(vectors[state, :, 0])))
+
+
+def check_laws(
+    models: Mapping[str, FrictionModel], records: Sequence[Sequence[FrictionRecord]]
+) -> Iterator[Finding]:
+    """Check laws, fitted to records [joint][log]: errors as large as friction, bounds."""
+    records = all_at_friction(records)
+    for name, model in models.items():
+        for j, joint in enumerate(model.joints):
+            deviation = float(np.std(np.concatenate([record.tau for record in records[j]])))
+            if len(model.training_rmse) and model.training_rmse[j] >= _NOTHING * deviation:
+                yield Finding(
+                    check="no-better-than-nothing", severity="warning", joints=(joint,),
+                    found=f"the error of the law {name}, {model.training_rmse[j]:.3g}, is no "
+                    f"smaller than friction itself, {deviation:.3g}",
+                    cause="the torque holds no friction that it could learn; see 'hesr inspect'",
+                )  # fmt: skip
+            values = model.laws[j].values
+            if {"F_c", "F_s"} <= set(values) and values["F_c"] != 0:
+                ratio = values["F_s"] / values["F_c"]
+                for bound in STATIC_RATIO_BOUNDS:
+                    if abs(np.log(max(ratio, 1e-9) / bound)) < _AT_BOUND:
+                        yield Finding(
+                            check="bound", severity="warning", joints=(joint,),
+                            found=f"F_s / F_c = {ratio:.3g} of the law {name} is a bound of its "
+                            "search",
+                            cause="the logs do not determine it: slow motion and rests would",
+                        )  # fmt: skip
+
+
+def check_owner(model: FrictionModel, robot: RobotModel) -> Iterator[Finding]:
+    """Check that a law is evaluated on its own robot."""
+    own = robot.description
+    if model.robot != own.name and model.joints == own.joints:  # other joints are refused
+        yield Finding(
+            check="other-robot", severity="warning",
+            found=f"the law {model.law} was fitted to '{model.robot}' and is evaluated on "
+            f"'{own.name}'",
+            cause="one of the files is of another robot",
+        )  # fmt: skip

@@ -1,0 +1,119 @@
+"""Dahl basis: parallel elements of rate-independent memory with fixed deflections, no search."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+import sympy
+
+from hesr_model.equations.functions import absolute
+from hesr_model.equations.memory import Relaxation
+from hesr_model.fitting.declarative import OneForm, no_structure
+from hesr_model.fitting.estimator import register
+from hesr_model.fitting.separable import SearchSpace
+from hesr_model.friction.inputs import DQ, TAU_LOAD
+from hesr_model.friction.law import Coefficient, LawForm
+from hesr_model.laws.stribeck import SIGMA_2, TAU_0
+
+DEFLECTIONS = np.geomspace(2e-4, 5e-2, 5)
+"""Sliding deflections 1 / kappa of the elements [rad]: from sharp to wide hysteresis loops."""
+
+_ELEMENTS = range(1, len(DEFLECTIONS) + 1)
+
+
+def _of_each(name: str, unit: str, description: str) -> tuple[Coefficient, ...]:
+    return tuple(
+        Coefficient(name=f"{name}_{i}", unit=unit, description=description) for i in _ELEMENTS
+    )
+
+
+_KAPPA = _of_each("kappa", "1/rad", "reciprocal of a sliding deflection")
+_FORCE = _of_each("F", "N.m", "sliding friction of an element")
+_LOAD = _of_each("mu", "1", "sliding friction of an element per load")
+
+
+@register
+class DahlBasis(OneForm):
+    """x_i' = kappa_i (v - |v| x_i), tau = sum_i F_i x_i + sigma_2 v + tau_0."""
+
+    name = "dahl"
+    title = "Dahl basis"
+    load: ClassVar[bool] = False
+
+    @classmethod
+    def core(cls, structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        no_structure(cls.name, structure)
+        elements = tuple(
+            Relaxation(name=f"x{i}", unit="1", drive=k.symbol * DQ, rate=k.symbol * absolute(DQ))
+            for i, k in zip(_ELEMENTS, _KAPPA, strict=True)
+        )
+        factors = [f.symbol for f in _FORCE]
+        if cls.load:
+            factors = [
+                f + m.symbol * absolute(TAU_LOAD) for f, m in zip(factors, _LOAD, strict=True)
+            ]
+        torque = sum(f * x.state for f, x in zip(factors, elements, strict=True))
+        return LawForm(
+            coefficients=(*_KAPPA, *_FORCE, *(_LOAD if cls.load else ()), SIGMA_2, TAU_0),
+            memory=elements,
+            output=torque + SIGMA_2.symbol * DQ + TAU_0.symbol,
+        )
+
+    def space(self) -> SearchSpace:
+        """Search nothing: everything is linear.
+
+        An element that drives makes no friction, and no simulator has one, so the plain F_i are not
+        negative; with load, F_i alone need not be what an element carries.
+        """
+        linear = (*_FORCE, *(_LOAD if self.load else ()), SIGMA_2, TAU_0)
+        return SearchSpace(
+            bounds=(),
+            linear=tuple(c.name for c in linear),
+            values=tuple(
+                (k.name, sympy.Float(1.0 / d)) for k, d in zip(_KAPPA, DEFLECTIONS, strict=True)
+            ),
+            non_negative=0 if self.load else len(_FORCE),
+        )
+
+
+@register
+class DahlBasisLoad(DahlBasis):
+    """The Dahl basis with F_i + mu_i |tau_load| in place of F_i."""
+
+    name = "dahl_load"
+    title = "Dahl basis+load"
+    load = True
+
+
+RISE = Coefficient(name="rise", unit="1/(N.m)", description="relative rise of the bounds per load")
+RISE_BOUNDS = (1e-4, 1.0)
+"""Of that [1/(N.m)]."""
+
+
+@register
+class DahlBasisBound(DahlBasis):
+    """x_i' = kappa_i (v - |v| x_i / (1 + rise |tau_load|)): the load in the bounds, not a factor.
+
+    A bound that moves gives no energy, where a factor does. All elements share the rise.
+    """
+
+    name = "dahl_bound"
+    title = "Dahl basis, load as bound"
+    everyday = False
+
+    @classmethod
+    def core(cls, structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        plain = super().core(structure)
+        bound = 1 + RISE.symbol * absolute(TAU_LOAD)
+        return replace(
+            plain,
+            coefficients=(*plain.coefficients, RISE),
+            memory=tuple(replace(x, rate=x.rate / bound) for x in plain.relaxations),
+        )
+
+    def space(self) -> SearchSpace:
+        """Search the rise; everything else is linear."""
+        return replace(super().space(), bounds=((RISE.name, RISE_BOUNDS),))

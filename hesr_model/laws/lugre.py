@@ -1,0 +1,183 @@
+"""LuGre: bristles whose mean deflection is one relaxation (paper, eq. 1-3)."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import sympy
+
+from hesr_model.equations.functions import absolute
+from hesr_model.equations.memory import Relaxation
+from hesr_model.fitting.declarative import OneForm, no_structure
+from hesr_model.fitting.estimator import register
+from hesr_model.fitting.separable import SearchSpace
+from hesr_model.friction.inputs import DQ, TAU_LOAD
+from hesr_model.friction.law import Coefficient, LawForm
+from hesr_model.laws.stribeck import F_C, F_S, SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
+
+SIGMA_0 = Coefficient(name="sigma_0", unit="N.m/rad", description="bristle stiffness")
+SIGMA_1 = Coefficient(name="sigma_1", unit="N.m.s/rad", description="bristle damping")
+MU = Coefficient(name="mu", unit="1/(N.m)", description="relative rise with the load")
+
+DEFLECTION_BOUNDS = (1e-5, 0.1)
+"""Bounds of the sliding deflection F_c / sigma_0 [rad]; wide, since the update is exact."""
+STATIC_RATIO_BOUNDS = (0.2, 5.0)
+"""Bounds of F_s / F_c; below 1 the level rises with speed, as lubricated gears show."""
+
+
+def bristle() -> Relaxation:
+    """Return the bristle state z' = v - sigma_0 |v| z / g(v) (eq. 2)."""
+    f_c, f_s, v_s = F_C.symbol, F_S.symbol, V_S.symbol
+    # Relative to F_c, so that a common factor of sigma_0, F_c and F_s cancels.
+    level = 1 + (f_s / f_c - 1) * sympy.exp(-((DQ / v_s) ** 2))
+    rate = SIGMA_0.symbol / f_c * absolute(DQ) / level
+    return Relaxation(name="z", unit="rad", drive=DQ, rate=rate)
+
+
+def bristle_space(linear: tuple[str, ...], non_negative: int) -> SearchSpace:
+    """Search the sliding deflection, F_s / F_c and v_s.
+
+    With sigma_0 = F_c / deflection and F_s = ratio F_c the rate of z is free of F_c, and the torque
+    is linear in F_c and in the other coefficients of eq. 1.
+    """
+    f_c, deflection, ratio = (
+        sympy.Symbol(name, real=True) for name in ("F_c", "deflection", "ratio")
+    )
+    return SearchSpace(
+        bounds=(
+            ("deflection", DEFLECTION_BOUNDS),
+            ("ratio", STATIC_RATIO_BOUNDS),
+            ("v_s", VELOCITY_BOUNDS),
+        ),
+        linear=linear,
+        non_negative=non_negative,
+        values=(("sigma_0", f_c / deflection), ("F_s", ratio * f_c)),
+    )
+
+
+def torque() -> sympy.Expr:
+    """Return the torque of eq. 1 with an offset."""
+    z = bristle()
+    return (
+        SIGMA_0.symbol * z.state
+        + SIGMA_1.symbol * z.derivative
+        + SIGMA_2.symbol * DQ
+        + TAU_0.symbol
+    )
+
+
+COEFFICIENTS = (SIGMA_0, SIGMA_1, SIGMA_2, F_C, F_S, V_S, TAU_0)
+
+
+def _with(form: LawForm, term: sympy.Expr, *own: Coefficient) -> LawForm:
+    """Return a form with one more term and its own coefficients."""
+    coefficients = (*form.coefficients, *own)
+    return replace(form, coefficients=coefficients, output=form.output + term)
+
+
+@register
+class LuGre(OneForm):
+    """z' = v - sigma_0 |v|/g(v) z, tau = sigma_0 z + sigma_1 z' + sigma_2 v + tau_0."""
+
+    name = "lugre"
+    title = "LuGre"
+
+    @classmethod
+    def core(cls, structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        no_structure(cls.name, structure)
+        return LawForm(coefficients=COEFFICIENTS, memory=(bristle(),), output=torque())
+
+    def space(self) -> SearchSpace:
+        """Search the bristle; everything else is linear."""
+        return bristle_space(("F_c", "sigma_1", "sigma_2", "tau_0"), non_negative=3)
+
+
+@register
+class LuGreLoad(LuGre):
+    """LuGre whose bristle force rises with the load: tau = ... + mu sigma_0 z |tau_load|."""
+
+    name = "lugre_load"
+    title = "LuGre+load"
+
+    @classmethod
+    def core(cls, structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        rise = MU.symbol * SIGMA_0.symbol * bristle().state * absolute(TAU_LOAD)
+        return _with(super().core(structure), rise, MU)
+
+    def space(self) -> SearchSpace:
+        """Search the bristle; F_c mu is solved for, since the torque is linear in the product."""
+        plain = bristle_space(("F_c", "sigma_1", "sigma_2", "tau_0", "F_c_mu"), non_negative=3)
+        product = sympy.Symbol("F_c_mu", real=True)
+        return replace(plain, values=(*plain.values, (MU.name, product / F_C.symbol)))
+
+
+@register
+class LuGreLoadRipple(LuGreLoad):
+    """LuGre+load with motor ripple and with the start of z from the first torque samples."""
+
+    name = "lugre_load_ripple"
+    title = "LuGre+load+ripple"
+    needs = ("gear_ratio",)
+    ripple = True
+    typical: ClassVar[Mapping[str, Any]] = {"ripple": {"gear_ratio": 100, "orders": [2]}}
+    start_samples = 5
+
+
+RATIO_TEXTBOOK = (1.0, 5.0)
+"""Bounds of F_s / F_c where static friction is what its name says."""
+SIGMA_T = Coefficient(
+    name="sigma_t", unit="N.m.s/rad", description="viscous friction that thins with speed"
+)
+V_T = Coefficient(name="v_t", unit="rad/s", description="speed of shear thinning")
+S_2 = Coefficient(name="s_2", unit="N.m.s/rad", description="viscous friction above what is needed")
+THINNING_BOUNDS = (1e-2, 3.0)
+"""Bounds of the speed of shear thinning [rad/s]."""
+
+
+@register
+class LuGreTextbook(LuGre):
+    """LuGre with F_s >= F_c and viscous friction that may thin: + sigma_t v / (1 + |v|/v_t)."""
+
+    name = "lugre_textbook"
+    title = "LuGre, F_s >= F_c"
+
+    @classmethod
+    def core(cls, structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        thin = SIGMA_T.symbol * DQ / (1 + absolute(DQ) / V_T.symbol)
+        return _with(super().core(structure), thin, SIGMA_T, V_T)
+
+    def space(self) -> SearchSpace:
+        """Search the bristle and the speed of thinning; everything else is linear."""
+        plain = bristle_space(("F_c", "sigma_1", "sigma_2", "sigma_t", "tau_0"), non_negative=4)
+        bounds = dict(plain.bounds) | {"ratio": RATIO_TEXTBOOK, "v_t": THINNING_BOUNDS}
+        return replace(plain, bounds=tuple(bounds.items()))
+
+
+@register
+class LuGrePassive(LuGre):
+    """LuGre that is passive: sigma_2 = s_2 + sigma_1 (F_s/F_c - 1) with s_2 >= 0, F_s >= F_c.
+
+    Source: N. Barabanov, R. Ortega, Necessary and sufficient conditions for passivity of the LuGre
+    friction model, 2000; in continuous time.
+    """
+
+    name = "lugre_passive"
+    title = "LuGre, passive"
+
+    @classmethod
+    def core(cls, structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        plain = super().core(structure)
+        needed = SIGMA_1.symbol * (F_S.symbol / F_C.symbol - 1)
+        swapped = tuple(S_2 if c is SIGMA_2 else c for c in COEFFICIENTS)
+        output = plain.output.subs(SIGMA_2.symbol, S_2.symbol + needed)
+        return replace(plain, coefficients=swapped, output=output)
+
+    def space(self) -> SearchSpace:
+        """Search the bristle; everything else is linear, since F_s/F_c is searched."""
+        plain = bristle_space(("F_c", "sigma_1", "s_2", "tau_0"), non_negative=3)
+        bounds = dict(plain.bounds) | {"ratio": RATIO_TEXTBOOK}
+        return replace(plain, bounds=tuple(bounds.items()))

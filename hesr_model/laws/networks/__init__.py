@@ -1,0 +1,1 @@
+"""Networks of the paper's inputs, with which symbolic laws are compared."""

@@ -1,0 +1,198 @@
+"""RBFNN-H: the paper's network, Gaussians of velocity, hysteresis state and its derivative."""
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+import sympy
+from scipy.cluster.vq import kmeans2
+from scipy.spatial.distance import cdist
+
+from hesr_model.equations.over_log import Discretisation
+from hesr_model.fitting.estimator import Estimator, register
+from hesr_model.fitting.samples import Samples
+from hesr_model.friction.inputs import DQ
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.laws.networks.inputs import Inputs, candidates, first_tame, size, sizes
+from hesr_model.laws.parfam.family import hysteresis_state
+from hesr_model.laws.parfam.features import HysteresisFeatures
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
+from hesr_model.support.progress import counted, step
+
+MAX_CENTRES = 40
+"""Largest network; it still runs in microseconds and lowers to C in a second."""
+FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
+"""Widths that are tried, in mean distances from a centre to the nearest other one."""
+RIDGES = tuple(float(x) for x in 10.0 ** np.arange(-8, -1))
+"""Ridges that are tried, added to the mean square of Gaussians whose peak is 1. With smaller ones
+weights grow so large that the torque, their difference, loses digits."""
+CLUSTERED_ROWS = 2400
+"""Rows that k-means looks at; centres need no more."""
+
+_INPUTS = (("dq", "rad/s"), ("h", "1"), ("dh", "1/s"))
+
+
+@register
+class RbfnnH(Estimator):
+    """tau = w_0 + sum_k w_k exp(-1/2 sum_i ((x_i - m_ki) / s_i)^2), x = (dq, h, h').
+
+    For each (alpha, beta) of stage 1 and each number of centres, k-means places the centres m_k on
+    the standardised inputs, the width is their mean distance to the nearest other one times a
+    factor, and ridge regression gives the weights. (alpha, beta), number, factor and ridge are
+    those that predict left-out logs best. There are no linear terms: the paper's network has none.
+
+    Parameters
+    ----------
+    centres : numbers of Gaussians that are tried, up to `MAX_CENTRES`.
+    cells : how many (alpha, beta) are tried.
+    discretisation : of the hysteresis state.
+    """
+
+    name = "rbfnn_h"
+    title = "RBFNN-H"
+    typical: ClassVar[Mapping[str, Any]] = {"centres": 1}
+
+    def __init__(
+        self,
+        *,
+        centres: Sequence[int] = (10, 20, 40),
+        cells: int = 3,
+        discretisation: Discretisation = "exact",
+    ) -> None:
+        self.centres = sizes(self.name, "centres", centres, 2, MAX_CENTRES)
+        self.cells = cells
+        self.discretisation = discretisation
+
+    @staticmethod
+    def form(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions of a structure {"centres": number of Gaussians}."""
+        count = size("rbfnn_h", structure, "centres", MAX_CENTRES)
+        hysteresis, own = hysteresis_state("paper")
+        inputs = (DQ, hysteresis.state, hysteresis.derivative)
+        widths = [
+            Coefficient(name=f"s_{x}", unit=unit, description=f"width of the Gaussians in {x}")
+            for x, unit in _INPUTS
+        ]
+        bias = Coefficient(name="w_0", unit="N.m", description="offset")
+        coefficients, output = [*widths, bias], bias.symbol
+        for k in range(1, count + 1):
+            weight = Coefficient(name=f"w_{k}", unit="N.m", description=f"weight of Gaussian {k}")
+            centre = [
+                Coefficient(name=f"m{k}_{x}", unit=unit, description=f"{x} at Gaussian {k}")
+                for x, unit in _INPUTS
+            ]
+            square = sum(
+                ((x - m.symbol) / s.symbol) ** 2
+                for x, m, s in zip(inputs, centre, widths, strict=True)
+            )
+            output += weight.symbol * sympy.exp(-square / 2)
+            coefficients += [weight, *centre]
+        return LawForm(coefficients=(*coefficients, *own), memory=(hysteresis,), output=output)
+
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Fit every choice with each log left out in turn, then the best one (seeded by `rng`)."""
+        samples = Samples.of(records, coefficients=6 + 4 * max(self.centres))
+        features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
+        inputs = candidates(features, self.cells)
+        return first_tame(self._best_first(inputs, samples, rng), records)
+
+    def _best_first(
+        self, inputs: Sequence[Inputs], samples: Samples, rng: np.random.Generator
+    ) -> Iterator[FrictionLaw]:
+        choices = [(cell, count) for cell in inputs for count in self.centres]
+        costs = np.array(
+            [left_out(cell.z, samples, count, rng) for cell, count in counted(choices, step)]
+        )
+        for place in np.argsort(costs, axis=None):
+            i, factor, ridge = np.unravel_index(place, costs.shape)
+            cell, count = choices[i]
+            centres, spacing = clustered(cell.z, count, rng)
+            width = FACTORS[factor] * spacing
+            bias, weights = ridge_weights(
+                gaussians(cell.z, centres, width), samples.tau, (RIDGES[ridge],)
+            )
+            yield self._law(cell, centres, width, float(bias[0]), weights[:, 0])
+
+    def _law(
+        self, inputs: Inputs, centres: Array, width: float, bias: float, weights: Array
+    ) -> FrictionLaw:
+        structure = {"centres": len(weights)}
+        values = {"w_0": bias, "alpha": inputs.cell.alpha, "beta": inputs.cell.beta}
+        values |= {f"w_{k}": float(w) for k, w in enumerate(weights, start=1)}
+        places = inputs.mean + inputs.spread * centres
+        for i, (x, _) in enumerate(_INPUTS):
+            values[f"s_{x}"] = float(inputs.spread[i] * width)
+            values |= {f"m{k}_{x}": float(m) for k, m in enumerate(places[:, i], start=1)}
+        return FrictionLaw(
+            name=self.name,
+            structure=structure,
+            form=self.form(structure),
+            values=values,
+            discretisation=self.discretisation,
+        )
+
+
+def left_out(z: Array, samples: Samples, count: int, rng: np.random.Generator) -> Array:
+    """Mean square on left-out rows of networks trained without them.
+
+    Parameters
+    ----------
+    z : (N, 3) standardised inputs.
+    samples : rows of the joint.
+    count : number of centres.
+    rng : source of k-means' starts.
+
+    Returns
+    -------
+    (factors, ridges) mean square over all rows [N^2.m^2].
+    """
+    total = np.zeros((len(FACTORS), len(RIDGES)))
+    for fold in samples.folds:
+        centres, spacing = clustered(z[~fold], count, rng)
+        for i, factor in enumerate(FACTORS):
+            columns = gaussians(z, centres, factor * spacing)
+            bias, weights = ridge_weights(columns[~fold], samples.tau[~fold], RIDGES)
+            error = columns[fold] @ weights + bias - samples.tau[fold, None]
+            total[i] += np.sum(error**2, axis=0)
+    return total / len(samples.tau)
+
+
+def clustered(z: Array, count: int, rng: np.random.Generator) -> tuple[Array, float]:
+    """Return (count, 3) centres by k-means and their mean distance to the nearest other one.
+
+    Both are in the units of z, the (N, 3) standardised inputs. There are fewer centres than `count`
+    where fewer rows differ.
+    """
+    # Rows that are equal, as of a joint at rest, would leave k-means nothing to choose from.
+    points = np.unique(z[:: max(1, len(z) // CLUSTERED_ROWS)], axis=0)
+    with warnings.catch_warnings():
+        # A centre that has lost all its rows stays where it is, which does no harm.
+        warnings.simplefilter("ignore", UserWarning)
+        centres, _ = kmeans2(points, min(count, len(points)), minit="++", rng=rng)
+    distance = cdist(centres, centres)
+    np.fill_diagonal(distance, np.inf)
+    return centres, float(distance.min(axis=1).mean())
+
+
+def gaussians(z: Array, centres: Array, width: float) -> Array:
+    """Return the (N, K) Gaussians of inputs z (N, 3) about centres (K, 3), all standardised."""
+    return np.asarray(np.exp(cdist(z, centres, "sqeuclidean") / (-2.0 * width**2)))
+
+
+def ridge_weights(columns: Array, tau: Array, ridges: Sequence[float]) -> tuple[Array, Array]:
+    """Return the (R,) offsets and (K, R) weights of ridge regression, the offset not shrunk.
+
+    Parameters
+    ----------
+    columns : (N, K) Gaussians, without unit.
+    tau : (N,) torque [N.m]; offsets and weights have its unit.
+    ridges : R weights of the squared coefficients.
+    """
+    mean, level = columns.mean(axis=0), float(tau.mean())
+    centred = columns - mean
+    eigenvalues, vectors = np.linalg.eigh(centred.T @ centred / len(tau))
+    moment = vectors.T @ (centred.T @ (tau - level)) / len(tau)
+    weights = vectors @ (moment[:, None] / (np.maximum(eigenvalues, 0.0)[:, None] + ridges))
+    return level - mean @ weights, weights

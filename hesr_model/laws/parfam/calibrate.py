@@ -1,0 +1,142 @@
+"""Stage 1: where the hysteresis parameters (alpha, beta) may lie, before any structure is known."""
+
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from math import prod
+
+import numpy as np
+
+from hesr_model.laws.parfam.features import HysteresisFeatures
+from hesr_model.support.arrays import Array
+
+GRID = (10, 10)
+"""Cells of the (alpha, beta) profile."""
+MEMORY = 1.0
+"""Longest memory of h [s], 1 / alpha. A slower state follows the load instead of the reversals."""
+STEEPNESS = (1.0, 2000.0)
+"""Bounds of beta times the joint's typical speed."""
+COURSE = 200
+"""Rows after a reversal that are looked at."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One (alpha, beta) and how well a cubic surface over its features explains the torque."""
+
+    alpha: float
+    beta: float
+    cost: float
+
+
+def bounds(features: HysteresisFeatures) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Bounds of alpha [1/s] and beta [s/rad] that the data can tell apart."""
+    s = features.samples
+    speed = float(np.sqrt(np.mean(s.dq**2)))
+    return (
+        (1.0 / MEMORY, features.alpha_limit),
+        (STEEPNESS[0] / speed, STEEPNESS[1] / speed),
+    )
+
+
+def profile(features: HysteresisFeatures) -> list[Cell]:
+    """Return the cells of a logarithmic (alpha, beta) grid, best first.
+
+    The cost of a cell is the residual of a linear least-squares fit of polynomial features of
+    (dq, h, dh) of degree three, enough to stand for any smooth unit g at this stage.
+    """
+    tau = features.samples.tau
+    (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
+    cells = []
+    # The end of alpha's range is excluded: there h has no memory left.
+    for alpha in np.geomspace(alpha_low, alpha_high, GRID[0] + 1)[:-1]:
+        for beta in np.geomspace(beta_low, beta_high, GRID[1]):
+            columns = _cubic(features.columns(alpha, beta))
+            gram = columns.T @ columns
+            solution = np.linalg.lstsq(gram, columns.T @ tau, rcond=1e-12)[0]
+            cost = float(np.sum((tau - columns @ solution) ** 2))
+            cells.append(Cell(alpha=float(alpha), beta=float(beta), cost=cost))
+    return sorted(cells, key=lambda cell: cell.cost)
+
+
+def distinct(cells: list[Cell], count: int) -> list[Cell]:
+    """Return the best `count` cells that are local minima first, then the next best."""
+    from scipy.ndimage import minimum_filter  # slow to import
+
+    by_place = {(round(np.log(c.alpha), 6), round(np.log(c.beta), 6)): c for c in cells}
+    alphas = sorted({a for a, _ in by_place})
+    betas = sorted({b for _, b in by_place})
+    cost = np.array([[by_place[a, b].cost for b in betas] for a in alphas])
+    lowest = minimum_filter(cost, size=3, mode="nearest")
+    minimum = {(alphas[i], betas[j]) for i, j in np.argwhere(cost <= lowest)}
+    here = {id(by_place[place]) for place in minimum}
+    return sorted(cells, key=lambda c: (id(c) not in here, c.cost))[:count]
+
+
+def geometric(features: HysteresisFeatures) -> tuple[float, float]:
+    """Return (alpha, beta) by the geometry of the loop, as the paper's stage 1 does.
+
+    The width of the loop is the time that friction takes to settle after a reversal, in the mean of
+    all reversals: the area between its course and where it settles, over the height. For h this is
+    1 / alpha. The slope of the torque over the speed where friction changes sign, relative to the
+    level of sliding, gives beta.
+    """
+    s = features.samples
+    (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
+    level = 0.5 * float(np.quantile(s.tau, 0.9) - np.quantile(s.tau, 0.1))
+    courses = _courses(features)
+    slopes = [slope for _, slope in courses if slope is not None]
+    slope = float(np.median(slopes)) if slopes else 0.0
+    alpha = _settling_rate(features, [course for course, _ in courses])
+    beta = slope / level if level > 0.0 else beta_low
+    return (
+        float(np.clip(alpha, alpha_low, 0.9 * alpha_high)),
+        float(np.clip(beta, beta_low, beta_high)),
+    )
+
+
+def _courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
+    """Torque after each reversal, positive along the motion, and its slope where it changes sign.
+
+    A course ends at the next reversal, at the end of the record, or after `COURSE` rows.
+    """
+    s = features.samples
+    tau = s.tau - float(np.median(s.tau))
+    flips = np.flatnonzero((s.dq[:-1] * s.dq[1:] < 0.0) & ~s.begins[1:])
+    ends = np.flatnonzero(np.append(s.begins[1:], True)) + 1
+    courses: list[tuple[Array, float | None]] = []
+    for k, following in zip(flips, np.append(flips[1:], len(tau) - 1), strict=True):
+        stop = min(int(following), k + 1 + COURSE, int(ends[np.searchsorted(ends, k + 1)]))
+        after = np.sign(s.dq[k + 1]) * tau[k + 1 : stop]
+        crossing = np.flatnonzero(after >= 0.0)
+        slope = None
+        if len(crossing):
+            i = k + 1 + int(crossing[0])
+            step = s.dq[i] - s.dq[i - 1]
+            slope = abs(float((tau[i] - tau[i - 1]) / step)) if step else None
+        courses.append((after, slope))
+    return courses
+
+
+def _settling_rate(features: HysteresisFeatures, courses: list[Array]) -> float:
+    """Return height over area [1/s] of the mean course after a reversal; 0 where there is none."""
+    s = features.samples
+    total, count = np.zeros(COURSE), np.zeros(COURSE)
+    for course in courses:
+        total[: len(course)] += course
+        count[: len(course)] += 1.0
+    # As far as half of the reversals go, so that the mean is one of many.
+    seen = count >= max(1.0, 0.5 * count[0])
+    mean = total[seen] / count[seen]
+    if len(mean) < 10:
+        return 0.0
+    way = np.abs(mean - mean[-(len(mean) // 10) :].mean())
+    start = int(np.argmax(way[: len(mean) // 4 + 1]))
+    area = float(way[start:].sum() * np.median(s.dt[~s.begins]))
+    return float(way[start]) / area if area > 0.0 else 0.0
+
+
+def _cubic(features: Array) -> Array:
+    """Return (N, 20) monomials of degree <= 3 of the standardised features."""
+    x = features[:, 1:] / np.maximum(features[:, 1:].std(axis=0), 1e-12)
+    powers = [p for degree in (1, 2, 3) for p in combinations_with_replacement(x.T, degree)]
+    return np.stack([np.ones(len(x)), *map(prod, powers)], axis=1)

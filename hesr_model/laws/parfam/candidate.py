@@ -1,0 +1,100 @@
+"""A point of the ParFam family with one unit g: what the three stages hand on."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hesr_model.equations.over_log import Discretisation
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.laws.parfam import family
+from hesr_model.support.arrays import Array
+
+UNIT_FUNCTIONS: dict[str, tuple[Callable[[Array], Array], Callable[[Array, Array], Array]]] = {
+    "tanh": (np.tanh, lambda _, g: 1.0 - g**2),
+    "sin": (np.sin, lambda x, _: np.cos(x)),
+    "cos": (np.cos, lambda x, _: -np.sin(x)),
+    "exp": (lambda x: np.exp(np.minimum(x, 50.0)), lambda _, g: g),
+}
+"""Functions g and their derivatives, the latter given the argument and g's value."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """tau = c . x + gain g(theta . x) with x = (1, dq, h, dh) in raw units.
+
+    Attributes
+    ----------
+    g : function of the unit, or None for the linear law.
+    alpha, beta : hysteresis parameters [1/s], [s/rad].
+    c, theta : (4,) coefficients.
+    gain : factor of the unit [N.m].
+    c_active, theta_active : (4,) which coefficients are in the structure.
+    cost : mean squared residual on the rows it was found with [N^2.m^2].
+
+    Raises
+    ------
+    ValueError : a candidate without a unit has arguments of one.
+    """
+
+    g: str | None
+    alpha: float
+    beta: float
+    c: Array
+    theta: Array
+    gain: float
+    c_active: Array
+    theta_active: Array
+    cost: float
+
+    def __post_init__(self) -> None:
+        # Their columns of the Jacobian would never be written.
+        if self.g is None and self.theta_active.any():
+            raise ValueError("a candidate without a unit has no arguments of one")
+
+    def canonical(self) -> "Candidate":
+        """Return the same law in the one form in which it is printed.
+
+        The gain is positive: a sign moves into the argument of an odd g, or becomes half a turn of
+        a cosine. The offset lies within a quarter turn of zero for sin, half a turn for cos.
+        """
+        theta, gain = self.theta.copy(), self.gain
+        if self.g == "sin" and self.theta_active[0]:
+            half_turns = np.round(theta[0] / np.pi)
+            theta[0] -= half_turns * np.pi
+            gain *= (-1.0) ** half_turns
+        if self.g in ("tanh", "sin") and gain < 0.0:
+            gain, theta = -gain, -theta
+        if self.g == "cos" and self.theta_active[0]:
+            if gain < 0.0:
+                gain, theta[0] = -gain, theta[0] + np.pi
+            theta[0] = np.pi - (np.pi - theta[0]) % (2.0 * np.pi)
+        return replace(self, theta=theta, gain=float(gain))
+
+    def torque(self, features: Array) -> Array:
+        """Return the (N,) torque [N.m] for (N, 4) features 1, dq, h, dh in SI units."""
+        linear = features @ self.c
+        if self.g is None:
+            return np.asarray(linear)
+        return np.asarray(linear + self.gain * UNIT_FUNCTIONS[self.g][0](features @ self.theta))
+
+    def law(self, name: str, discretisation: Discretisation) -> FrictionLaw:
+        """Return the candidate as a friction law."""
+        linear = [x for x, on in zip(family.FEATURES, self.c_active, strict=True) if on]
+        arguments = [x for x, on in zip(family.FEATURES, self.theta_active, strict=True) if on]
+        units = [] if self.g is None else [{"g": self.g, "arguments": arguments}]
+        structure = {"linear": linear, "units": units}
+        values = dict(zip(map(family.linear_name, family.FEATURES), self.c, strict=True))
+        values |= {
+            family.argument_name(1, x): v for x, v in zip(family.FEATURES, self.theta, strict=True)
+        }
+        values |= {family.gain_name(1): self.gain, "alpha": self.alpha, "beta": self.beta}
+        form = family.form(structure)
+        kept = {c.name: float(values[c.name]) for c in form.coefficients}
+        return FrictionLaw(
+            name=name,
+            structure=structure,
+            form=form,
+            values=kept,
+            discretisation=discretisation,
+        )

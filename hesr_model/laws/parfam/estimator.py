@@ -1,0 +1,159 @@
+"""ParFam-H: the paper's symbolic friction law, found in three stages."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from hesr_model.equations.over_log import Discretisation
+from hesr_model.errors import FitError
+from hesr_model.fitting.estimator import Estimator, register
+from hesr_model.fitting.samples import Samples
+from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.laws.parfam import calibrate, evolve, family, paper, refine
+from hesr_model.laws.parfam.calibrate import Cell
+from hesr_model.laws.parfam.candidate import Candidate
+from hesr_model.laws.parfam.features import HysteresisFeatures
+from hesr_model.laws.parfam.trial import Trial, extended, pose, with_unit
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.progress import step
+
+COEFFICIENTS = 11
+"""Numbers of the largest law: alpha, beta, four linear, one gain, four of the argument."""
+
+
+@register
+class ParFamH(Estimator):
+    """tau = Q(v, h, h', g(Q(v, h, h'))) with polynomials of degree one (eq. 11).
+
+    Stage 1 profiles (alpha, beta); stage 2 searches the unit's argument at the best of them; stage
+    3 runs Levenberg-Marquardt over everything, prunes what the data do not support, and takes the
+    candidate that predicts left-out logs best.
+
+    Parameters
+    ----------
+    search : "projection" (default) searches by variable projection from many starts; "paper" by
+        the geometric stage 1 and by basin hopping with L1 (eq. 12).
+    functions : the functions g that are tried. cos is sin with another offset, so it is found too.
+    discretisation : of the hysteresis state.
+    cells, starts : how many (alpha, beta) and how many random starts for each of them and each g.
+    candidates : how many laws of each g go into stage 3.
+    units : how many units g the law may have, 1 or 2.
+    denominator : whether a denominator is tried: slower, and it rarely helps.
+    """
+
+    name = "parfam_h"
+    title = "ParFam-H"
+    typical: ClassVar[Mapping[str, Any]] = {
+        "linear": list(family.FEATURES),
+        "units": [{"g": "tanh", "arguments": list(family.FEATURES)}],
+    }
+
+    def __init__(
+        self,
+        *,
+        search: Literal["projection", "paper"] = "projection",
+        functions: Sequence[str] = ("tanh", "sin", "exp"),
+        discretisation: Discretisation = "exact",
+        cells: int = 10,
+        starts: int = 16,
+        candidates: int = 8,
+        units: int = 1,
+        denominator: bool = False,
+    ) -> None:
+        unknown = sorted(set(functions) - set(family.FUNCTIONS))
+        if unknown:
+            known = ", ".join(family.FUNCTIONS)
+            raise FitError(f"ParFam function '{unknown[0]}' is unknown; known are {known}.")
+        if search == "paper" and not functions:
+            raise FitError("ParFam option 'functions' is empty; the paper's search needs one.")
+        for option, found, allowed in (
+            ("search", search, ("projection", "paper")),
+            ("discretisation", discretisation, ("exact", "euler")),
+        ):
+            if found not in allowed:
+                raise FitError(
+                    f"ParFam option '{option}' is '{found}'; allowed are {', '.join(allowed)}."
+                )
+        for option, count in (("cells", cells), ("starts", starts), ("candidates", candidates)):
+            if count < 1:
+                raise FitError(f"ParFam option '{option}' is {count}; needed is at least 1.")
+        if units not in (1, 2):
+            raise FitError(f"ParFam option 'units' is {units}; allowed are 1 and 2.")
+        self.units = units
+        self.denominator = denominator
+        self.search = search
+        self.functions = tuple(functions)
+        self.discretisation = discretisation
+        self.cells = cells
+        self.starts = starts
+        self.candidates = candidates
+
+    @staticmethod
+    def form(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions of a structure of the family."""
+        return family.form(structure)
+
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Fit the three stages (starts and hops drawn from `rng`)."""
+        samples = Samples.of(records, coefficients=COEFFICIENTS)
+        features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
+        found = (
+            self._paper(features, rng) if self.search == "paper" else self._evolve(features, rng)
+        )
+        trained = TrainedRange.of(records)
+        chosen = refine.select(features, found, samples.folds, trained)
+        law = chosen.canonical().law(self.name, self.discretisation)
+        return self._enlarged(law, features, trained, rng)
+
+    def _enlarged(
+        self,
+        law: FrictionLaw,
+        features: HysteresisFeatures,
+        trained: TrainedRange,
+        rng: np.random.Generator,
+    ) -> FrictionLaw:
+        """Add a second unit and a denominator where that is wanted and left-out logs gain."""
+        # A law from which pruning has taken the state has no (alpha, beta) to build on.
+        if (self.units < 2 and not self.denominator) or "alpha" not in law.values:
+            return law
+        problem = pose(law.structure, features.samples, self.discretisation)
+        point = problem.point({name: law.values[name] for name in problem.space.names})
+        best = Trial(structure=law.structure, problem=problem, point=point)
+        if self.units > 1:
+            columns = features.columns(law.values["alpha"], law.values["beta"])
+            more = with_unit(best, columns, self.functions, self.starts, rng)
+            best = extended(best, more, trained)
+        if self.denominator:
+            rational = best.changed({**best.structure, "denominator": list(family.DIVISORS)}, {})
+            best = extended(best, [rational], trained)
+        return law if best.structure == law.structure else replace(best.law(), name=self.name)
+
+    def _evolve(self, features: HysteresisFeatures, rng: np.random.Generator) -> list[Candidate]:
+        tau = features.samples.tau
+        rows = slice(None, None, max(1, len(tau) // evolve.ROWS))
+        found: list[Candidate] = []
+        cells = calibrate.distinct(calibrate.profile(features), self.cells)
+        searches = len(cells) * len(self.functions)
+        for i, cell in enumerate(cells):
+            columns = features.columns(cell.alpha, cell.beta)[rows]
+            found.append(evolve.linear(cell, columns, tau[rows]))
+            for k, g in enumerate(self.functions):
+                step(i * len(self.functions) + k, 2 * searches)  # what is found is refined yet
+                starts = evolve.starting_points(rng, self.starts, 4)
+                found += evolve.search(cell, g, columns, tau[rows], starts, keep=3)
+        return [
+            candidate
+            for g in (None, *self.functions)
+            for candidate in sorted((f for f in found if f.g == g), key=lambda f: f.cost)[
+                : self.candidates
+            ]
+        ]
+
+    def _paper(self, features: HysteresisFeatures, rng: np.random.Generator) -> list[Candidate]:
+        alpha, beta = calibrate.geometric(features)
+        cell = Cell(alpha=alpha, beta=beta, cost=np.nan)
+        columns = features.columns(alpha, beta)
+        return [paper.search(cell, g, columns, features.samples.tau, rng) for g in self.functions]

@@ -1,0 +1,172 @@
+"""Stage 2, default search: variable projection from many starts at once.
+
+For fixed (alpha, beta) and g the torque is linear in c and in the unit's gain, so only the four
+numbers theta of the argument are searched (Golub and Pereyra 1973, with Kaufman's simplification of
+the Jacobian). All starts of a cell run in one batch of a Levenberg-Marquardt iteration.
+"""
+
+import numpy as np
+
+from hesr_model.fitting.samples import least_squares
+from hesr_model.laws.parfam.calibrate import Cell
+from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
+from hesr_model.support.arrays import Array
+
+ROWS = 600
+"""Rows that the search looks at; the last stage uses all."""
+ROUNDS = ((6, 0.5), (6, 0.4), (12, 1.0))
+"""Rounds of (Levenberg-Marquardt iterations, share of the starts that goes on to the next)."""
+ARGUMENT_LIMIT = 12.0
+"""Bound on the standardised coefficients of an argument; beyond it g is saturated or wraps."""
+
+
+def linear(cell: Cell, features: Array, tau: Array) -> Candidate:
+    """Return the law without a unit g: linear in the (N, 4) features, fitted to tau (N,) [N.m]."""
+    return _candidate(cell, None, features, tau, np.zeros(4))
+
+
+def search(
+    cell: Cell, g: str, features: Array, tau: Array, starts: Array, keep: int
+) -> list[Candidate]:
+    """Return the best distinct laws with one unit g at one (alpha, beta).
+
+    Parameters
+    ----------
+    cell : hysteresis parameters.
+    g : name of the function.
+    features : (M, 4) features 1, dq, h, dh of the searched rows.
+    tau : (M,) torque [N.m].
+    starts : (S, 4) starting points of theta for standardised features.
+    keep : how many laws to return at most.
+    """
+    found = arguments(g, features, features, tau, starts, keep)
+    return [_candidate(cell, g, features, tau, theta) for theta in found]
+
+
+def arguments(
+    g: str,
+    features: Array,
+    linear: Array,
+    tau: Array,
+    starts: Array,
+    keep: int,
+    limit: float = ARGUMENT_LIMIT,
+) -> list[Array]:
+    """Return the best distinct arguments theta (F,) of a unit g beside a linear law, best first.
+
+    Parameters
+    ----------
+    g : name of the function.
+    features : (M, F) features of the argument, the first of them constant.
+    linear : (M, L) columns of the law beside the unit.
+    tau : (M,) torque [N.m].
+    starts : (S, F) starting points of theta for standardised features.
+    keep : how many to return at most.
+    limit : bound on the standardised theta.
+    """
+    scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
+    problem = _Projected(g, features / scale, linear, tau, limit)
+    theta, cost = problem.minimise(starts.T.copy())
+    chosen: list[int] = []
+    for i in np.argsort(cost):
+        if len(chosen) == keep or not np.isfinite(cost[i]):
+            break
+        if all(abs(cost[i] - cost[j]) > 1e-4 * cost[j] for j in chosen):
+            chosen.append(int(i))
+    return [theta[:, i] / scale for i in chosen]
+
+
+def starting_points(rng: np.random.Generator, count: int, features: int) -> Array:
+    """Return random starts of theta, shape (count, features), for standardised features."""
+    starts = rng.normal(size=(count, features))
+    return np.asarray(starts * rng.uniform(0.3, 2.0, size=(count, 1)))
+
+
+def _candidate(cell: Cell, g: str | None, features: Array, tau: Array, theta: Array) -> Candidate:
+    unit = [UNIT_FUNCTIONS[g][0](features @ theta)] if g else []
+    columns = np.column_stack([features, *unit])
+    solution = least_squares(columns, tau)
+    cost = float(np.mean((tau - columns @ solution) ** 2))
+    return Candidate(
+        g=g,
+        alpha=cell.alpha,
+        beta=cell.beta,
+        c=solution[:4],
+        theta=theta,
+        gain=float(solution[4]) if g else 0.0,
+        c_active=np.ones(4, bool),
+        theta_active=np.full(4, bool(g)),
+        cost=cost,
+    )
+
+
+class _Projected:
+    """The problem of one g with everything linear projected out."""
+
+    def __init__(self, g: str, x: Array, linear: Array, tau: Array, limit: float) -> None:
+        self.g, self.dg = UNIT_FUNCTIONS[g]
+        self.x = x
+        self.limit = limit
+        self.q = np.linalg.qr(linear)[0]
+        self._squares, self._spanned = (
+            np.einsum("ml,mi->lim", columns, x).reshape(-1, len(x)) for columns in (x, self.q)
+        )
+        self.y = self._reject(tau[:, None])
+
+    def _reject(self, columns: Array) -> Array:
+        return np.asarray(columns - self.q @ (self.q.T @ columns))
+
+    def evaluate(self, theta: Array) -> tuple[Array, Array, Array, Array]:
+        """Return argument, g, its part outside the linear span, and the gain, per start."""
+        argument = self.x @ theta
+        value = self.g(argument)
+        outside = self._reject(value)
+        norm = np.maximum(np.einsum("ms,ms->s", outside, outside), 1e-9 * len(self.x))
+        gain = (self.y.T @ outside)[0] / norm
+        return argument, value, outside, gain
+
+    def cost(self, theta: Array) -> Array:
+        """Return the (S,) mean squared residuals."""
+        _, _, outside, gain = self.evaluate(theta)
+        return np.asarray(np.mean((self.y - gain * outside) ** 2, axis=0))
+
+    def minimise(self, theta: Array) -> tuple[Array, Array]:
+        """Run the batch: theta (4, S) and (S,) costs, each start with its own damping."""
+        damping = np.full(theta.shape[1], 1e-2)
+        cost = self.cost(theta)
+        for iterations, share in ROUNDS:
+            for _ in range(iterations):
+                trial = np.clip(theta + self._step(theta, damping), -self.limit, self.limit)
+                trial_cost = self.cost(trial)
+                better = trial_cost < cost
+                theta = np.where(better, trial, theta)
+                cost = np.where(better, trial_cost, cost)
+                damping = np.clip(np.where(better, damping / 5.0, damping * 4.0), 1e-10, 1e8)
+            best = np.argsort(cost)[: int(np.ceil(share * len(cost)))]
+            theta, cost, damping = theta[:, best], cost[best], damping[best]
+        return theta, cost
+
+    def _step(self, theta: Array, damping: Array) -> Array:
+        gram, gradient = self._normal_equations(theta)
+        diagonal = np.einsum("sii->si", gram)
+        shift = damping[:, None] * (diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True))
+        damped = gram + np.eye(len(theta)) * (shift + 1e-300)[:, None, :]
+        return np.asarray(np.linalg.solve(damped, gradient[:, :, None])[:, :, 0].T)
+
+    def _normal_equations(self, theta: Array) -> tuple[Array, Array]:
+        """Return for each start the (S, F, F) Gram matrix and (S, F) gradient of theta.
+
+        By products of matrices only: what is outside the linear span is orthogonal to it, so the
+        Jacobian's own part outside has to be known by its Gram matrix alone.
+        """
+        argument, value, outside, gain = self.evaluate(theta)
+        slope = gain * self.dg(argument, value)
+        norm = np.maximum(np.einsum("ms,ms->s", outside, outside), 1e-9 * len(self.x))
+        count = len(theta)
+        whole = (self._squares @ slope**2).reshape(count, count, -1)
+        inside = (self._spanned @ slope).reshape(-1, count, slope.shape[1])
+        along = self.x.T @ (outside * slope)
+        residual = self.x.T @ ((self.y - gain * outside) * slope)
+        gram = whole - np.einsum("lis,ljs->ijs", inside, inside) - along[:, None] * along / norm
+        left = np.einsum("ms,ms->s", outside, self.y - gain * outside)
+        return gram.transpose(2, 0, 1), (residual - along * left / norm).T

@@ -1,0 +1,253 @@
+"""Stage 3: Levenberg-Marquardt over everything, and pruning of what the data do not support."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.special import expit, logit
+
+from hesr_model.audit.audit import explodes
+from hesr_model.errors import FitError
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.inference.correlation import correlation_length, standard_errors
+from hesr_model.laws.parfam.calibrate import bounds
+from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
+from hesr_model.laws.parfam.features import HysteresisFeatures
+from hesr_model.support.arrays import Array, Mask
+from hesr_model.support.progress import step
+
+SIGNIFICANCE = 2.0
+"""A coefficient stays if it differs from zero by this many standard errors."""
+
+
+_ALL = slice(None)
+
+ROUNDS = ((8, 10), (16, 4))
+"""Rounds of a first look, on all rows: a steep beta shows only at the few rows of a reversal.
+
+(evaluations of each candidate, how many go on)
+"""
+LONG, PRUNED, FOLD = 60, 12, 8
+"""Evaluations to the end, after a coefficient was dropped, and with a fold left out."""
+HOPEFUL = 1.1
+"""A candidate is refined to the end if its mean square is within this factor of the best one's."""
+ROUNDING = 1e-15
+"""Mean squares below this share of the torque's variance are zero."""
+SAME = 1e-6
+"""Candidates whose mean squares agree to this are taken for the same law."""
+
+
+def select(
+    features: HysteresisFeatures,
+    found: Sequence[Candidate],
+    folds: Sequence[Mask],
+    trained: TrainedRange,
+) -> Candidate:
+    """Refine candidates, prune them and return the one that predicts left-out rows best.
+
+    Parameters
+    ----------
+    features : rows of the joint.
+    found : candidates of stage 2.
+    folds : (N,) masks of the rows that are left out in turn.
+    trained : ranges of the rows; a law that explodes just outside them is refused.
+
+    Raises
+    ------
+    FitError
+        If every candidate explodes.
+    """
+    looked = list(found)
+    for i, (evaluations, keep) in enumerate(ROUNDS):
+        refined: list[Candidate] = []
+        for k in looked:
+            # The other half of the work has found the candidates.
+            share = (i + len(refined) / len(looked)) / len(ROUNDS)
+            step(round(1000 * (1.0 + share)), 2000)
+            refined.append(Refinement(features, k).run(evaluations)[0])
+        looked = distinct(refined)[:keep]
+    best = looked[0].cost
+    hopeful = [k for k in looked if k.cost <= HOPEFUL * best]
+    # Should they all explode: the others, and linear laws, which hardly do.
+    linear = sorted((k for k in found if k.g is None), key=lambda k: k.cost)[:1]
+    for group in (hopeful, [k for k in looked if k.cost > HOPEFUL * best], linear):
+        finalists = [
+            k
+            for k in distinct([prune(features, k) for k in group])
+            if not explodes(k.law("candidate", features.discretisation), trained)
+        ]
+        if finalists:
+            return min(finalists, key=lambda k: left_out_cost(features, k, folds))
+    raise FitError("every ParFam candidate explodes just outside the trained speeds.")
+
+
+def distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return the candidates in the order of their cost, without those that are the same law."""
+    kept: list[Candidate] = []
+    for candidate in sorted(candidates, key=lambda k: k.cost):
+        if not kept or candidate.cost > kept[-1].cost * (1.0 + SAME):
+            kept.append(candidate)
+    return kept
+
+
+def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
+    """Refine to the end, then drop insignificant coefficients, the least significant first.
+
+    A coefficient stays, however, without which the fit turns out worse than its significance says:
+    the problem is not linear, and the way to the optimum without it may be barred.
+    """
+    refined, statistics = Refinement(features, candidate).run(LONG)
+    needed = np.zeros(11, bool)
+    while True:
+        removable = np.concatenate(
+            [[False, False], refined.c_active, [False], refined.theta_active]
+        ).astype(bool)
+        removable &= ~needed
+        if refined.theta_active.sum() == 1:
+            removable[7:] = False
+        weakest = int(np.argmin(np.where(removable, statistics, np.inf)))
+        if not removable.any() or statistics[weakest] >= SIGNIFICANCE:
+            return refined
+        smaller, its_statistics = Refinement(features, _without(refined, weakest)).run(PRUNED)
+        if smaller.cost <= _still_as_good(features, refined):
+            refined, statistics = smaller, its_statistics
+        else:
+            needed[weakest] = True
+
+
+def _without(candidate: Candidate, coefficient: int) -> Candidate:
+    """Return the candidate without one coefficient, numbered as in `Refinement`."""
+    kept = np.arange(11) != coefficient
+    c_active, theta_active = candidate.c_active & kept[2:6], candidate.theta_active & kept[7:]
+    return replace(
+        candidate,
+        c=candidate.c * c_active,
+        theta=candidate.theta * theta_active,
+        c_active=c_active,
+        theta_active=theta_active,
+    )
+
+
+def _still_as_good(features: HysteresisFeatures, candidate: Candidate) -> float:
+    """Mean square up to which a fit with one coefficient less is not significantly worse."""
+    tau = features.samples.tau
+    residual = candidate.torque(features.columns(candidate.alpha, candidate.beta)) - tau
+    rise = SIGNIFICANCE**2 * correlation_length(residual) / len(tau)
+    return candidate.cost * (1.0 + rise) + ROUNDING * float(np.var(tau))
+
+
+def left_out_cost(
+    features: HysteresisFeatures, candidate: Candidate, folds: Sequence[Mask]
+) -> float:
+    """Mean square [N^2.m^2] on each of the folds, masks (N,), of the candidate refined without it.
+
+    Averaged over all rows.
+    """
+    total = 0.0
+    for fold in folds:
+        held = Refinement(features, candidate, ~fold).run(FOLD)[0]
+        torque = held.torque(features.columns(held.alpha, held.beta))
+        total += float(np.sum((torque - features.samples.tau)[fold] ** 2))
+    return total / len(features.samples.tau)
+
+
+class Refinement:
+    """The joint least-squares problem of a candidate over (alpha, beta, c, gain, theta).
+
+    alpha and beta are searched as u = logit of their place in their (logarithmic) bounds, so that
+    0 < alpha dt < 1 holds without constraints; coefficients are scaled to standardised features.
+    Only `rows` count, while the state runs over all of them.
+    """
+
+    def __init__(
+        self, features: HysteresisFeatures, start: Candidate, rows: Mask | slice = _ALL
+    ) -> None:
+        self.features = features
+        self.start = start
+        self.rows = rows
+        self.tau = features.samples.tau[rows]
+        (a_low, a_high), (b_low, b_high) = bounds(features)
+        self.low = np.log([a_low, b_low])
+        self.span = np.log([a_high, b_high]) - self.low
+        columns = features.columns(start.alpha, start.beta)
+        self.scale = np.concatenate([[1.0], np.maximum(columns[:, 1:].std(axis=0), 1e-12)])
+        self.active = np.concatenate(
+            [[True, True], start.c_active, [start.g is not None], start.theta_active]
+        ).astype(bool)
+
+    def pack(self) -> Array:
+        """Return the start as the vector that is searched, (parameters,) in their units or logs."""
+        place = (np.log([self.start.alpha, self.start.beta]) - self.low) / self.span
+        place = np.clip(place, 1e-6, 1.0 - 1e-6)
+        full = np.concatenate(
+            [
+                logit(place),
+                self.start.c * self.scale,
+                [self.start.gain],
+                self.start.theta * self.scale,
+            ]
+        )
+        return np.asarray(full[self.active])
+
+    def unpack(self, point: Array, cost: float = np.nan) -> Candidate:
+        """Return the candidate of a point (parameters,) in the units of `pack`."""
+        full = np.zeros(11)
+        full[self.active] = point
+        place = expit(full[:2])
+        alpha, beta = np.exp(self.low + self.span * place)
+        return replace(
+            self.start,
+            alpha=float(alpha),
+            beta=float(beta),
+            c=full[2:6] / self.scale,
+            gain=float(full[6]),
+            theta=full[7:] / self.scale,
+            cost=cost,
+        )
+
+    def residual(self, point: Array) -> Array:
+        """Return the residual [N.m] of the counted rows, shape (rows,), at a point of `pack`."""
+        candidate = self.unpack(point)
+        columns = self.features.columns(candidate.alpha, candidate.beta)[self.rows]
+        return candidate.torque(columns) - self.tau
+
+    def jacobian(self, point: Array) -> Array:
+        """Return the Jacobian of the residual at a point, shape (rows, parameters), units alike."""
+        k = self.unpack(point)
+        x, dh, ddh = (e[self.rows] for e in self.features.with_derivatives(k.alpha, k.beta))
+        scaled = x / self.scale
+        full = np.empty((len(x), 11), order="F")
+        full[:, 2:6] = scaled
+        by_h, by_dh = k.c[2], k.c[3]
+        if k.g is not None:
+            g, dg = UNIT_FUNCTIONS[k.g]
+            argument = x @ k.theta
+            full[:, 6] = g(argument)
+            slope = k.gain * dg(argument, full[:, 6])
+            full[:, 7:] = slope[:, None] * scaled
+            by_h, by_dh = (c + slope * t for c, t in zip(k.c[2:], k.theta[2:], strict=True))
+        place = (np.log([k.alpha, k.beta]) - self.low) / self.span
+        chain = np.array([k.alpha, k.beta]) * self.span * place * (1.0 - place)
+        for i in range(2):
+            full[:, i] = (by_h * dh[:, i] + by_dh * ddh[:, i]) * chain[i]
+        return full if self.active.all() else full[:, self.active]
+
+    def run(self, evaluations: int) -> tuple[Candidate, Array]:
+        """Return the refined candidate and its t-statistics, shape (parameters,), without unit."""
+        solution = least_squares(
+            self.residual,
+            self.pack(),
+            jac=self.jacobian,
+            method="lm",
+            max_nfev=evaluations,
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+            x_scale="jac",
+        )
+        cost = float(np.mean(solution.fun**2))
+        statistics = np.zeros(11)
+        errors = standard_errors(solution.jac, solution.fun)
+        statistics[self.active] = np.abs(solution.x) / np.maximum(errors, 1e-300)
+        return self.unpack(solution.x, cost), statistics

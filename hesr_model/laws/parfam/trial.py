@@ -1,0 +1,158 @@
+"""Structures of the family as separable problems, and the choice among them by left-out rows."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import sympy
+
+from hesr_model.audit.audit import explodes
+from hesr_model.equations.over_log import Discretisation
+from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.separable import SearchSpace, Separable
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
+from hesr_model.laws.parfam import calibrate, evolve, family
+from hesr_model.laws.parfam.features import HysteresisFeatures
+from hesr_model.laws.stribeck import V_S, VELOCITY_BOUNDS
+from hesr_model.logs.phases import MOVING
+from hesr_model.support.arrays import Array
+
+MEMORY_BOUNDS = (0.05, 2000.0)
+"""Bounds of kappa [1/rad]: from no memory in position to one of a milliradian."""
+REST_SPEED = 1e-3
+"""Speed below which the state holds [rad/s]."""
+BUMP_BOUNDS = (MOVING, VELOCITY_BOUNDS[1])
+"""Bounds of the Stribeck term's velocity [rad/s]: a narrower bump would act at rest alone."""
+DIVISOR_LIMIT = 0.9
+"""Bound on what a denominator may take away from 1."""
+_ROWS = 3000
+UNIT_GAIN = 0.05
+"""A unit or a denominator stays if it lowers the mean square on left-out rows by this share."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trial:
+    """A structure with its problem and the point found in it."""
+
+    structure: Mapping[str, Any]
+    problem: Separable
+    point: Array
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Searched numbers by name."""
+        values = self.problem.numbers(self.point)
+        return dict(zip(self.problem.space.names, map(float, values), strict=True))
+
+    def changed(self, structure: Mapping[str, Any], more: Mapping[str, float]) -> "Trial":
+        """Return the trial of another structure, polished from this one's numbers and `more`."""
+        problem = pose(structure, self.problem.samples, self.problem.discretisation)
+        known = dict.fromkeys(problem.space.names, 0.0) | self.numbers | dict(more)
+        point = problem.polish(problem.point({n: known[n] for n in problem.space.names}))
+        return Trial(structure=structure, problem=problem, point=point)
+
+    def law(self) -> FrictionLaw:
+        """Return the law at the point."""
+        unknowns, _ = self.problem.solve(self.point)
+        values = self.problem.values(self.point, unknowns)
+        return FrictionLaw(
+            name="trial",
+            structure=self.structure,
+            form=self.problem.form,
+            values=values,
+            discretisation=self.problem.discretisation,
+        )
+
+
+def pose(
+    structure: Mapping[str, Any], samples: Samples, discretisation: Discretisation = "exact"
+) -> Separable:
+    """Return the least-squares problem of a structure."""
+    space = search_space(structure, samples)
+    return Separable(family.form(structure), space, samples, discretisation)
+
+
+def with_unit(
+    trial: Trial, features: Array, functions: Sequence[str], starts: int, rng: np.random.Generator
+) -> list[Trial]:
+    """Return the trial with a further unit g, for every g the two best arguments.
+
+    Parameters
+    ----------
+    trial : what the unit is added to.
+    features : (N, 4) features 1, dq [rad/s], h, dh [1/s] of the argument.
+    functions : functions g that are tried.
+    starts : random starts for each g, drawn from `rng`.
+    """
+    tau = trial.problem.samples.tau
+    rows = slice(None, None, max(1, len(tau) // _ROWS))
+    columns = trial.problem.columns(trial.point)[rows]
+    before = list(trial.structure["units"])
+    names = [family.argument_name(len(before) + 1, x) for x in family.FEATURES]
+    found = []
+    for g in functions:
+        drawn = evolve.starting_points(rng, starts, 4)
+        unit = {"g": g, "arguments": list(family.FEATURES)}
+        structure = {**trial.structure, "units": [*before, unit]}
+        found += [
+            trial.changed(structure, dict(zip(names, theta, strict=True)))
+            for theta in evolve.arguments(g, features[rows], columns, tau[rows], drawn, keep=2)
+        ]
+    return found
+
+
+def choose(trials: Sequence[Trial], gain: float) -> Trial:
+    """Return the trial that predicts left-out rows best; those after the first must gain `gain`."""
+    costs = [left_out(trial) * (1.0 if i == 0 else 1.0 + gain) for i, trial in enumerate(trials)]
+    return trials[int(np.argmin(costs))]
+
+
+def extended(base: Trial, more: Sequence[Trial], trained: TrainedRange) -> Trial:
+    """Return the one of `more` that gains most on left-out rows and stays in bounds, or `base`."""
+    return choose([base, *(t for t in more if not explodes(t.law(), trained))], UNIT_GAIN)
+
+
+def left_out(trial: Trial) -> float:
+    """Mean square on each fold of the trial refined without it, over all rows."""
+    problem = trial.problem
+    total = 0.0
+    for fold in problem.samples.folds:
+        columns = problem.columns(problem.polish(trial.point, evaluations=3, rows=~fold))
+        x = np.linalg.lstsq(columns[~fold], problem.samples.tau[~fold])[0]
+        total += float(np.sum((problem.samples.tau - columns @ x)[fold] ** 2))
+    return total
+
+
+def search_space(structure: Mapping[str, Any], samples: Samples) -> SearchSpace:
+    """Return how a structure of the family is searched on given rows."""
+    state = structure.get("state", "paper")
+    features = HysteresisFeatures(samples=samples, discretisation="exact")
+    alpha, beta = calibrate.bounds(features)
+    bounds: list[tuple[str, tuple[float, float]]] = []
+    values: list[tuple[str, sympy.Expr]] = []
+    if state == "bristle":
+        bounds += [(family.RHO.name, STATIC_RATIO_BOUNDS), (V_S.name, VELOCITY_BOUNDS)]
+    else:
+        bounds += [("alpha", alpha), ("beta", beta)]
+    if state != "paper":
+        bounds.append((family.KAPPA.name, MEMORY_BOUNDS))
+    if state == "generalised":
+        values.append((family.V_0.name, sympy.Float(REST_SPEED)))
+    if "h_bump" in structure["linear"] and state != "bristle":
+        bounds.append((V_S.name, BUMP_BOUNDS))
+    linear = [family.linear_name(x) for x in structure["linear"]]
+    for k, unit in enumerate(structure["units"], start=1):
+        linear.append(family.gain_name(k))
+        scales = {"1": 1.0, "dq": float(samples.dq.std()), "h": 1.0, "dh": 1.0}
+        for x in unit["arguments"]:
+            limit = evolve.ARGUMENT_LIMIT / scales[x]
+            bounds.append((family.argument_name(k, x), (-limit, limit)))
+    for x in structure.get("denominator", ()):
+        # All terms together stay below DIVISOR_LIMIT: the denominator has no zero in the data.
+        largest = float(np.abs(samples.dq).max()) if x == "dq" else 1.0
+        limit = DIVISOR_LIMIT / len(structure["denominator"]) / largest
+        bounds.append((family.denominator_name(x), (-limit, limit)))
+    return SearchSpace(bounds=tuple(bounds), linear=tuple(linear), values=tuple(values))

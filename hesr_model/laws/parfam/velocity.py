@@ -1,0 +1,82 @@
+"""ParFam-V: the paper's ablation, a symbolic law of velocity alone."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hesr_model.fitting.declarative import Described
+from hesr_model.fitting.estimator import register
+from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.separable import SearchSpace, Separable, left_out_cost
+from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.laws.parfam import evolve, family
+from hesr_model.rigid_body.residual import FrictionRecord
+
+FEATURES = ("1", "dq")
+STEEPEST = 2000.0
+"""Largest slope of a unit's argument, relative to the joint's typical speed."""
+_ROWS = 1200
+
+
+@register
+class ParFamV(Described):
+    """tau = c . (1, v) + c_g g(theta . (1, v))  (eq. 11 with x = v).
+
+    Parameters
+    ----------
+    functions : functions g that are tried.
+    starts : random starts for each g, and as many steep ones, since friction jumps at rest.
+    """
+
+    name = "parfam_v"
+    title = "ParFam-V"
+    typical: ClassVar[Mapping[str, Any]] = {
+        "linear": ["1", "dq"],
+        "units": [{"g": "tanh", "arguments": ["1", "dq"]}],
+    }
+
+    def __init__(self, *, functions: Sequence[str] = ("tanh", "sin"), starts: int = 16) -> None:
+        self.functions = tuple(functions)
+        self.starts = starts
+
+    @staticmethod
+    def core(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        return family.form(structure)
+
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Search the unit's argument for every g; left-out logs choose among them."""
+        samples = Samples.of(records, coefficients=5)
+        x = np.column_stack([np.ones(len(samples.dq)), samples.dq])
+        rows = slice(None, None, max(1, len(x) // _ROWS))
+        found = []
+        for g in self.functions:
+            structure = {
+                "linear": list(FEATURES),
+                "units": [{"g": g, "arguments": list(FEATURES)}],
+            }
+            problem = Separable(family.form(structure), _space(samples), samples)
+            starts = evolve.starting_points(rng, 2 * self.starts, 2)
+            if g == "tanh":
+                starts[self.starts :, 1] *= np.geomspace(2.0, STEEPEST, self.starts)
+            limit = STEEPEST if g == "tanh" else evolve.ARGUMENT_LIMIT
+            for theta in evolve.arguments(
+                g, x[rows], x[rows], samples.tau[rows], starts, keep=3, limit=limit
+            ):
+                point = problem.polish(
+                    problem.point({"theta1_0": theta[0], "theta1_dq": theta[1]}), evaluations=30
+                )
+                cost = left_out_cost(problem.columns(point), samples.tau, samples.folds)
+                found.append((cost, structure, problem, point))
+        _, structure, problem, point = min(found, key=lambda entry: entry[0])
+        return self.finish(structure, problem, point)
+
+
+def _space(samples: Samples) -> SearchSpace:
+    limit = STEEPEST / float(np.sqrt(np.mean(samples.dq**2)))
+    bound = evolve.ARGUMENT_LIMIT
+    return SearchSpace(
+        bounds=(("theta1_0", (-bound, bound)), ("theta1_dq", (-limit, limit))),
+        linear=("c_0", "c_dq", "c_g1"),
+    )

@@ -1,0 +1,209 @@
+"""Torque ripple in the joint angle: harmonics of the motor's angle, chosen by left-out logs.
+
+    sum_k (a_k cos(k N (q - lag dq)) + b_k sin(k N (q - lag dq))) / (1 + (k N smoothing dq)^2)
+
+N is the gear ratio, k the order per turn of the motor. The lag is the time by which the logged
+torque follows the logged position: without it a ripple of constant amplitude turns its phase with
+the speed and averages out (on a UR10e by a quarter turn at 0.5 rad/s, which is 3 ms). The smoothing
+is the time constant of what keeps fast ripple out of the logged torque, as a servo's bandwidth.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import sympy
+from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
+
+from hesr_model.errors import ArtifactError
+from hesr_model.fitting.samples import Samples, least_squares
+from hesr_model.fitting.separable import SearchSpace, left_out_cost
+from hesr_model.friction.inputs import DQ, Q
+from hesr_model.friction.law import Coefficient, LawForm
+from hesr_model.support.arrays import Array, Mask
+
+ORDERS = range(1, 17)
+"""Orders per turn of the motor that are tried."""
+LAG_BOUNDS = (0.0, 0.012)
+"""Bounds of the lag [s]."""
+SMOOTHING_BOUNDS = (0.0, 0.02)
+"""Bounds of the smoothing [s]."""
+MOST = 6
+"""Orders that a joint gets at the most."""
+GAIN = 0.002
+"""An order stays if it lowers the mean square on left-out logs by this share."""
+CHANCE = 18.0
+"""And by this many times what a row has: the best of so many orders and lags gains by chance."""
+LAG = Coefficient(name="lag", unit="s", description="lag behind the position")
+SMOOTHING = Coefficient(name="smoothing", unit="s", description="time constant over fast ripple")
+Times = tuple[float, float]
+"""Lag and smoothing [s]."""
+_TIMES: list[Times] = [
+    (float(lag), smoothing)
+    for lag in np.linspace(*LAG_BOUNDS, 25)
+    for smoothing in (0.0, 1e-3, 2e-3, 4e-3, 8e-3)
+]
+_NEAR = 2e-3
+_ATTEMPTS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ripple:
+    """Which harmonics a joint has.
+
+    Attributes
+    ----------
+    gear_ratio : turns of the motor per turn of the joint.
+    orders : per turn of the motor.
+    """
+
+    gear_ratio: float
+    orders: tuple[int, ...]
+
+    @classmethod
+    def of_structure(cls, data: Any) -> "Ripple":
+        """Return the ripple of a law's structure, {"gear_ratio", "orders"}.
+
+        Raises
+        ------
+        ArtifactError
+            If the data are not a ripple.
+        """
+        try:
+            return TypeAdapter(cls).validate_python(data)
+        except ValidationError as error:
+            raise ArtifactError(
+                f"ripple {data!r} needs a number 'gear_ratio' and integers 'orders'."
+            ) from error
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the amplitudes."""
+        return tuple(f"ripple{k}_{part}" for k in self.orders for part in ("cos", "sin"))
+
+    def extend(self, form: LawForm) -> LawForm:
+        """Return a form with the ripple added to its output."""
+        coefficients = [
+            Coefficient(name=name, unit="N.m", description="amplitude of ripple")
+            for name in self.names
+        ]
+        angle = self.gear_ratio * (Q - LAG.symbol * DQ)
+        fast = self.gear_ratio * SMOOTHING.symbol * DQ
+        waves = [
+            wave(k * angle) / (1 + (k * fast) ** 2)
+            for k in self.orders
+            for wave in (sympy.cos, sympy.sin)
+        ]
+        torque = sum(c.symbol * w for c, w in zip(coefficients, waves, strict=True))
+        return replace(
+            form,
+            coefficients=(*form.coefficients, *coefficients, LAG, SMOOTHING),
+            output=form.output + torque,
+        )
+
+    def extend_space(self, space: SearchSpace) -> SearchSpace:
+        """Return the space of the extended form."""
+        return replace(
+            space,
+            bounds=(*space.bounds, (LAG.name, LAG_BOUNDS), (SMOOTHING.name, SMOOTHING_BOUNDS)),
+            linear=(*space.linear, *self.names),
+        )
+
+    def columns(self, samples: Samples, times: Times) -> Array:
+        """Return the (N, 2 orders) waves, cosines and sines without unit."""
+        lag, smoothing = times
+        angle = self.gear_ratio * (samples.q - lag * samples.dq)
+        fast = self.gear_ratio * smoothing * samples.dq
+        turn, waves = np.exp(1j * angle), dict[int, NDArray[Any]]()
+        rotated = np.ones_like(turn)
+        for k in range(1, max(self.orders, default=0) + 1):  # powers take no sines of their own
+            rotated *= turn
+            if k in self.orders:
+                waves[k] = rotated / (1.0 + (k * fast) ** 2)
+        parts = [part for k in self.orders for part in (waves[k].real, waves[k].imag)]
+        return np.stack(parts, axis=1)
+
+
+def select(
+    base: Array, samples: Samples, gear_ratio: float, folds: Sequence[Mask]
+) -> tuple[Ripple, Times] | None:
+    """Return the ripple and its lag and smoothing that predict left-out logs best, or None.
+
+    Orders are added one by one, the one that explains most of the residual first, as long as the
+    left-out logs gain from it.
+
+    Parameters
+    ----------
+    base : (N, L) columns of the law without ripple, [N.m] per unit of their coefficients.
+    samples : rows of the joint.
+    gear_ratio : turns of the motor per turn of the joint.
+    folds : (N,) masks of the rows that are left out in turn.
+    """
+    tau = samples.tau
+    gain = max(GAIN, CHANCE / len(tau))
+    chosen, times = Ripple(gear_ratio=gear_ratio, orders=()), _TIMES[0]
+    columns, cost = base, left_out_cost(base, tau, folds)
+
+    def left_out(ripple: Ripple, at: Times) -> float:
+        return left_out_cost(np.hstack([base, ripple.columns(samples, at)]), tau, folds)
+
+    while len(chosen.orders) < MOST:
+        residual = tau - columns @ least_squares(columns, tau)
+        # The first order brings its times with it; all orders share them.
+        near = [t for t in _TIMES if abs(t[0] - times[0]) < _NEAR] if chosen.orders else _TIMES
+        ranked = _ranking(samples, residual, chosen, [times] if chosen.orders else _TIMES)
+        better = (
+            extended
+            for order, at in ranked[:_ATTEMPTS]
+            for extended in [replace(chosen, orders=(*chosen.orders, order))]
+            if left_out(extended, at) < (1.0 - gain) * cost
+        )
+        extended = next(better, None)
+        if extended is None:
+            break
+        chosen = extended
+        times = min(near, key=lambda at: left_out(chosen, at)) if chosen.orders else times
+        cost = left_out(chosen, times)
+        columns = np.hstack([base, chosen.columns(samples, times)])
+    return (chosen, times) if chosen.orders else None
+
+
+def _ranking(
+    samples: Samples, residual: Array, chosen: Ripple, candidates: Sequence[Times]
+) -> list[tuple[int, Times]]:
+    """Return orders and times, those that explain most of the residual first."""
+    explained = []
+    orders = [order for order in ORDERS if order not in chosen.orders]
+    weights = {order: _weights(samples, chosen.gear_ratio, order, candidates) for order in orders}
+    for lag in dict.fromkeys(lag for lag, _ in candidates):
+        turn = np.exp(1j * chosen.gear_ratio * (samples.q - lag * samples.dq))
+        rotated = np.ones_like(turn)
+        for order in ORDERS:  # a power of the first order's wave takes no sine of its own
+            rotated *= turn
+            if order not in weights:
+                continue
+            smoothings, plain, squared = weights[order]
+            # Cosine, sine, and of the doubled angle, of which their squares are made.
+            moments = (plain * residual) @ rotated.view(float).reshape(-1, 2)
+            doubled = squared @ (rotated * rotated).view(float).reshape(-1, 2)
+            for i, smoothing in enumerate(smoothings):
+                if (lag, smoothing) not in candidates:
+                    continue
+                both, (c, s), moment = squared[i].sum(), doubled[i], moments[i]
+                gram = 0.5 * np.array([[both + c, s], [s, both - c]]) + 1e-9 * np.eye(2)
+                share = float(moment @ np.linalg.solve(gram, moment))
+                explained.append((share, order, (lag, smoothing)))
+    explained.sort(reverse=True)
+    return [(order, at) for _, order, at in explained]
+
+
+def _weights(
+    samples: Samples, gear_ratio: float, order: int, candidates: Sequence[Times]
+) -> tuple[list[float], Array, Array]:
+    """Return the smoothings of candidates, what each leaves of an order's waves, and the square."""
+    smoothings = list(dict.fromkeys(smoothing for _, smoothing in candidates))
+    fast = order * gear_ratio * np.outer(smoothings, samples.dq)
+    plain = 1.0 / (1.0 + fast**2)
+    return smoothings, plain, plain**2

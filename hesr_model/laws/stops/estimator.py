@@ -1,0 +1,133 @@
+"""ParFam-S: stops with symbolic bounds, fitted by signed least squares and left-out logs."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hesr_model.fitting.estimator import Estimator, register
+from hesr_model.fitting.nonnegative import Normal
+from hesr_model.fitting.samples import Samples
+from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.laws.ripple import LAG
+from hesr_model.laws.stops import passive, waves
+from hesr_model.laws.stops.form import Structure, start_at_rest, viscous_at
+from hesr_model.laws.stops.search import Terms, dictionary, search
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
+from hesr_model.support.typed_json import to_json
+
+WINDOW = 1.5
+"""Steps up to this many sample times of the logs have ripple as it is at their ends."""
+
+
+class _Stops(Estimator):
+    """Stops of which the bounds are expressions, so that no part of it gives energy.
+
+    Parameters
+    ----------
+    skeleton_only : leave out the search; the baseline that it has to beat.
+    """
+
+    load: ClassVar[bool] = False
+    ripple: ClassVar[bool] = False
+    start_samples: ClassVar[int] = 0
+    typical: ClassVar[Mapping[str, Any]] = {
+        "stops": [["1", 0], ["1", 4], ["p", 0]],
+        "viscous": ["1", "b"],
+    }
+
+    def __init__(self, *, skeleton_only: bool = False) -> None:
+        self.skeleton_only = skeleton_only
+
+    @staticmethod
+    def form(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        return Structure.of(structure).form()
+
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Solve for all forces with their signs; nothing is drawn from `rng`."""
+        del rng
+        samples = Samples.of(records, coefficients=20)
+        best = dictionary(samples, load=self.load)
+        if not self.skeleton_only:
+            best = search(best, load=self.load)
+        structure, columns = best.active()
+        lag = 0.0
+        if self.ripple and samples.gear_ratio is not None:
+            chosen = waves.select(columns, samples, best.weights, samples.gear_ratio)
+            if chosen.frequencies:
+                step = float(np.median(samples.dt[~samples.begins]))
+                structure = replace(
+                    structure,
+                    ripple=chosen.frequencies,
+                    window=float(f"{WINDOW * step:.3g}"),
+                )
+                lag = chosen.lag
+                columns = np.hstack([columns, waves.waves(chosen.frequencies, lag, samples)])
+        return self._law(best, structure, columns, lag)
+
+    def _law(self, best: Terms, structure: Structure, columns: Array, lag: float) -> FrictionLaw:
+        samples, form = best.samples, structure.form()
+        names = (*structure.forces, "tau_0", *structure.waves)
+        free = 1 + len(structure.waves)
+        normal = Normal.of(columns, samples.tau, samples.folds, best.weights, free=free)
+        x = normal.solve()
+        if structure.ripple:
+            x = passive.constrained(
+                normal.gram,
+                normal.moment,
+                x,
+                viscous_at(structure, best.numbers, passive.SPEEDS),
+                passive.needed(structure.ripple, lag, structure.window),
+                free=free,
+            )
+        values = {**best.numbers, LAG.name: lag, **dict(zip(names, map(float, x), strict=True))}
+        return FrictionLaw(
+            name=self.name,
+            structure=to_json(structure),
+            form=form,
+            values={c.name: values[c.name] for c in form.coefficients},
+            start=start_at_rest(form),
+            start_samples=self.start_samples,
+        )
+
+
+_LOADED = {**_Stops.typical, "stops": [["1", 0], ["1", 4], ["p", 0], ["load", 0]]}
+
+
+@register
+class ParFamS(_Stops):
+    """Stops whose bounds depend on age and load, and ripple that pays: passive at any step.
+
+        x_i+ = clip(x_i + v dt / w_i, -s_i, s_i)    p' = (exp(-(v/v_s)^2) - p) / T
+        tau  = sum_i F_i x_i + v f(v) + ripple + tau_0
+
+    Bounds s_i and terms of f stay where left-out logs gain from them; F_i and f are not negative.
+    """
+
+    name = "parfam_s"
+    title = "ParFam-S"
+    load = True
+    ripple = True
+    start_samples = 5
+    typical: ClassVar[Mapping[str, Any]] = {**_LOADED, "ripple": [200], "window": 0.01}
+
+
+@register
+class ParFamSLoad(_Stops):
+    """ParFam-S without ripple: bounds of age and load."""
+
+    name = "parfam_s_load"
+    title = "ParFam-S, no ripple"
+    load = True
+    typical: ClassVar[Mapping[str, Any]] = _LOADED
+
+
+@register
+class ParFamSV(_Stops):
+    """ParFam-S of the velocity alone: bounds of age."""
+
+    name = "parfam_s_v"
+    title = "ParFam-S, velocity"

@@ -1,0 +1,221 @@
+"""ParFam-S as expressions: stops whose bounds are symbolic, an age, and viscous friction.
+
+    x_i+ = clip(x_i + v dt / w_i, -s_i, s_i)    s_i >= 0: an expression of `BOUNDS`
+    p'   = (psi(v) - p) / T                     psi = exp(-(v/v_s)^2)
+    tau  = sum_i F_i x_i + v f(v) + ripple + tau_0
+
+Stribeck effect, frictional lag and load enter as bounds, never as factors of the output: a bound
+that moves projects the deflection on a smaller set that holds 0, which takes energy only.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import sympy
+from pydantic import ConfigDict, NonNegativeFloat, PositiveInt, TypeAdapter, ValidationError
+
+from hesr_model.equations.functions import absolute, cardinal_sine, lowered, positive
+from hesr_model.equations.memory import DT, Element, Relaxation, Stop
+from hesr_model.errors import ArtifactError
+from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
+from hesr_model.friction.law import Coefficient, LawForm
+from hesr_model.laws.ripple import LAG
+from hesr_model.laws.stribeck import SIGMA_2, TAU_0, V_S
+from hesr_model.support.arrays import Array
+
+DEFLECTIONS = np.geomspace(3e-5, 1e-2, 9)
+"""Sliding deflections w of the stops [rad], or [m]."""
+
+LOAD_SCALE = Coefficient(
+    name="load_scale", unit="N.m", description="load torque at which bounds of the load are 1"
+)
+REST = Coefficient(name="T", unit="s", description="time in which contacts age")
+
+AGE = Relaxation(
+    name="p",
+    unit="1",
+    drive=sympy.exp(-((DQ / V_S.symbol) ** 2)) / REST.symbol,
+    rate=1 / REST.symbol,
+)
+"""Age of the contacts: 1 at rest, falls while they slide."""
+
+_LOAD = TAU_LOAD / LOAD_SCALE.symbol
+BOUNDS: Mapping[str, sympy.Expr] = {
+    "1": sympy.Integer(1),
+    "p": AGE.state,
+    "load": absolute(_LOAD),
+    "root": sympy.sqrt(absolute(_LOAD)),
+    "plus": positive(_LOAD),
+    "minus": positive(-_LOAD),
+}
+"""Bounds by name: what the family searches. None is negative, and none vanishes at rest alone."""
+
+SHARES = {"a": 0.05, "b": 0.2, "c": 0.6}
+"""Speeds of shear thinning, as shares of the largest speed, by the letter of their term of f."""
+THINNING = {
+    letter: Coefficient(name=f"v_{letter}", unit="rad/s", description="speed of shear thinning")
+    for letter in SHARES
+}
+_VISCOUS = {
+    "1": (SIGMA_2, sympy.Integer(1)),
+    "v": (
+        Coefficient(name="sigma_3", unit="N.m.s2/rad2", description="rise of viscous friction"),
+        absolute(DQ),
+    ),
+    **{
+        letter: (
+            Coefficient(
+                name=f"sigma_{letter}", unit="N.m.s/rad", description="viscous friction that thins"
+            ),
+            1 / (1 + absolute(DQ) / v.symbol),
+        )
+        for letter, v in THINNING.items()
+    },
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Structure:
+    """Which terms a law has.
+
+    Attributes
+    ----------
+    stops : name of the bound and number of the deflection, from 0, of each.
+    viscous : terms of f: "1" for a constant, "v" for |v|, a letter of `SHARES` for
+        1 / (1 + |v| / v_letter).
+    ripple : frequencies in the joint angle [1/rad] of harmonics of the motor's angle.
+    window : step [s] up to which ripple is taken as it is at the step's end.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    stops: tuple[tuple[str, int], ...] = ()
+    viscous: tuple[str, ...] = ()
+    ripple: tuple[PositiveInt, ...] = ()
+    window: NonNegativeFloat = 0.0
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any]) -> Self:
+        """Return the structure of JSON data.
+
+        Raises
+        ------
+        ArtifactError
+            If they are none.
+        """
+        try:
+            found = TypeAdapter(cls).validate_python(dict(data))
+        except ValidationError as error:
+            raise ArtifactError(
+                f"structure {dict(data)!r} is none of ParFam-S: it has 'stops', 'viscous', "
+                "'ripple' and 'window'."
+            ) from error
+        for kind, node in found.stops:
+            if kind not in BOUNDS or not 0 <= node < len(DEFLECTIONS):
+                raise ArtifactError(
+                    f"stop {[kind, node]!r} is unknown; needed are a bound of "
+                    f"{', '.join(repr(k) for k in BOUNDS)} and a number from 0 to "
+                    f"{len(DEFLECTIONS) - 1}."
+                )
+        if unknown := [kind for kind in found.viscous if kind not in _VISCOUS]:
+            raise ArtifactError(
+                f"viscous term {unknown[0]!r} is unknown; known are "
+                f"{', '.join(repr(k) for k in _VISCOUS)}."
+            )
+        return found
+
+    @property
+    def forces(self) -> tuple[str, ...]:
+        """Names of the coefficients that must not be negative: of stops, then of f."""
+        return (
+            *(force(kind, node) for kind, node in self.stops),
+            *(_VISCOUS[kind][0].name for kind in self.viscous),
+        )
+
+    @property
+    def waves(self) -> tuple[str, ...]:
+        """Names of the amplitudes of ripple."""
+        return tuple(f"ripple{n}_{part}" for n in self.ripple for part in ("cos", "sin"))
+
+    def form(self) -> LawForm:
+        """Return the expressions."""
+        bounds = {kind: BOUNDS[kind] for kind, _ in self.stops}
+        ages = any(AGE.state in s.free_symbols for s in bounds.values())
+        loaded = any(TAU_LOAD in s.free_symbols for s in bounds.values())
+        coefficients: list[Coefficient] = []
+        elements: list[Element] = [AGE] if ages else []
+        torque: sympy.Expr = TAU_0.symbol
+        for kind, node in self.stops:
+            name = force(kind, node)
+            coefficients.append(
+                Coefficient(name=name, unit="N.m", description="torque of a stop at bound 1")
+            )
+            x = Stop(
+                name=name.replace("F", "x", 1),
+                unit="1",
+                velocity=DQ,
+                deflection=float(f"{DEFLECTIONS[node]:.4g}"),
+                bound=BOUNDS[kind],
+            )
+            elements.append(x)
+            torque += coefficients[-1].symbol * x.state
+        for kind in self.viscous:
+            coefficient, factor = _VISCOUS[kind]
+            coefficients.append(coefficient)
+            torque += coefficient.symbol * DQ * factor
+        # Over what a step is longer than `window`, the wave's mean: any step is certified.
+        beyond = positive(DT - sympy.Float(self.window))
+        angle = Q - (LAG.symbol + beyond / 2) * DQ
+        for name, n in zip(self.waves[::2], self.ripple, strict=True):
+            mean = cardinal_sine(n * DQ * beyond / 2)
+            for part, wave in (("cos", sympy.cos), ("sin", sympy.sin)):
+                amplitude = Coefficient(
+                    name=f"{name.removesuffix('cos')}{part}",
+                    unit="N.m",
+                    description="amplitude of torque ripple",
+                )
+                coefficients.append(amplitude)
+                torque += amplitude.symbol * wave(n * angle) * mean
+        thin = tuple(THINNING[kind] for kind in self.viscous if kind in THINNING)
+        return LawForm(
+            coefficients=(
+                *coefficients,
+                TAU_0,
+                *thin,
+                *((V_S, REST) if ages else ()),
+                *((LOAD_SCALE,) if loaded else ()),
+                *((LAG,) if self.ripple else ()),
+            ),
+            memory=tuple(elements),
+            output=torque,
+        )
+
+
+def force(kind: str, node: int) -> str:
+    """Return the name of the force of the stop with that bound and deflection."""
+    return f"F_{kind}_{node + 1}" if kind != "1" else f"F_{node + 1}"
+
+
+def start_at_rest(form: LawForm) -> tuple[float, ...]:
+    """Return the states of a form at rest, where contacts have aged; none where all are 0."""
+    memory = form.memory
+    return tuple(1.0 if m == AGE else 0.0 for m in memory) if AGE in memory else ()
+
+
+def viscous_at(structure: Structure, numbers: Mapping[str, float], speeds: Array) -> Array:
+    """Return the (S, V) terms of f, without their coefficients, at speeds [rad/s].
+
+    Parameters
+    ----------
+    structure : whose terms.
+    numbers : coefficients of shear thinning by name, in their units.
+    speeds : (S,) not negative.
+    """
+    known = {v.symbol: numbers[v.name] for k, v in THINNING.items() if k in structure.viscous}
+    terms = [_VISCOUS[kind][1].subs(known) for kind in structure.viscous]
+    found = lowered([DQ], terms)(speeds)
+    return np.stack([np.broadcast_to(e, speeds.shape) for e in found], axis=1).reshape(
+        len(speeds), len(terms)
+    )

@@ -1,0 +1,127 @@
+"""Ripple that pays: harmonics of the motor's angle beside stops, all with one lag.
+
+Frequencies need not be whole multiples of the gear ratio: a planet's or a bearing's are near them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from hesr_model.fitting.nonnegative import Normal, blocks_of, pays
+from hesr_model.fitting.samples import Samples
+from hesr_model.support.arrays import Array
+
+ORDERS = range(1, 17)
+"""Orders per turn of the motor that are tried."""
+NEAR = 3
+"""How far a frequency may be from a whole multiple of the gear ratio [1/rad]."""
+LAGS = np.arange(0.0, 0.0121, 0.0005)
+"""Lags of the torque behind the position that are tried [s]."""
+MOST = 6
+"""Frequencies that a joint gets at the most."""
+GAIN = 0.002
+"""Share of the mean square on left-out rows that one must gain, besides one standard error."""
+
+
+_PHASE = 0.6  # by how much the lag is moved, as a phase of the fastest wave at 1 rad/s [rad]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Waves:
+    """Frequencies in the joint angle [1/rad] and the lag [s] that they share."""
+
+    frequencies: tuple[int, ...]
+    lag: float
+
+
+def waves(frequencies: Sequence[int], lag: float, samples: Samples) -> Array:
+    """Return the (N, 2 K) cosines and sines at the joint's angle less what it moves in the lag."""
+    phase = np.outer(samples.q - lag * samples.dq, np.asarray(frequencies, dtype=float))
+    return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(samples.q), -1)
+
+
+def select(base: Array, samples: Samples, weights: Array, gear_ratio: float) -> Waves:
+    """Return the waves that predict left-out rows better by more than one standard error.
+
+    Parameters
+    ----------
+    base : (N, K) columns of a law that carry something, the offset's last.
+    samples : rows of the joint.
+    weights : (N,) 1 for rows that count, 0 for others.
+    gear_ratio : turns of the motor per turn of the joint.
+    """
+    problem = _Problem(base=base, samples=samples, weights=weights)
+    blocks = blocks_of(samples.dt, samples.begins)
+    chosen = Waves(frequencies=(), lag=0.0)
+    errors = problem.left_out(chosen)
+    while len(chosen.frequencies) < MOST:
+        trial = _next(problem, chosen, gear_ratio)
+        if trial is None:
+            break
+        trial = problem.in_phase(trial, reach=_PHASE / max(trial.frequencies))
+        left = problem.left_out(trial)
+        gain = 1.0 - float(left @ left) / float(errors @ errors)
+        if gain < GAIN or not pays(errors, left, blocks):
+            break
+        chosen, errors = trial, left
+    return chosen
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Problem:
+    """Waves beside columns over the rows of a joint."""
+
+    base: Array
+    samples: Samples
+    weights: Array
+
+    def columns(self, chosen: Waves) -> Array:
+        own = waves(chosen.frequencies, chosen.lag, self.samples)
+        return np.hstack([self.base, own]) if chosen.frequencies else self.base
+
+    def left_out(self, chosen: Waves) -> Array:
+        s, free = self.samples, 1 + 2 * len(chosen.frequencies)
+        return Normal.of(self.columns(chosen), s.tau, s.folds, self.weights, free=free).left_out()
+
+    def residual(self, chosen: Waves) -> Array:
+        columns, tau = self.weights[:, None] * self.columns(chosen), self.weights * self.samples.tau
+        gram = columns.T @ columns
+        x = np.linalg.lstsq(gram, columns.T @ tau, rcond=1e-12)[0]
+        return np.asarray(tau - columns @ x)
+
+    def in_phase(self, chosen: Waves, *, reach: float) -> Waves:
+        """Return the waves with the lag that explains all rows best, within a reach [s]."""
+
+        def cost(lag: float) -> float:
+            left = self.residual(replace(chosen, lag=lag))
+            return float(left @ left)
+
+        around = (max(0.0, chosen.lag - reach), chosen.lag + reach)
+        found = minimize_scalar(
+            cost, bounds=around, method="bounded", options={"xatol": reach / 50.0}
+        )
+        return replace(chosen, lag=float(found.x))
+
+
+def _next(problem: _Problem, chosen: Waves, gear_ratio: float) -> Waves | None:
+    """Return the waves and that one more which fits best to what is left, at any of its lags."""
+    samples, residual = problem.samples, problem.residual(chosen)
+    taken = {round(n / gear_ratio) for n in chosen.frequencies}
+    orders = [order for order in ORDERS if order not in taken]
+    if not orders:
+        return None
+    fits = {}
+    for lag in [chosen.lag] if taken else LAGS:
+        first = np.exp(1j * gear_ratio * (samples.q - lag * samples.dq))
+        power = residual.astype(complex)
+        for order in ORDERS:
+            power = power * first
+            fits[order, float(lag)] = abs(complex(power.sum()))
+    order, lag = max((key for key in fits if key[0] in orders), key=fits.__getitem__)
+    whole = round(order * gear_ratio)
+    angle = samples.q - lag * samples.dq
+    near = range(max(1, whole - NEAR), whole + NEAR + 1)
+    frequency = max(near, key=lambda n: abs(complex(residual @ np.exp(1j * n * angle))))
+    return Waves(frequencies=(*chosen.frequencies, frequency), lag=lag)
