@@ -42,7 +42,7 @@ def load_laws() -> None:
         If the law of another package cannot be loaded.
     """
     for module in MODULES:
-        import_module(f"hesr_model.laws.{module}")
+        import_module(module)
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
         _load(entry)
 
