@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from oracles.monolithic import MonolithicLoop
 
 from cosim.loop.closed_loop import Fmus, Gains, Scheme, Setting, system
-from cosim.monolithic import MonolithicLoop
 from cosim.systems.system import SystemSpec
 from fmu_src import export_fmu
 from fmu_src.arm.native import arm

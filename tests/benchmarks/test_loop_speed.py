@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from closed_loop import Bench, build
+from oracles.monolithic import run_loop
 from pytest_benchmark.fixture import BenchmarkFixture
 from small_fmus import lag
 
 from cosim.loop.closed_loop import Scheme
-from cosim.monolithic import run_loop
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
 from fmu_src import model_file

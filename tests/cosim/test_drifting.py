@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from closed_loop import GAINS, MOTION, UF850
-from small_study import Run, uf850
-
-from cosim.loop.drifting import (
+from oracles.drifting_arm import DriftingArm
+from oracles.drifting_loop import (
     Drift,
     Drifted,
     DriftingLoop,
@@ -19,8 +18,9 @@ from cosim.loop.drifting import (
     warm_up,
     wear,
 )
+from small_study import Run, uf850
+
 from cosim.workflow.commands import fit as fit_to
-from fmu_src.arm.drifting import DriftingArm
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr.extras.thermal.thermal_fit import fit_thermal

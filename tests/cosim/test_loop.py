@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from closed_loop import MOTION, Bench
+from oracles.monolithic import run_loop
 from scipy.linalg import expm
 
 from cosim.loop.closed_loop import Scheme
-from cosim.monolithic import run_loop
 from cosim.systems.simulation import Master, Result
 from cosim.systems.system import SystemSpec
 from fmu_src import export_fmu

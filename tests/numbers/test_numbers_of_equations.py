@@ -7,12 +7,12 @@ import pytest
 import sympy
 from adaptive_models import SPEED, lugre, motion, stops
 from mpmath import mp, mpf
+from oracles.intervals import reach
 from unchanged import Unchanged
 
 from hesr.extras.adaptive.component import adaptive_component
 from hesr.extras.adaptive.tuning import TUNING, Tuning
 from hesr_model.equations import functions
-from hesr_model.equations.intervals import reach
 from hesr_model.equations.memory import Relaxation
 from hesr_model.equations.operations import Graph, UnsupportedError
 from hesr_model.equations.over_log import clipped, recurrence

@@ -5,9 +5,9 @@ from math import inf
 import numpy as np
 import pytest
 import sympy
+from oracles.intervals import Box, reach
 
 from hesr_model.equations.functions import absolute, clip, larger, lowered, positive, sgn
-from hesr_model.equations.intervals import Box, reach
 from hesr_model.equations.memory import Relaxation, Stop
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.registry import registry

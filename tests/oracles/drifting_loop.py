@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from oracles.drifting_arm import DriftingArm
 
 from cosim.loop.closed_loop import Gains, Scheme, preview
 from cosim.systems.system import Value
-from fmu_src.arm.drifting import DriftingArm
 from fmu_src.arm.plant import Plant
 from fmu_src.blocks.controller import controller
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
