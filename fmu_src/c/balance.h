@@ -1,4 +1,4 @@
-/* The torques on the motor of a joint, at any speed that it may have at the end of a step. */
+/* Torques on the motor of a joint as a function of its speed at the end of a step. */
 #ifndef BALANCE_H
 #define BALANCE_H
 
@@ -10,39 +10,39 @@
 #include "coupling.h"
 #include "equations.h"
 
-/* Where the motor of a joint is, with its friction states. */
+/* Motion of a joint's motor and the states of its friction. */
 typedef struct {
     double q, dq; /* of the motor */
     double ddq, tau_f, tau_link;
     double x[MAX_STATES];
 } Motion;
 
-/* What does not change in a step. */
+/* Quantities that are constant within a step. */
 typedef struct {
     const Joint *joint;
     const double *k;      /* coefficients */
-    double u[MAX_INPUTS]; /* what the law sees besides speed and angle */
+    double u[MAX_INPUTS]; /* inputs of the law other than speed and angle */
     double inertia, gear, stiffness, damping;
     double tau_motor, q_link, dq_link;
     double h; /* [s] */
     double euler;
 } Step;
 
-/* What a speed at the end of the step would mean. */
+/* Consequences of a trial speed at the end of the step. */
 typedef struct {
     double v, residual, slope;
-    double size; /* of what the residual is the sum of */
+    double size; /* scale of the terms of the residual */
     double tau_f, tau_link;
     double x[MAX_STATES];
 } Trial;
 
-/* An input at a time [s] after the beginning of the glue's step; parameters stay. */
+/* Input at `time` [s] after the start of the communication step; parameters are constant. */
 static double input_at(const Component *component, int variable, double time) {
     const double slope = variable < SLOPES ? component->slope[variable] : 0.0;
     return component->v[variable] + slope * time;
 }
 
-/* The same of a coordinate, of the joints that a vector of variables belongs to. */
+/* The same for a coordinate, mixed from the joints of a vector of variables. */
 static double mixed_at(const Component *component, bool torque, int vector, int i, double time) {
     double sum = 0.0;
     if (!COUPLED) {
@@ -54,8 +54,8 @@ static double mixed_at(const Component *component, bool torque, int vector, int 
     return sum;
 }
 
-/* An inner step of h that ends at a time [s] after the beginning of the glue's; it is implicit, so
- * its inputs are those of its end. */
+/* Inner step of length h that ends at `time` [s] after the start of the communication step. It is
+ * implicit, so its inputs are those at its end. */
 static Step step_of(const Component *component, int i, double h, double time) {
     const Joint *joint = &joints[i];
     const double *v = component->v;
@@ -79,15 +79,16 @@ static Step step_of(const Component *component, int i, double h, double time) {
     return step;
 }
 
-/* What the law sees of a motor, at its joint. */
+/* Fill in the inputs of the law for a motor, referred to its joint. */
 static void see(const Step *step, double q, double dq, double *u) {
     memcpy(u, step->u, sizeof step->u);
     u[0] = step->gear * dq;
     u[1] = step->gear * q;
 }
 
-/* Friction and flexspline at a speed v of the motor that is held over the step; h = 0 leaves the
- * states where they are. The slopes are those over v, torques and speeds those of the joint. */
+/* Evaluate friction and flexspline at a motor speed v that is held over the step; h = 0 leaves the
+ * states unchanged. The slopes are derivatives with respect to v; torques and speeds are those of
+ * the joint. */
 static void attempt(const Step *step, const Motion *from, double v, Trial *trial) {
     const double du[MAX_INPUTS] = {step->gear, step->gear * step->h};
     double u[MAX_INPUTS], slope[MAX_OUTPUTS], torque[MAX_OUTPUTS];
@@ -100,7 +101,7 @@ static void attempt(const Step *step, const Motion *from, double v, Trial *trial
     trial->slope = slope[0] + step->stiffness * du[1] + step->damping * du[0];
 }
 
-/* The same, and what is left of the balance of torques. */
+/* The same, plus the residual of the torque balance. */
 static void balance(const Step *step, const Motion *from, double v, Trial *trial) {
     attempt(step, from, v, trial);
     const double rate = step->inertia / step->h;

@@ -1,4 +1,4 @@
-/* Libraries that stand beside this one, wherever a host has loaded it from. */
+/* Libraries in the same folder as this one, wherever the host loaded it from. */
 #ifndef BESIDE_H
 #define BESIDE_H
 
@@ -10,13 +10,13 @@ static const char here = 0; /* an address within this library */
 
 #ifdef _WIN32
 
-/* Much of Windows has names that are used elsewhere. */
+/* Many names of the Windows headers clash with others. */
 #define WIN32_LEAN_AND_MEAN
 #define NOGDI
 #define NOUSER
 #include <windows.h>
 
-/* Load a library by its full name, so that Windows finds what it needs in turn beside it. */
+/* Load a library by its full path, so that Windows finds its dependencies in the same folder. */
 static void *beside(const char *name) {
     wchar_t path[4096];
     HMODULE own = NULL;
@@ -32,12 +32,12 @@ static void *beside(const char *name) {
         return NULL;
     }
     do {
-        *++end = (wchar_t)*name; /* names of libraries are plain ASCII */
+        *++end = (wchar_t)*name; /* library names are plain ASCII */
     } while (*name++);
     return LoadLibraryExW(path, NULL, LOAD_WITH_ALTERED_SEARCH_PATH);
 }
 
-/* Put the address of a function into a pointer; false if the library does not have it. */
+/* Store the address of a function in a pointer; false if the library does not have it. */
 static bool look_up(void *library, const char *name, void *pointer) {
     const FARPROC found = GetProcAddress(library, name);
     memcpy(pointer, &found, sizeof found);

@@ -1,4 +1,4 @@
-/* What a component includes that works with nothing but itself. */
+/* Included by components that need no workspace. */
 #ifndef COMPONENT_ALONE_H
 #define COMPONENT_ALONE_H
 

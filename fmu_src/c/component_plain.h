@@ -1,5 +1,4 @@
-/* What a component includes that has no events, no variables on demand and no derivatives of its
- * own to give. */
+/* Included by components without events, on-demand variables and derivatives. */
 #ifndef COMPONENT_PLAIN_H
 #define COMPONENT_PLAIN_H
 

@@ -2,24 +2,22 @@
  *
  *     u = C q,  du = C dq,  tau_u = C'^-1 tau_q;  tau_q = C' tau_u
  *
- * The generated equations.h has C as `forward` and C'^-1 as `backward`. Without a coupling,
- * coordinate i is joint i.
- */
+ * The generated equations.h defines C as `forward` and C'^-1 as `backward`. Without a coupling,
+ * coordinate i is joint i. */
 #ifndef COUPLING_H
 #define COUPLING_H
 
 #include "equations.h"
 
-/* The inputs of a joint that a coupling mixes: velocity, position and load torque, in this order.
- */
+/* Inputs of a joint that a coupling mixes, in this order: velocity, position and load torque. */
 enum { LOAD = 2, MIXED = 3 };
 
-/* Share of joint m in the signal of coordinate i that is a motion, or a torque. */
+/* Coefficient of joint m in coordinate i, for motions or torques. */
 static inline double share_of(bool torque, int i, int m) {
     return torque ? backward[i][m] : forward[i][m];
 }
 
-/* Input j of coordinate i, of the values v of all variables. */
+/* Input j of coordinate i, from the values v of all variables. */
 static inline double input_of(const double *v, int i, int j) {
     double sum = 0.0;
     if (!COUPLED || j >= MIXED) {
@@ -31,21 +29,21 @@ static inline double input_of(const double *v, int i, int j) {
     return sum;
 }
 
-/* Add the torque of coordinate i to those of the joints, in a vector of variables. */
+/* Add the torque of coordinate i to the torques of the joints in a vector of variables. */
 static inline void add_torque(double *v, int vector, int i, double torque) {
     for (int m = 0; m < JOINTS; m++) {
         v[vector + m] += (COUPLED ? forward[i][m] : (double)(i == m)) * torque;
     }
 }
 
-/* Set the torques of all joints to zero, before coordinates add theirs. */
+/* Set the torques of all joints to zero before the coordinates add theirs. */
 static inline void clear_torques(double *v) {
     for (int m = 0; COUPLED && m < JOINTS; m++) {
         v[joints[m].output[0]] = 0.0;
     }
 }
 
-/* Put the outputs y of coordinate i into the values v of variables; the first one is a torque. */
+/* Store the outputs y of coordinate i in the values v; the first output is a torque. */
 static inline void put_outputs(double *v, int i, const double *y) {
     for (int m = 0; COUPLED && m < JOINTS; m++) {
         v[joints[m].output[0]] += forward[i][m] * y[0];

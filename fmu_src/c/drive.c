@@ -3,21 +3,20 @@
  *     inertia dq' = tau_motor - tau_f / ratio - tau_link / ratio,  q' = dq
  *     tau_link    = stiffness (q / ratio - q_link) + damping (dq / ratio - dq_link)
  *
- * and tau_f of the law at dq / ratio. Where motors turn with several joints, links and loads are
- * those of the joints, brought to the motor by coupling.h, as tau_link is brought to the joints.
+ * with tau_f of the law at dq / ratio. If motors turn with several joints, links and loads belong
+ * to the joints; coupling.h refers them to the motor, and tau_link to the joints.
  *
- * An inner step of h solves for the speed at its end,
+ * An inner step of length h solves for the speed v at its end,
  *
  *     R(v) = inertia (v - dq) / h - tau_motor + (tau_f(v, x(v)) + tau_link(v)) / ratio = 0
  *
- * with the states x of the law relaxed over the step at that speed (implicit Euler). Of several
- * roots the one is taken that is reached first from dq in the direction in which R falls.
+ * with the states x of the law relaxed over the step at that speed (implicit Euler). If there are
+ * several roots, the solver takes the first one from dq in the direction in which R falls.
  *
- * A motor that starts, stops or turns back in an inner step makes an event at its end.
+ * A motor that starts, stops or reverses within an inner step causes an event at its end.
  *
- * The generated equations.h defines the functions of the laws and where the variables of a joint
- * stand.
- */
+ * The generated equations.h defines the functions of the laws and the indices of the variables of
+ * each joint. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -27,16 +26,16 @@
 #include "equations.h"
 #include "root.h"
 
-/* What the component remembers besides its variables. */
-enum { STARTED = 0 /* whether the initialisation has ended */ };
+/* The component's own memory. */
+enum { STARTED = 0 /* whether initialisation has ended */ };
 
-/* Inner steps of one step; more take longer than anybody waits. */
+/* Maximum number of inner steps in a step. */
 #define MOST_PARTS 1e7
 
-/* By how much a number of steps may pass a whole one. */
+/* Tolerance for a number of steps to count as whole. */
 #define ROUNDING 1e-9
 
-/* Whether Euler's step was short enough for the rates of the law's states at a speed. */
+/* Whether the Euler step is stable for the rates of the law's states at a speed. */
 static bool can_relax(const Step *step, int i, const Motion *from, const Trial *at, Message *why) {
     double u[MAX_INPUTS], rate[MAX_STATES];
     see(step, from->q + step->h * at->v, at->v, u);
@@ -54,7 +53,7 @@ static bool can_relax(const Step *step, int i, const Motion *from, const Trial *
     return true;
 }
 
-/* One inner step of a joint. */
+/* Make one inner step of a joint. */
 static bool advance(const Step *step, int i, Motion *motion, Message *why) {
     const Joint *joint = step->joint;
     Trial trial;
@@ -79,7 +78,7 @@ static Motion motion_of(const Component *component, int i) {
     return motion;
 }
 
-/* Before all joints are put, since the drive of one may turn several links. */
+/* Called before the joints are stored, because the drive of one may turn several links. */
 static void clear_links(Component *component) {
     memset(&component->v[TAU_LINK], 0, JOINTS * sizeof component->v[0]);
 }
@@ -97,7 +96,7 @@ static void put(Component *component, int i, const Step *step, const Motion *mot
     joint->solved_derivatives(step->k, u, x, x + joint->states);
 }
 
-/* Put the states of the friction where they begin at the motor's first speed and angle. */
+/* Start the friction states from the first speed and angle of the motor. */
 static void begin(const Component *component, const Step *step, Motion *motion) {
     const Joint *joint = step->joint;
     double u[MAX_INPUTS];
@@ -109,7 +108,7 @@ static void begin(const Component *component, const Step *step, Motion *motion) 
     }
 }
 
-/* Whether a parameter is what it must be; NaN is not. */
+/* Check a parameter; NaN fails. */
 static bool sound(int variable, double value, bool right, const char *needed, Message *why) {
     if (!right) {
         snprintf(why->text, sizeof why->text, "%s is %g; it must %s.", variables[variable].name,
@@ -137,8 +136,8 @@ static bool component_initialise(Component *component, void *workspace, Message 
     return true;
 }
 
-/* Until the initialisation ends, what start values and inputs give; from then on the outputs are
- * those of the last step. */
+/* Until initialisation ends, compute outputs from start values and inputs; afterwards keep the
+ * outputs of the last step. */
 static bool component_output(Component *component, void *workspace, Message *why) {
     (void)workspace, (void)why;
     if (component->own[STARTED] == 0.0) {

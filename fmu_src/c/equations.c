@@ -1,12 +1,11 @@
-/* Component: equations, the same for every joint or others for each.
+/* Component: equations, shared by all joints or different for each.
  *
- *     memory moves over a step with the inputs held; then what is read of it is computed
+ *     the memory advances over a step with the inputs held; then the outputs are computed from it
  *
- * The generated equations.h defines the functions and the table `joints`; it says where the inputs,
- * states, parameters and outputs of a joint stand among the variables. Signs of inputs, at which
- * some equations jump, are held between events. Equations with previous values take a sample at
- * each step, or at multiples of their sample time where they have one, and hold in between.
- */
+ * The generated equations.h defines the functions, the table `joints`, and the indices of the
+ * inputs, states, parameters and outputs of each joint. The signs of inputs at which an equation
+ * jumps are held between events. Equations with previous values take a sample at each step, or at
+ * multiples of their sample time if they have one, and hold their outputs in between. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -15,28 +14,29 @@
 #include "coupling.h"
 #include "equations.h"
 
-/* What the component remembers besides its variables. */
+/* The component's own memory. */
 enum {
-    STARTED = 0,                             /* whether the initialisation has ended */
-    LAST_STEP = 1,                           /* length of the last step [s], 0 before the first */
-    BEGIN = 2,                               /* time at which it started [s] */
-    TICKS = 3,                               /* samples since then; negative where outputs hold */
-    INVARIANT_STEP = 4,                      /* length of the step for which invariants are there */
-    USED = OWN_FIXED,                        /* the inputs that were held over the last step */
-    BEFORE = USED + JOINTS * MAX_INPUTS,     /* the states before it */
-    PREVIOUS = BEFORE + JOINTS * MAX_STATES, /* values at the last sample but one */
-    LATEST = PREVIOUS + JOINTS * MAX_REMEMBERED,   /* and at the last */
-    INVARIANTS = LATEST + JOINTS * MAX_REMEMBERED, /* what parameters and step make of each other */
+    STARTED = 0,                         /* whether initialisation has ended */
+    LAST_STEP = 1,                       /* length of the last step [s], 0 before the first one */
+    BEGIN = 2,                           /* start time [s] */
+    TICKS = 3,                           /* samples since then; negative while outputs are held */
+    INVARIANT_STEP = 4,                  /* step length for which the invariants are valid */
+    USED = OWN_FIXED,                    /* inputs held over the last step */
+    BEFORE = USED + JOINTS * MAX_INPUTS, /* states before the last step */
+    PREVIOUS = BEFORE + JOINTS * MAX_STATES,     /* values at the sample before last */
+    LATEST = PREVIOUS + JOINTS * MAX_REMEMBERED, /* values at the last sample */
+    INVARIANTS = LATEST +
+        JOINTS * MAX_REMEMBERED, /* terms that depend only on parameters and step length */
     HELD = INVARIANTS + JOINTS * MAX_INVARIANTS,
 };
 
-/* By how much of a sample time a sum of steps may miss a sample. */
+/* Tolerance for a sum of steps to hit a sample, as a fraction of the sample time. */
 #define ROUNDING 1e-6
 
-/* Samples in one step; more take longer than anybody waits. */
+/* Maximum number of samples in a step. */
 #define MOST_SAMPLES 1e7
 
-/* All that equations are evaluated at. */
+/* Arguments of the equations. */
 typedef struct {
     const Joint *joint;
     const double *k; /* parameters */
@@ -74,13 +74,14 @@ static double *latest_of(Component *component, int i) {
     return &component->own[LATEST + i * MAX_REMEMBERED];
 }
 
-/* Whether states begin where the first inputs would keep them, rather than at their start values.
- */
+/* Whether the states start in the steady state of the first inputs instead of at their start
+ * values. */
 static bool begins_steady(const Component *component, const Joint *joint) {
     return joint->states > 0 && START_MODE >= 0 && component->v[START_MODE] == STEADY;
 }
 
-/* Before the first step the states are where they begin, and previous values are the starts. */
+/* Before the first step, set the states to their initial values and the previous values to their
+ * starts. */
 static void start(Component *component, int i) {
     const Place at = place_of(component, i);
     const Joint *joint = at.joint;
@@ -98,7 +99,7 @@ static void start(Component *component, int i) {
 }
 
 static bool component_output(Component *component, void *workspace, Message *why) {
-    (void)workspace, (void)why; /* the glue itself looks for infinite outputs */
+    (void)workspace, (void)why; /* the glue checks for infinite outputs */
     const bool started = component->own[STARTED] > 0.0;
     if (started && (HOLDS || component->own[TICKS] < 0.0)) {
         return true;
@@ -130,13 +131,14 @@ static bool component_initialise(Component *component, void *workspace, Message 
             return false;
         }
     }
-    component_output(component, workspace, why); /* of what has not started yet */
+    component_output(component, workspace, why); /* of joints that have not started yet */
     component->own[STARTED] = 1.0;
     component->own[BEGIN] = component->time;
     return true;
 }
 
-/* Euler's steps are stable for short ones only; the message says at which speed they are not. */
+/* Explicit Euler steps are stable only if short; the message names the speed at which they are
+ * not. */
 static bool can_relax(const Component *component, double step, Message *why) {
     for (int i = 0; i < JOINTS; i++) {
         const Place at = place_of(component, i);
@@ -156,8 +158,8 @@ static bool can_relax(const Component *component, double step, Message *why) {
     return true;
 }
 
-/* Compute what depends on parameters and the length of steps alone, where one of these changes.
- * What is not finite there is not kept, as it could not be saved. */
+/* Update the invariants if a parameter or the step length has changed. Values that are not finite
+ * are not stored, because they could not be saved. */
 SELDOM static void update_invariants(Component *component, double step, double euler) {
     double *own = component->own;
     bool finite = true;
@@ -177,7 +179,7 @@ SELDOM static void update_invariants(Component *component, double step, double e
     component->changed = finite ? 0.0 : 1.0;
 }
 
-/* Move the memory of all joints, and compute what is read of it. */
+/* Advance the memory of all joints and compute the outputs. */
 static void sample(Component *component, double step) {
     const double euler = DISCRETISATION >= 0 && component->v[DISCRETISATION] == EULER;
     update_invariants(component, step, euler);
@@ -195,7 +197,7 @@ static void sample(Component *component, double step) {
         joint->step(at.k, at.u, at.s, previous_of(component, i), invariants_of(component, i), step,
                     euler, x, y, latest_of(component, i));
         put_outputs(component->v, i, y);
-        if (HOLDS || SAMPLED) { /* component_output does not write derivatives later */
+        if (HOLDS || SAMPLED) { /* component_output does not compute derivatives later */
             double r[MAX_REMEMBERED + 1];
             joint->read(at.k, at.u, at.s, x, previous_of(component, i), step, x + joint->states, y,
                         r);
@@ -206,7 +208,7 @@ static void sample(Component *component, double step) {
     }
 }
 
-/* Take the samples between the beginning of a step and its end. */
+/* Take the samples that fall within a step. */
 static bool samples(Component *component, double step, Message *why) {
     double *own = component->own;
     const double time = component->v[SAMPLE_TIME_PLACE];
@@ -221,7 +223,7 @@ static bool samples(Component *component, double step, Message *why) {
     for (double n = done; n < whole; n++) {
         sample(component, time);
     }
-    /* Half a sample more says "between two". */
+    /* Half a sample more marks a time between two samples. */
     own[TICKS] = at - whole <= ROUNDING ? whole : -(whole + 0.5);
     return true;
 }
@@ -239,11 +241,11 @@ static bool component_step(Component *component, void *workspace, double step, M
     return true;
 }
 
-/* Direction along which no parameter changes. */
+/* Direction in which no parameter changes. */
 static const double no_change[MAX_PARAMETERS] = {0.0};
 
-/* The slope of a joint's first output over its first input, with the states following as they did
- * in the last step. */
+/* Derivative of a joint's first output with respect to its first input, with the states following
+ * as in the last step. */
 static double slope_of_step(const Component *component, int i) {
     const Place at = place_of(component, i);
     const Joint *joint = at.joint;
@@ -252,7 +254,7 @@ static double slope_of_step(const Component *component, int i) {
     const double du[MAX_INPUTS] = {1.0};
     double tx[MAX_STATES] = {0.0}, tdx[MAX_STATES], ty[MAX_OUTPUTS], s[MAX_SWITCHES];
     if (step > 0.0) {
-        /* Where inputs had slopes, a sign may since have changed. */
+        /* With input slopes, a sign may have changed since. */
         const double *used = &component->own[USED + i * MAX_INPUTS];
         joint->switches(at.k, used, s);
         for (int j = 0; j < joint->switches_of_joint; j++) {

@@ -1,4 +1,4 @@
-/* FMI 2.0: life of an instance. */
+/* FMI 2.0: life cycle of an instance. */
 #include "fmi2_instance.h"
 
 FMI2_TEXT(fmi2GetTypesPlatform)(void) {
@@ -34,7 +34,7 @@ FMI2_STATUS(fmi2SetDebugLogging)
     return fmi2OK;
 }
 
-/* Tell the host of a failed instantiation, for which there is no instance yet. */
+/* Report a failed instantiation to the host; no instance exists yet. */
 static fmi2Component not_instantiated(const fmi2CallbackFunctions *host, const char *name,
                                       const char *reason) {
     if (host && host->logger) {
@@ -91,7 +91,7 @@ FMI2_STATUS(fmi2SetupExperiment)
 (fmi2Component c, fmi2Boolean tolerance_defined, fmi2Real tolerance, fmi2Real start,
  fmi2Boolean stop_defined, fmi2Real stop) {
     Instance *instance = entered(c, MAY_SET_UP, "fmi2SetupExperiment");
-    (void)tolerance_defined, (void)tolerance; /* nothing here is iterated to a tolerance */
+    (void)tolerance_defined, (void)tolerance; /* nothing here iterates to a tolerance */
     if (!instance) {
         return fmi2Error;
     }
@@ -143,7 +143,7 @@ FMI2_STATUS(fmi2Terminate)(fmi2Component c) {
 }
 
 FMI2_STATUS(fmi2Reset)(fmi2Component c) {
-    Instance *instance = c; /* whatever it has come to */
+    Instance *instance = c; /* in any state */
     if (!instance) {
         return fmi2Error;
     }

@@ -1,10 +1,10 @@
-/* Declarations of FMI 2.0: types and functions as the standard names them. */
+/* Declarations of the types and functions of FMI 2.0. */
 #ifndef FMI2_H
 #define FMI2_H
 
 #include <stddef.h>
 
-/* FMI 3.0's glue defines it otherwise. */
+/* Defined differently by the glue of FMI 3.0. */
 #if defined FMI2_EXPORT
 #elif defined _WIN32
 #define FMI2_EXPORT __declspec(dllexport)
@@ -14,7 +14,7 @@
 #define FMI2_EXPORT
 #endif
 
-/* When several FMUs are linked into one program, their functions are told apart by a prefix. */
+/* A prefix separates the functions of several FMUs linked into one program. */
 #ifdef FMI2_FUNCTION_PREFIX
 #define FMI2_JOIN(prefix, name) prefix##name
 #define FMI2_PREFIXED(prefix, name) FMI2_JOIN(prefix, name)
@@ -23,7 +23,7 @@
 #define FMI2_NAME(name) name
 #endif
 
-/* How every function of the interface is declared. */
+/* Declarations of functions. */
 #define FMI2_TEXT(name) FMI2_EXPORT const char *FMI2_NAME(name)
 #define FMI2_STATUS(name) FMI2_EXPORT fmi2Status FMI2_NAME(name)
 

@@ -10,7 +10,7 @@ FMI2_STATUS(fmi2EnterEventMode)(fmi2Component c) {
     return fmi2OK;
 }
 
-/* One iteration is enough: what is held depends on inputs and parameters only. */
+/* One iteration suffices: the held values depend only on inputs and parameters. */
 FMI2_STATUS(fmi2NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info) {
     Instance *instance = entered_with(c, AT_EVENT, "fmi2NewDiscreteStates", info);
     Message what;
@@ -31,7 +31,7 @@ FMI2_STATUS(fmi2EnterContinuousTimeMode)(fmi2Component c) {
     if (!instance) {
         return fmi2Error;
     }
-    /* What is computed on demand is discrete: it keeps its value until the next event. */
+    /* Variables on demand are discrete: they keep their values until the next event. */
     if (component_output(&instance->memory.component, instance->workspace, &why)) {
         component_demand(&instance->memory.component);
     }
@@ -39,7 +39,7 @@ FMI2_STATUS(fmi2EnterContinuousTimeMode)(fmi2Component c) {
     return fmi2OK;
 }
 
-/* A host that does not look for zeros between its steps is asked for an event after them. */
+/* A host that ignores event indicators between its steps is asked for an event after them. */
 FMI2_STATUS(fmi2CompletedIntegratorStep)
 (fmi2Component c, fmi2Boolean no_set_state_before, fmi2Boolean *event, fmi2Boolean *terminate) {
     static const char function[] = "fmi2CompletedIntegratorStep";
@@ -72,8 +72,8 @@ FMI2_STATUS(fmi2SetTime)(fmi2Component c, fmi2Real time) {
     return fmi2OK;
 }
 
-/* The instance if it can give or take `n` numbers, of which the component has `own`. Hosts that
- * need one where there is none make one up: it stands still. */
+/* Return the instance if it can exchange `n` numbers, the component's count `own`. Some hosts
+ * invent one number if there is none; it stays constant. */
 static Instance *with_array(fmi2Component c, int modes, const char *function, const void *array,
                             size_t n, size_t own) {
     Instance *instance =

@@ -1,4 +1,4 @@
-/* An instance of the FMU: what it remembers, and which calls it accepts when. */
+/* An instance of the FMU: its memory, and the calls it accepts in each state. */
 #ifndef FMI2_INSTANCE_H
 #define FMI2_INSTANCE_H
 
@@ -12,7 +12,7 @@
 #include "component.h"
 #include "fmi2.h"
 
-/* The states of the standard's two state machines; slaves have synchronous steps only. */
+/* States of the two state machines of the standard; slaves step synchronously only. */
 enum {
     INSTANTIATED = 1,
     INITIALISING = 2,
@@ -24,10 +24,10 @@ enum {
     ANY = 127,
 };
 
-/* Functions of one type alone, since both types share some states. */
+/* Functions of one interface type only, because both share some states. */
 enum { ONLY_MODEL_EXCHANGE = 128, ONLY_CO_SIMULATION = 256 };
 
-/* For each group of functions the states in which the standard allows it. */
+/* For each group of functions, the states in which the standard allows it. */
 enum {
     RUNNING = INITIALISING | STEPPING | AT_EVENT | CONTINUOUS,
     MAY_SET_UP = INSTANTIATED,
@@ -49,36 +49,36 @@ enum {
     MAY_COPY_STATE = ANY,
 };
 
-/* In model exchange an input nearer to zero than this many of its units counts as zero. That is
- * wider than a solver is uncertain of where a zero lies, so no crossing is found twice. */
+/* In model exchange an input within this fraction of its unit counts as zero. This exceeds the
+ * solver's uncertainty about a zero crossing, so no crossing is found twice. */
 static const double REST = 1e-9;
 
-/* Some hosts repeat a step that is refused, without another one in between, until somebody ends
- * them. So often it is fmi2Discard, then an error. */
+/* Some hosts retry a discarded step forever. After this many identical retries, return
+ * fmi2Error. */
 enum { MOST_REFUSALS = 10 };
 
-/* All that GetFMUstate copies: it holds no pointers. */
+/* Everything that GetFMUstate copies, free of pointers. */
 typedef struct {
     Component component;
     double stop;    /* end of the experiment [s] */
-    double refused; /* the step that was refused last [s] */
-    int refusals;   /* how many times, without another step in between */
+    double refused; /* the last refused step [s] */
+    int refusals;   /* consecutive refusals of that step */
     int type;       /* fmi2ModelExchange or fmi2CoSimulation */
     int mode;
     int sloped; /* whether any slope has been set */
-    int stale;  /* whether the outputs are older than what they depend on */
-    int paused; /* whether a co-simulation of FMI 3.0 is at an event */
+    int stale;  /* whether the outputs are outdated */
+    int paused; /* whether a co-simulation of FMI 3.0 is in event mode */
 } Memory;
 
 typedef struct {
     Memory memory;
-    void *workspace; /* of the component */
+    void *workspace; /* workspace of the component */
     fmi2CallbackFunctions host;
     int telling_events;
-    char name[]; /* of the instance */
+    char name[]; /* instance name */
 } Instance;
 
-/* Categories of messages. Why a call did not do what it should is always told. */
+/* Message categories. Reasons for a failed call are always reported. */
 static const char ERRORS[] = "logStatusError";
 static const char DISCARDS[] = "logStatusDiscard";
 static const char EVENTS[] = "logEvents";
@@ -88,15 +88,15 @@ static void tell(const Instance *instance, fmi2Status status, const char *catego
                  const char *format, va_list arguments) {
     char text[512];
     vsnprintf(text, sizeof text, format, arguments);
-    /* The text goes where a format is expected, because hosts without varargs show it as it is;
-     * it consists of names and numbers of these files and so never contains a percent sign. */
+    /* The text is passed as the format, because hosts without varargs show it unformatted. It
+     * consists of names and numbers from these files and never contains a percent sign. */
     if (instance->host.logger) {
         instance->host.logger(instance->host.componentEnvironment, instance->name, status, category,
                               text);
     }
 }
 
-/* Say why a call has failed. */
+/* Report why a call failed. */
 SELDOM static void complain(const Instance *instance, const char *format, ...) {
     va_list arguments;
     va_start(arguments, format);
@@ -104,7 +104,7 @@ SELDOM static void complain(const Instance *instance, const char *format, ...) {
     va_end(arguments);
 }
 
-/* Refuse a call that has changed nothing, after which the simulation can go on. */
+/* Refuse a call that changed nothing; the simulation can continue. */
 SELDOM static fmi2Status refuse(const Instance *instance, const char *format, ...) {
     va_list arguments;
     va_start(arguments, format);
@@ -113,7 +113,7 @@ SELDOM static fmi2Status refuse(const Instance *instance, const char *format, ..
     return fmi2Discard;
 }
 
-/* Say what happened, if the host wants to know. */
+/* Report an event if the host has enabled logging. */
 SELDOM static void report(const Instance *instance, const char *format, ...) {
     va_list arguments;
     if (instance->telling_events) {
@@ -123,7 +123,8 @@ SELDOM static void report(const Instance *instance, const char *format, ...) {
     }
 }
 
-/* The instance if it accepts a call now, else NULL: a call out of sequence changes nothing. */
+/* Return the instance if it accepts a call now, else NULL: a call out of sequence changes
+ * nothing. */
 static Instance *entered(fmi2Component c, int modes, const char *function) {
     Instance *instance = c;
     if (!instance) {
@@ -138,7 +139,7 @@ static Instance *entered(fmi2Component c, int modes, const char *function) {
     return instance;
 }
 
-/* The same for a function that has nothing to work on without one of its arguments. */
+/* The same for a function that requires one of its arguments. */
 static Instance *entered_with(fmi2Component c, int modes, const char *function,
                               const void *argument) {
     Instance *instance = entered(c, modes, function);
@@ -155,7 +156,7 @@ static fmi2Status failed(Instance *instance) {
     return fmi2Error;
 }
 
-/* Whether all that is computed is finite. */
+/* Whether all computed values are finite. */
 static bool all_finite(const Memory *memory, Message *why) {
     const bool derived = memory->type == fmi2ModelExchange;
     for (int i = 0; i < WATCHED + (derived ? STATES : 0); i++) {
@@ -169,13 +170,13 @@ static bool all_finite(const Memory *memory, Message *why) {
     return true;
 }
 
-/* What is nearer to zero than this counts as zero. */
+/* Threshold below which a value counts as zero. */
 static double rest_of(const Memory *memory) {
     return memory->type == fmi2ModelExchange ? REST : 0.0;
 }
 
-/* Bring the outputs up to date with the inputs, if these give finite ones. Between events of model
- * exchange, what is held stays as it is. */
+/* Update the outputs from the inputs if the results are finite. Between the events of model
+ * exchange, held values are not updated. */
 static bool refresh(Instance *instance, Message *why) {
     Memory *memory = &instance->memory;
     if (!memory->stale) {
@@ -189,8 +190,8 @@ static bool refresh(Instance *instance, Message *why) {
     return !memory->stale;
 }
 
-/* The same before something is read: fmi2Discard, with the host told, if there is nothing to read.
- * After a failure or the end, what was computed last is what there is. */
+/* The same before reading: fmi2Discard, with a message, if the values are not finite. After a
+ * failure or termination the last computed values are returned. */
 static fmi2Status refreshed(Instance *instance) {
     Message why;
     if (!(instance->memory.mode & RUNNING) || refresh(instance, &why)) {

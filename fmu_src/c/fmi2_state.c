@@ -6,17 +6,16 @@
 
 enum { STATE_VERSION = 1 };
 
-/* A serialised state carries the GUID, so that it cannot be read into another model, and a sum, by
- * which it is seen whether these are the bytes that were written. */
+/* A serialised state carries the GUID, which identifies the model, and a checksum of its bytes. */
 typedef struct {
     char guid[sizeof MODEL_GUID];
     uint32_t version;
-    uint64_t sum; /* zero but in the serialised bytes */
+    uint64_t sum; /* zero except in the serialised bytes */
     Memory memory;
 } Saved;
 
-/* FNV-1a over words, each sum folded, since a product leaves the sign of a word where it is: two
- * would cancel. No two states that differ in one word have the same sum. */
+/* FNV-1a over words. Each sum is folded, because a product leaves the sign bit of a word in place
+ * and two would cancel. States that differ in one word have different sums. */
 static uint64_t sum_of(const Saved *saved) {
     const unsigned char *bytes = (const unsigned char *)saved;
     uint64_t sum = 14695981039346656037u;
@@ -29,14 +28,14 @@ static uint64_t sum_of(const Saved *saved) {
     return sum;
 }
 
-/* Whether an instance can be in a mode. */
+/* Whether an instance of a type can be in a mode. */
 static bool is_mode(int mode, int type) {
     const int own = type == fmi2ModelExchange ? AT_EVENT | CONTINUOUS : STEPPING;
     const int known = INSTANTIATED | INITIALISING | TERMINATED | FAILED | own;
     return mode > 0 && (mode & (mode - 1)) == 0 && (mode & known) != 0;
 }
 
-/* Whether what a host or a solver has set is what it could have set. */
+/* Whether the host or solver could have set the current values. */
 SELDOM static bool in_range(const Component *component, Message *why) {
     for (int i = 0; i < VARIABLES; i++) {
         const double value = component->v[i], slope = i < SLOPES ? component->slope[i] : 0.0;
@@ -59,7 +58,7 @@ SELDOM static bool in_range(const Component *component, Message *why) {
     return true;
 }
 
-/* Whether an instance can have such a memory; after a failure there may be any numbers in it. */
+/* Whether a memory is valid for an instance; after a failure it may contain any values. */
 SELDOM static bool is_possible(const Memory *memory, Message *why) {
     const bool typed =
         memory->type == fmi2CoSimulation || (memory->type == fmi2ModelExchange && MODEL_EXCHANGE);
@@ -144,7 +143,7 @@ FMI2_STATUS(fmi2SerializeFMUstate)
     return fmi2OK;
 }
 
-/* Whether bytes are a state that was serialised; takes the sum out of it. */
+/* Whether the bytes are a serialised state; removes the checksum. */
 static bool is_sound(Saved *saved, Message *why) {
     const uint64_t sum = saved->sum;
     saved->sum = 0;

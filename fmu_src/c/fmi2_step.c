@@ -1,7 +1,7 @@
 /* FMI 2.0: co-simulation. */
 #include "fmi2_instance.h"
 
-/* Put the inputs where their slopes have taken them at a time [s] after those of `from`. */
+/* Move the inputs along their slopes to `time` [s] after those of `from`. */
 static void follow_slopes(Memory *memory, const Component *from, double time) {
     for (int i = 0; i < SLOPES; i++) {
         if (variables[i].role == INPUT) {
@@ -15,8 +15,8 @@ static void forget_slopes(Memory *memory) {
     memory->sloped = false;
 }
 
-/* States move with inputs held; where these have slopes, at their value in the middle, or as the
- * component follows them by inner steps. */
+/* Advance the states with the inputs held. Inputs with slopes are held at their mid-step values,
+ * unless the component follows them by inner steps. */
 SELDOM static bool follow(Memory *memory, void *workspace, double step, Message *why) {
     const Component before = memory->component;
     follow_slopes(memory, &before, INNER_STEPS ? 0.0 : 0.5 * step);
@@ -35,7 +35,7 @@ SELDOM static bool follow(Memory *memory, void *workspace, double step, Message 
     return true;
 }
 
-/* Unless the component says otherwise, a step is made as a whole and nothing happens in it. */
+/* By default a step is completed as a whole and without an event. */
 static void begin_step(Memory *memory, double step) {
     memory->component.done = step;
     memory->component.event = 0.0;
@@ -50,13 +50,14 @@ static bool move(Memory *memory, void *workspace, double step, Message *why) {
     return component_step(&memory->component, workspace, step, why);
 }
 
-/* Whether a step is what rounding leaves of summed times: it is done already. A component could not
- * tell it from none, but would divide by it. */
+/* True if the step is only round-off of accumulated times. Skip it: the component divides by the
+ * step. */
 static bool is_rounding(double step) {
     return step < 1e-9 * PREFERRED_STEP;
 }
 
-/* Whether a step passes the end of the experiment by more than the rounding of summed steps. */
+/* Whether a step passes the end of the experiment by more than the round-off of accumulated
+ * steps. */
 static bool passes_end(const Memory *memory, double time, double step) {
     const double rounding = fmax(1e-3 * step, 1e-9 * PREFERRED_STEP) + 1e-15 * fabs(memory->stop);
     return time + step > memory->stop + rounding;
@@ -114,7 +115,7 @@ FMI2_STATUS(fmi2DoStep)
     return fmi2OK;
 }
 
-/* A step is never pending, so there is nothing to cancel and little to ask for. */
+/* Steps are synchronous: there is nothing to cancel and no status to report. */
 static fmi2Status no_status(fmi2Component c, const char *function) {
     Instance *instance = entered(c, MAY_GET_STATUS, function);
     if (!instance) {

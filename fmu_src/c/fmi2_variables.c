@@ -1,7 +1,7 @@
-/* FMI 2.0: getting and setting variables. A call either takes all its values or none. */
+/* FMI 2.0: getting and setting variables. A call processes all of its values or none. */
 #include "fmi2_instance.h"
 
-/* In which states of the instance a variable of a role may be set. */
+/* States of the instance in which a variable of a role may be set. */
 static int settable(Role role) {
     switch (role) {
     case INPUT:
@@ -10,14 +10,14 @@ static int settable(Role role) {
         return INSTANTIATED | INITIALISING | STEPPING | AT_EVENT;
     case FIXED:
         return INSTANTIATED | INITIALISING;
-    case STATE: /* one by one, too, where fmi2SetContinuousStates sets all: section 3.1 says so */
+    case STATE: /* also individually where fmi2SetContinuousStates sets all (section 3.1) */
         return AT_EVENT | CONTINUOUS;
     default:
         return 0;
     }
 }
 
-/* The place of a variable; without arrays a value reference stands for one. */
+/* Index of a variable; without arrays, that of its value reference. */
 static int first_of(fmi2ValueReference vr) {
     return references[vr].first;
 }
@@ -26,7 +26,7 @@ static const Variable *variable_of(fmi2ValueReference vr) {
     return &variables[first_of(vr)];
 }
 
-/* Whether all value references stand for variables of a type; tells the host if not. */
+/* Check that all value references have a type; report the first that does not. */
 static bool known(const Instance *instance, const char *function, Type type,
                   const fmi2ValueReference vr[], size_t n, const void *value) {
     if (n > 0 && (!vr || !value)) {
@@ -55,7 +55,8 @@ static bool all_settable(const Instance *instance, const char *function,
     return true;
 }
 
-/* The first number that is not finite, or `n`. Such numbers are refused, and the old ones kept. */
+/* Index of the first number that is not finite, or `n`. Such numbers are refused; the previous
+ * values remain. */
 static size_t first_odd(const fmi2Real value[], size_t n) {
     size_t i = 0;
     while (i < n && isfinite(value[i])) {
@@ -70,8 +71,8 @@ static fmi2Status refuse_number(const Instance *instance, const char *function,
                   variable_of(vr)->name, value);
 }
 
-/* What is computed on demand alone may still not be finite. After a failure or the end, it is what
- * there is. */
+/* Check that the on-demand variables are finite. After a failure or termination the last values are
+ * returned. */
 static fmi2Status demanded_are_finite(const Instance *instance, const fmi2ValueReference vr[],
                                       size_t n) {
     const Component *component = &instance->memory.component;
@@ -85,7 +86,7 @@ static fmi2Status demanded_are_finite(const Instance *instance, const fmi2ValueR
     return fmi2OK;
 }
 
-/* Compute the derivatives of states, which steps may leave out; outputs keep every bit. */
+/* Compute the state derivatives, which steps may leave out, without changing any output. */
 static void derive(Instance *instance) {
     Component *component = &instance->memory.component;
     Component other = *component;
@@ -194,7 +195,7 @@ FMI2_STATUS(fmi2SetInteger)
     return fmi2OK;
 }
 
-/* No component has Boolean or String variables, so only an empty list of them is right. */
+/* No component has Boolean or String variables: only an empty list is valid. */
 static fmi2Status none(fmi2Component c, int modes, const char *function, size_t n) {
     Instance *instance = entered(c, modes, function);
     if (!instance) {
@@ -267,8 +268,8 @@ FMI2_STATUS(fmi2GetRealOutputDerivatives)
     return none(c, MAY_GET_SLOPES, "fmi2GetRealOutputDerivatives", n);
 }
 
-/* Whether a direction can be followed from these variables to those. Until the initialisation ends,
- * states are computed from what is set before it does. */
+/* Whether derivatives of these variables with respect to those are available. Until initialisation
+ * ends, states are computed from their start values. */
 static bool differentiable(const Instance *instance, const char *function,
                            const fmi2ValueReference unknowns[], size_t n_unknown,
                            const fmi2ValueReference knowns[], size_t n_known) {

@@ -1,6 +1,7 @@
-/* FMI 3.0 by the glue of FMI 2.0: the same instance, states and refusals, other shapes of calls.
+/* FMI 3.0 on top of the glue of FMI 2.0: the same instance, states and refusals with other
+ * signatures.
  *
- * The functions of FMI 2.0 are static here and not seen from outside. */
+ * The functions of FMI 2.0 are static here and not exported. */
 #include "fmi3_instance.h"
 
 static fmi3Instance instantiate(fmi2Type type, fmi3String name, fmi3String token, fmi3String path,
@@ -82,7 +83,7 @@ FMI3_STATUS(fmi3EnterInitializationMode)
     return STATUS(status == fmi2OK ? fmi2EnterInitializationMode(INNER(c)) : status);
 }
 
-/* A co-simulation whose host wants events begins at one. */
+/* A co-simulation with event mode starts at an event. */
 FMI3_STATUS(fmi3ExitInitializationMode)(fmi3Instance c) {
     const fmi2Status status = fmi2ExitInitializationMode(INNER(c));
     if (status == fmi2OK) {

@@ -1,7 +1,7 @@
-/* FMI 3.0: what no component has; other types of variables, clocks, configuration. */
+/* FMI 3.0: features that no component has: other variable types, clocks, configuration. */
 #include "fmi3_instance.h"
 
-/* Called with nothing it does nothing, else it is an error. */
+/* Accept an empty call; report an error otherwise. */
 static fmi3Status without(fmi3Instance c, const char *function, size_t n) {
     if (c && n > 0) {
         complain(INNER(c), "%s: this FMU has nothing of the kind.", function);
@@ -44,7 +44,7 @@ NO_VARIABLES(String)
 NO_BINARIES(fmi3GetBinary)
 NO_BINARIES(fmi3SetBinary)
 
-/* Of clocks: up to three arrays follow. */
+/* Functions of clocks with up to three arrays. */
 #define NO_CLOCKS(name)                                                                            \
     FMI3_STATUS(name)                                                                              \
     (fmi3Instance c, const fmi3ValueReference vr[], size_t n, const void *a, const void *b,        \

@@ -1,4 +1,4 @@
-/* An instance of FMI 3.0: one of FMI 2.0, and what its host calls differently. */
+/* An instance of FMI 3.0: one of FMI 2.0 and the additions of FMI 3.0. */
 #ifndef FMI3_INSTANCE_H
 #define FMI3_INSTANCE_H
 
@@ -9,8 +9,8 @@ typedef struct {
     fmi2Component inner;
     fmi3InstanceEnvironment environment;
     fmi3LogMessageCallback log;
-    bool events; /* whether the host of a co-simulation asked for event mode */
-    bool early;  /* and whether steps may end early */
+    bool events; /* whether the host of a co-simulation enabled event mode */
+    bool early;  /* whether steps may end early */
 } Outer;
 
 #define INNER(c) ((c) ? ((Outer *)(c))->inner : NULL)
@@ -20,8 +20,7 @@ static Memory *memory_of(fmi3Instance c) {
     return &((Instance *)((Outer *)c)->inner)->memory;
 }
 
-/* The functions of FMI 2.0 that have other names in FMI 3.0, then the beginning of all others.
- */
+/* Functions of FMI 2.0 with other names in FMI 3.0, then the prefix of all others. */
 static const char *const renamed[][2] = {
     {"fmi2SetReal", "fmi3SetFloat64"},
     {"fmi2GetReal", "fmi3GetFloat64"},
@@ -39,7 +38,7 @@ static const char *const renamed[][2] = {
     {"fmi2", "fmi3"},
 };
 
-/* Pass a message of the inner instance on; it may begin with the name of a function. */
+/* Forward a message of the inner instance, renaming the function that it starts with. */
 static void pass_on(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status,
                     fmi2String category, fmi2String message, ...) {
     const Outer *outer = environment;

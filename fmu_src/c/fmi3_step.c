@@ -1,9 +1,9 @@
-/* FMI 3.0: steps of a co-simulation and its event mode, which only those hosts enter that want it.
+/* FMI 3.0: co-simulation steps and the optional event mode.
  *
- * There is nothing to be computed at an event: what is held between events follows the inputs. */
+ * Nothing is computed at an event: values held between events follow the inputs. */
 #include "fmi3_instance.h"
 
-/* The inner instance if it is in step mode, or in event mode; NULL, with the host told, if not. */
+/* Return the inner instance if it is in step mode, or in event mode; else NULL, with a message. */
 static Instance *in_mode(fmi3Instance c, bool paused, const char *function) {
     Instance *instance = entered(INNER(c), STEPPING, function);
     if (instance && instance->memory.paused != paused) {
@@ -59,7 +59,7 @@ FMI3_STATUS(fmi3UpdateDiscreteStates)
     return STATUS(status);
 }
 
-/* Where the host lets it, a step ends at the first event within it. */
+/* If the host allows it, a step ends at the first event within it. */
 FMI3_STATUS(fmi3DoStep)
 (fmi3Instance c, fmi3Float64 time, fmi3Float64 step, fmi3Boolean no_set_state_before,
  fmi3Boolean *event, fmi3Boolean *terminate, fmi3Boolean *early, fmi3Float64 *last) {

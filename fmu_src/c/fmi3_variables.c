@@ -1,14 +1,14 @@
-/* FMI 3.0: getting and setting variables, which may be arrays.
+/* FMI 3.0: getting and setting variables and arrays.
  *
- * The value reference of a variable is the place of its first element; EXTENTS says how many
- * follow. The time stands behind all variables, then the event indicators. */
+ * The value reference of a variable is the index of its first element; EXTENTS holds the sizes.
+ * The time follows all variables, then the event indicators. */
 #include "fmi3_instance.h"
 
 #include "extents.h"
 
 enum { TIME = VARIABLES };
 
-/* How many elements variables have together; SIZE_MAX where one is unknown. */
+/* Total number of elements; SIZE_MAX if a reference is unknown. */
 static size_t elements(const fmi3ValueReference vr[], size_t n) {
     size_t sum = 0;
     for (size_t i = 0; i < n; i++) {
@@ -37,7 +37,7 @@ static bool fits(fmi3Instance c, const char *function, const fmi3ValueReference 
     return false;
 }
 
-/* References of all elements of some variables, one after the other. */
+/* List the references of all elements of some variables. */
 static void spread(const fmi3ValueReference vr[], size_t n, fmi2ValueReference place[]) {
     for (size_t i = 0, k = 0; i < n; i++) {
         for (int j = 0; j < extents[vr[i]]; j++) {

@@ -1,9 +1,9 @@
-/* MuJoCo, kept from what its defaults do to a host: on a warning a file in the working directory,
- * on an error that and the end of the process.
+/* Protection from MuJoCo's defaults: a file in the working directory on a warning, and the end of
+ * the process on an error.
  *
- * A handler of the calling thread takes what MuJoCo says, for as long as a call into it lasts, so
- * that neither other threads nor other users of the library notice. MuJoCo's own compiler and
- * bindings use this one, too. */
+ * A log handler of the calling thread receives MuJoCo's messages for the duration of a call, so
+ * that other threads and users of the library are unaffected. MuJoCo's own compiler and bindings
+ * use the same handler. */
 #ifndef GUARD_H
 #define GUARD_H
 
@@ -26,12 +26,12 @@ static void tell_of_mujoco(Message *why, const char *what) {
     snprintf(text, sizeof why->text, "MuJoCo: %.240s", what);
     for (; *text; text++) {
         if (*text == '%' || *text == '\n') {
-            *text = ' '; /* hosts may take messages for formats */
+            *text = ' '; /* hosts may interpret messages as formats */
         }
     }
 }
 
-/* Warnings are counted in the data, for those who want to know of them. */
+/* Warnings are counted in the data. */
 static void take(const mjLogMessage *message) {
     if (message->level >= mjLOG_ERROR) {
         tell_of_mujoco(guard->why, message->subject);
@@ -39,7 +39,7 @@ static void take(const mjLogMessage *message) {
     }
 }
 
-/* What a piece of work returns, or false, and `why`, if an error in MuJoCo ended it. */
+/* Return the result of `work`, or false and `why` if an error in MuJoCo ended it. */
 static bool guarded(bool (*work)(void *), void *argument, Message *why) {
     Guard own = {.why = why};
     Guard *const outer = guard;

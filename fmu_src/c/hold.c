@@ -1,8 +1,8 @@
-/* A container that takes any step, around a runtime that takes multiples of its own.
+/* A container that accepts any step, around a runtime that accepts multiples of its own step.
  *
- * The runtime stands beside this library. It is stepped to the last multiple of its step at or
- * before a communication point, and its outputs are held until the next one. All other calls are
- * passed on. The generated hold.h defines RUNTIME_FILE and RUNTIME_STEP. */
+ * The runtime is in the same folder. It is stepped to the last multiple of its step at or before a
+ * communication point, and its outputs are held until the next one. All other calls are forwarded.
+ * The generated hold.h defines RUNTIME_FILE and RUNTIME_STEP. */
 #ifndef _GNU_SOURCE
 #define _GNU_SOURCE /* for dladdr */
 #endif
@@ -13,7 +13,7 @@
 #include "fmi2.h"
 #include "hold.h"
 
-/* By how much of the runtime's step times may be off by rounding. */
+/* Tolerance of times for round-off, as a fraction of the runtime's step. */
 #define ROUNDING 1e-6
 
 #define EACH_FUNCTION(F)                                                                           \
@@ -58,7 +58,7 @@ typedef struct {
 typedef struct {
     Runtime runtime;
     fmi2Component inner;
-    double start; /* of the experiment [s] */
+    double start; /* start of the experiment [s] */
     double made;  /* steps of the runtime since then */
 } Instance;
 
@@ -137,7 +137,7 @@ FMI2_STATUS(fmi2DoStep)
     if (step > 0.0 && due < 1.0) {
         return fmi2OK;
     }
-    /* A step that is none is the runtime's to refuse. */
+    /* Let the runtime reject an invalid step. */
     const bool right = step > 0.0 && isfinite(due);
     const fmi2Status status =
         own->runtime.fmi2DoStep(own->inner, own->start + own->made * RUNTIME_STEP,
@@ -148,7 +148,7 @@ FMI2_STATUS(fmi2DoStep)
     return status;
 }
 
-/* --- passed on --- */
+/* --- forwarded calls --- */
 
 #define PASS_ON(name, parameters, ...)                                                             \
     FMI2_STATUS(name) parameters {                                                                 \

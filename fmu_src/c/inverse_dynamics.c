@@ -1,10 +1,9 @@
-/* Component: torque that a rigid-body motion needs, by the recursive Newton-Euler algorithm.
+/* Component: torque of a rigid-body motion by the recursive Newton-Euler algorithm.
  *
- * It works on first moments and on inertias about the joints' frames, in which the torque is
- * linear, so that identified base parameters (with zero masses where these are dependent) are good
- * enough.
+ * The torque is linear in first moments and in inertias about the joint frames, so identified base
+ * parameters suffice, with zero masses for dependent ones.
  *
- * The generated tree.h holds the joints' places, and says where the variables stand. */
+ * The generated tree.h holds the joint placements and the indices of the variables. */
 #include <math.h>
 
 #include "component_alone.h"
@@ -35,13 +34,13 @@ static Vector cross(Vector a, Vector b) {
     return (Vector){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 
-/* Turn a vector about a unit axis (Rodrigues' formula). */
+/* Rotate a vector about a unit axis (Rodrigues' formula). */
 static Vector turned(Vector axis, double c, double s, Vector a) {
     return sum(sum(scaled(c, a), scaled(s, cross(axis, a))),
                scaled((1.0 - c) * dot(axis, a), axis));
 }
 
-/* A matrix by rows times a vector, and its transpose. */
+/* Product of a row-major matrix and a vector, and of its transpose. */
 static Vector times(const double *m, Vector a) {
     return (Vector){dot(vector(m), a), dot(vector(m + 3), a), dot(vector(m + 6), a)};
 }
@@ -50,10 +49,10 @@ static Vector times_transposed(const double *m, Vector a) {
     return sum(sum(scaled(a.x, vector(m)), scaled(a.y, vector(m + 3))), scaled(a.z, vector(m + 6)));
 }
 
-/* Motion of a joint's frame, and the force and moment that act on its link there. */
+/* Motion of a joint frame, and the force and moment on its link. */
 typedef struct {
-    double cosine, sine; /* of its turn */
-    Vector position;     /* in its parent */
+    double cosine, sine; /* of the joint angle */
+    Vector position;     /* in the parent frame */
     Vector speed, turn, acceleration, force, moment;
 } Link;
 
@@ -66,8 +65,8 @@ static Vector from_parent(const Joint *joint, const Link *link, Vector a) {
                   times_transposed(joint->rotation, a));
 }
 
-/* Force and moment that a link's own motion needs; its ten parameters are mass, first moments and
- * inertia xx, xy, yy, xz, yz, zz about its frame. */
+/* Force and moment of a link's own motion. Its ten parameters are the mass, the first moments and
+ * the inertia xx, xy, yy, xz, yz, zz about its frame. */
 static void own_needs(Link *link, const double *p) {
     const double inertia[] = {p[4], p[5], p[7], p[5], p[6], p[8], p[7], p[8], p[9]};
     const Vector moments = vector(p + 1), w = link->speed;
@@ -106,7 +105,7 @@ static void move_link(const double *v, int i, Link *links) {
     own_needs(link, &v[PARAMETERS + 10 * i]);
 }
 
-/* Torque of the rotors on joint i; where COUPLED, motors turn with several joints. */
+/* Torque of the rotors on joint i; if COUPLED, motors turn with several joints. */
 static double rotors_on(const double *v, int i) {
     double torque = 0.0;
     if (!COUPLED) {
@@ -152,6 +151,6 @@ static bool component_output(Component *component, void *workspace, Message *why
 }
 
 static bool component_step(Component *component, void *workspace, double step, Message *why) {
-    (void)step; /* it has no states */
+    (void)step; /* no states */
     return component_output(component, workspace, why);
 }

@@ -1,5 +1,5 @@
-/* The whole FMU for a page in a browser: an importer that holds one instance, whose functions take
- * and give nothing but numbers. Compiled to WebAssembly, where it needs nothing from outside. */
+/* The whole FMU for a page in a browser: an importer with one instance and a purely numerical
+ * interface. Compiled to WebAssembly without imports. */
 #include "all.c"
 
 #define EXPORTED(name) __attribute__((export_name(#name))) name
@@ -13,12 +13,12 @@ static void listen(fmi2ComponentEnvironment environment, fmi2String instance, fm
     snprintf(heard, sizeof heard, "%s", message);
 }
 
-/* What the FMU said last; empty if it has nothing to say since the last reset. */
+/* The last message of the FMU since the last reset, or an empty string. */
 const char *EXPORTED(live_heard)(void) {
     return heard;
 }
 
-/* Back to before the initialisation, with all start values. */
+/* Return to the state before initialisation, with all start values. */
 int EXPORTED(live_reset)(void) {
     static const fmi2CallbackFunctions host = {.logger = listen};
     heard[0] = '\0';

@@ -1,6 +1,7 @@
-/* The steps of a co-simulation of FMUs in this process, as fmu_src/run/master.py does them.
+/* Steps of a co-simulation of FMUs in this process, equal to those of fmu_src/run/master.py.
  *
- * fmu_src/run/native.py loads and initialises the FMUs, lays out these tables, and says what failed. */
+ * fmu_src/run/native.py loads and initialises the FMUs, fills in these tables and reports failures.
+ */
 #include <math.h>
 #include <stdbool.h>
 #include <stddef.h>
@@ -18,20 +19,20 @@ typedef fmi2Status SetReal(fmi2Component, const fmi2ValueReference *, size_t, co
 typedef fmi2Status GetReal(fmi2Component, const fmi2ValueReference *, size_t, fmi2Real *);
 typedef fmi2Status DoStep(fmi2Component, fmi2Real, fmi2Real, fmi2Boolean);
 
-/* A component at its place in the system. */
+/* A component and its connections in the system. */
 typedef struct {
     fmi2Component component;
     SetReal *set;
     GetReal *get;
     DoStep *step;
-    int64_t every; /* its step in communication steps */
+    int64_t every; /* its step, in communication steps */
     int64_t inputs, outputs;
     const fmi2ValueReference *input_references, *output_references;
-    const int64_t *sources; /* of each input its place among the values */
+    const int64_t *sources; /* index of the value of each input */
     double *input_values, *output_values;
 } Station;
 
-/* What ended the steps; those of `failed` are at a station, with the status that it gave. */
+/* How the steps ended. A failed call belongs to station `failed`, with the status returned. */
 typedef enum { DONE, NOT_FINITE, OUTSIDE, SET_FAILED, STEP_FAILED, GET_FAILED } End;
 
 typedef struct {
@@ -41,18 +42,18 @@ typedef struct {
     double step; /* [s] */
     const double *values;
     int64_t size;
-    const int64_t *rows; /* places of the values that are kept */
+    const int64_t *rows; /* indices of the recorded values */
     int64_t width;
-    const int64_t *limited; /* places of those with limits */
+    const int64_t *limited; /* indices of the values with limits */
     const double *low, *high;
     int64_t limits;
     double *kept; /* (steps + 1, width) */
-    int64_t done; /* rows of it */
+    int64_t done; /* number of rows recorded */
     int64_t failed;
     fmi2Status status;
 } System;
 
-/* The highest status with which a call has done its work. */
+/* The highest status of a successful call. */
 static const fmi2Status good = fmi2Warning;
 
 static bool set_inputs(System *s, int64_t i) {
@@ -123,7 +124,7 @@ static End jacobi(System *s, int64_t k) {
     return DONE;
 }
 
-/* Go on until `stop` rows are kept, or to where that ends. */
+/* Continue until `stop` rows are recorded, or until a failure. */
 PUBLIC int advance(System *s, int64_t stop) {
     while (s->done < stop) {
         const int64_t k = s->done;
@@ -152,8 +153,8 @@ PUBLIC int advance(System *s, int64_t stop) {
     return DONE;
 }
 
-/* Take one component through rows of inputs, of which `done` are done: step k goes from times[k] on
- * and is sizes[k] long. */
+/* Step one component through rows of inputs, `done` of which are complete: step k starts at
+ * times[k] and has length sizes[k]. */
 PUBLIC int through(const Station *at, const double *times, const double *sizes, const double *rows,
                    double *kept, int64_t stop, int64_t *done, fmi2Status *status) {
     for (; *done < stop; ++*done) {

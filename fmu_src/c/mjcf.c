@@ -1,8 +1,8 @@
-/* Component: whatever an MJCF describes, simulated by MuJoCo.
+/* Component: any MJCF model, simulated by MuJoCo.
  *
- * Inputs drive named actuators, outputs are weighted sums of named sensors with seeded noise; the
- * generated signals.h says which. All that moves is kept in `own` as MuJoCo's integration state, so
- * a component is as easily copied as any other; model and scratch memory are the workspace. */
+ * Inputs drive named actuators; outputs are weighted sums of named sensors with seeded noise, as
+ * the generated signals.h defines. The state is MuJoCo's integration state, kept in `own`, so a
+ * component can be copied like any other; model and scratch memory are the workspace. */
 #include <math.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -18,23 +18,23 @@
 #include "resource.h"
 #include "signals.h"
 
-/* What is remembered: whether the initialisation has ended, samples of noise that were drawn, the
- * time of the start [s], steps of MuJoCo made since, levels [N.m] and ages [s] of losses, and
- * MuJoCo's state. */
+/* The component's own memory: whether initialisation has ended, noise samples drawn, start time
+ * [s], MuJoCo steps since then, levels [N.m] and ages [s] of the losses, and MuJoCo's state. */
 enum { STARTED = 0, SAMPLES = 1, ORIGIN = 2, MADE = 3, LEVELS = 4 };
 enum { AGES = LEVELS + LOSSES, MUJOCO_STATE = AGES + LOSSES };
 
-/* By how much of MuJoCo's step times may be off by rounding, and the most of its steps in one. */
+/* Tolerance of times as a fraction of MuJoCo's step, and the maximum number of its steps in a
+ * step. */
 static const double ROUNDING = 1e-6, MOST_STEPS = 1e6;
 
 typedef struct {
     mjModel *model;
-    mjModel *original; /* without changes */
+    mjModel *original; /* the unmodified model */
     mjData *data;
-    bool changed; /* whether the model has been given any changes yet, and which */
+    bool changed; /* whether the model has been modified, and how */
     Changes changes;
-    bool sensors_remember; /* what some have shown before is part of the state */
-    bool evaluated;        /* whether the data are all that follows from this state: */
+    bool sensors_remember; /* whether earlier sensor readings are part of the state */
+    bool evaluated;        /* whether the data belong to this state: */
     double state[AGES + LOSSES + STATE_SIZE - LEVELS];
 } Workspace;
 
@@ -43,7 +43,7 @@ typedef struct {
     Component *component;
     Workspace *workspace;
     Message *why;
-    double steps; /* of MuJoCo to make */
+    double steps; /* number of MuJoCo steps to make */
     const char *path;
 } Call;
 
@@ -94,7 +94,7 @@ static void *component_open(const char *resources, Message *why) {
     return call.workspace;
 }
 
-/* Give the model the parameters that change it. */
+/* Apply the parameters that modify the model. */
 static void change(Workspace *w, Changes changes) {
     mjModel *m = w->model;
     if (w->changed && memcmp(&w->changes, &changes, sizeof changes) == 0) {
@@ -125,10 +125,10 @@ static void save(Component *component, const Workspace *w) {
     mj_getState(w->model, w->data, &component->own[MUJOCO_STATE], mjSTATE_INTEGRATION);
 }
 
-/* Put the model and the scratch memory where the component is. */
+/* Restore the model and the scratch memory from the component. */
 static void restore(const Component *component, Workspace *w) {
     change(w, changes_of(component->v));
-    memset(w->data->warning, 0, sizeof w->data->warning); /* those of a future that is not to be */
+    memset(w->data->warning, 0, sizeof w->data->warning); /* warnings of a discarded future */
     w->model->opt.disableflags = w->original->opt.disableflags;
     if (w->evaluated && memcmp(&component->own[LEVELS], w->state, sizeof w->state) == 0) {
         return;
@@ -138,7 +138,7 @@ static void restore(const Component *component, Workspace *w) {
     mj_setState(w->model, w->data, &component->own[MUJOCO_STATE], mjSTATE_INTEGRATION);
 }
 
-/* Evaluate the forces at the present instant and read the sensors. */
+/* Evaluate the forces at the current instant and read the sensors. */
 static void evaluate(const Component *component, Workspace *w) {
     if (w->evaluated) {
         return;
@@ -148,9 +148,8 @@ static void evaluate(const Component *component, Workspace *w) {
     w->evaluated = true;
 }
 
-/* Make one of MuJoCo's steps. Where the beginning of it has just been evaluated, only forces are
- * evaluated again, as inputs have changed; Runge-Kutta's steps and sleeping bodies want the whole.
- */
+/* Make one MuJoCo step. If its start has just been evaluated, only forces are evaluated again for
+ * the new inputs; Runge-Kutta steps and sleeping bodies require a full evaluation. */
 static void make_step(Workspace *w) {
     const mjModel *m = w->model;
     const bool halves = m->opt.integrator != mjINT_RK4 && (m->opt.enableflags & mjENBL_SLEEP) == 0;
@@ -172,7 +171,7 @@ static void read_without_noise(double *v, const Workspace *w) {
     }
 }
 
-/* Read all outputs at the present instant. */
+/* Read all outputs at the current instant. */
 static void read_sensors(Component *component, Workspace *w) {
     double *v = component->v;
     const uint64_t seed = (uint64_t)seed_half(v, 0) | (uint64_t)seed_half(v, 1) << 32;
@@ -185,7 +184,7 @@ static void read_sensors(Component *component, Workspace *w) {
     }
 }
 
-/* Put everything at its start. */
+/* Set everything to its start values. */
 static bool begin(void *argument) {
     const Call *call = argument;
     Workspace *w = call->workspace;
@@ -201,7 +200,7 @@ static bool begin(void *argument) {
         double *place = starts[i].activation ? w->data->act : w->data->qpos;
         place[starts[i].index] = v[starts[i].parameter];
     }
-    /* An integral can be made to hold what else acts on its joint, which then rests. */
+    /* An integral can be started so that it holds the other torques on its joint at rest. */
     mj_forward(w->model, w->data);
     for (int i = 0; i < STARTS; i++) {
         if (starts[i].held_dof >= 0) {
@@ -232,7 +231,7 @@ static bool output(void *argument) {
     const Call *call = argument;
     if (call->component->own[STARTED] > 0.0) {
         restore(call->component, call->workspace);
-    } else if (!begin(argument)) { /* before the initialisation ends, start values may change */
+    } else if (!begin(argument)) { /* before initialisation ends, start values may change */
         return false;
     }
     read_sensors(call->component, call->workspace);
@@ -244,7 +243,7 @@ static bool component_output(Component *component, void *workspace, Message *why
     return guarded(output, &call, why);
 }
 
-/* MuJoCo takes inputs beyond its bound for zero; they are refused instead. */
+/* MuJoCo replaces inputs beyond its bound by zero; refuse them instead. */
 static bool drive(const Component *component, const Workspace *w, Message *why) {
     for (int i = 0; i < DRIVES; i++) {
         const double value = component->v[drives[i].input];
@@ -258,8 +257,8 @@ static bool drive(const Component *component, const Workspace *w, Message *why) 
     return true;
 }
 
-/* Whether MuJoCo had to give up something of the motion: it starts again from the beginning where
- * numbers get out of hand, and leaves out contacts that do not fit into its memory. */
+/* Whether MuJoCo abandoned part of the motion: it restarts from the beginning on divergence, and
+ * drops contacts that do not fit into its memory. */
 static bool given_up(const mjData *data, Message *why) {
     for (int i = mjWARN_CONTACTFULL; i < mjNWARNING; i++) {
         const mjWarningStat *warning = &data->warning[i];
@@ -271,7 +270,7 @@ static bool given_up(const mjData *data, Message *why) {
     return false;
 }
 
-/* What MuJoCo would find at the beginning of the next step. */
+/* Conditions that MuJoCo would detect at the start of the next step. */
 static bool out_of_bounds(const mjModel *m, const mjData *data) {
     bool bad = false;
     for (int i = 0; i < m->nq; i++) {
@@ -283,7 +282,7 @@ static bool out_of_bounds(const mjModel *m, const mjData *data) {
     return bad;
 }
 
-/* Give the losses the levels that the step just made leads to. */
+/* Set the losses to the levels that follow from the last step. */
 static void age(Component *component, Workspace *w) {
     double *levels = &component->own[LEVELS], *ages = &component->own[AGES];
     for (int i = 0; i < LOSSES; i++) {
@@ -300,7 +299,7 @@ static bool advance(void *argument) {
     if (!drive(call->component, w, call->why)) {
         return false;
     }
-    if (!w->sensors_remember) { /* nobody reads them on the way */
+    if (!w->sensors_remember) { /* no sensor is read within the step */
         w->model->opt.disableflags |= mjDSBL_SENSOR;
     }
     for (double i = 0.0; i < call->steps; i++) {
@@ -322,8 +321,8 @@ static bool advance(void *argument) {
     return true;
 }
 
-/* MuJoCo samples at multiples of its own step and holds its outputs between them, so that any step
- * is right. */
+/* MuJoCo samples at multiples of its own step and holds its outputs in between, so any step is
+ * valid. */
 static bool component_step(Component *component, void *workspace, double step, Message *why) {
     Workspace *w = workspace;
     const double passed = component->time + step - component->own[ORIGIN];

@@ -1,10 +1,10 @@
-/* Dry friction whose level moves with load, speed and age: `frictionloss` of the instance's own
- * model, set before each step from what the step before has left.
+/* Dry friction whose level depends on load, speed and age: the `frictionloss` of the instance's own
+ * model, set before each step from the result of the previous one.
  *
  *     level = constant + load |torque| + direct ln(1 + |v| / speed) + evolution ln(1 + s / age)
  *     s' = 1 - (|v| / slip + 1 / longest) s
  *
- * The torque is that of the carrier's springs and of its gravity compensation. */
+ * The torque is that of the carrier's springs and its gravity compensation. */
 #ifndef MJCF_LOSSES_H
 #define MJCF_LOSSES_H
 
@@ -13,7 +13,7 @@
 #include "mujoco_library.h"
 #include "signals.h"
 
-/* A joint without any friction has none in MuJoCo's constraints. */
+/* A joint with zero friction is absent from MuJoCo's constraints. */
 static const double LEAST_LEVEL = 1e-9;
 
 static double level_of(const Loss *loss, const mjData *d, double age) {
@@ -26,7 +26,7 @@ static double level_of(const Loss *loss, const mjData *d, double age) {
            loss->evolution * log1p(age / loss->age);
 }
 
-/* Exact for a speed that is held over the step. */
+/* Exact for a constant speed over the step. */
 static double age_after(const Loss *loss, const mjData *d, double age, double step) {
     const double rate = fabs(d->qvel[loss->dof]) / loss->slip + 1.0 / loss->longest;
     return age * exp(-rate * step) - expm1(-rate * step) / rate;
@@ -38,7 +38,7 @@ static void set_levels(mjModel *m, const double *levels, double scale) {
     }
 }
 
-/* Torque that opposes the motion, at the instant that was evaluated last. */
+/* Torque that opposes the motion, at the instant evaluated last. */
 static double lost_torque(const Loss *loss, const mjModel *m, const mjData *d) {
     return m->dof_damping[loss->dof] * d->qvel[loss->dof] - d->qfrc_constraint[loss->dof];
 }

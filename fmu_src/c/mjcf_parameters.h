@@ -1,4 +1,4 @@
-/* Parameters of the FMU of an MJCF: which values mean something, and what they do to the model. */
+/* Parameters of the FMU of an MJCF: their valid values and their effect on the model. */
 #ifndef MJCF_PARAMETERS_H
 #define MJCF_PARAMETERS_H
 
@@ -10,7 +10,7 @@
 #include "mujoco_library.h"
 #include "signals.h"
 
-/* Parameters that change the model. */
+/* Parameters that modify the model. */
 typedef struct {
     double scale, payload, latency;
 } Changes;
@@ -25,7 +25,7 @@ static Changes changes_of(const double *v) {
     return changes;
 }
 
-/* Half of the noise's seed; both are whole numbers of 32 bits. */
+/* Half of the noise seed; both halves are 32-bit integers. */
 static double seed_half(const double *v, int half) {
     return NOISE_SEED >= 0 ? v[NOISE_SEED + half] : 0.0;
 }
@@ -54,7 +54,7 @@ static bool parameters_are_usable(const double *v, Message *why) {
                      variables[NOISE_SEED + i].name, half);
         }
     }
-    /* Sums of the timestep are uncertain by some bits. */
+    /* Accumulated time steps have an error of a few bits. */
     if (usable && LATENCY >= 0 && value_or(v, LATENCY, 0.0) > LONGEST_LATENCY * (1.0 + 1e-9)) {
         snprintf(why->text, sizeof why->text, "latency is %g s; the model's buffers hold %g s.",
                  value_or(v, LATENCY, 0.0), LONGEST_LATENCY);
@@ -63,8 +63,8 @@ static bool parameters_are_usable(const double *v, Message *why) {
     return usable;
 }
 
-/* LuGre's forces all scale with its stiffness, damping and levels; its shape stays. Friction that
- * is switched off keeps a trace: MuJoCo has no bristles without stiffness, but the model their
+/* LuGre forces scale with stiffness, damping and levels; the shape is unchanged. Friction scaled to
+ * zero keeps a trace, because MuJoCo has no bristles without stiffness but the model has their
  * states. */
 static void scale_friction(mjModel *m, int actuator, double wanted) {
     const double scale = fmax(wanted, 1e-9);
@@ -81,8 +81,8 @@ static void scale_friction(mjModel *m, int actuator, double wanted) {
     }
 }
 
-/* Without interpolation a command acts at the first step after the delay. Half a step less than
- * that number of whole steps keeps the rounding of the time from making it one more or less. */
+/* Without interpolation a command acts at the first step after the delay. Subtracting half a step
+ * from the whole number of steps protects it from round-off. */
 static double delay_of(const mjModel *m, int actuator, double latency) {
     const double steps = ceil(latency / m->opt.timestep - 1e-6);
     const bool interpolated = m->actuator_history[2 * actuator + 1] > 0;

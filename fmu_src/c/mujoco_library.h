@@ -1,7 +1,8 @@
-/* MuJoCo's library, which stands beside the FMU's binary.
+/* MuJoCo's library, shipped next to the FMU's binary.
  *
- * Loaders of other systems find it there by themselves; that of Windows looks beside the host's
- * program, so there it is loaded by its full name, and its functions are looked up. */
+ * Other loaders find it there by themselves. The Windows loader searches the folder of the host's
+ * program instead, so there the library is loaded by its full path and its functions are looked up.
+ */
 #ifndef MUJOCO_LIBRARY_H
 #define MUJOCO_LIBRARY_H
 

@@ -1,5 +1,5 @@
-/* Normal numbers that are a pure function of seed, stream and counter, by the definition that
- * hesr_model/logs/noise.py gives. */
+/* Normally distributed numbers as a pure function of seed, stream and counter, as defined in
+ * hesr_model/logs/noise.py. */
 #ifndef NOISE_H
 #define NOISE_H
 

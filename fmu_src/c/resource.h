@@ -1,4 +1,4 @@
-/* A file among the resources of an FMU, whose place hosts give as a URI. */
+/* Path of a file in the resources of an FMU, whose location hosts pass as a URI. */
 #ifndef RESOURCE_H
 #define RESOURCE_H
 
@@ -11,7 +11,7 @@ static int hexadecimal(char c) {
     return isdigit((unsigned char)c) ? c - '0' : tolower((unsigned char)c) - 'a' + 10;
 }
 
-/* Its path. Hosts write file:/x, file:///x, file://localhost/x and, against the standard, /x. */
+/* Hosts write file:/x, file:///x, file://localhost/x and, against the standard, /x. */
 static bool path_of_resource(const char *uri, const char *name, char *path, size_t size) {
     const char *from = uri ? uri : "";
     size_t n = 0;

@@ -1,9 +1,9 @@
-/* The speed at which the torques on a motor balance: a root of the residual of balance.h.
+/* Speed at which the torques on a motor balance: a root of the residual of balance.h.
  *
- * March outwards from the old speed, in the direction in which the residual falls, until its sign
- * changes; then Newton's steps in the bracket, halves where they fail. The first root on this way
- * is where the motion goes in ever smaller steps, so it is the one to take where there are several.
- */
+ * The search marches outwards from the old speed, in the direction in which the residual falls,
+ * until its sign changes; Newton steps in the bracket follow, with bisection as a fallback. The
+ * motion converges to the first root on this path as the step shrinks, so it is the right one if
+ * there are several. */
 #ifndef ROOT_H
 #define ROOT_H
 
@@ -12,31 +12,32 @@
 
 #include "balance.h"
 
-/* Stands for zero seen from one side, where laws may jump. */
+/* Zero approached from one side, where laws may jump. */
 #define BESIDE_ZERO 1e-200
 
 enum { MOST_TRIALS = 200, PIECES = 16 };
 
-/* Share of the residual by which a stride may miss the straight line along which it went. */
+/* Largest relative deviation of the residual from a straight line over a stride. */
 #define STRAIGHT 0.1
 
-/* Whether a trial is as near to a root as rounding lets see. */
+/* Whether a trial is a root to within round-off. */
 static bool balanced(const Trial *trial) {
     const double grain = 4.0 * DBL_EPSILON * trial->size;
     const double step = 2.0 * DBL_EPSILON * fabs(trial->v);
     return fabs(trial->residual) <= fmax(grain, step * fabs(trial->slope));
 }
 
-/* Where a root is looked for: outwards from `near`, where the residual still has the sign that it
- * had at the start, up to `far`, where it has the other, or NaN as long as that is not known. */
+/* Bracket of the root: `near` has the sign of the residual at the start, `far` the opposite sign,
+ * or is NaN while unknown. */
 typedef struct {
     double near, far;
     double outward; /* 1 or -1 */
-    double stride;  /* longest stride where Newton's is of no use */
-    double before;  /* size of the residual before the last trial */
+    double stride;  /* longest stride if Newton's is unusable */
+    double before;  /* size of the residual at the previous trial */
 } Search;
 
-/* A stride from `near` outwards stops before and behind zero, so that jumps there are seen. */
+/* A stride from `near` outwards stops just before and just after zero, so that jumps there are
+ * detected. */
 static double seeing_zero(const Search *search, double next) {
     const double from = search->outward * search->near, to = search->outward * next;
     if (from < -BESIDE_ZERO && to > -BESIDE_ZERO) {
@@ -45,8 +46,8 @@ static double seeing_zero(const Search *search, double next) {
     return fabs(from) <= BESIDE_ZERO && from < BESIDE_ZERO ? search->outward * BESIDE_ZERO : next;
 }
 
-/* The next speed to try: Newton's where it stays within what is known and gets on, else one half
- * way, or a stride outwards. */
+/* The next trial speed: Newton's if it stays in the bracket and makes progress, else a bisection or
+ * a stride outwards. */
 static double next_speed(Search *search, const Trial *trial, bool jumps) {
     const double newton = trial->v - trial->residual / trial->slope;
     if (!isnan(search->far)) {
@@ -63,7 +64,7 @@ static double next_speed(Search *search, const Trial *trial, bool jumps) {
     return jumps ? seeing_zero(search, next) : next;
 }
 
-/* Friction that can hold a speed against the other torques does: its own is what balances them. */
+/* If friction can hold this speed, set it to the balancing torque. */
 static bool hold(const Step *step, const Motion *from, double v, Trial *trial) {
     const double inert = step->inertia / step->h * (v - from->dq);
     trial->v = v;
@@ -80,7 +81,8 @@ static bool refused(const char *name, double h, const char *what, Message *why) 
     return false;
 }
 
-/* Whether a stride went where the residual bends or falls, so that it may have passed a root. */
+/* Whether the residual bends or falls within a stride, so that the stride may have passed a
+ * root. */
 static bool bent(const Trial *start, const Trial *end) {
     const double straight = start->residual + start->slope * (end->v - start->v);
     return fabs(end->v - start->v) > 2.0 * BESIDE_ZERO &&
@@ -88,8 +90,8 @@ static bool bent(const Trial *start, const Trial *end) {
             fabs(end->residual - straight) > STRAIGHT * fabs(start->residual));
 }
 
-/* Go from `start` to `end` again, in pieces, and stop behind the first root; between two pieces the
- * residual may touch zero where its slope changes sign. */
+/* Repeat the way from `start` to `end` in pieces and stop after the first root. Between two pieces
+ * the residual may touch zero where its slope changes sign. */
 static void retrace(const Step *step, const Motion *from, Search *search, Trial start, Trial *end) {
     const double to = end->v, piece = (to - start.v) / PIECES, outward = search->outward;
     for (int n = 1; n <= PIECES; n++) {

@@ -1,9 +1,9 @@
-/* Component: a desired motion of all joints, now and a fixed time ahead.
+/* Component: desired motion of all joints, now and at a fixed preview time.
  *
- * The same formulas as in hesr_model.motions.trajectories, closed forms all: the motion is as exact
- * and as quick at any time. A sweep is at rest before its start and after its length.
+ * The closed-form formulas are those of hesr_model.motions.trajectories: accuracy and cost do not
+ * depend on the time. A sweep is at rest before its start and after its end.
  *
- * The generated motion.h says where the variables stand. */
+ * The generated motion.h holds the indices of the variables. */
 #include <math.h>
 #include <stdio.h>
 
@@ -14,7 +14,7 @@
 #define PI 3.14159265358979324
 #define TWO_PI 6.283185307179586477
 
-/* By which a sum of steps may miss the instant at which the motion begins or ends [s]. */
+/* Round-off tolerance of the start and end of the motion [s]. */
 #define ROUNDING 1e-9
 
 typedef struct {
@@ -29,12 +29,12 @@ static Complex turned(double size, double angle) {
     return (Complex){size * cos(angle), size * sin(angle)};
 }
 
-/* exp(-i u^2) times the integral of exp(i s^2) from u to infinity, u >= 0, to a rounding: the
- * trapezium rule with the correction for its pole (Alazah, Chandler-Wilde and La Porte, Numerische
- * Mathematik 128, 2014). */
+/* exp(-i u^2) times the integral of exp(i s^2) from u to infinity, u >= 0, to round-off: trapezium
+ * rule with a pole correction (Alazah, Chandler-Wilde and La Porte, Numerische Mathematik 128,
+ * 2014). */
 static Complex beyond(double u) {
     enum { NODES = 12 };
-    const double square = PI / (NODES + 0.5); /* of the distance between nodes */
+    const double square = PI / (NODES + 0.5); /* square of the distance between nodes */
     const double a = sqrt(PI * (NODES + 0.5)), c = sqrt(2.0) * a * u;
     double weight = exp(-0.25 * square), ratio = exp(-2.0 * square);
     Complex sum = {0.0, 0.0};
@@ -46,7 +46,7 @@ static Complex beyond(double u) {
         ratio *= exp(-2.0 * square);
     }
     sum = times(sum, turned(u / a, 0.25 * PI));
-    if (c < 50.0) { /* beyond, the pole counts for nothing */
+    if (c < 50.0) { /* beyond, the pole is negligible */
         const Complex e = {1.0 + exp(c) * cos(c), exp(c) * sin(c)};
         const Complex pole = times(e, turned(1.0 / (e.re * e.re + e.im * e.im), -u * u));
         sum.re += pole.re;
@@ -62,11 +62,11 @@ static Complex integral(double phase, double rate, double slope, double t) {
         const Complex mirrored = integral(-phase, -rate, -slope, t);
         return (Complex){mirrored.re, -mirrored.im};
     }
-    if (0.5 * slope * t * t < 1e-17) { /* the rate is as good as constant */
+    if (0.5 * slope * t * t < 1e-17) { /* the rate is effectively constant */
         const double half = 0.5 * rate * t;
         return turned(t * (half != 0.0 ? sin(half) / half : 1.0), phase + half);
     }
-    /* u = rate / sqrt(2 slope) at either end; what is below zero is the other way round. */
+    /* u = rate / sqrt(2 slope) at either end; negative values are mirrored. */
     const double stretch = 1.0 / sqrt(2.0 * slope), both = 2.0 * stretch;
     const Complex first = times(beyond(fabs(rate) * stretch), turned(both, phase));
     const Complex last =
@@ -98,7 +98,7 @@ static void sweep(const double *v, int i, double t, double *q, double *dq, doubl
     *ddq = slow * v[SWING + i] * cos(swell) * sin(phase) + peak * (rate + slope * t) * cos(phase);
 }
 
-/* How many harmonics there are, to the last one that some joint has. */
+/* Highest harmonic of any joint. */
 static int harmonics_of(const double *v) {
     for (int k = HARMONICS; k > 0; k--) {
         for (int i = 0; i < JOINTS; i++) {
@@ -110,7 +110,7 @@ static int harmonics_of(const double *v) {
     return 0;
 }
 
-/* Of all joints, which share the angles. */
+/* Evaluate all joints, which share the angles. */
 static void fourier(const double *v, double t, double *q, double *dq, double *ddq) {
     const int harmonics = harmonics_of(v);
     for (int i = 0; i < JOINTS; i++) {
@@ -129,7 +129,7 @@ static void fourier(const double *v, double t, double *q, double *dq, double *dd
     }
 }
 
-/* Put the motion at a time [s] into outputs; it begins after the rest. */
+/* Store the motion at `time` [s] in the outputs; it starts after the rest. */
 static void evaluate(double *v, double time, double *q, double *dq, double *ddq) {
     const double elapsed = fmax(time - v[REST_TIME], 0.0);
     const double t = v[KIND] == SWEEP ? fmin(elapsed, v[LENGTH]) : elapsed;

@@ -1,16 +1,16 @@
-/* What the glue and the component know of a scalar variable, and how the glue finds those that a
- * host asks for. The generated interface.h fills a table of each. */
+/* Description of scalar variables for the glue and the component, and the map from value
+ * references. The generated interface.h fills in both tables. */
 #ifndef VARIABLE_H
 #define VARIABLE_H
 
 typedef enum {
     INPUT,      /* set at any time */
     OUTPUT,     /* computed */
-    ON_DEMAND,  /* computed when somebody reads it */
+    ON_DEMAND,  /* computed on reading */
     LOCAL,      /* computed, not for connection */
-    DERIVATIVE, /* of a state, computed when somebody reads it */
-    STATE,      /* set before the initialisation ends, then moved by steps or by a solver */
-    FIXED,      /* parameter, set before the initialisation ends */
+    DERIVATIVE, /* of a state, computed on reading */
+    STATE,      /* set before initialisation ends, then advanced by steps or a solver */
+    FIXED,      /* parameter, set before initialisation ends */
     TUNABLE,    /* parameter, set between steps or at events */
 } Role;
 
@@ -25,10 +25,10 @@ typedef struct {
     Role role;
     Type type;
     int low, high; /* bounds of an INTEGER */
-    int used;      /* whether what is computed depends on it directly, be it at the start only */
+    int used;      /* whether any result depends on it directly, even if only at the start */
 } Variable;
 
-/* What a value reference stands for: variables from a place on, one or those of an array. */
+/* Target of a value reference: `size` consecutive variables, more than one for an array. */
 typedef struct {
     int first, size;
 } Reference;

@@ -1,6 +1,5 @@
-/* What an FMU needs of a C library, for a page in a browser, which has none: to build the
- * compiler's own for WebAssembly takes a quarter of a minute. Functions of math.h come with the
- * compiler. */
+/* Minimal C library for an FMU in a browser page. Building the compiler's own for WebAssembly takes
+ * 15 s. The compiler provides the functions of math.h. */
 #include <math.h>
 #include <stdarg.h>
 #include <stdbool.h>
@@ -16,7 +15,7 @@ int strcmp(const char *a, const char *b) {
     return (unsigned char)*a - (unsigned char)*b;
 }
 
-/* --- memory: of the one instance that a page makes, which it keeps ------------------------- */
+/* --- memory of the page's single instance, never freed -------------------------------------- */
 
 void *calloc(size_t count, size_t size) {
     static double room[1 << 17]; /* zeros; 1 MiB */
@@ -33,7 +32,7 @@ void free(void *memory) {
     (void)memory;
 }
 
-/* --- text: %s, %d, %u, %lu and %g with their precisions, which messages are made of ------- */
+/* --- text: %s, %d, %u, %lu and %g with precisions, as used by the messages ------------------ */
 
 typedef struct {
     char *to;
@@ -59,12 +58,12 @@ static void put_whole(text *t, unsigned long value, int least) {
     }
 }
 
-#define HIDDEN ((uint64_t)1 << 52) /* the bit that is not written down */
+#define HIDDEN ((uint64_t)1 << 52) /* implicit leading bit */
 
 enum { DIGITS = 800 }; /* the longest double has 767 */
 
-/* The digits of a positive number, all of them, the last one first; `exponent` is the power of ten
- * of the last. A double is a whole number times 2^e, or times 5^-e / 10^-e. */
+/* All digits of a positive number, the last one first; `exponent` is the decimal exponent of the
+ * last. A double is an integer times 2^e, or times 5^-e / 10^-e. */
 static int decimal(double value, char digits[DIGITS], int *exponent) {
     uint64_t bits;
     memcpy(&bits, &value, sizeof bits);
@@ -89,7 +88,7 @@ static int decimal(double value, char digits[DIGITS], int *exponent) {
     return n;
 }
 
-/* Leave `precision` digits, rounded to the nearest, to the even one of two. Returns how many. */
+/* Round to `precision` digits, half to even. Returns the number of digits. */
 static int rounded(char digits[DIGITS], int n, int precision, int *exponent) {
     const int gone = n - precision;
     if (gone > 0) {

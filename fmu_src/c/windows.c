@@ -1,5 +1,5 @@
-/* What the loader of Windows must know of thread-local variables, of which the start-up of a C
- * library would tell it. Compiled with binaries that have none. */
+/* Thread-local storage directory for the Windows loader, otherwise part of a C library's start-up
+ * code. Compiled into binaries without one. */
 #include <windows.h>
 
 ULONG _tls_index;

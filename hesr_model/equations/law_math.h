@@ -1,8 +1,7 @@
-/* Functions from which generated equations are written, the same in FMUs, on pages, in single
- * headers and over logs. They need no branch: a compiler makes vectors of loops over them, and they
- * give the same bits on every machine that rounds as IEEE 754 says, whatever its compiler, its C
- * library and the width of its vectors. Elementary ones are within 1e-15 of the exact values,
- * relative to these; sin and cos relative to 1. */
+/* Functions of the generated equations, shared by FMUs, pages, single headers and log evaluation.
+ * They are branch-free, so compilers vectorise loops over them, and give identical bits on every
+ * IEEE 754 machine for any compiler, C library and vector width. Elementary functions are within a
+ * relative error of 1e-15, sin and cos within 1e-15 absolutely. */
 #ifndef LAW_MATH_H
 #define LAW_MATH_H
 
@@ -18,8 +17,8 @@
 #include <string.h>
 #endif
 
-/* A multiplication and an addition are rounded apart. GCC would keep branches for floating-point
- * exceptions, which nobody looks at. */
+/* Multiplication and addition are rounded separately. Without this, GCC keeps branches for
+ * floating-point exceptions. */
 #if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
 #elif defined(__GNUC__)
@@ -28,7 +27,7 @@
 #pragma fp_contract(off)
 #endif
 
-/* What many places ask for is there once; what is seldom called is small rather than quick. */
+/* Shared helpers are not inlined; cold ones are optimised for size. */
 #if defined(__GNUC__)
 #define IN_ONE_PLACE static __attribute__((noinline, unused))
 #else
@@ -40,7 +39,7 @@
 #define SELDOM
 #endif
 
-/* Added to a number below 2^51 it leaves the nearest integer in the last bits. */
+/* Added to a number below 2^51, leaves the nearest integer in the last bits. */
 #define TO_INTEGER 0x1.8p52
 
 static inline uint64_t bits_of(double x) {
@@ -55,19 +54,17 @@ static inline double of_bits(uint64_t bits) {
     return x;
 }
 
-/* 2^n for -1022 <= n <= 1023 in the last bits. */
+/* 2^n for -1022 <= n <= 1023, with n in the last bits. */
 static inline double power_of_two(uint64_t n) {
     return of_bits((n + 1023) << 52);
 }
 
-/* What is left of x without k ln(2); the upper part of ln(2) has so few bits that k times it is
- * exact. */
+/* x - k ln(2). The upper part of ln(2) is short enough for its product with k to be exact. */
 static inline double reduced(double x, double k) {
     return (x - k * 0x1.62e42feep-1) - k * 0x1.a39ef35793c76p-33;
 }
 
-/* 2 (exp(r) - 1) for |r| <= ln(2) / 2, and 2 more, to 4e-17; in pairs of terms, which wait less for
- * one another. */
+/* 2 (exp(r) - 1) + more for |r| <= ln(2) / 2, to 4e-17, in pairs of terms for parallelism. */
 static inline double twice_short(double r, double more) {
     const double z = r * r, y = z * z;
     const double q0 = 1.0000000000000002 + r * 0.33333333333333337;
@@ -78,14 +75,14 @@ static inline double twice_short(double r, double more) {
     return ((more + (r + r)) + z * (q0 + z * q2)) + (z * y) * ((q4 + z * q6) + y * q8);
 }
 
-/* Of numbers so large that it is infinite, and of those so small that it is 0, too; these are
- * computed as others, since processors take long for what is smaller than they like. */
+/* exp(x) with overflow to inf and underflow to 0; underflow is evaluated at a safe argument because
+ * denormals are slow. */
 static inline double even_exp(double x) {
     const bool vanishes = x < -746.0;
     const double above = vanishes ? -700.0 : x, inside = above > 710.0 ? 710.0 : above;
     const double shifted = inside * 0x1.71547652b82fep+0 + TO_INTEGER;
     const double e = twice_short(reduced(inside, shifted - TO_INTEGER), 2.0);
-    /* 2^k is made of two powers, as it may be too large or too small for one, and half of it. */
+    /* 2^k is the product of two powers, because one may overflow or underflow. */
     const uint64_t n = (bits_of(shifted) + 2047) & 4095, part = n / 2;
     const double half = power_of_two(part - 1024) * power_of_two(n - part - 1024);
     return vanishes ? 0.0 : e * half;
@@ -99,7 +96,7 @@ static inline double even_expm1(double x) {
     return half * twice_short(reduced(inside, shifted - TO_INTEGER), 0.0) + (2.0 * half - 1.0);
 }
 
-/* Of one number alone: the same bits, and quicker where it is saturated. */
+/* For single numbers: the same bits, faster if saturated. */
 static inline double quick_expm1(double x) {
     return x < -60.0 ? -1.0 : even_expm1(x);
 }
@@ -120,11 +117,11 @@ static inline double nearest(double x) {
     return (x + TO_INTEGER) - TO_INTEGER;
 }
 
-/* Largest argument of `even_sin` and `even_cos`: its quarter turns times parts of pi / 2 are exact.
- */
+/* Largest argument of `even_sin` and `even_cos`: its quarter turns times parts of pi / 2 are
+ * exact. */
 #define LARGEST_ANGLE 1e6
 
-/* sin(x + quarters pi / 2) for |x| <= LARGEST_ANGLE: Taylor's series on an eighth of a turn. */
+/* sin(x + quarters pi / 2) for |x| <= LARGEST_ANGLE: Taylor series on an eighth of a turn. */
 static inline double turned_sin(double x, double quarters) {
     const double n = nearest(x * 0x1.45f306dc9c883p-1);
     const double r = ((x - n * 0x1.921fb544p+0) - n * 0x1.0b4611a6p-34) - n * 0x1.3198a2e037073p-69;
@@ -151,11 +148,11 @@ static inline double even_cos(double x) {
     return turned_sin(x, 1.0);
 }
 
-/* Below this series are exact to double precision and quotients are not; the same number as in
- * hesr_model.equations.functions. */
+/* Below this value series are exact to double precision and quotients are not; the same constant as
+ * in hesr_model.equations.functions. */
 #define SERIES_BELOW 1e-3
 
-/* Added to a divisor that is not negative, nothing is divided by zero. */
+/* Added to a non-negative divisor to avoid division by zero. */
 #define TINY 1e-300
 
 static inline double sgn(double x) {
@@ -170,7 +167,7 @@ static inline double cube(double x) {
     return x * x * x;
 }
 
-/* max(x, 0), 0 for what is not a number. */
+/* max(x, 0); 0 if x is NaN. */
 static inline double positive(double x) {
     return x > 0.0 ? x : 0.0;
 }
@@ -179,24 +176,24 @@ static inline double exceeds(double a, double b) {
     return a > b ? 1.0 : 0.0;
 }
 
-/* The larger one, which is no number where a is none. */
+/* max(a, b); NaN if a is NaN. */
 static inline double larger(double a, double b) {
     return a > b || a != a ? a : b;
 }
 
-/* x between -b and b. */
+/* x limited to -b .. b. */
 static inline double clip(double x, double b) {
     const double above = x < -b ? -b : x;
     return above > b ? b : above;
 }
 
-/* a / b for b > 0. */
+/* a / b for b > 0, else `otherwise`. */
 static inline double over(double a, double b, double otherwise) {
     return b > 0.0 ? a / b : otherwise;
 }
 
-/* exp(-z) - 1, by which a state falls over a step; -z by Euler's. Which of the two is the same for
- * all rows and instances. */
+/* exp(-z) - 1, the relative decay of a state over a step; -z for Euler's method. The choice is the
+ * same for all rows and instances. */
 static inline double decay(double z, double euler) {
     return euler > 0.0 ? -z : even_expm1(-z);
 }
@@ -217,7 +214,7 @@ static inline double share(double z, double e, double euler) {
     return small ? series : -e / (z + TINY);
 }
 
-/* Derivative of share by z. */
+/* Derivative of share with respect to z. */
 static inline double share_slope(double z, double e, double euler) {
     const bool small = fabs(z) < SERIES_BELOW;
     const double y = z * z, divisor = z + TINY;
@@ -242,7 +239,7 @@ static inline double even_cardinal_sine(double x) {
 
 #ifndef WITHOUT_LIBRARY
 
-/* Of larger angles, whose quarter turns cannot be told so, as the C library has them. */
+/* Beyond LARGEST_ANGLE range reduction is inexact: use libm. */
 static inline double sine(double x) {
     return fabs(x) <= LARGEST_ANGLE ? even_sin(x) : sin(x);
 }
@@ -255,7 +252,7 @@ static inline double cardinal_sine(double x) {
     return cardinal(x, sine(x));
 }
 
-/* Its derivative. */
+/* Derivative of cardinal. */
 static inline double cardinal_slope(double x) {
     const bool small = fabs(x) < SERIES_BELOW;
     const double series = -x * (1.0 / 3.0) * (1.0 - x * x * (1.0 / 10.0));
