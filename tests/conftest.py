@@ -11,6 +11,7 @@ import pytest
 from c_hosts import Wine
 from filelock import FileLock
 from hypothesis import settings
+from plugin_packages import InstallPlugin, lay_package
 from registry_models import everyday, models_of_registry
 
 from fmu_src import export_fmu, model_file
@@ -50,6 +51,19 @@ RATE = 200.0
 
 MakeMotion = Callable[..., Motion]
 Shared = Callable[[str, Callable[[Path], object]], Path]
+
+
+@pytest.fixture
+def install_plugin(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> InstallPlugin:
+    """Return a function that installs a package with entry points of a group for this test."""
+
+    def install(group: str, **points: str) -> None:
+        site = lay_package(tmp_path_factory.mktemp("site"), {group: points})
+        monkeypatch.syspath_prepend(str(site))
+
+    return install
 
 
 @pytest.fixture(scope="session")

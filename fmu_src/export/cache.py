@@ -1,12 +1,12 @@
-"""FMUs that have been exported before: the same file with the same options is a copy."""
+"""Cache of exported FMUs: the same model with the same options is a copy."""
 
 import json
 import os
 from collections.abc import Callable, Mapping
-from importlib.metadata import entry_points
 from pathlib import Path
 
 from fmu_src.export.software import software
+from hesr_model.support import plugins
 from hesr_model.support.cache import kept
 from hesr_model.support.files import written_whole
 from hesr_model.support.untrusted_text import read_text
@@ -15,14 +15,14 @@ from hesr_model.support.untrusted_text import read_text
 def exported(
     model: Path, options: Mapping[str, object], output: Path, write: Callable[[], None]
 ) -> None:
-    """Write an FMU to `output` by `write`, or copy the one that it has written before.
+    """Write an FMU to `output`, or copy it from the cache.
 
     Parameters
     ----------
     model : file of the friction model.
-    options : what else makes the FMU what it is.
-    output : where `write` puts it.
-    write : reads the model and writes the FMU; what it raises is raised here.
+    options : all other settings that the FMU depends on.
+    output : path of the FMU.
+    write : function that reads the model and writes `output`; its errors are raised here.
 
     Raises
     ------
@@ -31,10 +31,10 @@ def exported(
     """
     try:
         text = read_text(model)
-    except (OSError, ValueError):  # which `write` says in its own words
+    except (OSError, ValueError):  # reported by `write`
         text = None
-    # Laws of other packages can change while the package says that it is the same.
-    if text is None or entry_points(group="hesr.laws"):
+    # A law of another package can change without a new version of the package.
+    if text is None or not all(law.own for law in plugins.load("hesr.laws").values()):
         write()
         return
 

@@ -1,4 +1,4 @@
-"""Which software makes an FMU: part of the key of what is kept of one."""
+"""Hash of the software that makes an FMU, as part of the key of the cache."""
 
 import hashlib
 import sys
@@ -7,14 +7,13 @@ from importlib.metadata import requires, version
 from pathlib import Path
 from re import match
 
-import hesr_model
-
-_OURS = (Path(__file__).parents[1], Path(str(hesr_model.__file__)).parent)
+_ROOT = Path(__file__).parents[2]
+_OURS = tuple(_ROOT / folder for folder in ("fmu_src", "hesr_model", "hesr/extras"))
 
 
 @cache
 def software() -> str:
-    """Return a hash of all of ours that exports a model, and the versions of what it stands on."""
+    """Return a hash of HESR's modules below the export, its extras and its dependencies."""
     key = hashlib.sha256(sys.version.encode())
     for requirement in requires("hesr") or ():
         name = match(r"[\w.-]+", requirement)

@@ -27,7 +27,15 @@ class Estimator(ABC):
     title : the name that people use.
     typical : a structure that its equations are shown with where none was found by a fit.
     needs : fields of a `FrictionRecord` that may be unknown, and that the law cannot do without.
-    everyday : whether studies that name no laws have this one, too.
+    everyday : whether studies without a list of laws include it.
+    classic : whether it is a law of the literature; the strongest is the reference in scores.
+    order : place in tables; laws of other packages come last.
+    quick : whether quick runs include it.
+    proposed : whether proposed studies include it.
+    paper : place among the laws of the paper, from 1 for the paper's own; 0 if not one of them.
+    adds : the law that it extends and the part that it adds, as in the ablation table.
+
+    `order` and all below it are facts about one law: a subclass does not inherit them.
     """
 
     name: ClassVar[str]
@@ -35,6 +43,19 @@ class Estimator(ABC):
     typical: ClassVar[Mapping[str, Any]] = {}
     needs: ClassVar[tuple[str, ...]] = ()
     everyday: ClassVar[bool] = True
+    classic: ClassVar[bool] = False
+    order: ClassVar[int] = 1000
+    quick: ClassVar[bool] = False
+    proposed: ClassVar[bool] = False
+    paper: ClassVar[int] = 0
+    adds: ClassVar[tuple[str, str] | None] = None
+
+    def __init_subclass__(cls) -> None:
+        """Reset the facts that a subclass does not inherit."""
+        super().__init_subclass__()
+        for fact in ("order", "quick", "proposed", "paper", "adds"):
+            if fact not in vars(cls):
+                setattr(cls, fact, getattr(Estimator, fact))
 
     @staticmethod
     @abstractmethod

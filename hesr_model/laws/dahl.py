@@ -39,6 +39,8 @@ class DahlBasis(OneForm):
 
     name = "dahl"
     title = "Dahl basis"
+    order = 80
+    classic = True
     load: ClassVar[bool] = False
 
     @classmethod
@@ -84,6 +86,8 @@ class DahlBasisLoad(DahlBasis):
 
     name = "dahl_load"
     title = "Dahl basis+load"
+    order = 90
+    adds = ("dahl", "load")
     load = True
 
 
@@ -101,6 +105,7 @@ class DahlBasisBound(DahlBasis):
 
     name = "dahl_bound"
     title = "Dahl basis, load as bound"
+    order = 100
     everyday = False
 
     @classmethod

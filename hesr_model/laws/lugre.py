@@ -81,6 +81,11 @@ class LuGre(OneForm):
 
     name = "lugre"
     title = "LuGre"
+    order = 30
+    classic = True
+    quick = True
+    proposed = True
+    paper = 2
 
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
@@ -99,6 +104,8 @@ class LuGreLoad(LuGre):
 
     name = "lugre_load"
     title = "LuGre+load"
+    order = 40
+    adds = ("lugre", "load")
 
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
@@ -119,6 +126,8 @@ class LuGreLoadRipple(LuGreLoad):
 
     name = "lugre_load_ripple"
     title = "LuGre+load+ripple"
+    order = 50
+    adds = ("lugre_load", "motor ripple")
     needs = ("gear_ratio",)
     ripple = True
     typical: ClassVar[Mapping[str, Any]] = {"ripple": {"gear_ratio": 100, "orders": [2]}}
@@ -142,6 +151,7 @@ class LuGreTextbook(LuGre):
 
     name = "lugre_textbook"
     title = "LuGre, F_s >= F_c"
+    order = 60
 
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
@@ -166,6 +176,7 @@ class LuGrePassive(LuGre):
 
     name = "lugre_passive"
     title = "LuGre, passive"
+    order = 70
 
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:

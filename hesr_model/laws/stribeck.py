@@ -32,6 +32,11 @@ class Stribeck(OneForm):
 
     name = "stribeck"
     title = "Stribeck"
+    order = 10
+    classic = True
+    quick = True
+    proposed = True
+    paper = 4
 
     @staticmethod
     def core(structure: Mapping[str, Any]) -> LawForm:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from documents import block
+from plugin_packages import lay_package
 from small_study import Hesr, hesr_here
 
 from fmu_src.blocks.block import block as write_block
@@ -67,17 +68,12 @@ def test_a_block_with_states_is_refused() -> None:
 
 @pytest.fixture
 def own_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The package of the page, laid as an installer does."""
+    """Install the package of the page."""
     project = tomllib.loads(block("add-a-log-format.md", "toml"))["project"]
     points = project["entry-points"]["hesr.logs"]
-    site = tmp_path / "site"
-    metadata = site / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
-    metadata.mkdir(parents=True)
-    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\n")
-    lines = [f"{name} = {value}" for name, value in points.items()]
-    (metadata / "entry_points.txt").write_text("\n".join(["[hesr.logs]", *lines, ""]))
     module = next(iter(points.values())).partition(":")[0]
-    (site / f"{module}.py").write_text(block("add-a-log-format.md", "python"), encoding="utf-8")
+    modules = {module: block("add-a-log-format.md", "python")}
+    site = lay_package(tmp_path, {"hesr.logs": points}, name=project["name"], modules=modules)
     monkeypatch.syspath_prepend(str(site))
     formats.formats.cache_clear()
     yield

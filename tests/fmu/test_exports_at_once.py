@@ -94,10 +94,10 @@ def test_a_second_export_of_the_same_is_a_copy_and_another_is_made(
     assert export(platforms=["linux64"]) not in {first, *others}
 
 
-def test_where_laws_of_others_are_installed_every_export_is_made(
-    model, tmp_path, empty_cache, monkeypatch
+def test_with_a_law_of_another_package_every_export_is_made(
+    model, tmp_path, empty_cache, install_plugin
 ):
-    monkeypatch.setattr("fmu_src.export.cache.entry_points", lambda group: [group])
+    install_plugin("hesr.laws", own="my_law")
     times = []
     for _ in range(2):
         exported(model, {}, tmp_path / "F.fmu", lambda: times.append(1))

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
 import pytest
+from plugin_packages import InstallPlugin
 
 from hesr_model.errors import ConfigError, LogError
 from hesr_model.logs.readers import formats
@@ -24,25 +24,22 @@ def _forgotten() -> Iterator[None]:
     formats.formats.cache_clear()
 
 
-def entries(value: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    entry = EntryPoint(name="own", value=value, group=formats.GROUP)
-    monkeypatch.setattr(formats, "entry_points", lambda **_: [entry])
-
-
-def test_another_package_brings_a_format(monkeypatch: pytest.MonkeyPatch) -> None:
-    entries(f"{__name__}:OWN", monkeypatch)
+def test_another_package_brings_a_format(install_plugin: InstallPlugin) -> None:
+    install_plugin(formats.GROUP, own=f"{__name__}:OWN")
     assert format_of(Path("run.own")).name == "own"
     assert format_of(Path("run.csv")) is COLUMNS
 
 
-def test_a_format_that_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    entries("no_such_module:FORMAT", monkeypatch)
-    told = "log format 'own' cannot be loaded"
-    with pytest.raises(ConfigError, match=r"; mend its package or uninstall it\.$"):
+def test_a_broken_format_is_named(install_plugin: InstallPlugin) -> None:
+    install_plugin(formats.GROUP, own="no_such_module:FORMAT")
+    with pytest.raises(ConfigError, match=r"; mend the package or uninstall it\.$"):
         format_of(Path("run.csv"))
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=r"^log format 'own' of the package 'my-plugins' cannot"):
         format_of(Path("run.csv"))
-    entries("os:sep", monkeypatch)
+
+
+def test_an_object_that_is_no_format_is_refused(install_plugin: InstallPlugin) -> None:
+    install_plugin(formats.GROUP, own="os:sep")
     with pytest.raises(ConfigError, match=r"is a str; the entry point must name a FileFormat\."):
         format_of(Path("run.csv"))
 

@@ -69,6 +69,7 @@ class _Bam(OneForm):
 
     terms: ClassVar[tuple[tuple[Coefficient, sympy.Expr], ...]]
     everyday = False
+    classic = True
 
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
@@ -118,6 +119,7 @@ class BamM1(_Bam):
 
     name = "bam_m1"
     title = "BAM M1"
+    order = 200
     terms = (_LEVEL,)
 
 
@@ -127,6 +129,7 @@ class BamM2(_Bam):
 
     name = "bam_m2"
     title = "BAM M2"
+    order = 210
     terms = (_LEVEL, _RISE)
 
 
@@ -136,6 +139,7 @@ class BamM3(_Bam):
 
     name = "bam_m3"
     title = "BAM M3"
+    order = 220
     terms = (_LEVEL, _LOAD)
 
 
@@ -145,6 +149,7 @@ class BamM4(_Bam):
 
     name = "bam_m4"
     title = "BAM M4"
+    order = 230
     terms = (_LEVEL, _RISE, _LOAD, _LOAD_RISE)
 
 
@@ -154,6 +159,7 @@ class BamM5(_Bam):
 
     name = "bam_m5"
     title = "BAM M5"
+    order = 240
     terms = (_LEVEL, _RISE, *_DRIVING)
 
 
@@ -163,4 +169,5 @@ class BamM6(_Bam):
 
     name = "bam_m6"
     title = "BAM M6"
+    order = 250
     terms = (_LEVEL, _RISE, *_DRIVING, *_SQUARES)

@@ -63,6 +63,8 @@ class Gms(OneForm):
 
     name = "gms"
     title = "GMS, bounds that relax"
+    order = 260
+    classic = True
     everyday = False
 
     @staticmethod

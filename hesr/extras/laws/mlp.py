@@ -44,6 +44,7 @@ class MlpH(Estimator):
 
     name = "mlp_h"
     title = "MLP-H"
+    order = 110
     typical: ClassVar[Mapping[str, Any]] = {"hidden": 1}
 
     def __init__(

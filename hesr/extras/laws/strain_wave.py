@@ -31,6 +31,8 @@ class StrainWave(OneForm):
 
     name = "strain_wave"
     title = "Strain wave"
+    order = 140
+    classic = True
 
     @staticmethod
     def core(structure: Mapping[str, Any]) -> LawForm:
@@ -77,6 +79,8 @@ class StrainWaveBound(OneForm):
 
     name = "strain_wave_bound"
     title = "Strain wave, load as bound"
+    order = 150
+    classic = True
     everyday = False
 
     @staticmethod

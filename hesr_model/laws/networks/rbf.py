@@ -52,6 +52,8 @@ class RbfnnH(Estimator):
 
     name = "rbfnn_h"
     title = "RBFNN-H"
+    order = 120
+    paper = 3
     typical: ClassVar[Mapping[str, Any]] = {"centres": 1}
 
     def __init__(

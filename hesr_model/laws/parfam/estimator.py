@@ -46,6 +46,10 @@ class ParFamH(Estimator):
 
     name = "parfam_h"
     title = "ParFam-H"
+    order = 130
+    quick = True
+    paper = 1
+    adds = ("parfam_v", "hysteresis state")
     typical: ClassVar[Mapping[str, Any]] = {
         "linear": list(family.FEATURES),
         "units": [{"g": "tanh", "arguments": list(family.FEATURES)}],

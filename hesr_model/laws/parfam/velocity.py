@@ -31,6 +31,8 @@ class ParFamV(Described):
 
     name = "parfam_v"
     title = "ParFam-V"
+    order = 20
+    paper = 5
     typical: ClassVar[Mapping[str, Any]] = {
         "linear": ["1", "dq"],
         "units": [{"g": "tanh", "arguments": ["1", "dq"]}],

@@ -109,6 +109,7 @@ class ParFamS(_Stops):
 
     name = "parfam_s"
     title = "ParFam-S"
+    order = 170
     load = True
     ripple = True
     start_samples = 5
@@ -121,6 +122,7 @@ class ParFamSLoad(_Stops):
 
     name = "parfam_s_load"
     title = "ParFam-S, no ripple"
+    order = 180
     load = True
     typical: ClassVar[Mapping[str, Any]] = _LOADED
 
@@ -131,3 +133,5 @@ class ParFamSV(_Stops):
 
     name = "parfam_s_v"
     title = "ParFam-S, velocity"
+    order = 190
+    proposed = True

@@ -1,0 +1,110 @@
+"""Plug-ins: entry points of HESR and of other packages. No other module reads entry points.
+
+HESR registers its own laws, log formats and extras in its `pyproject.toml`, in the groups that
+other packages use.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from typing import Any
+
+from hesr_model.errors import ConfigError
+
+GROUPS = {
+    "hesr.laws": "law",  # module that registers the estimator of this name
+    "hesr.logs": "log format",  # FileFormat
+    "hesr.exports": "export format",  # function (model, output, *, platform, **options)
+    "hesr.tests": "test",  # function of laws and logs
+    "hesr.refinements": "refinement",  # function of a fitted law and its records
+    "hesr.jobs": "job",  # object with `key`, `read` and `run`
+    "hesr.reports": "report",  # writer of a suffix or view
+    "hesr.commands": "command",  # workflow function of a verb
+}
+"""Groups of entry points, and the word for one plug-in of each in messages."""
+
+_OWN = "hesr"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plugin:
+    """An entry point that is not imported yet.
+
+    Attributes
+    ----------
+    name : key within the group.
+    package : distribution that registers it.
+    entry : the entry point.
+    """
+
+    name: str
+    package: str
+    entry: EntryPoint
+
+    @property
+    def own(self) -> bool:
+        """Whether HESR itself registers it."""
+        return self.package == _OWN
+
+    @property
+    def label(self) -> str:
+        """Description for messages."""
+        return f"{GROUPS[self.entry.group]} '{self.name}' of the package '{self.package}'"
+
+    def load(self) -> Any:
+        """Import the module and return the object.
+
+        Raises
+        ------
+        ConfigError
+            If the plug-in of another package cannot be imported.
+        """
+        try:
+            return self.entry.load()
+        except Exception as error:
+            if self.own:
+                raise
+            raise ConfigError(
+                f"{self.label} cannot be loaded ({type(error).__name__}: {error}); "
+                "mend the package or uninstall it."
+            ) from error
+
+
+def load(group: str) -> Mapping[str, Plugin]:
+    """Return the plug-ins of a group by name, without importing them.
+
+    HESR's own come first, then those of other packages, both sorted by name. HESR's own are
+    omitted where their module is absent, as in an installation without `hesr.extras`.
+
+    Raises
+    ------
+    ConfigError
+        If two packages use the same name.
+    """
+    every = [
+        Plugin(name=entry.name, package=entry.dist.name if entry.dist else "?", entry=entry)
+        for entry in entry_points(group=group)
+    ]
+    found: dict[str, Plugin] = {}
+    for plugin in sorted(every, key=lambda plugin: (not plugin.own, plugin.name, plugin.package)):
+        if plugin.own and not _exists(plugin.entry.module):
+            continue
+        if other := found.get(plugin.name):
+            raise ConfigError(
+                f"{plugin.label} has the name of one of '{other.package}'; names must differ."
+            )
+        found[plugin.name] = plugin
+    return found
+
+
+def names(group: str) -> tuple[str, ...]:
+    """Return the names of the plug-ins of a group, without importing them."""
+    return tuple(load(group))
+
+
+def _exists(module: str) -> bool:
+    try:
+        return find_spec(module) is not None
+    except ImportError:  # a parent package is absent
+        return False

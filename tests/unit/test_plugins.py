@@ -1,0 +1,75 @@
+"""The reader of entry points."""
+
+import sys
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+
+import pytest
+from plugin_packages import InstallPlugin
+
+from hesr_model.errors import ConfigError
+from hesr_model.support import plugins
+
+
+class NoExtras(MetaPathFinder):
+    """Finder that makes `hesr.extras` unimportable."""
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        if name.startswith("hesr.extras"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+        return None
+
+
+@pytest.fixture
+def _no_extras(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.startswith("hesr.extras")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(sys, "meta_path", [NoExtras(), *sys.meta_path])
+
+
+def test_own_plugins_come_first_and_others_sorted(install_plugin: InstallPlugin) -> None:
+    own = plugins.names("hesr.exports")
+    assert {"fmu", "drive", "modelica"} <= set(own)
+    assert list(own) == sorted(own)
+    install_plugin("hesr.exports", b="no_such_module:write", a="no_such_module:write")
+    assert plugins.names("hesr.exports") == (*own, "a", "b")
+
+
+def test_names_import_nothing(install_plugin: InstallPlugin) -> None:
+    install_plugin("hesr.exports", toy="toy_module_of_exports:write")
+    assert "toy" in plugins.names("hesr.exports")
+    assert "toy_module_of_exports" not in sys.modules
+
+
+def test_a_broken_plugin_is_refused_by_name_and_package(install_plugin: InstallPlugin) -> None:
+    install_plugin("hesr.exports", toy="no_such_module:write")
+    with pytest.raises(ConfigError) as caught:
+        plugins.load("hesr.exports")["toy"].load()
+    assert str(caught.value) == (
+        "export format 'toy' of the package 'my-plugins' cannot be loaded (ModuleNotFoundError: "
+        "No module named 'no_such_module'); mend the package or uninstall it."
+    )
+
+
+def test_a_name_is_used_once(install_plugin: InstallPlugin) -> None:
+    install_plugin("hesr.exports", fmu="os:sep")
+    with pytest.raises(ConfigError) as caught:
+        plugins.names("hesr.exports")
+    assert str(caught.value) == (
+        "export format 'fmu' of the package 'my-plugins' has the name of one of 'hesr'; "
+        "names must differ."
+    )
+
+
+@pytest.mark.parametrize("group", plugins.GROUPS)
+def test_own_plugins_can_be_loaded(group: str) -> None:
+    for plugin in plugins.load(group).values():
+        assert plugin.own
+        plugin.load()
+
+
+@pytest.mark.usefixtures("_no_extras")
+def test_extras_that_are_absent_are_not_listed() -> None:
+    assert {"fmu", "drive"} <= set(plugins.names("hesr.exports"))
+    assert not {"modelica", "mjcf", "c"} & set(plugins.names("hesr.exports"))
+    assert not any("extras" in p.entry.value for p in plugins.load("hesr.laws").values())
