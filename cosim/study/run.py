@@ -159,7 +159,7 @@ def run_study(
             command = _command(path, platforms, quick=quick)
             save_run(folder, run, command=command, quick=quick)
         shutil.rmtree(kept, ignore_errors=True)
-        from cosim.report import write_report  # draws, which takes long to load
+        from cosim.report.page import write_report  # draws, which takes long to load
 
         known = {law: audit for law, audit in audits.items() if audit}
         write_report(output, audits=known, progress=job.progress)

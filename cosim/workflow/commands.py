@@ -90,7 +90,7 @@ def run(
 
 def report(results: AnyPath, output: AnyPath | None = None) -> Path:
     """Write the report of a run anew and return its path."""
-    from cosim.report import write_report
+    from cosim.report.page import write_report
 
     page = None if output is None else path_of(output, "a page")
     return write_report(path_of(results, "a folder"), page)

@@ -28,7 +28,7 @@ def report(
 
     Example: hesr report results/uf850 -o uf850.html
     """
-    from cosim.report import write_report
+    from cosim.report.page import write_report
 
     with shown_progress() as progress:
         page = write_report(result, output, progress=progress)

@@ -6,7 +6,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 from small_results import write_results
 
-from cosim.report import write_report
+from cosim.report.page import write_report
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from small_study import Hesr, hesr_here
 
-from cosim.report import write_report
+from cosim.report.page import write_report
 from cosim.report.results import Results
 from hesr_model.errors import HesrError
 
