@@ -13,7 +13,6 @@ Objects   Robot, Log, RigidBody, FrictionModel, FrictionRegressor; HesrError, th
 Commands  new, inspect, run, report, results, excite, identify, fit, evaluate, audit, properties,
           arena, laws, export, check, replay, thermal, monitor, fleet, simulate,
           package
-Files     read_model, write_model, read_rigid_body, write_rigid_body
 
 Paths are text or paths. Logs, bodies, laws and comparisons show themselves as tables in a notebook;
 logs and comparisons have `to_pandas()`, logs `to_xarray()`. help(hesr.fit) says more of a name.
@@ -50,7 +49,6 @@ if TYPE_CHECKING:
         simulate,
         thermal,
     )
-    from hesr_model.artifacts import read_model, read_rigid_body, write_model, write_rigid_body
     from hesr_model.errors import HesrError
     from hesr_model.friction.model import FrictionModel
     from hesr_model.logs.robot_log import RobotLog as Log
@@ -80,16 +78,12 @@ if TYPE_CHECKING:
         "new",
         "package",
         "properties",
-        "read_model",
-        "read_rigid_body",
         "replay",
         "report",
         "results",
         "run",
         "simulate",
         "thermal",
-        "write_model",
-        "write_rigid_body",
     ]
 
 _COMMANDS = (
@@ -117,10 +111,6 @@ _HOMES = dict.fromkeys(_COMMANDS, "cosim.workflow.commands") | {
     "Log": "hesr_model.logs.robot_log:RobotLog",
     "RigidBody": "hesr_model.rigid_body.identification",
     "Robot": "hesr_model.robots.robot_argument",
-    "read_model": "hesr_model.artifacts",
-    "read_rigid_body": "hesr_model.artifacts",
-    "write_model": "hesr_model.artifacts",
-    "write_rigid_body": "hesr_model.artifacts",
 }
 
 if not TYPE_CHECKING:  # a checker knows the names above, and shall find others missing

@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING
 from hesr_model.support.lazy import lazy
 
 if TYPE_CHECKING:
-    from hesr_model.artifacts import read_model, read_rigid_body, write_model, write_rigid_body
     from hesr_model.errors import HesrError
     from hesr_model.fitting.fit import fit
     from hesr_model.friction.model import FrictionModel
@@ -47,11 +46,7 @@ __all__ = [
     "fit",
     "friction_records",
     "identify",
-    "read_model",
-    "read_rigid_body",
     "registry",
-    "write_model",
-    "write_rigid_body",
 ]
 
 _HOMES = {
@@ -65,11 +60,7 @@ _HOMES = {
     "fit": "hesr_model.fitting.fit",
     "friction_records": "hesr_model.rigid_body.residual",
     "identify": "hesr_model.rigid_body.identification",
-    "read_model": "hesr_model.artifacts",
-    "read_rigid_body": "hesr_model.artifacts",
     "registry": "hesr_model.friction.registry",
-    "write_model": "hesr_model.artifacts",
-    "write_rigid_body": "hesr_model.artifacts",
 }
 
 if not TYPE_CHECKING:  # a checker knows the names above, and shall find others missing

@@ -15,7 +15,6 @@ from plugin_packages import InstallPlugin, lay_package
 from registry_models import everyday, models_of_registry
 
 from fmu_src import export_fmu, model_file
-from hesr_model.artifacts import read_model, write_model
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.logs.robot_log import RobotLog
@@ -109,7 +108,7 @@ def wine(shared: Shared) -> Wine:
 @pytest.fixture(scope="session")
 def table1() -> FrictionModel:
     """The paper's law with the paper's numbers."""
-    return read_model(model_file("uf850-table1"))
+    return FrictionModel.read(model_file("uf850-table1"))
 
 
 @pytest.fixture(scope="session")
@@ -123,10 +122,10 @@ def registry_models(shared: Shared) -> dict[str, FrictionModel]:
 
     def fit(folder: Path) -> None:
         for model in models_of_registry():
-            write_model(folder / f"{model.law}.json", model)
+            model.write(folder / f"{model.law}.json")
 
     folder = shared("registry", fit)
-    return {law: read_model(folder / f"{law}.json") for law in everyday()}
+    return {law: FrictionModel.read(folder / f"{law}.json") for law in everyday()}
 
 
 @pytest.fixture(scope="session")

@@ -32,7 +32,6 @@ from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.reference import UNKNOWN_SPEED
 from fmu_src.run.batch import Array
-from hesr_model.artifacts import model_to_json
 from hesr_model.audit.audit import loads_of
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import (
@@ -119,7 +118,7 @@ def _measured(subject: Subject, *, load: float, kept: Path | None) -> Properties
     """Put one model or FMU to the test, or read what was found when it was."""
     if kept is None or subject.model is None or subject.fmu is not None:
         return measure(subject, load=load)
-    about = [model_to_json(subject.model), subject.inertia, load, version("hesr")]
+    about = [subject.model.to_json(), subject.inertia, load, version("hesr")]
     key = hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()[:24]
     path = kept / f"{key}.json"
     with suppress(ArtifactError):  # there is none, or none that is whole

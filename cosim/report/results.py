@@ -13,13 +13,12 @@ from cosim.study.position_errors import SIMULATION, Simulated
 from cosim.study.results import RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_columns
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Errors
 from fmu_src.pages.datasheet import ModelAudit
-from hesr_model.artifacts import read_json, read_model, read_rigid_body
 from hesr_model.audit.properties import Properties, read_properties
 from hesr_model.equations.over_log import Array
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.support.typed_json import from_json
+from hesr_model.support.typed_json import from_json, read_json
 from hesr_model.units import unit_of_joints
 
 if TYPE_CHECKING:
@@ -146,17 +145,17 @@ class Results:
             what = f"'{RUN}' is missing in it" if folder.is_dir() else "there is no such folder"
             raise ArtifactError(f"{folder}: no results of 'hesr run'; {what}.")
         run = SavedRun.read(folder / RUN)
-        body_file, battery = folder / "rigid_body.json", folder / "properties.json"
+        body, battery = RigidBody.read(folder / "rigid_body.json"), folder / "properties.json"
         return cls(
             folder=folder,
             run=run,
-            body=read_rigid_body(body_file),
-            models={law: read_model(folder / "laws" / f"{law}.json") for law in run.inputs},
+            body=body,
+            models={law: FrictionModel.read(folder / "laws" / f"{law}.json") for law in run.inputs},
             comparisons=_comparisons(folder / "evaluation.json"),
             properties=read_properties(battery) if battery.is_file() and not run.quick else {},
             simulated=_simulated(folder / SIMULATION),
             truths=_truths(folder / TRUTHS),
-            provenance=read_json(body_file).get("provenance", {}),
+            provenance=body.provenance,
             **(_loop(folder) if run.controller else {}),
         )
 

@@ -13,11 +13,10 @@ import numpy as np
 from pydantic import ConfigDict
 
 from cosim.study.study import Band
-from hesr_model.artifacts import read_json, write_json
 from hesr_model.equations.over_log import Array
 from hesr_model.logs.tables import read_table, write_table
 from hesr_model.rigid_body.residual import FrictionRecord
-from hesr_model.support.typed_json import from_json, to_json
+from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
 
 RUN, TRACES, TRUTHS = "run.json", "traces", "truths.json"
 RUN_FORMAT = "hesr-run-1"

@@ -21,7 +21,6 @@ from fmu_src.export.toolchain import get_ready, targets
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.pages.datasheet import ModelAudit
 from fmu_src.pages.live.body import PageBody
-from hesr_model.artifacts import newest, provenance, write_json, write_model, write_rigid_body
 from hesr_model.equations.rows import vectors
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
@@ -35,7 +34,8 @@ from hesr_model.support import parallel
 from hesr_model.support.cache import USED, since
 from hesr_model.support.files import folder_written_whole, models_folder
 from hesr_model.support.progress import Progress, Stages, counted, silent
-from hesr_model.support.typed_json import to_json
+from hesr_model.support.provenance import newest, provenance
+from hesr_model.support.typed_json import to_json, write_json
 
 if TYPE_CHECKING:
     from cosim.loop.run import LoopOutcome
@@ -209,7 +209,7 @@ def score_study(
     source = provenance(files=about, seed=study.seed) | ({"owner": owner} if owner else {})
     if study.twin is None:  # whose logs are new each time
         source |= {"created": newest([files[name] for name in job.trained_on])}
-    write_rigid_body(folder / "rigid_body.json", rigid_body, source)
+    replace(rigid_body, provenance=source).write(folder / "rigid_body.json")
     decouple = partial(friction_records, model=model, rigid_body=rigid_body)
     runs = _runs(job, files, logs, decouple)
     records = {
@@ -224,7 +224,7 @@ def score_study(
     findings += told(check_laws(models, records_of(study.logs.training, records)))
     write_findings(folder, findings)
     for law, fitted in models.items():
-        write_model(folder / "laws" / f"{law}.json", fitted)
+        fitted.write(folder / "laws" / f"{law}.json")
     fmus = {law: folder / "fmus" / f"{law}.fmu" for law in models}
     _of_each(
         models, partial(_built, fmus, platforms=platforms), partial(job.progress, "building FMUs")

@@ -22,7 +22,6 @@ from cosim.study.scores import (
     within,
 )
 from cosim.study.study import Part, Study
-from hesr_model.artifacts import write_json
 from hesr_model.equations.over_log import Array
 from hesr_model.errors import ConfigError, FitError, HesrError, LogError
 from hesr_model.fitting.day_offsets import with_own
@@ -39,7 +38,7 @@ from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support import parallel
 from hesr_model.support.progress import Stages, counted
-from hesr_model.support.typed_json import to_json
+from hesr_model.support.typed_json import to_json, write_json
 
 if TYPE_CHECKING:
     from cosim.loop.run import LoopOutcome

@@ -10,13 +10,12 @@ import numpy as np
 from cosim.report.tables.table import joints as short_names
 from cosim.report.tables.table import title
 from cosim.study.scores import ORACLE, Comparison, Records
-from hesr_model.artifacts import read_json, write_json
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import outside
 from hesr_model.logs.phases import MOVING
 from hesr_model.rigid_body.residual import all_at_friction
-from hesr_model.support.typed_json import from_json, to_json
+from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
 
 if TYPE_CHECKING:
     from hesr_model.audit.properties import Properties

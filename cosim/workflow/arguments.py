@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.study.health import told
 from fmu_src import model_file
-from hesr_model.artifacts import read_model, read_rigid_body
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health.examine import checked
@@ -73,7 +72,7 @@ def body_of(body: Body | None, logs: Sequence[RobotLog], robot: RobotModel) -> R
     """Return the rigid body that is given, or that which the logs tell of."""
     if body is None:
         return identify(logs, robot)
-    return body if isinstance(body, RigidBody) else read_rigid_body(path_of(body, "a rigid body"))
+    return body if isinstance(body, RigidBody) else RigidBody.read(path_of(body, "a rigid body"))
 
 
 def page_body(robot: RobotLike, body: Body) -> "PageBody":
@@ -140,7 +139,7 @@ def model_given(model: Model) -> FrictionModel:
     """Return a friction model, read where it is given by its file or built-in name."""
     if isinstance(model, FrictionModel):
         return model
-    return read_model(model_file(str(path_of(model, "a friction model"))))
+    return FrictionModel.read(model_file(str(path_of(model, "a friction model"))))
 
 
 def named(models: Any) -> dict[str, FrictionModel]:

@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 from fmu_src.run.archive import MOST_TEXT, Archive
-from hesr_model.artifacts import model_from_json, model_to_json
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.untrusted_text import parse_json
@@ -15,7 +14,7 @@ EMBEDDED_MODEL = "resources/friction_model.json"
 
 def embedding(model: FrictionModel) -> dict[str, bytes]:
     """Return the member of an archive that has the model, by its name."""
-    return {EMBEDDED_MODEL: (json.dumps(model_to_json(model), indent=2) + "\n").encode()}
+    return {EMBEDDED_MODEL: (json.dumps(model.to_json(), indent=2) + "\n").encode()}
 
 
 def embedded_model(fmu: Path) -> FrictionModel | None:
@@ -34,4 +33,4 @@ def embedded_model(fmu: Path) -> FrictionModel | None:
         data = parse_json(text)
     except ValueError as error:
         raise ArtifactError(f"{fmu}: its {EMBEDDED_MODEL} is damaged ({error}).") from error
-    return model_from_json(fmu, data)
+    return FrictionModel.from_json(data, fmu)

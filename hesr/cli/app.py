@@ -227,11 +227,11 @@ def read_records(
     """Return the friction records [joint][log], the robot's model, and what is odd in the logs."""
     from cosim.study.scores import by_joint
     from cosim.workflow.arguments import records_of
-    from hesr_model.artifacts import read_rigid_body
+    from hesr_model.rigid_body.identification import RigidBody
     from hesr_model.robots.robot import RobotDescription, RobotModel
 
     model = RobotModel(RobotDescription.read(robot))
-    body = read_rigid_body(rigid_body)
+    body = RigidBody.read(rigid_body)
     records, _, findings = records_of(
         logs, model, body, accepted or (), partial(progress, "reading logs")
     )

@@ -19,7 +19,7 @@ def given_law(law: str) -> "tuple[FrictionModel | None, Path | None]":
     """
     from fmu_src import BUILT_IN, model_file
     from fmu_src.friction.embedded_model import embedded_model
-    from hesr_model.artifacts import read_model
+    from hesr_model.friction.model import FrictionModel
 
     suffix = Path(law).suffix.lower()
     if suffix == ".fmu":
@@ -29,4 +29,4 @@ def given_law(law: str) -> "tuple[FrictionModel | None, Path | None]":
             f"'{law}' is neither a friction model (.json), nor an FMU (.fmu), nor one of "
             f"{', '.join(BUILT_IN)}."
         )
-    return read_model(model_file(law)), None
+    return FrictionModel.read(model_file(law)), None

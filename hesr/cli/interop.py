@@ -66,10 +66,10 @@ def _opened(what: Path | None, folder: Path) -> "Iterator[Case]":
     from cosim.interop.drive import driven
     from cosim.interop.systems import opened_case
     from fmu_src import export_fmu, model_file
-    from hesr_model.artifacts import read_model
+    from hesr_model.friction.model import FrictionModel
 
     if what is None:
-        friction = read_model(model_file("uf850-table1"))
+        friction = FrictionModel.read(model_file("uf850-table1"))
         yield driven(export_fmu(friction, folder / "Friction.fmu"))
     elif what.suffix.lower() in (".toml", ".ssp"):
         with opened_case(what, folder) as case:

@@ -56,9 +56,8 @@ def run(
     from cosim.study.run import run_study, unfinished
     from cosim.study.scores import input_classes
     from cosim.study.study import Study
-    from hesr_model.artifacts import write_json
     from hesr_model.support.files import models_folder
-    from hesr_model.support.typed_json import to_json
+    from hesr_model.support.typed_json import to_json, write_json
 
     path = study or models_folder() / "studies" / "default.toml"
     folder = output or Path("results") / Study.read(path).name
@@ -122,8 +121,7 @@ def _seeds(path: Path, folder: Path, seeds: int, *, quick: bool, json_file: Path
     from cosim.report.tables.terminal import show
     from cosim.study.run import QUICK_LAWS
     from cosim.study.seeds import run_seeds
-    from hesr_model.artifacts import write_json
-    from hesr_model.support.typed_json import to_json
+    from hesr_model.support.typed_json import to_json, write_json
 
     with answer_file(json_file) as wanted:
         with shown_progress() as progress:

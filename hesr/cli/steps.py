@@ -78,12 +78,14 @@ def identify(
     from cosim.report.tables.laws import rigid_body as summary
     from cosim.study.health import told
     from cosim.workflow.arguments import examined, logs_of
-    from hesr_model.artifacts import provenance, read_model, read_rigid_body, write_rigid_body
+    from hesr_model.friction.model import FrictionModel
     from hesr_model.health.fit_checks import check_body
+    from hesr_model.rigid_body.identification import RigidBody
     from hesr_model.rigid_body.identification import identify as identify_rigid_body
     from hesr_model.rigid_body.payload import identify_payload, loaded
     from hesr_model.rigid_body.refinement import identify_again
     from hesr_model.robots.robot import RobotDescription, RobotModel
+    from hesr_model.support.provenance import provenance
     from hesr_model.support.typed_json import to_json
 
     if method not in ("stacked", "paper"):
@@ -106,12 +108,12 @@ def identify(
         progress("identifying", 0, 1)
         files = [robot, description.model, *logs, *counterparts]
         if payload is not None:
-            without = read_rigid_body(payload)
+            without = RigidBody.read(payload)
             carried = identify_payload([*forward, *backward], model, without)
             found = loaded(without, carried, model)
             source = provenance(files=[*files, payload], payload=carried.to_dict())
         elif friction is not None and rigid_body is not None:
-            law, body = read_model(friction), read_rigid_body(rigid_body)
+            law, body = FrictionModel.read(friction), RigidBody.read(rigid_body)
             found = identify_again(forward, model, body, law, reversed_logs=backward)
             source = provenance(files=[*files, friction, rigid_body])
         else:
@@ -126,7 +128,7 @@ def identify(
         impossible = list(check_body(found, model))
         findings += impossible
         source |= {"health": [to_json(finding) for finding in findings]}
-        write_rigid_body(output, found, source)
+        replace(found, provenance=source).write(output)
         told(impossible)
     if payload is not None:
         centre = ", ".join(f"{c:.4f}" for c in carried.centre_of_mass)
@@ -164,10 +166,10 @@ def fit(
     -o law.json --option 'search="paper"'
     """
     from cosim.study.health import told
-    from hesr_model.artifacts import newest, provenance, write_model
     from hesr_model.fitting.fit import fit_models
     from hesr_model.friction.registry import estimator
     from hesr_model.health.fit_checks import check_laws
+    from hesr_model.support.provenance import newest, provenance
     from hesr_model.support.typed_json import to_json
 
     estimator(law)
@@ -188,7 +190,7 @@ def fit(
             provenance=source,
             progress=partial(progress, f"fitting {law}"),
         )[law]
-    write_model(output, model)
+    model.write(output)
     told(check_laws({law: model}, records))
     _print_law(model)
     typer.echo(f"{law} for {', '.join(model.joints)}; written to {output}.")
@@ -214,8 +216,9 @@ def evaluate(
     from cosim.study.health import told
     from cosim.study.position_errors import simulate_laws
     from cosim.study.scores import compare, input_classes, predict_models
-    from hesr_model.artifacts import read_model, read_rigid_body
+    from hesr_model.friction.model import FrictionModel
     from hesr_model.health.fit_checks import check_owner
+    from hesr_model.rigid_body.identification import RigidBody
     from hesr_model.support.typed_json import to_json
 
     law_files = [file for file in files if file.suffix == ".json"]
@@ -223,7 +226,7 @@ def evaluate(
     if not law_files or not logs:
         missing = "friction model (.json)" if logs else "log"
         raise ConfigError(f"evaluate: no {missing} among the files; both kinds are needed.")
-    models = [read_model(file) for file in law_files]
+    models = [FrictionModel.read(file) for file in law_files]
     # By the law where that tells them apart, else by the file's name, else by its path.
     namings = [[m.law for m in models], [f.stem for f in law_files], [str(f) for f in law_files]]
     names = next((n for n in namings if len(set(n)) == len(n)), namings[-1])
@@ -236,7 +239,7 @@ def evaluate(
         predicted = predict_models(named, records, partial(progress, "evaluating"))
         scores = compare(records, predicted, inputs, named)
         progress("simulating", 0, 1)
-        simulated = simulate_laws(named, records, own, read_rigid_body(rigid_body))
+        simulated = simulate_laws(named, records, own, RigidBody.read(rigid_body))
     answer(json_file, to_json(scores) | {"simulation": simulated and to_json(simulated)})
     _print_scores("evaluation", scores, records, inputs)
     if simulated is not None:

@@ -30,12 +30,11 @@ def thermal(
     --rigid-body rigid_body.json -o warm_law.json
     """
     from cosim.workflow import commands
-    from hesr_model.artifacts import write_model
     from hesr_model.support.typed_json import to_json
 
     with working("fitting temperature"):
         model, found = commands.thermal(logs, law, rigid_body, robot, accept=accept or ())
-        write_model(output, model)
+        model.write(output)
     answer(json_file, [to_json(one) for one in found])
     for one in found:
         own = one.thermal

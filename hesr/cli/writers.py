@@ -93,9 +93,9 @@ def write_law(model: str, kind: Format, request: Request) -> None:
 
     def write() -> None:
         from cosim.workflow.commands import writer
-        from hesr_model.artifacts import read_model
+        from hesr_model.friction.model import FrictionModel
 
-        law = read_model(file)
+        law = FrictionModel.read(file)
         written = writer(kind)(law, request.output, **_options(law, kind, request))
         if kind is Format.MJCF:
             for line in written.lines():
@@ -117,9 +117,9 @@ def write_law(model: str, kind: Format, request: Request) -> None:
         write()
     if request.band:
         from cosim.systems.parameter_set import export_ssv
-        from hesr_model.artifacts import read_model
+        from hesr_model.friction.model import FrictionModel
 
-        export_ssv(read_model(file), request.output.with_suffix(".ssv"))
+        export_ssv(FrictionModel.read(file), request.output.with_suffix(".ssv"))
 
 
 def _options(model: "FrictionModel", kind: Format, request: Request) -> dict[str, Any]:

@@ -11,9 +11,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator
 
-from hesr_model.artifacts import read_json, write_json
 from hesr_model.audit.expectations import EXPECTATIONS
-from hesr_model.support.typed_json import from_json, to_json
+from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
 from hesr_model.units import unit_of_joint
 
 FORMAT = "hesr-friction-properties-1"

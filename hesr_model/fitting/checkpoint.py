@@ -11,7 +11,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from hesr_model.artifacts import read_model, write_model
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -38,7 +37,7 @@ def read_kept(path: Path) -> FrictionLaw | None:
     """Return the law that a run has left in a file; None where there is none that is whole."""
     if path.is_file():
         with suppress(ArtifactError):
-            return read_model(path).laws[0]
+            return FrictionModel.read(path).laws[0]
     return None
 
 
@@ -47,14 +46,11 @@ def keep(path: Path, law: FrictionLaw, record: FrictionRecord, sample_time: floa
 
     `hesr evaluate` reads it, should the run never end.
     """
-    write_model(
-        path,
-        FrictionModel(
-            law=law.name,
-            robot="robot",
-            joints=(record.joint,),
-            laws=(law,),
-            sliding=(record.sliding,),
-            sample_time=sample_time,
-        ),
-    )
+    FrictionModel(
+        law=law.name,
+        robot="robot",
+        joints=(record.joint,),
+        laws=(law,),
+        sliding=(record.sliding,),
+        sample_time=sample_time,
+    ).write(path)

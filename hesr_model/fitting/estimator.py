@@ -23,7 +23,7 @@ class Estimator(ABC):
 
     Attributes
     ----------
-    name : key in the registry and in artifacts.
+    name : key in the registry and in files of models.
     title : the name that people use.
     typical : a structure that its equations are shown with where none was found by a fit.
     needs : fields of a `FrictionRecord` that may be unknown, and that the law cannot do without.

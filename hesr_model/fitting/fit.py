@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hesr_model.artifacts import provenance as source_of
 from hesr_model.errors import FitError
 from hesr_model.fitting.calibration import with_band
 from hesr_model.fitting.checkpoint import keep, key_of, read_kept
@@ -25,6 +24,7 @@ from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
 from hesr_model.support import parallel
 from hesr_model.support.progress import Progress, into_file, silent, steps_told, watched
+from hesr_model.support.provenance import provenance as source_of
 from hesr_model.support.typed_json import to_json
 
 

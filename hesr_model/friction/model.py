@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import repeat
 from math import inf
-from typing import Any, overload
+from pathlib import Path
+from typing import Any, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +15,7 @@ from hesr_model.friction.band import LEVEL
 from hesr_model.friction.banded import predict_band
 from hesr_model.friction.equation import equations
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model_file import MODEL_FORMAT, JointEntry, ModelFile
 from hesr_model.friction.predict import predict_joints
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.thermal import Thermal
@@ -22,6 +24,8 @@ from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support import html
 from hesr_model.support.arrays import Array
+from hesr_model.support.files import PathArg, path_of
+from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
 from hesr_model.support.untrusted_text import require_printable
 from hesr_model.units import unit_of_joints
 
@@ -117,7 +121,7 @@ class FrictionModel:
         object.__setattr__(self, "laws", tuple(laws))
 
     def __repr__(self) -> str:
-        return f"FrictionModel('{self.law}' of '{self.robot}': {', '.join(self.joints)})"
+        return f"FrictionModel('{self.law}' of '{self.robot}', {len(self.joints)} joints)"
 
     def _repr_html_(self) -> str:
         errors = self.training_rmse or ("",) * len(self.joints)
@@ -127,6 +131,81 @@ class FrictionModel:
         )
         head = ("joint", "law", f"training RMSE [{unit_of_joints('N.m', self.sliding)}]")
         return html.table(f"Friction of '{self.robot}' by the law '{self.law}'", head, rows)
+
+    @classmethod
+    def read(cls, path: PathArg) -> Self:
+        """Read a friction model that `write` or `hesr fit` has written.
+
+        Raises
+        ------
+        ArtifactError
+            If the file cannot be read, or a key or value in it is missing or invalid.
+        """
+        path = path_of(path, "a friction model")
+        return cls.from_json(read_json(path, MODEL_FORMAT), path)
+
+    def write(self, path: PathArg) -> None:
+        """Write the model as JSON, with every digit of every number.
+
+        Raises
+        ------
+        ArtifactError
+            If the file cannot be written.
+        """
+        write_json(path_of(path, "a friction model"), self.to_json())
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any], path: Path) -> Self:
+        """Return the model of JSON data; error messages name `path`.
+
+        Raises
+        ------
+        ArtifactError
+            If a key or value is missing or invalid.
+        """
+        file = from_json(ModelFile, data, path, "a friction model")
+        joints = file.joints
+        try:
+            return cls(
+                law=file.law,
+                robot=file.robot,
+                joints=tuple(j.joint for j in joints),
+                laws=tuple(j.friction_law() for j in joints),
+                sliding=tuple(bool(j.sliding) for j in joints),
+                coupling=file.coupling,
+                sample_time=file.sample_time,
+                trained=tuple(j.trained for j in joints if j.trained),
+                training_rmse=tuple(j.training_rmse for j in joints if j.training_rmse is not None),
+                thermal=tuple(j.thermal for j in joints if j.thermal),
+                provenance=file.provenance,
+            )
+        except (TypeError, ValueError, AttributeError, KeyError) as error:
+            raise ArtifactError(f"{path}: not a friction model ({error}).") from error
+        except ArtifactError as error:
+            raise ArtifactError(f"{path}: {error}") from error
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the model as JSON data, the content of its file."""
+        unknown = (None,) * len(self.joints)
+        columns = {
+            "joint": self.joints,
+            "sliding": [slides or None for slides in self.slides],
+            "trained": self.trained or unknown,
+            "training_rmse": self.training_rmse or unknown,
+            "thermal": self.thermal or unknown,
+        }
+        file = ModelFile(
+            law=self.law,
+            robot=self.robot,
+            sample_time=self.sample_time,
+            joints=tuple(
+                JointEntry.of(law, **{name: column[k] for name, column in columns.items()})
+                for k, law in enumerate(self.laws)
+            ),
+            coupling=self.coupling,
+            provenance=self.provenance,
+        )
+        return {"format": MODEL_FORMAT, **to_json(file, sparse=True)}
 
     @property
     def slides(self) -> tuple[bool, ...]:

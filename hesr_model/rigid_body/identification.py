@@ -1,9 +1,9 @@
 """Rigid-body parameters from logs: base parameters, least squares, forward-reverse averaging."""
 
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -33,7 +33,10 @@ from hesr_model.rigid_body.observations import (
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support import html
 from hesr_model.support.arrays import Array, Integers, Mask
-from hesr_model.support.typed_json import Numbers
+from hesr_model.support.files import PathArg, path_of
+from hesr_model.support.typed_json import Numbers, from_json, read_json, to_json, write_json
+
+RIGID_BODY_FORMAT = "hesr-rigid-body-1"
 
 Method = Literal["stacked", "paper"]
 Weighting = Literal["wls", "ols"]
@@ -74,6 +77,7 @@ class RigidBody:
     logs : names of the logs.
     physical : whether the parameters are those of bodies of positive mass density.
     covariance : of the base parameters; None in results of earlier versions.
+    provenance : JSON data: input files with hashes, seed and versions.
     """
 
     robot: str
@@ -92,6 +96,29 @@ class RigidBody:
     weighting: Weighting
     physical: bool = False
     covariance: Covariance | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, path: PathArg) -> Self:
+        """Read a rigid body that `write` or `hesr identify` has written.
+
+        Raises
+        ------
+        ArtifactError
+            If the file cannot be read, or a key or value in it is missing or invalid.
+        """
+        path = path_of(path, "a rigid body")
+        return from_json(cls, read_json(path, RIGID_BODY_FORMAT), path, "a rigid body")
+
+    def write(self, path: PathArg) -> None:
+        """Write the rigid body as JSON, with every digit of every number.
+
+        Raises
+        ------
+        ArtifactError
+            If the file cannot be written.
+        """
+        write_json(path_of(path, "a rigid body"), {"format": RIGID_BODY_FORMAT, **to_json(self)})
 
     def __repr__(self) -> str:
         return (

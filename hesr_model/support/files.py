@@ -21,6 +21,9 @@ _LOCK = f"{_TEMPORARY}lock"
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """Errors of whoever writes; others may come from what a block reads."""
 
+PathArg = str | os.PathLike[str]
+"""A path argument of the public API."""
+
 _log = logging.getLogger(__name__)
 
 

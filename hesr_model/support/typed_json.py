@@ -1,10 +1,10 @@
-"""Data classes as JSON and back: their fields are the keys, their annotations say what is valid.
+"""JSON files, and data classes as JSON: fields are the keys, annotations validate the values.
 
-What differs from that, as a table of names, a class says itself with pydantic's validators and
-serialisers.
+A class whose JSON form differs has pydantic validators and serialisers.
 """
 
 import json
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -14,6 +14,8 @@ from pydantic import PlainSerializer, PlainValidator, TypeAdapter, ValidationErr
 
 from hesr_model.errors import ArtifactError
 from hesr_model.support.arrays import Array
+from hesr_model.support.files import written_whole
+from hesr_model.support.untrusted_text import parse_json, read_text
 
 Kind = TypeVar("Kind")
 
@@ -35,6 +37,37 @@ Numbers = Annotated[Array, PlainValidator(_array), PlainSerializer(np.ndarray.to
 """An array of any shape, as lists."""
 NumbersWithGaps = Annotated[Array, PlainValidator(_array), PlainSerializer(_with_gaps)]
 """The same, null where a number is not finite; it comes back as NaN."""
+
+
+def write_json(path: Path, data: Mapping[str, Any], *, indent: int | None = 2) -> None:
+    """Write JSON data whole or not at all, with every digit of every number."""
+    text = json.dumps(data, indent=indent, allow_nan=False)
+    with written_whole(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def read_json(path: Path, expected_format: str | None = None) -> Any:
+    """Read a JSON object and return its entries without 'format'.
+
+    Raises
+    ------
+    ArtifactError
+        If the file is missing, is not a JSON object, or its format is not the expected one.
+    """
+    try:
+        data = parse_json(read_text(path))
+    except FileNotFoundError as error:
+        raise ArtifactError(f"{path}: no such file.") from error
+    except (OSError, ValueError) as error:
+        raise ArtifactError(f"{path}: not a readable JSON file ({error}).") from error
+    if expected_format is None:
+        if not isinstance(data, dict):
+            raise ArtifactError(f"{path}: not a readable JSON file (it holds no keys).")
+        return data
+    found = data.pop("format", None) if isinstance(data, dict) else None
+    if found != expected_format:
+        raise ArtifactError(f"{path}: 'format' is {found!r}, needed is '{expected_format}'.")
+    return data
 
 
 @cache

@@ -4,14 +4,14 @@ import sympy
 from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
 
 from fmu_src import model_file
-from hesr_model.artifacts import read_model
 from hesr_model.friction.inputs import INPUTS
+from hesr_model.friction.model import FrictionModel
 
 
 class LoweredFriction(Fmi2Slave):
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
-        model = read_model(model_file("uf850-table1"))
+        model = FrictionModel.read(model_file("uf850-table1"))
         self.laws = [lowered(law) for law in model.laws]
         self.h, self.dq, self.tau = [0.0] * 3, [0.0] * 3, [0.0] * 3
         for i, _ in enumerate(model.laws, start=1):

@@ -3,14 +3,14 @@
 from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
 
 from fmu_src import model_file
-from hesr_model.artifacts import read_model
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import Stepper
 
 
 class PythonFriction(Fmi2Slave):
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
-        model = read_model(model_file("uf850-table1"))
+        model = FrictionModel.read(model_file("uf850-table1"))
         self.laws = [Stepper(law) for law in model.laws]
         self.dq, self.tau = [0.0] * 3, [0.0] * 3
         for i, _ in enumerate(model.laws, start=1):

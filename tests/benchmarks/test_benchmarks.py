@@ -17,9 +17,9 @@ from threadpoolctl import threadpool_limits
 
 from fmu_src import model_file
 from fmu_src.equations.c_functions import Functions
-from hesr_model.artifacts import read_model
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.fitting.samples import Samples
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import estimator
 from hesr_model.laws.parfam import paper, refine
@@ -50,7 +50,7 @@ print(json.dumps({
 @pytest.fixture(scope="module")
 def data() -> FrictionRecord:
     """Twenty seconds of joint 1 of Table I along a sweep, with the noise of its torque sensor."""
-    law = read_model(model_file("uf850-table1")).laws[0]
+    law = FrictionModel.read(model_file("uf850-table1")).laws[0]
     t = STEP * np.arange(ROWS)
     dq = (0.75 + 0.45 * np.sin(2.0 * np.pi * t / 7.0)) * np.sin(
         2.0 * np.pi * (0.1 * t + 0.35 * t**2 / (2.0 * t[-1]))
@@ -140,7 +140,7 @@ def test_lowering_of_the_largest_networks(
 
 
 def test_prediction_over_a_log(benchmark: BenchmarkFixture, data: FrictionRecord) -> None:
-    law = read_model(model_file("uf850-table1")).laws[0]
+    law = FrictionModel.read(model_file("uf850-table1")).laws[0]
     torque = benchmark(predict, law, t=data.t, dq=data.dq)
     assert torque.shape == (ROWS,)
 

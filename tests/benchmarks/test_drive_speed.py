@@ -13,7 +13,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from fmu_src import model_file
 from fmu_src.drive.drive_fmu import export_drive
-from hesr_model.artifacts import read_model
+from hesr_model.friction.model import FrictionModel
 
 INERTIA = [3.0, 3.0, 0.6]
 TORQUE = 25.0  # [N.m], more than holds any of the joints
@@ -31,7 +31,7 @@ def test_step_in_a_c_host(
     tell: Callable[[str], None],
 ) -> None:  # fmt: skip
     """Aim: 1 us for three joints of ParFam-H, each step one inner step, through 80 reversals."""
-    model = read_model(model_file("uf850-table1"))
+    model = FrictionModel.read(model_file("uf850-table1"))
     laws = tuple(replace(law, discretisation=discretisation) for law in model.laws)
     path = export_drive(replace(model, laws=laws), tmp_path / "Drive.fmu", inertia=INERTIA)
     about = read_model_description(str(path))

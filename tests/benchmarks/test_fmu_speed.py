@@ -21,7 +21,6 @@ from fmu_src import export_fmu, model_file
 from fmu_src.run import native
 from fmu_src.run.fmu import Component
 from fmu_src.run.replay import replay
-from hesr_model.artifacts import read_model
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord
@@ -32,7 +31,7 @@ Tell = Callable[[str], None]
 
 @pytest.fixture(scope="module")
 def model() -> FrictionModel:
-    return read_model(model_file("uf850-table1"))
+    return FrictionModel.read(model_file("uf850-table1"))
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
 from fmu_src import model_file
 from fmu_src.arm.python_fmu import export_python_arm
-from hesr_model.artifacts import read_model
+from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import models_folder
 
 Tell = Callable[[str], None]
@@ -33,7 +33,7 @@ SCHEMES = {
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    return build(tmp_path_factory.mktemp("loop"), read_model(model_file("uf850-table1")))
+    return build(tmp_path_factory.mktemp("loop"), FrictionModel.read(model_file("uf850-table1")))
 
 
 def least(work: Callable[[], object], rounds: int = 5) -> float:

@@ -10,7 +10,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from fmu_src import export_fmu, model_file
-from hesr_model.artifacts import read_model
+from hesr_model.friction.model import FrictionModel
 
 ROWS, JOINTS = 6000, 6
 
@@ -19,7 +19,7 @@ ROWS, JOINTS = 6000, 6
 def test_a_dropped_log(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
     """From the choice of the file to the drawn loops."""
     playwright = pytest.importorskip("playwright.sync_api")
-    model = read_model(model_file("uf850-table1"))
+    model = FrictionModel.read(model_file("uf850-table1"))
     model = replace(
         model, joints=tuple(f"J{k}" for k in range(JOINTS)), laws=(model.laws * 2)[:JOINTS]
     )

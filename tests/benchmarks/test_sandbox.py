@@ -20,14 +20,14 @@ from fmu_src import model_file
 from fmu_src.run import trust as exported
 from fmu_src.run.archive import Archive
 from fmu_src.run.fmu import Component
-from hesr_model.artifacts import read_model
+from hesr_model.friction.model import FrictionModel
 
 Tell = Callable[[str], None]
 
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    return build(tmp_path_factory.mktemp("loop"), read_model(model_file("uf850-table1")))
+    return build(tmp_path_factory.mktemp("loop"), FrictionModel.read(model_file("uf850-table1")))
 
 
 def recognise(fmus: list[Path]) -> None:

@@ -22,7 +22,7 @@ from cosim.systems.system import SystemSpec
 from cosim.systems.system_file import write_system
 from fmu_src import model_file
 from hesr.extras.sweep.run import run_sweep
-from hesr_model.artifacts import read_model
+from hesr_model.friction.model import FrictionModel
 
 Tell = Callable[[str], None]
 
@@ -82,7 +82,7 @@ def largest_process() -> Iterator[list[int]]:
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    return build(tmp_path_factory.mktemp("loop"), read_model(model_file("uf850-table1")))
+    return build(tmp_path_factory.mktemp("loop"), FrictionModel.read(model_file("uf850-table1")))
 
 
 @pytest.fixture(scope="module")

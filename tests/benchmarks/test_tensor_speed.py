@@ -8,7 +8,6 @@ import pytest
 
 from fmu_src import model_file
 from hesr.extras.one_file.tensors import export_jax, export_torch
-from hesr_model.artifacts import read_model
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
@@ -71,7 +70,7 @@ def rippling() -> FrictionModel:
     )
 
 
-MODELS = {"Table I": lambda: read_model(model_file("uf850-table1")), "ripple": rippling}
+MODELS = {"Table I": lambda: FrictionModel.read(model_file("uf850-table1")), "ripple": rippling}
 
 
 @pytest.mark.parametrize("law", MODELS)

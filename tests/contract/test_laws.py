@@ -20,7 +20,6 @@ from threadpoolctl import threadpool_limits
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run.fmu import Component
 from fmu_src.run.replay import replay
-from hesr_model.artifacts import read_model, write_model
 from hesr_model.equations.kernel import in_numpy
 from hesr_model.equations.rows import RUNS
 from hesr_model.errors import ArtifactError, HesrError
@@ -292,8 +291,8 @@ def test_a_law_is_finite_at_rest_and_beyond_the_trained_speeds(law: FrictionLaw)
 
 def test_a_law_survives_its_file(law: FrictionLaw, tmp_path: Path) -> None:
     model = model_of(law)
-    write_model(tmp_path / "law.json", model)
-    found = read_model(tmp_path / "law.json")
+    model.write(tmp_path / "law.json")
+    found = FrictionModel.read(tmp_path / "law.json")
     assert found == model
     np.testing.assert_array_equal(torque(found.laws[0], unseen()), torque(law, unseen()))
 

@@ -26,7 +26,6 @@ from hesr.extras.leaderboard.entry import Entry, tried
 from hesr.extras.leaderboard.leaderboard import Leaderboard, run_arena
 from hesr.extras.leaderboard.page import write_page
 from hesr.extras.leaderboard.score import Judge
-from hesr_model.artifacts import write_rigid_body
 from hesr_model.errors import ConfigError, HesrError, SimulationError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
@@ -69,7 +68,7 @@ def lay(folder: Path) -> None:
     model = RobotModel(RobotDescription.read(TWIN / "robot.toml"))
     training = RobotLog.read(logs["excitation"], model.description)
     body = identify([training], model)
-    write_rigid_body(folder / "body.json", body, {})
+    body.write(folder / "body.json")
     law = fit("stribeck", friction_records(training, model, body), robot="uf850")
     export_fmu(law, folder / "stribeck.fmu")
     FmuBuilder.build_FMU(Path(__file__).with_name("coulomb_slave.py"), dest=folder)

@@ -22,8 +22,8 @@ from cosim.loop.excite import excite
 from cosim.loop.motions import Motions
 from fmu_src import export_fmu, model_file
 from fmu_src.arm.plant import Plant
-from hesr_model.artifacts import read_model, write_model, write_rigid_body
 from hesr_model.fitting.fit import fit_models
+from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import friction_records
@@ -85,10 +85,10 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     model = RobotModel(description)
     read = {name: RobotLog.read(path, description) for name, path in logs.items()}
     body = identify([read["excitation"]], model, reversed_logs=[read["excitation_reversed"]])
-    write_rigid_body(folder / "body.json", body, {})
+    body.write(folder / "body.json")
     records = [[r] for r in friction_records(read["sweep"], model, body)]
     fitted = fit_models(["stribeck"], records, robot="uf850", seed=0, workers=1)["stribeck"]
-    write_model(folder / "law.json", fitted)
+    fitted.write(folder / "law.json")
     return Bench(
         folder=folder,
         robot=robot,
@@ -791,7 +791,7 @@ def test_files_that_are_no_fmus(bench: Bench, refused: Callable[..., str], tmp_p
 def test_an_fmu_for_another_number_of_joints(
     bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
-    whole = read_model(model_file("uf850-table1"))
+    whole = FrictionModel.read(model_file("uf850-table1"))
     model = replace(
         whole, joints=whole.joints[:2], laws=whole.laws[:2], trained=whole.trained[:2]
     )  # fmt: skip

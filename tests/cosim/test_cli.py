@@ -11,9 +11,10 @@ import pytest
 from fmpy.validation import validate_fmu
 from small_study import Hesr, Run, contents, hesr_here, uf850
 
-from hesr_model.artifacts import read_model, read_rigid_body
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
 from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.files import sha256
 
@@ -99,7 +100,7 @@ def test_run_writes_valid_fmus(ran: Run) -> None:
 
 
 def test_results_say_where_they_come_from(ran: Run) -> None:
-    source = read_model(ran.law("parfam_h")).provenance
+    source = FrictionModel.read(ran.law("parfam_h")).provenance
     assert source["seed"] == 3
     hashes = {entry["name"]: entry["sha256"] for entry in source["files"]}
     assert hashes["sweep.csv"] == sha256(ran.log("sweep"))
@@ -154,7 +155,7 @@ def test_identify_gives_the_rigid_body_of_the_run(ran: Run, tmp_path: Path, hesr
     assert answer.code == 0, answer.err
     assert "16 base parameters of 33" in answer.out
     assert str(output) in answer.out
-    found, expected = read_rigid_body(output), read_rigid_body(ran.rigid_body)
+    found, expected = RigidBody.read(output), RigidBody.read(ran.rigid_body)
     np.testing.assert_array_equal(found.parameters, expected.parameters)
 
 
@@ -165,7 +166,7 @@ def test_identify_by_the_papers_method(ran: Run, tmp_path: Path, hesr: Hesr) -> 
         *("--reversed", ran.log("excitation_reversed")),
     )
     assert answer.code == 0, answer.err
-    assert read_rigid_body(output).method == "paper"
+    assert RigidBody.read(output).method == "paper"
 
 
 def test_fit_gives_the_law_of_the_run(ran: Run, tmp_path: Path, hesr: Hesr) -> None:
@@ -175,7 +176,7 @@ def test_fit_gives_the_law_of_the_run(ran: Run, tmp_path: Path, hesr: Hesr) -> N
     )
     assert answer.code == 0, answer.err
     assert "stribeck for joint1, joint2, joint3" in answer.out
-    assert read_model(output).laws == read_model(ran.law("stribeck")).laws
+    assert FrictionModel.read(output).laws == FrictionModel.read(ran.law("stribeck")).laws
 
 
 def test_evaluate_agrees_with_the_fmus_of_the_run(ran: Run, tmp_path: Path, hesr: Hesr) -> None:

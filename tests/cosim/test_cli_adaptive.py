@@ -11,8 +11,8 @@ from small_study import Run, hesr_here, uf850
 
 from cosim.workflow.commands import fit
 from hesr.extras.adaptive.tuning import TUNING
-from hesr_model.artifacts import read_model, write_model
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.lugre import LuGre
 from hesr_model.logs.robot_log import RobotLog
 
@@ -23,7 +23,7 @@ def test_an_adaptive_fmu(tmp_path: Path, capsys, monkeypatch) -> None:
     values = {"sigma_0": 4e4, "sigma_1": 0.0, "sigma_2": 14.0, "F_c": 12.0, "F_s": 14.0,
               "v_s": 0.1, "tau_0": 0.3}  # fmt: skip
     own = FrictionLaw(name="lugre", form=LuGre.form({}), values=values)
-    write_model(law, replace(model_of(own), law="lugre"))
+    replace(model_of(own), law="lugre").write(law)
     for more, sentence in (
         (
             ("--power",),
@@ -41,7 +41,7 @@ def test_an_adaptive_fmu(tmp_path: Path, capsys, monkeypatch) -> None:
 def test_temperature_is_found_in_logs(study_run: Run, tmp_path: Path, capsys, monkeypatch) -> None:
     hesr = hesr_here(capsys, monkeypatch)
     robot, body, law = uf850("robot.toml"), study_run.rigid_body, tmp_path / "law.json"
-    write_model(law, fit("lugre", study_run.log("sweep"), robot, body))
+    fit("lugre", study_run.log("sweep"), robot, body).write(law)
     log, out, found = tmp_path / "warm.csv", tmp_path / "warm.json", tmp_path / "found.json"
     cold = RobotLog.read(study_run.log("sweep"), robot)
     options = ("--law", law, "--robot", robot, "--rigid-body", body, "-o", out, "--json", found)
@@ -57,7 +57,7 @@ def test_temperature_is_found_in_logs(study_run: Run, tmp_path: Path, capsys, mo
     for joint in json.loads(found.read_text(encoding="utf-8")):
         thermal = joint["thermal"]
         assert abs(thermal["viscous"]) < 0.005 + 4.0 * joint["viscous_error"]
-    assert len(read_model(out).thermal) == 3
+    assert len(FrictionModel.read(out).thermal) == 3
     assert "Coulomb friction falls by" in answer.out
     the_law_and_its_fmu_follow_the_thermometer(hesr, law, out, log, body)
 
@@ -95,7 +95,7 @@ def test_friction_is_monitored_over_logs(
     page, found, law = tmp_path / "page.html", tmp_path / "found.json", tmp_path / "law.json"
     sweep, body = study_run.log("sweep"), study_run.rigid_body
     model = fit("lugre", sweep, uf850("robot.toml"), body)
-    write_model(law, model)
+    model.write(law)
     answer = hesr(
         *("monitor", sweep, study_run.log("trial"), "--law", law, "--robot", uf850("robot.toml")),
         *("--rigid-body", body, "-o", page, "--json", found),

@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 from small_study import Hesr, hesr_here
 
-from hesr_model.artifacts import write_model
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
@@ -36,7 +35,7 @@ def test_a_law_of_stops_is_proven(hesr: Hesr, tmp_path: Path) -> None:
     model = FrictionModel(
         law="parfam_s", robot="bench", joints=("j1",), laws=(law,), sample_time=0.01
     )
-    write_model(tmp_path / "law.json", model)
+    model.write(tmp_path / "law.json")
     said = " ".join(hesr("audit", tmp_path / "law.json").out.split())
     assert "j1: passive, proven at any step: S = 3e-05 x_1^2; F(x_1) = 2 >= 0" in said
 

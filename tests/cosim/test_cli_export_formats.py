@@ -10,7 +10,6 @@ from cosim.properties.battery import Subject, measure
 from fmu_src import model_file
 from fmu_src.pages.properties_sheet import section
 from fmu_src.run.fmu import Component
-from hesr_model.artifacts import read_model, write_model
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.lugre import LuGre
@@ -87,7 +86,7 @@ def test_properties_stand_in_the_pages_of_the_fmu(hesr, tmp_path):
     assert answer.code == 0, answer.err
     with ZipFile(fmu) as archive:
         page = archive.read("documentation/index.html").decode()
-    found = measure(Subject(name=TABLE_1, model=read_model(model_file(TABLE_1))))
+    found = measure(Subject(name=TABLE_1, model=FrictionModel.read(model_file(TABLE_1))))
     assert section(found) in page
 
 
@@ -144,8 +143,8 @@ def test_the_body_in_the_page_of_an_fmu(hesr, study_run, tmp_path, monkeypatch):
     robot, body = uf850("robot.toml"), study_run.rigid_body
     given = ("--robot", robot, "--rigid-body", body)
     monkeypatch.chdir(tmp_path)
-    others = replace(read_model(model_file(TABLE_1)), joints=("hip", "knee", "ankle"))
-    write_model(tmp_path / "others.json", others)
+    others = replace(FrictionModel.read(model_file(TABLE_1)), joints=("hip", "knee", "ankle"))
+    others.write(tmp_path / "others.json")
     answer = hesr("export", "others.json", *given, "-o", "F.fmu")
     assert answer.code == 2
     assert answer.err == (
@@ -201,7 +200,7 @@ def test_a_law_that_divides_by_zero(hesr, tmp_path, monkeypatch, arguments):
         law="lugre", robot="bench", joints=("hip",), laws=(law,), sample_time=0.005
     )
     monkeypatch.chdir(tmp_path)
-    write_model(tmp_path / "law.json", model)
+    model.write(tmp_path / "law.json")
     answer = hesr("export", "law.json", *arguments)
     assert answer.code == 2
     assert answer.err == (

@@ -12,7 +12,7 @@ from small_twin import MOTIONS
 from cosim.loop.excite import excite
 from cosim.loop.motions import Motions
 from fmu_src.arm.plant import Plant
-from hesr_model.artifacts import read_rigid_body
+from hesr_model.rigid_body.identification import RigidBody
 
 ROBOT = uf850("robot.toml")
 
@@ -60,7 +60,7 @@ def test_a_physical_body_says_that_it_is_one(
     output = tmp_path / "body.json"
     answer = hesr("identify", logs["excitation"], "--robot", ROBOT, "--physical", "-o", output)
     assert answer.code == 0, answer.err
-    assert read_rigid_body(output).physical
+    assert RigidBody.read(output).physical
 
 
 def test_a_body_is_refined_with_the_friction_that_was_fitted(
@@ -77,7 +77,7 @@ def test_a_body_is_refined_with_the_friction_that_was_fitted(
     for run in runs:
         answer = hesr(*run)
         assert answer.code == 0, answer.err
-    before, after = read_rigid_body(first), read_rigid_body(second)
+    before, after = RigidBody.read(first), RigidBody.read(second)
     assert np.all(np.abs(after.friction[:, 0]) < np.abs(before.friction[:, 0]))
     names = [file["name"] for file in json.loads(second.read_text())["provenance"]["files"]]
     assert {"law.json", "first.json"} <= set(names)

@@ -17,8 +17,8 @@ from fmu_src.friction.embedded_model import EMBEDDED_MODEL
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import SETTINGS, torques
 from fmu_src.run.replay import replay
-from hesr_model.artifacts import read_model
 from hesr_model.errors import HesrError, SimulationError
+from hesr_model.friction.model import FrictionModel
 from hesr_model.support.typed_json import to_json
 
 BEST_FIRST = ("direct", "linear", "hold")
@@ -47,7 +47,7 @@ def test_table_1_pays_for_held_inputs(friction_fmu: Path) -> None:
 
 
 def test_the_fmu_does_what_its_law_says_of_each_setting(friction_fmu: Path) -> None:
-    model = read_model(model_file("uf850-table1"))
+    model = FrictionModel.read(model_file("uf850-table1"))
     motion = reference_motion(model, frequency=0.8, periods=2.0, phase=0.4)
     for setting in SETTINGS:
         expected = torques(model, motion, setting)
@@ -60,7 +60,7 @@ def test_the_fmu_does_what_its_law_says_of_each_setting(friction_fmu: Path) -> N
 
 
 def test_the_direct_setting_is_the_replay_of_a_log(friction_fmu: Path) -> None:
-    motion = reference_motion(read_model(model_file("uf850-table1")), periods=1.0)
+    motion = reference_motion(FrictionModel.read(model_file("uf850-table1")), periods=1.0)
     np.testing.assert_array_equal(
         run(friction_fmu, motion, "direct"),
         replay(friction_fmu, motion.t, motion.dq, motion.q, motion.tau_load),
@@ -84,7 +84,7 @@ def test_an_fmu_without_a_model_is_refused(friction_fmu: Path, tmp_path: Path) -
 
 @pytest.fixture(scope="module")
 def drive_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    model = read_model(model_file("uf850-table1"))
+    model = FrictionModel.read(model_file("uf850-table1"))
     return export_drive(model, tmp_path_factory.mktemp("drive") / "Drive.fmu", inertia=[3.0] * 3)
 
 

@@ -24,7 +24,6 @@ from cosim.workflow.commands import fit as fit_to
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr.extras.thermal.thermal_fit import fit_thermal
-from hesr_model.artifacts import read_rigid_body
 from hesr_model.errors import ConfigError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.law import FrictionLaw
@@ -34,7 +33,7 @@ from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.lugre import LuGre
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.motions.trajectories import Fourier, random_fourier
-from hesr_model.rigid_body.identification import identify
+from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.typed_json import to_json
@@ -133,7 +132,7 @@ def fitted(study_run: Run, tmp_path_factory: pytest.TempPathFactory) -> Drifting
     model = fit_to(
         "parfam_s_load", study_run.log("sweep"), uf850("robot.toml"), study_run.rigid_body
     )
-    body = np.array(read_rigid_body(study_run.rigid_body).parameters)
+    body = np.array(RigidBody.read(study_run.rigid_body).parameters)
     return loop_of(tmp_path_factory.mktemp("fitted"), model, body)
 
 

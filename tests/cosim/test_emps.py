@@ -11,7 +11,6 @@ from small_study import Hesr, hesr_here
 from cosim.study.steps import Job
 from cosim.study.study import Study
 from fmu_src.run.replay import replay
-from hesr_model.artifacts import read_model, read_rigid_body
 from hesr_model.fitting.fit import fit
 from hesr_model.forward.output_error import MOST_TORQUE, Refined, refine
 from hesr_model.forward.simulation import Simulator, position_errors
@@ -164,7 +163,7 @@ def test_the_command_line_goes_the_whole_way(
     assert free <= MOST
     log = RobotLog.read(pulses, RobotDescription.read(folder / "robot.toml"))
     model = RobotModel(RobotDescription.read(folder / "robot.toml"))
-    (record,) = friction_records(log, model, read_rigid_body(body))
+    (record,) = friction_records(log, model, RigidBody.read(body))
     torque = replay(fmu, record.t, record.dq[:, None])
-    expected = read_model(law).predict(t=record.t, dq=record.dq[:, None])
+    expected = FrictionModel.read(law).predict(t=record.t, dq=record.dq[:, None])
     np.testing.assert_allclose(torque, expected, rtol=1e-9, atol=1e-9)

@@ -26,7 +26,6 @@ from hesr.extras.fleet.robot import look_at, read_result
 from hesr.extras.fleet.run import run_fleet
 from hesr.extras.fleet.study import FleetStudy, members
 from hesr.extras.fleet.types import write_types
-from hesr_model.artifacts import read_model, read_rigid_body, write_model
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
@@ -34,7 +33,7 @@ from hesr_model.inference.deviation import Trend
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.sample import Sample
 from hesr_model.logs.signals import smooth
-from hesr_model.rigid_body.identification import identify
+from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import motion_records
 from hesr_model.robots.robot import RobotDescription, RobotModel
 
@@ -88,7 +87,7 @@ def logs_of(cell: Path, robot: str) -> tuple[RobotModel, list[RobotLog]]:
 
 def test_the_rigid_body_is_that_of_all_logs_at_once(cell: Path) -> None:
     model, logs = logs_of(cell, "R0")
-    found, batch = read_rigid_body(cell / "out/robots/R0/rigid_body.json"), identify(logs, model)
+    found, batch = RigidBody.read(cell / "out/robots/R0/rigid_body.json"), identify(logs, model)
     scale = np.abs(batch.parameters).max()
     np.testing.assert_allclose(found.parameters, batch.parameters, rtol=1e-8, atol=1e-9 * scale)
     np.testing.assert_allclose(found.rmse, batch.rmse, rtol=1e-9)
@@ -103,7 +102,7 @@ def test_laws_of_all_rows_are_those_of_hesr_fit(cell: Path) -> None:
     folder = cell / "out" / "robots" / "R1"
     robot = cell / "robot.toml"
     fitted = hesr.fit("stribeck", logs, robot, folder / "rigid_body.json")
-    found = read_model(folder / "stribeck.json")
+    found = FrictionModel.read(folder / "stribeck.json")
     assert found.laws[0].values == fitted.laws[0].values
     assert found.training_rmse == fitted.training_rmse
     assert found.trained == fitted.trained
@@ -115,13 +114,13 @@ def test_laws_of_a_sample_are_those_of_hesr_fit_on_the_same(copied: Path, tmp_pa
     study = FleetStudy.read(file)
     look_at(members(study, file)[0], study, tmp_path / "R0")
     model, logs = logs_of(copied, "R0")
-    body = read_rigid_body(tmp_path / "R0" / "rigid_body.json")
+    body = RigidBody.read(tmp_path / "R0" / "rigid_body.json")
     sample = Sample(1500, 0)
     for log in logs:
         sample.add(smooth(log))
     records = [motion_records(motion, model, body) for motion in sample.motions()]
     assert 1000 < sum(len(of[0].t) for of in records) <= 1500
-    found = read_model(tmp_path / "R0" / "stribeck.json")
+    found = FrictionModel.read(tmp_path / "R0" / "stribeck.json")
     assert found.laws[0].values == fit("stribeck", *records).laws[0].values
     # The rigid body is still that of all rows, and so are the errors.
     assert body.rows == 5005
@@ -309,7 +308,7 @@ def test_one_fmu_and_a_parameter_set_each(table1: FrictionModel, tmp_path: Path)
             for law in table1.laws
         ]
         model = replace(table1, laws=tuple(laws))
-        write_model(tmp_path / "robots" / name / "parfam_h.json", model)
+        model.write(tmp_path / "robots" / name / "parfam_h.json")
         export_ssv(model, tmp_path / "robots" / name / "parfam_h.ssv")
         joints = tuple(
             JointResult(
@@ -329,7 +328,7 @@ def test_one_fmu_and_a_parameter_set_each(table1: FrictionModel, tmp_path: Path)
     start = {
         str(p.get("name")): float(p[0].get("value", "nan")) for p in root.findall(".//{*}Parameter")
     }
-    model = read_model(tmp_path / "robots" / "A" / "parfam_h.json")
+    model = FrictionModel.read(tmp_path / "robots" / "A" / "parfam_h.json")
     t = np.arange(200) * 0.005
     dq = 0.3 * np.sin(4.0 * t)[:, None] * np.ones(len(model.joints))
     expected = model.predict(t=t, dq=dq)

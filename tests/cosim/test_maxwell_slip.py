@@ -13,7 +13,6 @@ from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.run.fmu import Component
 from fmu_src.run.replay import replay
 from hesr.extras.modelica.modelica_package import export_modelica
-from hesr_model.artifacts import read_model, write_model
 from hesr_model.fitting import estimator
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -81,8 +80,8 @@ def test_it_is_fitted(maxwell_slip: type[estimator.Estimator], model: FrictionMo
 
 
 def test_it_is_read_back(model: FrictionModel, tmp_path: Path) -> None:
-    write_model(tmp_path / "law.json", model)
-    assert read_model(tmp_path / "law.json").laws == model.laws
+    model.write(tmp_path / "law.json")
+    assert FrictionModel.read(tmp_path / "law.json").laws == model.laws
 
 
 def test_its_fmu_is_it(model: FrictionModel, fmu: Path) -> None:

@@ -10,8 +10,8 @@ from small_study import Hesr, contents, hesr_here, uf850
 
 from cosim.study.starter import start
 from cosim.study.study import Study
-from hesr_model.artifacts import read_model
 from hesr_model.errors import ConfigError, RobotError
+from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.identification import identify
 from hesr_model.robots.robot import RobotDescription, RobotModel
@@ -94,7 +94,7 @@ def test_what_is_laid_runs_at_once_and_again_with_own_logs(
     assert answer.code == 0, answer.err
     assert "LuGre" in answer.out
     assert "results/my_arm/fmus/parfam_h.fmu" in answer.out
-    before = read_model(Path("results/my_arm/laws/lugre.json"))
+    before = FrictionModel.read(Path("results/my_arm/laws/lugre.json"))
     assert "Sample data, not measured" in Path("results/my_arm/report.html").read_text("utf-8")
 
     # The newcomer's own logs, of another friction and at another rate, and another choice of laws.
@@ -108,7 +108,7 @@ def test_what_is_laid_runs_at_once_and_again_with_own_logs(
     assert answer.code == 0, answer.err
     assert "Stribeck" not in answer.out
     assert "The logs were measured" in Path("results/my_arm/report.html").read_text("utf-8")
-    after = read_model(Path("results/my_arm/laws/lugre.json"))
+    after = FrictionModel.read(Path("results/my_arm/laws/lugre.json"))
     recorded = {f["name"]: f["sha256"] for f in after.provenance["files"]}
     assert recorded["sample_training.csv"] == sha256(Path("my_arm/logs/sample_training.csv"))
     assert after.laws[0].values["F_c"] == pytest.approx(3.0, rel=0.1)  # of the own log, see below

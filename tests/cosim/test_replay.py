@@ -5,8 +5,8 @@ import pytest
 
 from fmu_src import model_file
 from fmu_src.run.replay import replay
-from hesr_model.artifacts import read_model
 from hesr_model.errors import SimulationError
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 
 
@@ -19,7 +19,7 @@ def log():
 def test_replay_equals_the_prediction_of_the_model(friction_fmu, log):
     t, dq = log
     torque = replay(friction_fmu, t, dq)
-    for i, law in enumerate(read_model(model_file("uf850-table1")).laws):
+    for i, law in enumerate(FrictionModel.read(model_file("uf850-table1")).laws):
         expected = predict(law, t=t, dq=dq[:, i])
         assert np.abs(torque[:, i] - expected).max() <= 1e-12 * np.abs(expected).max()
 

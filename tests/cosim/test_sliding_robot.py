@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_study import Hesr, hesr_here
 
-from hesr_model.artifacts import read_model
+from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.tables import read_table
 
 LIFT = """
@@ -79,7 +79,7 @@ def test_from_a_log_to_an_arm_and_its_friction(tmp_path: Path, hesr: Hesr) -> No
     assert " N.m.s/rad" not in lift
     assert " N.m.s/rad" in arm
     assert "Slope dtau/ddq at rest [N.m.s/rad (N.s/m where it slides)]" in " ".join(said.split())
-    assert read_model(law).sliding == (True, False)
+    assert FrictionModel.read(law).sliding == (True, False)
     said = done("evaluate", training, law, *given)
     assert "predicted torque [N.m (N where it slides)] over all rows" in " ".join(said.split())
 

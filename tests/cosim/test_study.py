@@ -13,9 +13,10 @@ from cosim.study.run import QUICK_LAWS, Outcome, run_study
 from cosim.study.scores import ORACLE
 from cosim.study.steps import Job
 from cosim.study.study import Study
-from hesr_model.artifacts import read_model, read_rigid_body
 from hesr_model.errors import ConfigError
+from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import RobotLog
+from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support.files import models_folder
 from hesr_model.support.typed_json import to_json
@@ -253,7 +254,7 @@ def test_variants_are_rows_like_laws(outcome: Outcome) -> None:
     folder = outcome.fmus["hx"].parents[1]
     for row, fmu in outcome.fmus.items():
         assert fmu.is_file()
-        assert read_model(folder / "laws" / f"{row}.json") == outcome.models[row]
+        assert FrictionModel.read(folder / "laws" / f"{row}.json") == outcome.models[row]
 
 
 def test_variants_have_their_options(outcome: Outcome) -> None:
@@ -288,7 +289,7 @@ def test_bands_are_scored_beside_the_whole(outcome: Outcome) -> None:
 def test_the_rigid_body_is_the_refined_one(outcome: Outcome, tmp_path: Path) -> None:
     """Its residual is the noise of the arm and little more."""
     folder = outcome.fmus["hx"].parents[1]
-    written = read_rigid_body(folder / "rigid_body.json")
+    written = RigidBody.read(folder / "rigid_body.json")
     np.testing.assert_array_equal(written.parameters, outcome.rigid_body.parameters)
     path = tiny(tmp_path)
     study = Study.read(path).model_copy(update={"refinement": None})

@@ -29,8 +29,8 @@ from fmu_src import export_fmu, model_file
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
-from hesr_model.artifacts import read_model
 from hesr_model.errors import ConfigError
+from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.files import models_folder
@@ -67,7 +67,7 @@ def loop(tmp_path_factory: pytest.TempPathFactory, robot: RobotModel, body: Rigi
                 "peak_velocity": (0.6, 0.5, 0.6)}
     )  # fmt: skip
     export_mjcf(plant.model, folder / "Arm.fmu", table=UF850 / "arm.toml")
-    law = export_fmu(read_model(model_file("uf850-table1")), folder / "parfam_h.fmu")
+    law = export_fmu(FrictionModel.read(model_file("uf850-table1")), folder / "parfam_h.fmu")
     truth = true_friction(plant.model, plant.joints, sample_time=0.005)
     build(folder, robot, body, plant, oracle=truth)
     return assemble(folder, tracking=settings, friction={"parfam_h": law}, plant=plant)

@@ -32,8 +32,8 @@ from hesr.extras.view.runs import Choice, choose
 from hesr.extras.view.skeleton import Paint, arm
 from hesr.extras.view.stage import HEIGHT, WIDTH, Stage
 from hesr.extras.view.video import RATE, drawing, write_video
-from hesr_model.artifacts import read_model, write_rigid_body
 from hesr_model.errors import ArtifactError, RobotError
+from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.identification import identify
 from hesr_model.robots.robot import RobotDescription, RobotModel
@@ -73,9 +73,9 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     fmus = folder / "fmus"
     fmus.mkdir()
     export_mjcf(plant.model, fmus / "Arm.fmu", table=UF850 / "arm.toml")
-    law = export_fmu(read_model(model_file("uf850-table1")), fmus / "parfam_h.fmu")
+    law = export_fmu(FrictionModel.read(model_file("uf850-table1")), fmus / "parfam_h.fmu")
     body = identify([_excitation(robot)], robot)
-    write_rigid_body(folder / "rigid_body.json", body, {})
+    body.write(folder / "rigid_body.json")
     truth = true_friction(plant.model, plant.joints, sample_time=0.005)
     build(fmus, robot, body, plant, oracle=truth)
     loop = assemble(fmus, tracking=settings, friction={"parfam_h": law}, plant=plant)

@@ -15,7 +15,7 @@ from documents import PAGES, ROOT, Block, blocks
 
 import hesr_model
 from fmu_src import export_fmu, model_file
-from hesr_model.artifacts import read_model
+from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import RobotLog
 
 
@@ -33,7 +33,7 @@ def folder(tmp_path: Path, arm_log: RobotLog, monkeypatch: pytest.MonkeyPatch) -
 
 
 def friction_fmu(folder: Path) -> Path:
-    return export_fmu(read_model(model_file("uf850-table1")), folder / "table1.fmu")
+    return export_fmu(FrictionModel.read(model_file("uf850-table1")), folder / "table1.fmu")
 
 
 def run(text: str, name: str) -> dict[str, object]:

@@ -11,7 +11,6 @@ import sympy
 from binary import Binary
 from registry_models import STUDIED, everyday
 
-from hesr_model.artifacts import read_model, write_model
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Relaxation
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
@@ -146,10 +145,10 @@ def fitted(make_motion, shared) -> dict[str, FrictionLaw]:
             model = FrictionModel(
                 law=name, robot="bench", joints=("axis",), laws=(law,), sample_time=0.005
             )
-            write_model(folder / f"{name}.json", model)
+            model.write(folder / f"{name}.json")
 
     folder = shared("fitted", fit)
-    return {name: read_model(folder / f"{name}.json").laws[0] for name in everyday()}
+    return {name: FrictionModel.read(folder / f"{name}.json").laws[0] for name in everyday()}
 
 
 @pytest.fixture(scope="session")

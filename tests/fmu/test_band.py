@@ -14,7 +14,6 @@ from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.run.replay import replay
 from hesr.cli import main
-from hesr_model.artifacts import write_model
 from hesr_model.equations.memory import Relaxation, Stop
 from hesr_model.errors import SimulationError
 from hesr_model.friction.band import Band
@@ -157,7 +156,7 @@ def test_the_command_writes_the_fmu_and_its_parameter_set(tmp_path: Path, monkey
     model = FrictionModel(
         law="lugre", robot="bench", joints=("axis",), laws=(law,), sample_time=0.01
     )
-    write_model(tmp_path / "law.json", model)
+    model.write(tmp_path / "law.json")
     fmu = tmp_path / "F.fmu"
     monkeypatch.setattr(
         sys, "argv", ["hesr", "export", str(tmp_path / "law.json"), "--band", "-o", str(fmu)]

@@ -9,7 +9,7 @@ from fmpy.fmi1 import FMICallException
 
 from fmu_src import model_file
 from fmu_src.friction.friction_fmu import export_bare
-from hesr_model.artifacts import read_model
+from hesr_model.friction.model import FrictionModel
 
 OK, DISCARD, ERROR = 0, 2, 3
 
@@ -115,7 +115,7 @@ def test_a_step_that_is_taken_ends_the_count_of_refusals(binary):
 
 
 def test_fmpy_ends_where_every_step_is_refused(tmp_path):
-    fmu = export_bare(read_model(model_file("uf850-table1")), tmp_path / "Friction.fmu")
+    fmu = export_bare(FrictionModel.read(model_file("uf850-table1")), tmp_path / "Friction.fmu")
     told = []
     with pytest.raises(FMICallException):
         simulate_fmu(str(fmu), output_interval=0.1, stop_time=1.0, fmi_type="CoSimulation",

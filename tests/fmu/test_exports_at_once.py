@@ -13,7 +13,7 @@ from c_hosts import LINUX
 from fmu_src import export_fmu
 from fmu_src.export.cache import exported
 from hesr.cli import main
-from hesr_model.artifacts import read_model, write_model
+from hesr_model.friction.model import FrictionModel
 from hesr_model.support.compiler import compile_c
 
 
@@ -26,7 +26,7 @@ def hesr(*arguments: object) -> None:
 @pytest.fixture
 def model(table1, tmp_path):
     path = tmp_path / "model.json"
-    write_model(path, table1)
+    table1.write(path)
     return path
 
 
@@ -40,7 +40,7 @@ def test_twenty_exports_at_once_are_those_of_one_after_the_other(model, tmp_path
     # Processes of their own, which have imported everything when they come to be.
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(
-        ["hesr.cli", "hesr_model.artifacts", "fmu_src.friction.friction_fmu"]
+        ["hesr.cli", "hesr_model.friction.model", "fmu_src.friction.friction_fmu"]
     )
     outputs = [tmp_path / f"F{k}.fmu" for k in range(20)]
     processes = [
@@ -60,7 +60,9 @@ def test_twenty_exports_at_once_are_those_of_one_after_the_other(model, tmp_path
         for entry in (empty_cache / "binaries").rglob("*"):
             if entry.is_file():
                 entry.unlink()
-        expected.append(export_fmu(read_model(models[k]), tmp_path / "one.fmu").read_bytes())
+        expected.append(
+            export_fmu(FrictionModel.read(models[k]), tmp_path / "one.fmu").read_bytes()
+        )
     assert len(set(expected)) == 4
     assert [output.read_bytes() for output in outputs] == expected * 5
 

@@ -44,8 +44,8 @@ def test_picture_is_the_same_in_every_process(table1: FrictionModel) -> None:
     code = (
         "import hashlib; from fmu_src import model_file; "
         "from fmu_src.pages.picture import model_png; "
-        "from hesr_model.artifacts import read_model; "
-        "print(hashlib.sha256(model_png(read_model(model_file('uf850-table1')))).hexdigest())"
+        "from hesr_model.friction.model import FrictionModel; "
+        "print(hashlib.sha256(model_png(FrictionModel.read(model_file('uf850-table1')))).hexdigest())"
     )
     runs = {
         subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout

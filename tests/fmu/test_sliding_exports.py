@@ -17,7 +17,6 @@ from fmu_src.friction.embedded_model import EMBEDDED_MODEL
 from fmu_src.run.fmu import Component
 from hesr.extras.mjcf.mjcf_file import export_mjcf_law
 from hesr.extras.modelica.modelica_package import export_modelica
-from hesr_model.artifacts import model_to_json
 from hesr_model.errors import ExportError
 
 CART = """
@@ -77,7 +76,7 @@ def test_it_passes_every_check_and_carries_the_model(mixed, mixed_fmu):
     assert check(mixed_fmu).problems == ()
     with zipfile.ZipFile(mixed_fmu) as archive:
         carried = json.loads(archive.read(EMBEDDED_MODEL))
-    assert carried == model_to_json(mixed)
+    assert carried == mixed.to_json()
     assert [joint.get("sliding") for joint in carried["joints"]] == [None, True]
 
 

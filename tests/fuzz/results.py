@@ -18,19 +18,18 @@ from hesr_model.robots.robot import RobotDescription, RobotModel
 
 
 def _model(path: Path) -> object:
-    from hesr_model.artifacts import read_model
+    from hesr_model.friction.model import FrictionModel
 
-    return read_model(path)
+    return FrictionModel.read(path)
 
 
 def _body(path: Path) -> object:
-    from hesr_model.artifacts import read_rigid_body
+    from hesr_model.rigid_body.identification import RigidBody
 
-    return read_rigid_body(path)
+    return RigidBody.read(path)
 
 
 def _write_body(path: Path) -> None:
-    from hesr_model.artifacts import write_rigid_body
     from hesr_model.rigid_body.identification import identify
 
     robot = RobotModel(RobotDescription.read(UF850 / "robot.toml"))
@@ -40,7 +39,7 @@ def _write_body(path: Path) -> None:
     q, dq = 0.4 * np.sin(phase), 0.4 * 2.0 * np.pi * np.array([0.31, 0.43, 0.71]) * np.cos(phase)
     tau = robot.torque(robot.nominal_parameters, q, dq, np.gradient(dq, t, axis=0))
     log = RobotLog(name="run", t=t, q=q, dq=dq, tau=tau + np.sign(dq))
-    write_rigid_body(path, identify([log], robot), {})
+    identify([log], robot).write(path)
 
 
 def _results(file: str) -> Callable[[Path], None]:
@@ -52,8 +51,7 @@ def _result(module: str, name: str) -> Callable[[Path], object]:
     def read(path: Path) -> object:
         from importlib import import_module
 
-        from hesr_model.artifacts import read_json
-        from hesr_model.support.typed_json import from_json
+        from hesr_model.support.typed_json import from_json, read_json
 
         schema: Any = getattr(import_module(module), name)
         data = read_json(path)
@@ -137,8 +135,7 @@ def _simulations(path: Path) -> object:
 
 def _write_simulations(path: Path) -> None:
     from cosim.study.position_errors import Simulated
-    from hesr_model.artifacts import write_json
-    from hesr_model.support.typed_json import to_json
+    from hesr_model.support.typed_json import to_json, write_json
 
     found = Simulated(
         joints=("a", "b"), lengths=(0.5, 1.0), windows={"lugre": ((0.1, None), (0.2, 0.3))},
@@ -168,9 +165,8 @@ def _verdict(folder: Path) -> object:
 def _write_robot_of_fleet(path: Path) -> None:
     from hesr.extras.fleet.result import JointResult, RobotResult
     from hesr.extras.fleet.robot import RESULT_FORMAT
-    from hesr_model.artifacts import write_json
     from hesr_model.inference.deviation import Trend
-    from hesr_model.support.typed_json import to_json
+    from hesr_model.support.typed_json import to_json, write_json
 
     joint = JointResult(
         law="lugre", joint="a", structure="{}", values={"F_c": 12.0}, errors={"F_c": 0.1},
@@ -190,8 +186,7 @@ def _write_tracked(path: Path) -> None:
     from cosim.loop.closed_loop import Scheme
     from cosim.loop.traces import Trace
     from cosim.loop.tracking import Tracked, _Kept
-    from hesr_model.artifacts import write_json
-    from hesr_model.support.typed_json import to_json
+    from hesr_model.support.typed_json import to_json, write_json
 
     rows = np.array([[0.1, np.nan], [0.3, 0.4]])
     row = Tracked(scheme=Scheme(compensation="none"), law="lugre", rmse=rows, last=rows)
@@ -237,13 +232,13 @@ def _write_fmu(path: Path) -> None:
     from fmu_src.export.description3 import to_xml3
     from fmu_src.friction.embedded_model import EMBEDDED_MODEL
     from fmu_src.friction.reference import reference_files
-    from hesr_model.artifacts import read_model
+    from hesr_model.friction.model import FrictionModel
 
     source, block = UF850 / "table1.json", velocity(3)
     members = {
         "modelDescription.xml": to_xml3(block.table, block.about, "{7f}"),
         EMBEDDED_MODEL: source.read_bytes(),
-        **reference_files(read_model(source), "friction"),
+        **reference_files(FrictionModel.read(source), "friction"),
     }
     with zipfile.ZipFile(path, "w") as archive:
         for name, content in members.items():

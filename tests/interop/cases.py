@@ -17,7 +17,6 @@ from fmu_src.blocks.velocity import velocity
 from fmu_src.drive.drive_fmu import content as drive
 from fmu_src.export.package import Version, write_fmu
 from fmu_src.friction.friction_fmu import adaptive_content, export_bare
-from hesr_model.artifacts import read_model
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
@@ -60,7 +59,7 @@ def system(path: Path, folder: Path) -> Together:
 
 def alone(folder: Path, closed: Together) -> list[Alone]:
     """Return each FMU of the closed loop on its own, as it is set up there, and two frictions."""
-    friction = export_fmu(read_model(model_file("uf850-table1")), folder / "Friction.fmu")
+    friction = export_fmu(FrictionModel.read(model_file("uf850-table1")), folder / "Friction.fmu")
     used = {c.name: c for c in closed.spec.components}
     names = ("trajectory", "body", "controller", "arm")
     return [
@@ -74,7 +73,7 @@ def alone(folder: Path, closed: Together) -> list[Alone]:
 
 def of_both_versions(folder: Path) -> dict[str, tuple[Alone, Alone]]:
     """Return each FMU in FMI 2.0 and in FMI 3.0, with the same inputs."""
-    table1 = read_model(model_file("uf850-table1"))
+    table1 = FrictionModel.read(model_file("uf850-table1"))
     robot = RobotModel(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
     joints = len(table1.joints)
     contents = {

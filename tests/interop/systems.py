@@ -10,7 +10,7 @@ from cosim.systems.system_file import write_system
 from fmu_src import export_fmu, model_file
 from fmu_src.blocks.trajectory import start_values, trajectory
 from fmu_src.export.package import write_fmu
-from hesr_model.artifacts import read_model
+from hesr_model.friction.model import FrictionModel
 
 STEP = 0.005
 STOP = 10.0
@@ -20,7 +20,7 @@ SYSTEM = "SYSTEM.toml"
 def open_system(folder: Path) -> Path:
     """Write the open system, a desired motion that feeds the friction of Table I."""
     folder.mkdir(parents=True, exist_ok=True)
-    friction = read_model(model_file("uf850-table1"))
+    friction = FrictionModel.read(model_file("uf850-table1"))
     joints = len(friction.joints)
     components = (
         ComponentSpec(
@@ -47,7 +47,7 @@ def open_system(folder: Path) -> Path:
 
 def closed_system(folder: Path) -> Path:
     """Write the closed loop of the UF850: trajectory, models, controller and the native arm."""
-    bench = build(folder, read_model(model_file("uf850-table1")))
+    bench = build(folder, FrictionModel.read(model_file("uf850-table1")))
     loop = bench.loop(Scheme(compensation="servo_inversion", Kx=5.0))
     spec = bench.system(loop).model_copy(update={"name": "closed", "stop": STOP})
     return write_system(spec, folder / SYSTEM)

@@ -8,7 +8,7 @@ import pytest
 from cosim.study.run import Scored, score_study
 from cosim.study.steps import Job
 from cosim.study.study import Study
-from hesr_model.artifacts import read_model
+from hesr_model.friction.model import FrictionModel
 from hesr_model.support import parallel
 from hesr_model.support.progress import silent
 
@@ -65,7 +65,7 @@ def test_everything_is_written(outcome: Scored) -> None:
     assert set(outcome.fmus) == set(STUDIED)
     for law, fmu in outcome.fmus.items():
         assert fmu.is_file()
-        assert read_model(fmu.parents[1] / "laws" / f"{law}.json") == outcome.models[law]
+        assert FrictionModel.read(fmu.parents[1] / "laws" / f"{law}.json") == outcome.models[law]
     folder = outcome.fmus["parfam_h"].parents[1]
     assert {"rigid_body.json", "evaluation.json", "laws", "fmus"} <= {
         path.name for path in folder.iterdir()

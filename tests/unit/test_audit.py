@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import sympy
 
-from hesr_model.artifacts import read_model
 from hesr_model.audit import audit as module
 from hesr_model.audit import cycles
 from hesr_model.audit.audit import Audit, audit, explodes
@@ -18,6 +17,7 @@ from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import Stepper
 from hesr_model.friction.trained_range import TrainedRange, outside
 from hesr_model.laws.lugre import LuGre
@@ -70,7 +70,7 @@ def first_order(rate: sympy.Expr, drive: sympy.Expr = DQ) -> Relaxation:
 
 @pytest.fixture(scope="module")
 def table_1() -> tuple[FrictionLaw, ...]:
-    return read_model(models_folder() / "uf850" / "table1.json").laws
+    return FrictionModel.read(models_folder() / "uf850" / "table1.json").laws
 
 
 @pytest.mark.parametrize(

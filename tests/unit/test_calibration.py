@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from joint_data import along, law, path, with_tau
 
-from hesr_model.artifacts import read_model, write_model
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.fitting.calibration import with_band
 from hesr_model.fitting.uncertainty import with_standard_errors
@@ -95,8 +94,8 @@ def test_perfect_logs_give_a_band_without_width() -> None:
 
 def test_it_is_written_and_read(banded: FrictionLaw, tmp_path) -> None:
     model = replace(model_of(replace(banded, covariance=None)), law="strain_wave")
-    write_model(tmp_path / "law.json", model)
-    assert read_model(tmp_path / "law.json").laws[0].band == banded.band
+    model.write(tmp_path / "law.json")
+    assert FrictionModel.read(tmp_path / "law.json").laws[0].band == banded.band
 
 
 @pytest.mark.parametrize(("name", "value"), [("floor", -1.0), ("slow_speed", 0.0),

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import sympy
 
-from hesr_model.artifacts import read_model
 from hesr_model.audit.attack import attack
 from hesr_model.audit.certificate import Certificate, certify, storage
 from hesr_model.equations.functions import absolute, sgn
@@ -15,6 +14,7 @@ from hesr_model.equations.memory import Relaxation, Stop
 from hesr_model.equations.over_log import StatesOverLog
 from hesr_model.friction.inputs import DQ, INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import Stepper, predict
 from hesr_model.friction.registry import registry
 from hesr_model.friction.trained_range import TrainedRange
@@ -236,7 +236,7 @@ def test_no_closed_way_gives_energy(dt: float) -> None:
 
 
 def test_table_i_is_refuted_by_its_cycles() -> None:
-    model = read_model(models_folder() / "uf850" / "table1.json")
+    model = FrictionModel.read(models_folder() / "uf850" / "table1.json")
     still = replace(TRAINED, sample_time=0.005, dq=(-1.2, 1.2), tau_load=(0.0, 0.0))
     found = [certify(law, still) for law in model.laws]
     energies = [c.cycle.energy if c.cycle else 0.0 for c in found]

@@ -10,9 +10,9 @@ import pytest
 from joint_data import GEAR_RATIO, HX_BRISTLE, law
 
 from fmu_src import model_file
-from hesr_model.artifacts import read_model
 from hesr_model.friction.equation import coefficient_lines, equations
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 
 UNIT = {"g": "sin", "arguments": ["1", "dq", "h", "dh"]}
@@ -84,7 +84,9 @@ def test_the_text_is_the_law_to_four_digits(name: str) -> None:
 
 
 def test_table_1_is_printed_as_in_the_paper() -> None:
-    first, second, third = (equations(one) for one in read_model(model_file("uf850-table1")).laws)
+    first, second, third = (
+        equations(one) for one in FrictionModel.read(model_file("uf850-table1")).laws
+    )
     for number in ("16.24", "0.163", "2.128", "37.7", "0.193", "0.606", "0.064", "0.057"):
         assert number in first[0], number
     assert "tanh(" in first[0]

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from threadpoolctl import threadpool_limits
 
-from hesr_model.artifacts import read_model
 from hesr_model.errors import ArtifactError, FitError, HesrError
 from hesr_model.fitting.fit import fit_joint, fit_models
 from hesr_model.fitting.samples import Samples
 from hesr_model.friction.law import MOVING
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.parfam import calibrate, evolve, family, paper, refine
@@ -399,7 +399,7 @@ def test_a_coefficient_that_is_zero_in_truth_is_pruned() -> None:
 @pytest.mark.parametrize("g", ["tanh", "cos"])
 def test_pruning_does_not_spoil_a_fit(g: str) -> None:
     """Of a law far from the data's own: its coefficients are uncertain, and yet needed."""
-    law = read_model(models_folder() / "uf850" / "table1.json").laws[0]
+    law = FrictionModel.read(models_folder() / "uf850" / "table1.json").laws[0]
     t = 0.005 * np.arange(4000)
     dq = 1.2 * np.sin(0.5 * np.pi * t)
     zero = np.zeros_like(t)

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from joint_data import HX_PAPER, along, law, path
 
-from hesr_model.artifacts import read_model, write_model
 from hesr_model.errors import ArtifactError, LogError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.equation import coefficient_lines
@@ -112,12 +111,12 @@ def test_a_file_says_which_joints_slide_and_only_those(
     model: FrictionModel, tmp_path: Path
 ) -> None:
     file = tmp_path / "law.json"
-    write_model(file, model)
+    model.write(file)
     turns, slides = json.loads(file.read_text())["joints"]
     assert "sliding" not in turns
     assert slides["sliding"] is True
     assert slides["coefficients"]["sigma_0"]["unit"] == "N/m"
-    assert read_model(file) == model
+    assert FrictionModel.read(file) == model
 
 
 def test_a_model_without_the_field_turns(model: FrictionModel) -> None:
@@ -131,18 +130,18 @@ def test_a_model_without_the_field_turns(model: FrictionModel) -> None:
 
 def test_files_that_are_wrong_about_it(model: FrictionModel, tmp_path: Path) -> None:
     file = tmp_path / "law.json"
-    write_model(file, model)
+    model.write(file)
     data = json.loads(file.read_text())
     data["joints"][1]["sliding"] = "yes"
     file.write_text(json.dumps(data))
     with pytest.raises(
         ArtifactError, match=r"key 'joints\.1\.sliding': Input should be a valid boolean"
     ):
-        read_model(file)
+        FrictionModel.read(file)
     del data["joints"][1]["sliding"]
     file.write_text(json.dumps(data))
     with pytest.raises(ArtifactError, match=r"has the unit '.+', needed is '.*N\.m.*'"):
-        read_model(file)
+        FrictionModel.read(file)
 
 
 def test_one_entry_for_each_joint(model: FrictionModel) -> None:

@@ -11,7 +11,6 @@ from hesr.extras.adaptive.component import adaptive_component
 from hesr.extras.adaptive.follow import Follower
 from hesr.extras.adaptive.tuning import TUNING
 from hesr.extras.thermal.thermal_fit import Factored, ThermalFit, fit_thermal
-from hesr_model.artifacts import read_model, write_model
 from hesr_model.audit.certificate import least_viscosity, storage
 from hesr_model.equations.stepping import Steps
 from hesr_model.errors import ArtifactError, FitError
@@ -126,10 +125,10 @@ def test_a_law_that_knows_temperature_predicts_a_warm_day(fitted) -> None:
 def test_it_is_written_and_read(fitted, tmp_path: Path) -> None:
     known, _ = fitted
     path = tmp_path / "law.json"
-    write_model(path, known)
-    assert read_model(path).thermal == known.thermal
-    write_model(path, replace(known, thermal=()))
-    assert read_model(path).thermal == ()
+    known.write(path)
+    assert FrictionModel.read(path).thermal == known.thermal
+    replace(known, thermal=()).write(path)
+    assert FrictionModel.read(path).thermal == ()
     assert "thermal" not in path.read_text(encoding="utf-8")
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from joint_data import HX_PAPER, along, law, path
 
-from hesr_model.artifacts import read_model, write_model
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
@@ -37,8 +36,8 @@ def test_a_fit_knows_the_range_of_each_joint(model: FrictionModel) -> None:
 
 
 def test_ranges_follow_the_model_into_its_file(model: FrictionModel, tmp_path: File) -> None:
-    write_model(tmp_path / "law.json", model)
-    read = read_model(tmp_path / "law.json")
+    model.write(tmp_path / "law.json")
+    read = FrictionModel.read(tmp_path / "law.json")
     assert read.trained == model.trained
     assert read.training_rmse == model.training_rmse
 
@@ -51,8 +50,8 @@ def test_a_fit_knows_its_errors(model: FrictionModel) -> None:
 
 
 def test_a_file_without_ranges_gives_a_model_without(model: FrictionModel, tmp_path: File) -> None:
-    write_model(tmp_path / "law.json", replace(model, trained=(), training_rmse=()))
-    read = read_model(tmp_path / "law.json")
+    replace(model, trained=(), training_rmse=()).write(tmp_path / "law.json")
+    read = FrictionModel.read(tmp_path / "law.json")
     assert (read.trained, read.training_rmse) == ((), ())
 
 
@@ -70,12 +69,12 @@ def test_damaged_ranges_name_the_file(
     model: FrictionModel, tmp_path: File, spoil: object, said: str
 ) -> None:
     file = tmp_path / "law.json"
-    write_model(file, model)
+    model.write(file)
     data = json.loads(file.read_text())
     spoil(data)  # type: ignore[operator]
     file.write_text(json.dumps(data))
     with pytest.raises(ArtifactError) as caught:
-        read_model(file)
+        FrictionModel.read(file)
     assert str(file) in str(caught.value)
     assert said in str(caught.value)
 

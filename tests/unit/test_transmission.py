@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hesr_model.artifacts import read_model, write_model
 from hesr_model.errors import ArtifactError, ConfigError, RobotError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
@@ -154,11 +153,11 @@ def test_a_model_keeps_its_coupling_in_a_file(coupled_model, make_motion, tmp_pa
     log = RobotLog(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau)
     model = fit("stribeck", friction_records(log, coupled_model, body))
     path = tmp_path / "law.json"
-    write_model(path, model)
-    assert read_model(path).coupling == model.coupling
+    model.write(path)
+    assert FrictionModel.read(path).coupling == model.coupling
     path.write_text(path.read_text().replace('"matrix": [', '"matrix": [[1.0, 2.0],'))
     with pytest.raises(ArtifactError, match="must be a regular square matrix"):
-        read_model(path)
+        FrictionModel.read(path)
 
 
 def test_a_coupling_of_other_joints_is_refused(table1: FrictionModel) -> None:

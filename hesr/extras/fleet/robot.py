@@ -17,7 +17,6 @@ from fmu_src.friction.variable_names import exposed
 from fmu_src.run.batch import Array
 from hesr.extras.fleet.result import BODY, JointResult, RobotResult
 from hesr.extras.fleet.study import FleetStudy, Member
-from hesr_model.artifacts import read_json, write_json, write_model, write_rigid_body
 from hesr_model.errors import ArtifactError, FitError, HesrError, LogError
 from hesr_model.fitting.day_offsets import own_of_log
 from hesr_model.fitting.fit import fit_models
@@ -36,7 +35,7 @@ from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import at_friction, motion_records
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.files import sha256
-from hesr_model.support.typed_json import from_json, to_json
+from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
 
 RESULT, RESULT_FORMAT = "result.json", "hesr-fleet-robot-1"
 BODY_FILE = f"{BODY}.json"
@@ -157,10 +156,10 @@ class _Robot:
         )
         findings = [*check_body(body, self._model), *check_laws(models, records)]
         for law, model in models.items():
-            write_model(folder / f"{law}.json", model)
+            model.write(folder / f"{law}.json")
             if all(map(exposed, model.laws)):
                 export_ssv(model, folder / f"{law}.ssv")
-        write_rigid_body(folder / BODY_FILE, body, source)
+        replace(body, provenance=source).write(folder / BODY_FILE)
         return RobotResult(
             key=self._key,
             robot=member.name,

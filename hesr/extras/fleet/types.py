@@ -12,7 +12,6 @@ from fmu_src import export_fmu
 from fmu_src.friction.variable_names import exposed
 from hesr.extras.fleet.result import RobotResult
 from hesr.extras.fleet.study import FleetStudy
-from hesr_model.artifacts import read_model
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.progress import Stages
 
@@ -61,7 +60,7 @@ def write_types(
 
 def _typical(kind: _Kind, robots: Sequence[RobotResult], output: Path) -> FrictionModel:
     """Return the model of the first robot with the medians of all as coefficients."""
-    first = read_model(output / ROBOTS / robots[0].robot / f"{kind.law}.json")
+    first = FrictionModel.read(output / ROBOTS / robots[0].robot / f"{kind.law}.json")
     laws = []
     for joint, law in enumerate(first.laws):
         of = [robot.of_law(kind.law)[joint].values for robot in robots]

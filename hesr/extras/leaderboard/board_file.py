@@ -9,7 +9,6 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from cosim.workflow.arguments import examined
-from hesr_model.artifacts import read_rigid_body
 from hesr_model.errors import ConfigError
 from hesr_model.logs.robot_log import RobotLog, parts_of
 from hesr_model.rigid_body.identification import RigidBody
@@ -137,7 +136,7 @@ def read_grounds(arena: Arena) -> dict[str, Ground]:
     for robot in arena.robots:
         _require_same(robot.rigid_body, robot.rigid_body_sha256, "")
         model = RobotModel(RobotDescription.read(robot.file))
-        body = read_rigid_body(robot.rigid_body)
+        body = RigidBody.read(robot.rigid_body)
         logs = []
         for log in arena.logs:
             if log.robot in ("", robot.name):

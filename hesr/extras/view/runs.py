@@ -11,8 +11,8 @@ from cosim.loop.closed_loop import ARM, StandIn
 from cosim.loop.traces import TRACES, Trace, read_traces
 from cosim.report.tables.table import title
 from fmu_src.run.archive import Archive
-from hesr_model.artifacts import read_rigid_body
 from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.rigid_body.identification import RigidBody
 
 _SCHEME = "servo_inversion"  # in which models pay most
 _MODEL = "resources/model.xml"
@@ -90,7 +90,7 @@ def choose(folder: Path, choice: Choice) -> Shown:
         raise ConfigError(f"--law is given {len(laws)} times; at most {_MOST} fit side by side.")
     return Shown(
         mjcf=_mjcf(folder / "fmus" / ARM),
-        joints=read_rigid_body(folder / "rigid_body.json").joints,
+        joints=RigidBody.read(folder / "rigid_body.json").joints,
         scheme=scheme,
         runs={title(law): of_scheme[law] for law in laws},
     )

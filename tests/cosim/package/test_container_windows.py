@@ -17,8 +17,8 @@ from cosim.systems.container import write_container
 from cosim.systems.contents import read_contents
 from fmu_src import model_file
 from fmu_src.export.toolchain import TARGETS
-from hesr_model.artifacts import read_model
 from hesr_model.errors import ExportError
+from hesr_model.friction.model import FrictionModel
 from hesr_model.support.compiler import compile_c
 
 STEPS = 400  # 2 s
@@ -42,7 +42,7 @@ def rows(folder: Path, library: str, host: Path, *before: str, **environment: st
 def test_the_closed_loop_is_that_of_linux(wine: Wine, tmp_path: Path) -> None:
     platforms = ("linux64", "win64")
     try:
-        bench = build(tmp_path, read_model(model_file("uf850-table1")), platforms)
+        bench = build(tmp_path, FrictionModel.read(model_file("uf850-table1")), platforms)
     except ExportError as error:
         if "which pip could not get" in str(error):
             pytest.skip(f"MuJoCo for Windows cannot be had here: {error}")

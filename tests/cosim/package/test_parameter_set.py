@@ -12,7 +12,6 @@ from lxml import etree
 from cosim.systems.parameter_set import COVARIANCE, export_ssv
 from cosim.workflow.commands import export
 from fmu_src import model_file
-from hesr_model.artifacts import read_model
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.inference.covariance import Covariance
@@ -24,7 +23,7 @@ SSV = "{http://ssp-standard.org/SSP1/SystemStructureParameterValues}"
 @pytest.fixture
 def model() -> FrictionModel:
     """The paper's, its first two coefficients of joint 2 being uncertain."""
-    plain = read_model(model_file("uf850-table1"))
+    plain = FrictionModel.read(model_file("uf850-table1"))
     names = tuple(plain.laws[1].values)[:2]
     known = Covariance(
         names=names, within=np.array([[4.0, -1.0], [-1.0, 0.3]]), between=2.0, degrees=50.0,

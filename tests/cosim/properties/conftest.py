@@ -7,9 +7,9 @@ from subjects import INERTIA, bristle, law, model, slip
 
 from cosim.properties.battery import Subject, measure
 from fmu_src import model_file
-from hesr_model.artifacts import read_model
 from hesr_model.audit.properties import Properties
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
 
 
 def put_to_test(name: str, *laws: FrictionLaw) -> Properties:
@@ -33,7 +33,7 @@ def maps() -> Properties:
 @pytest.fixture(scope="session")
 def table_1() -> Properties:
     """The paper's law with the paper's numbers."""
-    return measure(Subject(name="table 1", model=read_model(model_file("uf850-table1"))))
+    return measure(Subject(name="table 1", model=FrictionModel.read(model_file("uf850-table1"))))
 
 
 @pytest.fixture(scope="session")

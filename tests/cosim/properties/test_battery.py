@@ -12,7 +12,6 @@ from subjects import INERTIA, SPEED, bristle, law, model
 
 from cosim.properties.battery import Subject, measure, run_battery
 from fmu_src import export_fmu, model_file
-from hesr_model.artifacts import read_model
 from hesr_model.audit.audit import audit
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import Finding, Properties
@@ -21,6 +20,7 @@ from hesr_model.equations.memory import Stop
 from hesr_model.errors import ConfigError
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
 
 LEVEL, STIFFNESS = 8.0, 8000.0  # of `bristle()`
@@ -101,7 +101,7 @@ def test_a_bristle_lags_where_its_level_falls_and_not_where_it_is_constant(
 
 
 def test_what_the_audit_says_of_the_law_the_battery_says_of_its_fmu(table_1: Properties) -> None:
-    laws = read_model(model_file("uf850-table1"))
+    laws = FrictionModel.read(model_file("uf850-table1"))
     seen = TrainedRange(
         sample_time=laws.sample_time, dq=(-1.2, 1.2), q=(0.0, 0.0), tau_load=(0.0, 0.0),
         tau=(0.0, 0.0),

@@ -8,7 +8,6 @@ import pytest
 from small_study import Answer, Hesr, hesr_here
 from subjects import bristle, model, slip
 
-from hesr_model.artifacts import write_model
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import read_properties
 
@@ -28,7 +27,7 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
 @pytest.fixture(scope="module")
 def lugre(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("laws") / "lugre.json"
-    write_model(file, model(bristle(), robot="bench"))
+    model(bristle(), robot="bench").write(file)
     return file
 
 

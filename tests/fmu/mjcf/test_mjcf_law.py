@@ -13,12 +13,12 @@ from fmu_src import model_file
 from fmu_src.arm.truth import true_friction
 from hesr.extras.mjcf.mjcf_file import export_mjcf_law
 from hesr.extras.mjcf.parts import Wave, parts_of
-from hesr_model.artifacts import read_model
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ArtifactError, ExportError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator
 from hesr_model.support.files import models_folder
 
@@ -270,7 +270,7 @@ def test_every_law_of_the_registry_is_exact_or_refused(fitted, make_model, tmp_p
 
 def test_the_law_of_the_paper_is_refused(tmp_path):
     with pytest.raises(ExportError, match="law 'parfam_h' of joint 'joint1' is not expressible"):
-        export_mjcf_law(read_model(model_file("uf850-table1")), tmp_path / "friction.xml")
+        export_mjcf_law(FrictionModel.read(model_file("uf850-table1")), tmp_path / "friction.xml")
 
 
 @pytest.mark.parametrize("name", ["friction.fmu", "friction", "xml"])

@@ -12,10 +12,10 @@ from fmu_src.friction.reference import UNKNOWN_SPEED
 from hesr.extras.mjcf.mjcf_file import export_mjcf_law
 from hesr.extras.mjcf.parts import parts_of
 from hesr.extras.mjcf.projection import projected
-from hesr_model.artifacts import read_model
 from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained_range import TrainedRange
@@ -135,7 +135,7 @@ def test_ripple_is_kept():
 
 def test_the_law_of_the_paper_is_no_friction_of_mujoco(tmp_path):
     """Table I is far from any sum of bristles and viscous friction, and the file says so."""
-    model = read_model(model_file("uf850-table1"))
+    model = FrictionModel.read(model_file("uf850-table1"))
     report = export_mjcf_law(model, tmp_path / "friction.xml", project=True)
     assert not report.exact
     assert all(joint.unseen.relative > 0.5 for joint in report.joints)

@@ -15,25 +15,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hesr_model.artifacts import (
-    MODEL_FORMAT,
-    RIGID_BODY_FORMAT,
-    newest,
-    provenance,
-    read_json,
-    read_model,
-    read_rigid_body,
-    write_json,
-    write_model,
-    write_rigid_body,
-)
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.model_file import MODEL_FORMAT
 from hesr_model.inference.covariance import Covariance
 from hesr_model.laws.parfam import family
-from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.rigid_body.identification import RIGID_BODY_FORMAT, RigidBody
 from hesr_model.support.files import models_folder, sha256
+from hesr_model.support.provenance import newest, provenance
+from hesr_model.support.typed_json import read_json, write_json
 
 TABLE_1 = models_folder() / "uf850" / "table1.json"
 FULL = {
@@ -67,7 +58,7 @@ def model_of(*laws: FrictionLaw) -> FrictionModel:
 
 @pytest.fixture(scope="module")
 def table_1() -> FrictionModel:
-    return read_model(TABLE_1)
+    return FrictionModel.read(TABLE_1)
 
 
 # --- round trips ------------------------------------------------------------------------------
@@ -75,8 +66,8 @@ def table_1() -> FrictionModel:
 
 def test_a_covariance_comes_back_with_its_law(tmp_path: Path) -> None:
     law = parfam([1.0] * 11, covariance=covariance_of_two(("c_h", "c_dh")))
-    write_model(tmp_path / "law.json", model_of(law))
-    found = read_model(tmp_path / "law.json")
+    model_of(law).write(tmp_path / "law.json")
+    found = FrictionModel.read(tmp_path / "law.json")
     assert found == model_of(law)
     assert found != model_of(replace(law, covariance=covariance_of_two(("c_h", "alpha"))))
 
@@ -94,8 +85,8 @@ def test_a_covariance_must_be_that_of_its_names(tmp_path: Path) -> None:
 
 
 def test_a_published_model_comes_back(table_1: FrictionModel, tmp_path: Path) -> None:
-    write_model(tmp_path / "law.json", table_1)
-    assert read_model(tmp_path / "law.json") == table_1
+    table_1.write(tmp_path / "law.json")
+    assert FrictionModel.read(tmp_path / "law.json") == table_1
 
 
 @settings(max_examples=30)
@@ -109,8 +100,8 @@ def test_every_number_comes_back_bit_for_bit(
 ) -> None:
     path = tmp_path_factory.mktemp("artifact") / "law.json"
     model = model_of(parfam(values, discretisation=how, start=(start,)), parfam(values))
-    write_model(path, model)
-    found = read_model(path)
+    model.write(path)
+    found = FrictionModel.read(path)
     assert found == model
     # Equality does not see the sign of a zero.
     numbers = [np.array([*law.values.values(), *law.start]) for law in (*model.laws, *found.laws)]
@@ -120,14 +111,14 @@ def test_every_number_comes_back_bit_for_bit(
 
 def test_the_same_model_gives_the_same_bytes(table_1: FrictionModel, tmp_path: Path) -> None:
     for name in ("a.json", "b.json"):
-        write_model(tmp_path / name, table_1)
+        table_1.write(tmp_path / name)
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
 def test_a_file_says_what_it_is_and_holds_names_numbers_and_units(
     table_1: FrictionModel, tmp_path: Path
 ) -> None:
-    write_model(tmp_path / "law.json", table_1)
+    table_1.write(tmp_path / "law.json")
     data = json.loads((tmp_path / "law.json").read_text(encoding="utf-8"))
     assert data["format"] == MODEL_FORMAT
     first = data["joints"][0]
@@ -170,8 +161,8 @@ def covariance_of_two(names: tuple[str, str]) -> Covariance:
 
 def test_a_rigid_body_comes_back_bit_for_bit(rigid_body: RigidBody, tmp_path: Path) -> None:
     path = tmp_path / "rigid_body.json"
-    write_rigid_body(path, rigid_body, {"seed": None})
-    found = read_rigid_body(path)
+    replace(rigid_body, provenance={"seed": None}).write(path)
+    found = RigidBody.read(path)
     for name in ("parameters", "standard_errors", "friction", "rmse"):
         assert getattr(found, name).tobytes() == getattr(rigid_body, name).tobytes()
         assert getattr(found, name).shape == getattr(rigid_body, name).shape
@@ -187,11 +178,11 @@ def test_files_of_versions_without_a_covariance_are_read(
     rigid_body: RigidBody, tmp_path: Path
 ) -> None:
     path = tmp_path / "rigid_body.json"
-    write_rigid_body(path, rigid_body, {"seed": None})
+    replace(rigid_body, provenance={"seed": None}).write(path)
     data = read_json(path, "hesr-rigid-body-1")
     del data["covariance"]
     write_json(path, {"format": "hesr-rigid-body-1", **data})
-    assert read_rigid_body(path).covariance is None
+    assert RigidBody.read(path).covariance is None
     data = json.loads(path.read_text())
     assert data["format"] == RIGID_BODY_FORMAT
     assert data["provenance"] == {"seed": None}
@@ -216,7 +207,7 @@ def test_provenance_names_files_with_hashes_seed_and_versions(tmp_path: Path) ->
 Change = Callable[[dict[str, Any]], object]
 
 
-def refused(path: Path, read: Callable[[Path], object] = read_model) -> str:
+def refused(path: Path, read: Callable[[Path], object] = FrictionModel.read) -> str:
     """What is said of a file, without its name, which must stand first."""
     with pytest.raises(ArtifactError) as caught:
         read(path)
@@ -382,14 +373,14 @@ def test_files_that_are_no_artifacts_are_refused(tmp_path: Path) -> None:
 
 def test_what_is_wrong_in_a_rigid_body_is_said(rigid_body: RigidBody, tmp_path: Path) -> None:
     path = tmp_path / "rigid_body.json"
-    write_rigid_body(path, rigid_body, {})
+    rigid_body.write(path)
     data = json.loads(path.read_text())
 
     def said(change: Change) -> str:
         copy = json.loads(json.dumps(data))
         change(copy)
         path.write_text(json.dumps(copy))
-        return refused(path, read_rigid_body)
+        return refused(path, RigidBody.read)
 
     assert said(lambda d: d.pop("parameters")) == "key 'parameters' is missing."
     assert said(lambda d: d.pop("friction")) == "key 'friction' is missing."
@@ -459,7 +450,7 @@ def test_nothing_in_a_file_is_run_as_code(tmp_path: Path) -> None:
 
         path = changed(tmp_path, replace)
         with suppress(ArtifactError):
-            read_model(path)
+            FrictionModel.read(path)
         assert not trace.exists()
 
 

@@ -1,0 +1,110 @@
+"""The JSON form of a friction model: names, structures, numbers and units, never code.
+
+The registry rebuilds the expressions of a law from its name and structure, so no text of a file is
+parsed as a formula.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+from pydantic import StrictBool
+
+from hesr_model.equations.over_log import Discretisation
+from hesr_model.errors import ArtifactError
+from hesr_model.friction.band import Band
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.registry import estimator
+from hesr_model.friction.thermal import Thermal
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.inference.covariance import Covariance
+from hesr_model.robots.transmission import Coupling
+from hesr_model.units import unit_of_joint
+
+MODEL_FORMAT = "hesr-friction-model-1"
+_AS_IN_LAW = ("discretisation", "start", "start_samples", "covariance", "band")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _CoefficientEntry:
+    value: float
+    unit: str
+    standard_error: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointEntry:
+    """The law of one joint, and what is known about its training."""
+
+    joint: str
+    # Written for sliding joints only: version 1 has no such key.
+    sliding: StrictBool | None = None
+    law: str
+    structure: Mapping[str, Any]
+    coefficients: Mapping[str, _CoefficientEntry]
+    discretisation: Discretisation
+    start: tuple[float, ...]
+    start_samples: int = 0
+    covariance: Covariance | None = None
+    band: Band | None = None
+    trained: TrainedRange | None = None
+    training_rmse: float | None = None
+    thermal: Thermal | None = None
+
+    @classmethod
+    def of(cls, law: FrictionLaw, **others: Any) -> Self:
+        """Return the entry of a law; `others` are the fields that are no part of it."""
+        units = {c.name: c.unit for c in law.form.coefficients}
+        return cls(
+            law=law.name,
+            structure=law.structure,
+            coefficients={
+                name: _CoefficientEntry(
+                    value=value, unit=units[name], standard_error=law.standard_errors.get(name)
+                )
+                for name, value in law.values.items()
+            },
+            **{name: getattr(law, name) for name in _AS_IN_LAW},
+            **others,
+        )
+
+    def friction_law(self) -> FrictionLaw:
+        """Rebuild the law.
+
+        Raises
+        ------
+        ArtifactError
+            If the law, a coefficient or its unit is unknown.
+        """
+        form = estimator(self.law).form(self.structure)
+        entries = self.coefficients
+        for coefficient in form.coefficients:
+            entry = entries.get(coefficient.name)
+            unit = unit_of_joint(coefficient.unit, slides=bool(self.sliding))
+            if entry is not None and entry.unit != unit:
+                raise ArtifactError(
+                    f"coefficient '{coefficient.name}' has the unit '{entry.unit}', needed is "
+                    f"'{unit}'."
+                )
+        errors = {name: entry.standard_error for name, entry in entries.items()}
+        return FrictionLaw(
+            name=self.law,
+            structure=self.structure,
+            form=form,
+            values={name: entry.value for name, entry in entries.items()},
+            standard_errors={name: e for name, e in errors.items() if e is not None},
+            **{name: getattr(self, name) for name in _AS_IN_LAW},
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelFile:
+    """The keys of a file."""
+
+    law: str
+    robot: str
+    sample_time: float
+    joints: tuple[JointEntry, ...]
+    # Written for coupled joints only.
+    coupling: Coupling | None = None
+    provenance: Mapping[str, Any]
