@@ -12,10 +12,10 @@ from cosim.report.figures.style import MEASURED, SERIES, Stroke, write_svg
 from cosim.report.markup import Pictures, Section, joined, listing, paragraph, table, write_sections
 from cosim.report.tables.table import ResultTable, row_of
 from fmu_src.run.batch import Array
+from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.examine import Examination
 from hesr_model.health.excitation_gaps import unseen
-from hesr_model.health.findings import Finding
 from hesr_model.health.proposal import HEAD, Proposal, robot_file, summary_rows
 
 _POINTS = 700
@@ -52,7 +52,7 @@ def write_inspection(path: Path, proposal: Proposal) -> None:
 def _summary(proposal: Proposal) -> Markup:
     first = proposal.first
     after = proposal.examination.findings
-    refused = sum(f.severity == "refusal" for f in first)
+    refused = sum(f.severity == "error" for f in first)
     said = (
         f"Cannot be right: {refused}. Odd: {len(first) - refused}."
         if first
@@ -76,8 +76,8 @@ def _summary(proposal: Proposal) -> Markup:
 def _listed(findings: Sequence[Finding]) -> Markup:
     items = [
         Markup('<strong class="{}">{}.</strong> {}').format(
-            "fail" if f.severity == "refusal" else "pass",
-            "Wrong" if f.severity == "refusal" else "Odd",
+            "fail" if f.severity == "error" else "pass",
+            "Wrong" if f.severity == "error" else "Odd",
             f.sentence,
         )
         for f in findings

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hesr_model.health.findings import Finding
+from hesr_model.findings import Finding
 from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
 
 HEALTH, HEALTH_FORMAT = "health.json", "hesr-health-1"

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 from cosim.study.health import told
 from fmu_src import model_file
 from hesr_model.errors import ConfigError, RobotError
+from hesr_model.findings import Finding
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health.examine import checked
-from hesr_model.health.findings import Finding
 from hesr_model.logs.robot_log import RobotLog, parts_of, require_different
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records

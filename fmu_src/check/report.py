@@ -1,41 +1,30 @@
-"""What a check says: problems, validators that were not run, and how both are worded."""
+"""Report of the checks of one FMU."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hesr_model.findings import Finding
+from hesr_model.support.typed_json import to_json
+
 MOST_PROBLEMS = 1000
-"""Of one check; an FMU with more has them for one and the same reason."""
-
-
-@dataclass(frozen=True)
-class Problem:
-    """One thing that is wrong.
-
-    Attributes
-    ----------
-    check : name of the check that found it.
-    text : one sentence that names the variable or the file.
-    """
-
-    check: str
-    text: str
+"""Largest number of findings kept per check; more of them have the same reason."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What all checks found in one FMU.
+    """Findings of all checks in one FMU.
 
     Attributes
     ----------
     path : the FMU.
-    problems : in the order of the checks.
-    skipped : one sentence for each validator that was not run, saying why.
+    problems : findings in the order of the checks.
+    skipped : one sentence with the reason for each validator that was not run.
     """
 
     path: Path
-    problems: tuple[Problem, ...]
+    problems: tuple[Finding, ...]
     skipped: tuple[str, ...]
 
     @property
@@ -48,13 +37,13 @@ class Report:
         """Return the report as JSON data."""
         return {
             "fmu": str(self.path),
-            "problems": [{"check": p.check, "text": p.text} for p in self.problems],
+            "problems": [to_json(finding) for finding in self.problems],
             "skipped": list(self.skipped),
         }
 
 
-def problems_of(check: str, texts: Iterable[str]) -> list[Problem]:
-    """Return the problems of one check, the same one once and not more than a reader can use."""
+def problems_of(check: str, texts: Iterable[str]) -> list[Finding]:
+    """Return the findings of one check, without repetitions and at most `MOST_PROBLEMS`."""
     kept: dict[str, None] = {}
     more = 0
     for text in texts:
@@ -62,7 +51,7 @@ def problems_of(check: str, texts: Iterable[str]) -> list[Problem]:
             kept[text] = None
         elif text not in kept:
             more += 1
-    problems = [Problem(check, text) for text in kept]
+    problems = [Finding(check=check, found=text) for text in kept]
     if more:
-        problems.append(Problem(check, f"{more} more problems of this check are not listed."))
+        problems.append(Finding(check=check, found=f"{more} more findings are not listed."))
     return problems

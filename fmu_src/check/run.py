@@ -27,8 +27,9 @@ from fmu_src.check import (
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import Description, read_description
 from fmu_src.check.description3 import read_description3
-from fmu_src.check.report import Problem, Report, problems_of
+from fmu_src.check.report import Report, problems_of
 from hesr_model.errors import ConfigError
+from hesr_model.findings import Finding
 from hesr_model.support.text import plain, quoted
 
 _MODEL = "modelDescription.xml"
@@ -76,7 +77,7 @@ class _Found:
         self._folder = folder
         self._vdmcheck = vdmcheck
         self._hostile = hostile
-        self.problems: list[Problem] = []
+        self.problems: list[Finding] = []
         self.skipped: list[str] = []
 
     def _add(self, check: str, texts: Iterable[str]) -> bool:

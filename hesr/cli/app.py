@@ -16,7 +16,7 @@ from hesr_model.support.progress import Stages
 
 if TYPE_CHECKING:
     from cosim.study.scores import Records
-    from hesr_model.health.findings import Finding
+    from hesr_model.findings import Finding
     from hesr_model.robots.robot import RobotModel
 
 

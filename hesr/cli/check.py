@@ -83,7 +83,7 @@ def check(
             reports.append(_with_references(report) if references else report)
     for fmu, report in zip(fmus, reports, strict=True):
         for problem in report.problems:
-            typer.echo(f"{fmu}: [{problem.check}] {problem.text}")
+            typer.echo(f"{fmu}: [{problem.check}] {problem.found}")
         for reason in report.skipped:
             typer.echo(f"{fmu}: not run: {reason}")
         typer.echo(f"{fmu}: {report.verdict}")

@@ -114,7 +114,7 @@ def _print(proposal: "Proposal") -> None:
         if findings:
             show(f"{heading}:")
         for finding in findings:
-            mark = "WRONG" if finding.severity == "refusal" else "odd"
+            mark = "WRONG" if finding.severity == "error" else "odd"
             typer.echo(f"  {mark}: {finding.sentence}")
     if not proposal.first:
         show("Nothing wrong or odd was found.")

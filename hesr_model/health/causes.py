@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from hesr_model.findings import Finding
 from hesr_model.fitting.samples import non_negative_least_squares
 from hesr_model.health.evidence import Motionwise, Torques, rubbing
-from hesr_model.health.findings import Finding
 from hesr_model.health.mistakes import Mistake, Rows, mistakes, torques_of
 from hesr_model.robots.robot import RobotModel
 from hesr_model.robots.transmission import onto
@@ -62,13 +62,13 @@ def check_causes(motions: Sequence[Motionwise], model: RobotModel) -> list[Findi
         findings.append(
             Finding(
                 check=best.check,
-                severity="refusal",
+                severity="error",
                 joints=(model.description.joints[best.joint],) if best.joint >= 0 else (),
                 logs=logs,
                 found=f"model and friction leave {100 * now[helped]:.0f} % of the torque of joint "
                 f"'{model.description.joints[helped]}' unexplained, and {100 * left[helped]:.0f} % "
                 "once this is mended",
-                cause=best.cause,
+                remedy=best.remedy,
                 changes=best.changes,
             )
         )
@@ -88,15 +88,15 @@ def _best(rows: Rows, now: Array, model: RobotModel, moves: Mask) -> tuple[Mista
         if float(gain.sum()) > most * _CLEARLY:
             best, left, most = mistake, then, float(gain.sum())
         elif best and best.joint == mistake.joint and float(gain.sum()) * _CLEARLY > most:
-            best = replace(best, cause=_either(best))
+            best = replace(best, remedy=_either(best))
     return best, left
 
 
 def _either(best: Mistake) -> str:
     """Say of a sign that the logs do not tell which of both it is."""
     if best.check != "torque-sign":
-        return best.cause
-    return best.cause.replace(
+        return best.remedy
+    return best.remedy.replace(
         "its torque counts backwards;",
         "its torque counts backwards, or its position and velocity do, which the logs do not tell;",
     )

@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from hesr_model.findings import Finding
 from hesr_model.health.causes import check_causes
 from hesr_model.health.evidence import Motionwise, Torques, as_logged, motionwise
-from hesr_model.health.findings import Finding, merged, require_known, require_sound
+from hesr_model.health.findings import merged, require_known, require_sound
 from hesr_model.health.loss import check_loss
 from hesr_model.health.positions import (
     check_columns,
@@ -69,7 +70,7 @@ def examine(
     for log in logs:
         timed = list(check_time(log, robot))
         findings += timed
-        if any(f.severity == "refusal" for f in timed):
+        if any(f.severity == "error" for f in timed):
             continue
         findings += [*check_jumps(log, robot), *check_steps(log, robot)]
         findings += check_held(log, robot)
@@ -100,7 +101,7 @@ def examine(
 def _hopeless(findings: Sequence[Finding]) -> bool:
     """Whether positions or stamps are so wrong that torques cannot be judged by them."""
     return any(
-        f.severity == "refusal"
+        f.severity == "error"
         and (
             f.check in ("limits", "wrap", "spikes")
             or {"log.units.t", "log.units.q"} & set(f.changes)

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from hesr_model.findings import Finding
 from hesr_model.friction.model import FrictionModel
-from hesr_model.health.findings import Finding
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
@@ -33,7 +33,7 @@ def check_body(body: RigidBody, model: RobotModel) -> Iterator[Finding]:
             check="mass-matrix", severity="warning", joints=(joints[joint],),
             found=f"the identified mass matrix is not positive definite (eigenvalue {lowest:.2g}, "
             f"for instance at q = {at})",
-            cause="the logs do not determine all inertias, and the body cannot exist; longer or "
+            remedy="the logs do not determine all inertias, and the body cannot exist; longer or "
             "faster logs, or physical = true in the study (--physical), give one that can",
         )  # fmt: skip
     for name, (coulomb, _, _), rmse in zip(joints, body.friction, body.rmse, strict=True):
@@ -41,7 +41,7 @@ def check_body(body: RigidBody, model: RobotModel) -> Iterator[Finding]:
             yield Finding(
                 check="negative-friction", severity="warning", joints=(name,),
                 found=f"its Coulomb friction is identified as {coulomb:.3g} N.m",
-                cause="torque or velocity count backwards, or lag each other",
+                remedy="torque or velocity count backwards, or lag each other",
             )  # fmt: skip
 
 
@@ -73,7 +73,7 @@ def check_laws(
                     check="no-better-than-nothing", severity="warning", joints=(joint,),
                     found=f"the error of the law {name}, {model.training_rmse[j]:.3g}, is no "
                     f"smaller than friction itself, {deviation:.3g}",
-                    cause="the torque holds no friction that it could learn; see 'hesr inspect'",
+                    remedy="the torque holds no friction that it could learn; see 'hesr inspect'",
                 )  # fmt: skip
             values = model.laws[j].values
             if {"F_c", "F_s"} <= set(values) and values["F_c"] != 0:
@@ -84,7 +84,7 @@ def check_laws(
                             check="bound", severity="warning", joints=(joint,),
                             found=f"F_s / F_c = {ratio:.3g} of the law {name} is a bound of its "
                             "search",
-                            cause="the logs do not determine it: slow motion and rests would",
+                            remedy="the logs do not determine it: slow motion and rests would",
                         )  # fmt: skip
 
 
@@ -96,5 +96,5 @@ def check_owner(model: FrictionModel, robot: RobotModel) -> Iterator[Finding]:
             check="other-robot", severity="warning",
             found=f"the law {model.law} was fitted to '{model.robot}' and is evaluated on "
             f"'{own.name}'",
-            cause="one of the files is of another robot",
+            remedy="one of the files is of another robot",
         )  # fmt: skip

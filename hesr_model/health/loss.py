@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise, Torques
-from hesr_model.health.findings import Finding
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support.arrays import Array, Integers
@@ -51,11 +51,11 @@ def check_loss(motion: Motionwise, torques: Torques, model: RobotModel) -> Itera
             continue
         unit = "m/s" if model.tree[j].prismatic else "rad/s"
         yield Finding(
-            check="missing-rows", severity="refusal",
+            check="missing-rows", severity="error",
             joints=(model.description.joints[j],), logs=(motion.log.name,),
             found=f"rows are missing throughout, which leaves its sliding torque at "
             f"{speeds[worst]:.2g} {unit} uncertain by {100 * min(uncertain[worst], 9.99):.2g} %",
-            cause=f"friction cannot be had within {100 * _UNCERTAIN:g} % from what is left; log "
+            remedy=f"friction cannot be had within {100 * _UNCERTAIN:g} % from what is left; log "
             "without losses, or for longer",
         )  # fmt: skip
 

@@ -46,7 +46,7 @@ class Mistake:
 
     check: str
     joint: int
-    cause: str
+    remedy: str
     changes: dict[str, object]
     mended: Rows
 
@@ -78,7 +78,7 @@ def mistakes(rows: Rows, model: RobotModel, moves: Mask) -> Iterator[Mistake]:
     if len(joints) > 1:
         key, changes = sign_change(robot, None, position=False)
         yield Mistake(
-            check="torque-sign", joint=-1, cause=f"all torques count backwards; set {key}",
+            check="torque-sign", joint=-1, remedy=f"all torques count backwards; set {key}",
             changes=changes, mended=replace(rows, tau=-rows.tau),
         )  # fmt: skip
     for j in joints:
@@ -86,19 +86,19 @@ def mistakes(rows: Rows, model: RobotModel, moves: Mask) -> Iterator[Mistake]:
         side = np.where(np.arange(model.n) == j, -1.0, 1.0)
         q, v, a, tau = (part * side for part in (rows.q, rows.v, rows.a, rows.tau))
         yield Mistake(
-            check="torque-sign", joint=j, cause=f"its torque counts backwards; set {key}",
+            check="torque-sign", joint=j, remedy=f"its torque counts backwards; set {key}",
             changes=changes, mended=replace(rows, tau=tau),
         )  # fmt: skip
         key, changes = sign_change(robot, j, position=True)
         yield Mistake(
             check="position-sign", joint=j,
-            cause=f"its position and velocity count backwards; set {key}",
+            remedy=f"its position and velocity count backwards; set {key}",
             changes=changes, mended=replace(rows, q=q, v=v, a=a),
         )  # fmt: skip
         both, other = sign_change(robot, j, position=False)
         yield Mistake(
             check="position-sign", joint=j,
-            cause=f"its position, velocity and torque count backwards; set {key}, and {both}",
+            remedy=f"its position, velocity and torque count backwards; set {key}, and {both}",
             changes=changes | other, mended=replace(rows, q=q, v=v, a=a, tau=tau),
         )  # fmt: skip
     for mend in (_swapped_torques, _swapped_joints, _gravity, _moved_zeros):
@@ -115,7 +115,7 @@ def _swapped_torques(rows: Rows, model: RobotModel, joints: list[int]) -> Iterat
         named = tuple(columns[k] for k in order)
         yield Mistake(
             check="torque-columns", joint=a,
-            cause=f"its torque stands in the column of joint '{robot.joints[b]}', and that one's "
+            remedy=f"its torque stands in the column of joint '{robot.joints[b]}', and that one's "
             f"in its; set [log.columns] {which} = {_quoted(named)}",
             changes={f"log.columns.{which}": named},
             mended=replace(rows, tau=rows.tau[:, order] / gains[order] * gains),
@@ -142,7 +142,7 @@ def _swapped_joints(rows: Rows, model: RobotModel, joints: list[int]) -> Iterato
         )
         yield Mistake(
             check="joint-order", joint=a,
-            cause=f"{what}; set [log.columns] q = {_quoted(changes['log.columns.q'])}, and the "
+            remedy=f"{what}; set [log.columns] q = {_quoted(changes['log.columns.q'])}, and the "
             "others alike",
             changes=dict(changes),
             mended=replace(rows, **{k: getattr(rows, k)[:, order] for k in ("q", "v", "a", "tau")}),
@@ -161,7 +161,7 @@ def _moved_zeros(rows: Rows, model: RobotModel, joints: list[int]) -> Iterator[M
             q[:, j] += quarter * np.pi / 2.0
             yield Mistake(
                 check="zero", joint=j,
-                cause=f"its zero is {90 * quarter} degrees from the model's; set [log] zero = "
+                remedy=f"its zero is {90 * quarter} degrees from the model's; set [log] zero = "
                 f"[{', '.join(f'{z:.6g}' for z in zero)}]",
                 changes={"log.zero": tuple(zero)}, mended=replace(rows, q=q),
             )  # fmt: skip
@@ -204,7 +204,7 @@ def _gravity(rows: Rows, model: RobotModel, joints: list[int]) -> Iterator[Mista
         upside = "as none"
     yield Mistake(
         check="gravity", joint=-1,
-        cause=f"gravity is declared {upside}; set gravity = "
+        remedy=f"gravity is declared {upside}; set gravity = "
         f"[{', '.join(f'{g:g}' for g in gravity)}]",
         changes={"gravity": gravity}, mended=replace(rows, gravity=np.array(gravity)),
     )  # fmt: skip

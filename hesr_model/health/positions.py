@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise
-from hesr_model.health.findings import Finding
 from hesr_model.health.loss import loses_rows, share_of_long_steps
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.robots.robot import RobotDescription, RobotModel
@@ -45,8 +45,8 @@ def check_time(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
             else ("the unit of time is wrong; see [log.units] t")
         )
         yield Finding(
-            check="time-unit", severity="refusal", logs=(log.name,),
-            found=f"its rows are {period:.3g} s apart", cause=mend,
+            check="time-unit", severity="error", logs=(log.name,),
+            found=f"its rows are {period:.3g} s apart", remedy=mend,
             changes={"log.units.t": units[0]} if units else {},
         )  # fmt: skip
         return
@@ -55,7 +55,7 @@ def check_time(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
         yield Finding(
             check="gaps", severity="warning", logs=(log.name,),
             found=f"{len(log.gaps)} gap{'s' * (len(log.gaps) > 1)}, the longest of {longest:.3g} s",
-            cause="rows are missing; "
+            remedy="rows are missing; "
             + (
                 f"its {parts} parts are filtered and fitted one by one"
                 if parts > 1
@@ -67,13 +67,13 @@ def check_time(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
         yield Finding(
             check="missing-rows", severity="warning", logs=(log.name,),
             found=f"{100 * share:.0f} % of its steps are longer than 1.8 periods of {period:.4g} s",
-            cause="rows are missing, so that reversals are seen less sharply",
+            remedy="rows are missing, so that reversals are seen less sharply",
         )  # fmt: skip
     if log.dropped:
         yield Finding(
             check="dropped-rows", severity="warning", logs=(log.name,),
             found=f"{log.dropped} rows lack a number or bear the stamp of the row before",
-            cause="they were left out, by [log] missing = 'drop'",
+            remedy="they were left out, by [log] missing = 'drop'",
         )  # fmt: skip
 
 
@@ -87,9 +87,9 @@ def check_jumps(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
         usual = np.median(np.abs(leaps[leaps != 0.0])) if np.any(leaps) else 0.0
         if len(turned) and usual < 0.05 * _TURN:
             yield Finding(
-                check="wrap", severity="refusal", joints=(joint,), logs=(log.name,),
+                check="wrap", severity="error", joints=(joint,), logs=(log.name,),
                 found=f"its position leaps by a turn at t = {log.t[turned[0] + 1]:.4g} s",
-                cause="the log wraps angles around; unwrap them before (numpy.unwrap)",
+                remedy="the log wraps angles around; unwrap them before (numpy.unwrap)",
             )  # fmt: skip
             continue
         bends = np.abs(leaps[1:] - leaps[:-1])
@@ -97,9 +97,9 @@ def check_jumps(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
         if len(bends) and float(bends.max()) > level:
             k = int(np.argmax(bends)) + 1
             yield Finding(
-                check="spikes", severity="refusal", joints=(joint,), logs=(log.name,),
+                check="spikes", severity="error", joints=(joint,), logs=(log.name,),
                 found=f"its position is {float(bends.max()):.3g} off at t = {log.t[k]:.4g} s",
-                cause="a row is wrong, or rows were lost; leave it out",
+                remedy="a row is wrong, or rows were lost; leave it out",
             )  # fmt: skip
 
 
@@ -116,7 +116,7 @@ def check_steps(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
             yield Finding(
                 check="coarse", severity="warning", joints=(joint,), logs=(log.name,),
                 found=f"its position comes in steps of {step:.2g}",
-                cause="it was rounded, or the encoder is coarse, and velocities are blurred; log "
+                remedy="it was rounded, or the encoder is coarse, and velocities are blurred; log "
                 "more digits",
             )  # fmt: skip
 
@@ -144,11 +144,11 @@ def check_limits(motion: Motionwise, model: RobotModel) -> Iterator[Finding]:
         unit: str | tuple[object, ...] = "deg" if len(set(degrees)) == 1 else degrees
         yield Finding(
             check="limits",
-            severity="refusal" if wrong else "warning",
+            severity="error" if wrong else "warning",
             joints=(joint,),
             logs=(motion.log.name,),
             found=f"its position comes to {far:.4g}, the model's limit is {limit:.4g}",
-            cause="q is in degrees; set [log.units] q = 'deg'"
+            remedy="q is in degrees; set [log.units] q = 'deg'"
             if in_degrees and turning[j]
             else "its unit, its zero or its column is wrong, or the model's limits are"
             if wrong
@@ -168,25 +168,25 @@ def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Findi
             for b in range(a):
                 if np.std(values[:, a]) > 0 and np.array_equal(values[:, a], values[:, b]):
                     yield Finding(
-                        check="same-column", severity="refusal", logs=logs,
+                        check="same-column", severity="error", logs=logs,
                         joints=(robot.joints[a],),
                         found=f"its {kind} is that of joint '{robot.joints[b]}', row by row",
-                        cause="one column serves for both; see [log.columns]",
+                        remedy="one column serves for both; see [log.columns]",
                     )  # fmt: skip
     for j in joints:
         tau = motion.log.tau[:, j]
         if np.ptp(tau) == 0.0:
             yield Finding(
-                check="torque-constant", severity="refusal", joints=(robot.joints[j],), logs=logs,
+                check="torque-constant", severity="error", joints=(robot.joints[j],), logs=logs,
                 found=f"it moves while its torque stays at {tau[0]:.4g}",
-                cause="its torque is not logged, or another column is",
+                remedy="its torque is not logged, or another column is",
             )  # fmt: skip
         elif (share := _saturated(tau)) > _SATURATED:
             yield Finding(
                 check="saturation", severity="warning", joints=(robot.joints[j],), logs=logs,
                 found=f"{100 * share:.1f} % of its rows stand at the largest torque, "
                 f"{np.max(np.abs(tau)):.4g}",
-                cause="the drive or the log cuts it off, and what is cut off is not learned",
+                remedy="the drive or the log cuts it off, and what is cut off is not learned",
             )  # fmt: skip
 
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import LogError
+from hesr_model.findings import Finding
 from hesr_model.health.examine import Examination, examine
-from hesr_model.health.findings import Finding
 from hesr_model.health.velocity import match
 from hesr_model.logs.guess import guess
 from hesr_model.logs.log_format import column_names
@@ -178,9 +178,7 @@ def _changes(
             continue
         for key, value in finding.changes.items():
             wanted[key] = _combined(_value(robot, key), wanted.get(key), value)
-            reasons[key] = (
-                f"{'sure' if finding.severity == 'refusal' else 'likely'}: {finding.found}"
-            )
+            reasons[key] = f"{'sure' if finding.severity == 'error' else 'likely'}: {finding.found}"
     return {key: value for key, value in wanted.items() if value != _value(robot, key)}
 
 

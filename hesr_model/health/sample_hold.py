@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise
-from hesr_model.health.findings import Finding
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.arrays import Array, Mask
@@ -53,9 +53,9 @@ def check_held(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
         k = int(np.argmax(np.where(alone, off, 0.0)))
         if alone[k] and off[k] > _SPIKE * (high - low) > 0.0:
             yield Finding(
-                check="torque-spikes", severity="refusal", joints=(joint,), logs=(log.name,),
+                check="torque-spikes", severity="error", joints=(joint,), logs=(log.name,),
                 found=f"its torque is {off[k]:.3g} off for a row, at t = {log.t[k + 1]:.4g} s",
-                cause="that row is wrong; leave it out",
+                remedy="that row is wrong; leave it out",
             )  # fmt: skip
 
 
@@ -79,7 +79,7 @@ def _repeated(log: RobotLog, moves: Mask, fine: Mask) -> Iterator[Finding]:
         yield Finding(
             check="held-samples", severity="warning", logs=(log.name,),
             found=f"{100 * share:.0f} % of the rows in motion repeat the torques of the row before",
-            cause="rows are written more often than the robot answers; log at its own rate",
+            remedy="rows are written more often than the robot answers; log at its own rate",
         )  # fmt: skip
 
 
@@ -99,9 +99,9 @@ def _stands_still(log: RobotLog, values: Array, moves: Mask) -> int | None:
 
 def _stuck(log: RobotLog, joint: str, what: str, row: int, while_: str) -> Finding:
     return Finding(
-        check="stuck", severity="refusal", joints=(joint,), logs=(log.name,),
+        check="stuck", severity="error", joints=(joint,), logs=(log.name,),
         found=f"its {what} stands still from t = {log.t[row]:.4g} s on, while {while_}",
-        cause="the sensor or its connection failed there; cut these rows out",
+        remedy="the sensor or its connection failed there; cut these rows out",
     )  # fmt: skip
 
 
@@ -118,6 +118,6 @@ def check_speed(motion: Motionwise, model: RobotModel) -> Iterator[Finding]:
             joints=(model.description.joints[j],),
             found=f"it reaches {peaks[j]:.3g} {unit}, {peaks[j] / limits[j]:.2g} times the model's "
             "limit",
-            cause="the stamps were made from a wrong sample rate, a unit is wrong, or the model's "
+            remedy="the stamps were made from a wrong sample rate, a unit is wrong, or the model's "
             "limits are",
         )  # fmt: skip

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hesr_model.equations.over_log import clipped
+from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise, rubbing
-from hesr_model.health.findings import Finding
 from hesr_model.inference.correlation import correlation_length
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import RobotDescription, RobotModel
@@ -112,7 +112,7 @@ def check_clocks(
             joints=(model.description.joints[j],),
             found=f"its torque is about {abs(lag) * 1e3:.0f} ms {'late' if lag > 0 else 'early'} "
             "against the motion",
-            cause="torques were filtered or come from another clock; move their columns in time",
+            remedy="torques were filtered or come from another clock; move their columns in time",
         )  # fmt: skip
     rate, sure = stamps_rate(rows, joints, part.t, logged.tau)
     if sure > _SURE and max(rate, 1.0 / rate) > _OFF:
@@ -125,7 +125,7 @@ def _wrong_rate(rate: float, robot: RobotDescription, logs: tuple[str, ...]) -> 
     return Finding(
         check="time-scale", severity="warning", logs=logs,
         found=f"beside gravity its inertial torques are those of a motion that is {way}",
-        cause="the stamps were made from a wrong sample rate, or their unit is wrong; set "
+        remedy="the stamps were made from a wrong sample rate, or their unit is wrong; set "
         f"[log.units] t to about {unit:.2g}",
     )  # fmt: skip
 

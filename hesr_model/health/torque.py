@@ -8,8 +8,8 @@ from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
 
+from hesr_model.findings import Finding
 from hesr_model.health.evidence import JointTorque, Motionwise, Torques, explain
-from hesr_model.health.findings import Finding
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.units import backwards, unit_of_joint
 
@@ -55,12 +55,12 @@ def check_torque(
             yield from _scale(fit, j, found, model, logs)
         if fit.gravity.t < -_SURE and fit.gravity_size > _SEEN * fit.residual:
             yield Finding(
-                check="gravity-sign", severity="refusal", logs=logs,
+                check="gravity-sign", severity="error", logs=logs,
                 joints=(model.description.joints[j],),
                 found=f"its gravity is the model's turned around ({fit.gravity.value:.2g} times, "
                 f"{abs(fit.gravity.t):.0f} standard errors)",
-                cause="the robot is mounted otherwise than 'gravity' says, its zero is half a turn "
-                "off, or its torque or its position counts backwards",
+                remedy="the robot is mounted otherwise than 'gravity' says, its zero is half a "
+                "turn off, or its torque or its position counts backwards",
             )  # fmt: skip
         if fit.r2 < NO_SIGNAL:
             levels = len(np.unique(motion.tau[:, j]))
@@ -69,7 +69,7 @@ def check_torque(
                 logs=logs,
                 found=f"model and friction explain {100 * max(fit.r2, 0):.0f} % of its torque, "
                 f"which takes {levels} values",
-                cause="it holds almost no signal, or is of another joint; what is fitted to it "
+                remedy="it holds almost no signal, or is of another joint; what is fitted to it "
                 "means nothing",
             )  # fmt: skip
     yield from _no_friction(found, model, logs)
@@ -87,11 +87,11 @@ def _sign(fit: JointTorque, j: int, model: RobotModel, logs: tuple[str, ...]) ->
     unit = unit_of_joint("N.m", slides=model.tree[j].prismatic)
     beside = "" if fit.bears_gravity else ", or its position and velocity do"
     yield Finding(
-        check="torque-sign", severity="refusal", joints=(robot.joints[j],), logs=logs,
+        check="torque-sign", severity="error", joints=(robot.joints[j],), logs=logs,
         found="its torque drives the motion where friction should brake it "
         f"({fit.friction.value:.3g} {unit} along the velocity, "
         f"{abs(fit.friction.t):.0f} standard errors)",
-        cause=f"its {what} backwards{beside}; set {key}",
+        remedy=f"its {what} backwards{beside}; set {key}",
         changes=changes,
     )  # fmt: skip
 
@@ -148,9 +148,9 @@ def _scale(
         abs(f.gravity.value) < 1 / _SCALE or abs(f.gravity.value) > _SCALE for f in bearing
     )
     yield Finding(
-        check="torque-scale", severity="refusal", joints=(robot.joints[j],), logs=logs,
+        check="torque-scale", severity="error", joints=(robot.joints[j],), logs=logs,
         found=f"its torque is {max(scale, 0.0):.2g} times what the model's {of} takes",
-        cause=_why_scaled(robot, scale, everywhere=everywhere)
+        remedy=_why_scaled(robot, scale, everywhere=everywhere)
         if scale > _WEIGHTLESS or not weightless or abs(fit.inertia.value) < 1.0 / _SCALE
         else "gravity was taken out of it, or a spring or weight carries the arm, or the file "
         "declares another gravity",
@@ -197,7 +197,7 @@ def _no_friction(found: Explained, model: RobotModel, logs: tuple[str, ...]) -> 
         check="no-friction", severity="warning", joints=names, logs=logs,
         found="the model's rigid body explains their torques, and nothing of these goes with the "
         "velocity",
-        cause="it was computed or commanded instead of measured, or friction was taken out of it",
+        remedy="it was computed or commanded instead of measured, or friction was taken out of it",
     )  # fmt: skip
 
 
@@ -216,9 +216,9 @@ def _against_limits(
         name = model.description.joints[j]
         if share > _ABOVE_LIMIT:
             yield Finding(
-                check="torque-limit", severity="refusal", joints=(name,), logs=logs,
+                check="torque-limit", severity="error", joints=(name,), logs=logs,
                 found=f"its torque reaches {peaks[j]:.3g}, {share:.2g} times the model's limit",
-                cause="its unit or its torque_per_ampere is wrong",
+                remedy="its unit or its torque_per_ampere is wrong",
             )  # fmt: skip
         others = [s for k, s in used.items() if k != j]
         if (
@@ -230,5 +230,5 @@ def _against_limits(
                 check="torque-small", severity="warning", joints=(name,), logs=logs,
                 found=f"its torque reaches {100 * share:.2g} % of the model's limit, the other "
                 f"joints' {100 * np.median(others):.2g} %",
-                cause="its unit or its torque_per_ampere may be wrong",
+                remedy="its unit or its torque_per_ampere may be wrong",
             )  # fmt: skip

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise
-from hesr_model.health.findings import Finding
 from hesr_model.inference.correlation import standard_errors
 from hesr_model.logs.log_format import LogUnits, column_names
 from hesr_model.robots.robot import RobotDescription
@@ -87,9 +87,9 @@ def check_velocity(
         name = robot.joints[j]
         if np.ptp(dq[:, j]) < 1e-9:
             yield Finding(
-                check="velocity-constant", severity="refusal", joints=(name,), logs=logs,
+                check="velocity-constant", severity="error", joints=(name,), logs=logs,
                 found="its position moves while its velocity never changes",
-                cause="the velocity is not logged; set [log.columns] dq = \"\", so that it is "
+                remedy="the velocity is not logged; set [log.columns] dq = \"\", so that it is "
                 "derived from the position", changes={"log.columns.dq": ""},
             )  # fmt: skip
         elif abs(found.correlation) < _ALIKE:
@@ -128,15 +128,15 @@ def _unlike(
         order = [columns[places.get(k, k)] for k in range(len(columns))]
         listed = ", ".join(f'"{column}"' for column in order)
         return Finding(
-            check="velocity-columns", severity="refusal", joints=(name,), logs=logs, found=what,
-            cause=f"its velocity stands in the column of joint '{robot.joints[other]}', columns "
+            check="velocity-columns", severity="error", joints=(name,), logs=logs, found=what,
+            remedy=f"its velocity stands in the column of joint '{robot.joints[other]}', columns "
             f"are swapped; set [log.columns] dq = [{listed}]",
             changes={"log.columns.dq": tuple(order)},
         )  # fmt: skip
     late = f", and is {found.lag * 1e3:.0f} ms late" if abs(found.lag) > _LATE else ""
     return Finding(
-        check="velocity-match", severity="refusal", joints=(name,), logs=logs, found=what + late,
-        cause="the column holds another signal or a filtered one; set [log.columns] dq = \"\", so "
+        check="velocity-match", severity="error", joints=(name,), logs=logs, found=what + late,
+        remedy="the column holds another signal or a filtered one; set [log.columns] dq = \"\", so "
         "that it is derived from the position", changes={"log.columns.dq": ""},
     )  # fmt: skip
 
@@ -146,7 +146,7 @@ def _late(name: str, lag: float, logs: tuple[str, ...]) -> Finding:
     return Finding(
         check="velocity-lag", severity="warning", joints=(name,), logs=logs,
         found=f"its velocity is {abs(lag) * 1e3:.0f} ms {way} against its position",
-        cause="it was filtered or comes from another clock; set [log.columns] dq = \"\", so that "
+        remedy="it was filtered or comes from another clock; set [log.columns] dq = \"\", so that "
         "it is derived from the position", changes={"log.columns.dq": ""},
     )  # fmt: skip
 
@@ -161,9 +161,9 @@ def _scale(
         against = {k for k, other in matches.items() if other.correlation < -_ALIKE}
         units = [backwards(unit) if k in against else unit for k, unit in declared]
         yield Finding(
-            check="velocity-sign", severity="refusal", joints=(name,), logs=logs,
+            check="velocity-sign", severity="error", joints=(name,), logs=logs,
             found=f"its position falls where its velocity is positive (slope {found.slope:.2f})",
-            cause="velocity or position counts backwards; set [log.units] dq = "
+            remedy="velocity or position counts backwards; set [log.units] dq = "
             f"{_listed(units)}, or q alike", changes={"log.units.dq": tuple(units)},
         )  # fmt: skip
     ratio = abs(found.slope)
@@ -174,11 +174,11 @@ def _scale(
     shown = f"{ratio:.3g} times faster" if ratio > 1 else f"{1 / ratio:.3g} times slower"
     yield Finding(
         check="velocity-scale",
-        severity="refusal" if abs(np.log(ratio)) > _WRONG else "warning",
+        severity="error" if abs(np.log(ratio)) > _WRONG else "warning",
         joints=(name,),
         logs=logs,
         found=f"q changes {shown} than dq says",
-        cause=cause,
+        remedy=cause,
         changes=changes,
     )
 

@@ -14,7 +14,7 @@ from fmu_src.check import check
 def complaints(fmu: Path) -> list[str]:
     report = check(fmu, hostile=True)
     assert not any(reason.startswith("Hostile") for reason in report.skipped)
-    return [problem.text for problem in report.problems]
+    return [problem.found for problem in report.problems]
 
 
 @pytest.mark.parametrize("name", ["trajectory", "body", "controller", "velocity"])

@@ -80,14 +80,14 @@ def _battery(path: Path) -> object:
 
 def _write_findings(path: Path) -> None:
     from cosim.study.health import HEALTH, write_findings
-    from hesr_model.health.findings import Finding
+    from hesr_model.findings import Finding
 
     write_findings(
         path.parent,
         [
             Finding(
                 check="limits", severity="warning", joints=("a", "b"), logs=("x",),
-                found="its position comes to 7", cause="its zero is wrong",
+                found="its position comes to 7", remedy="its zero is wrong",
             )
         ],
     )  # fmt: skip

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise
-from hesr_model.health.findings import Finding
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.robots.robot import RobotDescription
 
@@ -30,7 +30,7 @@ def edge(
 def said(findings: Iterable[Finding], check: str = "") -> list[str]:
     """All that findings hold, a line each."""
     return [
-        f"{f.check}, {f.severity}, {list(f.joints)}, {list(f.logs)}: {f.found} | {f.cause} | "
+        f"{f.check}, {f.severity}, {list(f.joints)}, {list(f.logs)}: {f.found} | {f.remedy} | "
         + ", ".join(f"{key} = {_short(value)}" for key, value in f.changes.items())
         for f in findings
         if check in ("", f.check)

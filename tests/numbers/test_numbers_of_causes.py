@@ -9,10 +9,11 @@ from limits_found import at, edge, said
 from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
+from hesr_model.findings import Finding
 from hesr_model.health.causes import _best, _unexplained, check_causes, pooled
 from hesr_model.health.evidence import Motionwise, motionwise
 from hesr_model.health.examine import _caused, _hopeless, _without_followers
-from hesr_model.health.findings import Finding, HealthError, merged, require_sound
+from hesr_model.health.findings import HealthError, merged, require_sound
 from hesr_model.health.mistakes import _by_axis, _gravity, mistakes, torques_of
 from hesr_model.health.proposal import _changes, _combined, changed
 from hesr_model.logs.robot_log import RobotLog
@@ -62,7 +63,7 @@ def test_mistakes(
     for name, model in variants(arm).items():
         rows = pooled([part], model.description.gravity)
         found = list(mistakes(rows, model, ALL))
-        told[name] = [f"{m.check} {m.joint}: {m.cause} | {dict(m.changes)}" for m in found]
+        told[name] = [f"{m.check} {m.joint}: {m.remedy} | {dict(m.changes)}" for m in found]
         numbers[name] = [
             [np.sum(getattr(m.mended, k) * np.arange(1.0, 4.0)) for k in ("q", "v", "a", "tau")]
             for m in found
@@ -162,22 +163,22 @@ def test_causes(
 
 
 def finding(check: str, joint: str = "", severity: str = "warning", log: str = "one",
-            cause: str = "c", **changes: object) -> Finding:  # fmt: skip
+            remedy: str = "c", **changes: object) -> Finding:  # fmt: skip
     return Finding(
         check=check, severity=severity, joints=(joint,) if joint else (),
-        logs=(log,), found=f"{check} of {joint}", cause=cause,
+        logs=(log,), found=f"{check} of {joint}", remedy=remedy,
         changes={key.replace("_", "."): value for key, value in changes.items()},
     )  # fmt: skip
 
 
 def test_findings_become_sentences(data_regression: DataRegressionFixture) -> None:
-    sign = finding("torque-sign", "a", "refusal")
+    sign = finding("torque-sign", "a", "error")
     several = [
         finding("torque-lag", "a"),
         sign,
         finding("torque-lag", "a", log="two"),
         finding("torque-lag", "b", log="two"),
-        finding("torque-lag", "c", cause="d"),
+        finding("torque-lag", "c", remedy="d"),
         replace(sign, severity="warning", logs=("two",)),
         replace(sign, joints=("b",), logs=("three",)),
     ]
@@ -191,14 +192,14 @@ def test_findings_become_sentences(data_regression: DataRegressionFixture) -> No
             except HealthError as error:
                 told[f"{accepted} {len(those)}"] = [str(error), str(len(error.findings))]
     lag, scale = finding("torque-lag", "b"), finding("torque-scale", "a")
-    zero, all_back = finding("zero", "c", "refusal"), finding("torque-sign", severity="refusal")
+    zero, all_back = finding("zero", "c", "error"), finding("torque-sign", severity="error")
     other = replace(sign, found="another")
     told |= {
         f"caused {k}": said(_caused([sign, lag, scale, finding("gaps")], causes))
         for k, causes in enumerate([[], [other], [zero], [all_back], [other, zero],
-                                    [finding("position-sign", "a", "refusal")]])
+                                    [finding("position-sign", "a", "error")]])
     }  # fmt: skip
-    unlike, speed = finding("velocity-match", "a", "refusal"), finding("speed-limit", "b")
+    unlike, speed = finding("velocity-match", "a", "error"), finding("speed-limit", "b")
     units = finding("velocity-scale", "b", log_units_dq="rpm")
     columns = finding("velocity-columns", "a", log_columns_dq=("b", "a"))
     told |= {
@@ -208,7 +209,7 @@ def test_findings_become_sentences(data_regression: DataRegressionFixture) -> No
     }  # fmt: skip
     told["hopeless"] = [
         str(_hopeless([f]))
-        for severity in ("refusal", "warning")
+        for severity in ("error", "warning")
         for f in (
             finding("limits", "a", severity), finding("wrap", "a", severity),
             finding("spikes", "a", severity), finding("zero", "a", severity),
@@ -224,7 +225,7 @@ def test_changes_of_several_findings(
     arm: RobotDescription, data_regression: DataRegressionFixture
 ) -> None:
     reasons: dict[str, str] = {}
-    back = finding("velocity-sign", "j1", "refusal", log_units_dq=("-rad/s", "rad/s", "rad/s"))
+    back = finding("velocity-sign", "j1", "error", log_units_dq=("-rad/s", "rad/s", "rad/s"))
     also = finding("velocity-scale", "j2", log_units_dq=("rad/s", "rpm", "rad/s"))
     lag = finding("velocity-lag", "j2", log_columns_dq="")
     same = finding("zero", "j2", log_units_q="rad")

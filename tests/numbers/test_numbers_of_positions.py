@@ -207,7 +207,7 @@ def test_positions_beyond_the_limits(
             "above": edge(lambda x: told((-1.0, x), inside), 1.5, 2.5),
             "below": edge(lambda x: told((x, 1.0), inside), -2.5, -1.5),
             "slide": edge(lambda x: told((-1.0, 1.0), (0.0, x)), 1.0, 2.5),
-            "wrong": edge(lambda x: told((-1.0, x), inside, words="refusal"), 2.0, 9.0),
+            "wrong": edge(lambda x: told((-1.0, x), inside, words="error"), 2.0, 9.0),
             "degrees": edge(lambda x: told((-5.0, x), inside, words="in degrees"), 5.0, 40.0),
             "no degrees": edge(lambda x: told((-5.0, x), inside, words="in degrees"), 40.0, 400.0),
             "nor below": edge(lambda x: told((x, 20.0), inside, words="in degrees"), -400.0, -40.0),

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hesr_model.health.findings import Finding
+from hesr_model.findings import Finding
 from hesr_model.inference.deviation import Trend
 
 BODY = "rigid_body"

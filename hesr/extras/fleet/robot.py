@@ -18,13 +18,14 @@ from fmu_src.run.batch import Array
 from hesr.extras.fleet.result import BODY, JointResult, RobotResult
 from hesr.extras.fleet.study import FleetStudy, Member
 from hesr_model.errors import ArtifactError, FitError, HesrError, LogError
+from hesr_model.findings import Finding
 from hesr_model.fitting.day_offsets import own_of_log
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record
 from hesr_model.health.examine import examine
-from hesr_model.health.findings import Finding, merged
+from hesr_model.health.findings import merged
 from hesr_model.health.fit_checks import check_body, check_laws
 from hesr_model.inference.deviation import trend
 from hesr_model.logs.robot_log import RobotLog
@@ -205,7 +206,7 @@ class _Robot:
     def _check(self, log: RobotLog) -> None:
         accept = self._member.kind.accept
         found = examine([log], self._description, self._model).findings
-        wrong = [f for f in found if f.severity == "refusal" and f.check not in accept]
+        wrong = [f for f in found if f.severity == "error" and f.check not in accept]
         if wrong:
             raise LogError("; ".join(f"{f.sentence.removesuffix('.')} [{f.check}]" for f in wrong))
         self._findings = merged([*self._findings, *found])

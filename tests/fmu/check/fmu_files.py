@@ -103,7 +103,7 @@ def without_binaries(fmu: Path, path: Path, **more: Any) -> Path:
 
 
 def texts(found: Report, of: str | None = None) -> list[str]:
-    return [p.text for p in found.problems if of in (None, p.check)]
+    return [p.found for p in found.problems if of in (None, p.check)]
 
 
 def said(path: Path, of: str | None = None) -> list[str]:

@@ -42,7 +42,7 @@ def assert_report(path, data):
     path.write_bytes(data)
     report = check(path)
     assert isinstance(report, Report)
-    assert all(p.text.isprintable() and p.text.endswith((".", "?", "!")) for p in report.problems)
+    assert all(p.found.isprintable() and p.found.endswith((".", "?", "!")) for p in report.problems)
 
 
 @QUIET

@@ -156,4 +156,4 @@ def test_only_so_many_problems_are_listed(source_fmu, tmp_path):
 
     found = said(changed(source_fmu, tmp_path / "F.fmu", change), "rules")
     assert len(found) == 1001
-    assert found[-1] == "500 more problems of this check are not listed."
+    assert found[-1] == "500 more findings are not listed."

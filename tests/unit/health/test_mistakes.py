@@ -12,8 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from hesr_model.errors import ConfigError
+from hesr_model.findings import Finding
 from hesr_model.health.examine import CHECKS, checked, examine
-from hesr_model.health.findings import Finding, HealthError
+from hesr_model.health.findings import HealthError
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import Motion
 from hesr_model.robots.robot import RobotModel
@@ -244,7 +245,7 @@ def test_torques_that_were_computed_are_told(
         [RobotLog(name="run", t=m.t, q=m.q, dq=m.dq, tau=m.tau)], arm_model.description, arm_model
     ).findings
     assert (finding.check, finding.joints) == ("no-friction", ("j1", "j2", "j3"))
-    assert "it was computed or commanded instead of measured" in finding.cause
+    assert "it was computed or commanded instead of measured" in finding.remedy
 
 
 def test_torques_without_their_gravity_are_refused(log: RobotLog, arm_model: RobotModel) -> None:
@@ -254,7 +255,7 @@ def test_torques_without_their_gravity_are_refused(log: RobotLog, arm_model: Rob
         [replace(log, tau=log.tau - gravity)], arm_model.description, arm_model
     ).findings
     assert [(f.check, f.joints) for f in found] == [("torque-scale", ("j2",))]
-    assert "gravity was taken out of it" in found[0].cause
+    assert "gravity was taken out of it" in found[0].remedy
 
 
 def test_a_clean_log_has_no_finding(log: RobotLog, arm_model: RobotModel) -> None:
@@ -278,7 +279,7 @@ def test_gravity_is_told_where_it_points_elsewhere(log: RobotLog, arm_model: Rob
         other = RobotModel(arm_model.description.model_copy(update={"gravity": gravity}))
         (finding,) = examine([log], other.description, other).findings
         assert (finding.check, finding.changes["gravity"]) == ("gravity", (0.0, 0.0, -9.81))
-        assert words in finding.cause
+        assert words in finding.remedy
 
 
 def test_all_problems_are_told_at_once_and_can_be_accepted(
@@ -304,7 +305,7 @@ def test_only_checks_can_be_accepted(log: RobotLog, arm_model: RobotModel) -> No
 
 def test_a_finding_survives_json() -> None:
     finding = Finding(
-        check=CHECKS[0], severity="warning", joints=("a",), logs=("x", "y"), found="f", cause="c"
+        check=CHECKS[0], severity="warning", joints=("a",), logs=("x", "y"), found="f", remedy="c"
     )
     assert from_json(Finding, to_json(finding), Path("health.json"), "a finding") == finding
     assert finding.sentence == "log x and 1 more, joint 'a': f: c."

@@ -1,0 +1,64 @@
+"""Findings: what checks of logs, laws and FMUs report, each with place and remedy."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+from pydantic import AliasChoices, BeforeValidator, Field
+
+Severity = Literal["error", "warning", "advice"]
+
+SEVERITIES: tuple[Severity, ...] = ("error", "warning", "advice")
+"""Severities, the worst first."""
+
+
+def _severity(text: object) -> object:
+    return "error" if text == "refusal" else text  # as in files of version 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing that a check found.
+
+    Attributes
+    ----------
+    check : name of the check; `--accept` takes it.
+    severity : ``"error"`` (cannot be right), ``"warning"`` (unusual) or ``"advice"``.
+    where : file, or member of an FMU; empty if the logs or the sentence name the place.
+    joints, logs : names of the joints and logs concerned.
+    found : observation.
+    remedy : likeliest cause and what to do; empty if the observation says it.
+    changes : values to set in the robot file by key, as ``log.units.q``; not part of the JSON.
+    """
+
+    check: str
+    severity: Annotated[Severity, BeforeValidator(_severity)] = "error"
+    where: str = ""
+    joints: tuple[str, ...] = ()
+    logs: tuple[str, ...] = ()
+    found: str
+    remedy: Annotated[str, Field(validation_alias=AliasChoices("remedy", "cause"))] = ""
+    changes: Annotated[Mapping[str, Any], Field(exclude=True)] = field(default_factory=dict)
+
+    @property
+    def sentence(self) -> str:
+        """Place, observation and remedy in one sentence."""
+        more = f" and {len(self.logs) - 1} more" if len(self.logs) > 1 else ""
+        where = [self.where] if self.where else []
+        where += [f"log {self.logs[0]}{more}"] if self.logs else []
+        if self.joints:
+            plural = "s" if len(self.joints) > 1 else ""
+            where.append(f"joint{plural} {', '.join(map(repr, self.joints))}")
+        said = f"{self.found}: {self.remedy}." if self.remedy else self.found
+        return f"{', '.join(where)}{': ' if where else ''}{said}"
+
+
+def errors_first(findings: Iterable[Finding]) -> list[Finding]:
+    """Return findings ordered by severity."""
+    return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
+
+
+def reaching(findings: Iterable[Finding], severity: str) -> list[Finding]:
+    """Return the findings at or above a severity; none for ``"never"``."""
+    counted = SEVERITIES[: SEVERITIES.index(severity) + 1] if severity in SEVERITIES else ()
+    return [finding for finding in findings if finding.severity in counted]
