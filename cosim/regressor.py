@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from cosim.workflow.arguments import body_of, logs_of, page_body, robot_of
-from fmu_src.run.batch import Array
 from hesr_model.errors import FitError, TableError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.equation import equations
@@ -21,6 +20,7 @@ from hesr_model.logs.robot_log import RobotLog, parts_of
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot_argument import RobotLike, model_of
+from hesr_model.support.arrays import Array
 from hesr_model.support.files import path_of
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ import numpy as np
 
 from cosim.systems.system import SystemSpec
 from cosim.systems.wiring import Wiring
-from fmu_src.run.batch import Array
 from fmu_src.run.fmu import Component
+from hesr_model.support.arrays import Array
 
 _INDEX = re.compile(r"\[\d+(,\d+)*\]$")
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from cosim.interop.case import Alone, Run, Together
 from cosim.interop.reference import Coupling
-from fmu_src.run.batch import Array
+from hesr_model.support.arrays import Array
 from hesr_model.support.process import FailedError, run
 
 DEFAULT_TOOLS = Path(".tools/interop")

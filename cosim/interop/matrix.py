@@ -11,7 +11,7 @@ from cosim.interop.case import Alone, Case, Run, Together, deviation
 from cosim.interop.engine import Engine, SkippedError, Tools
 from cosim.interop.engines import ENGINES
 from cosim.interop.reference import Coupling, alone, together
-from fmu_src.run.batch import Array
+from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.process import FailedError
 from hesr_model.support.progress import Progress, counted, silent

@@ -10,9 +10,9 @@ import numpy as np
 
 from cosim.interop.case import Alone, Together
 from cosim.systems.wiring import Element, Wiring
-from fmu_src.run.batch import Array
 from fmu_src.run.fmu import Component
 from fmu_src.run.native import through
+from hesr_model.support.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fmu_src.run.batch import Array
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.logs.tables import write_table
 from hesr_model.motions.excitation import (
@@ -18,6 +17,7 @@ from hesr_model.motions.excitation import (
 from hesr_model.motions.excitation import design as design_excitation
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.arrays import Array
 from hesr_model.support.config import read_toml
 from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Progress, silent

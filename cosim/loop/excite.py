@@ -12,13 +12,13 @@ import numpy as np
 from cosim.loop.motions import Motions, names_of
 from cosim.loop.twin import FmuArm
 from fmu_src.arm.plant import Arm, ArmOutput, Noise, Plant
-from fmu_src.run.batch import Array
 from fmu_src.run.fmu import Component
 from hesr_model.errors import ConfigError
 from hesr_model.logs.noise import words
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.tables import write_table
 from hesr_model.motions.trajectories import Trajectory
+from hesr_model.support.arrays import Array
 from hesr_model.support.files import written_whole
 
 _log = logging.getLogger(__name__)

@@ -16,10 +16,10 @@ from cosim.loop.traces import Trace
 from cosim.systems.simulation import Master
 from cosim.systems.system import Value
 from fmu_src.blocks.trajectory import start_values
-from fmu_src.run.batch import Array
 from fmu_src.run.pool import HERE
 from hesr_model.motions.trajectories import Trajectory
 from hesr_model.support import parallel
+from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256, written_whole
 from hesr_model.support.progress import Progress, silent
 from hesr_model.support.typed_json import NumbersWithGaps, from_json, read_json, to_text

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu_src.arm.plant import ArmOutput, Plant
-from fmu_src.run.batch import Array
 from fmu_src.run.fmu import Component
+from hesr_model.support.arrays import Array
 
 _TRUE = ("q_true", "dq_true", "tau_true", "tau_f_true")
 _MEASURED = ("q", "tau_meas")

@@ -31,7 +31,6 @@ from cosim.properties.stick_slip import stick_slip
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.reference import UNKNOWN_SPEED
-from fmu_src.run.batch import Array
 from hesr_model.audit.audit import loads_of
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import (
@@ -47,6 +46,7 @@ from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support import parallel
+from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Progress, counted, silent
 
 _SAMPLE_TIME = 5e-3  # [s] of FMUs that do not say theirs

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from fmu_src.friction.friction_component import GIVEN, START_MODE
-from fmu_src.run.batch import Array
 from fmu_src.run.fmu import Component
 from fmu_src.run.native import through
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
+from hesr_model.support.arrays import Array
 
 DISCRETISATION = "discretisation"
 _EXACT = 1.0

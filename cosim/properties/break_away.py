@@ -5,9 +5,9 @@ import numpy as np
 from cosim.properties.bench import DriveBench
 from cosim.properties.findings import curve, judged, plot
 from cosim.properties.scale import Scale
-from fmu_src.run.batch import Array
 from hesr_model.audit.expectations import FALLS, HELD
 from hesr_model.audit.properties import Finding
+from hesr_model.support.arrays import Array
 
 RAMPS = (10.0, 3.0, 1.0, 0.3)
 """Times in which ramps of torque reach the friction level [s]."""

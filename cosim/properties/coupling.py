@@ -5,10 +5,10 @@ import numpy as np
 from cosim.properties.bench import FrictionBench
 from cosim.properties.findings import curve, figures, plot
 from cosim.properties.scale import SLIDING, Scale
-from fmu_src.run.batch import Array
 from hesr_model.audit.expectations import STEP
 from hesr_model.audit.properties import Finding
 from hesr_model.errors import SimulationError
+from hesr_model.support.arrays import Array
 
 LEAST, MOST = 5e-5, 0.1
 """Steps between which the largest one is looked for [s]."""

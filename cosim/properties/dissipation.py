@@ -5,9 +5,9 @@ import numpy as np
 from cosim.properties.bench import DriveBench
 from cosim.properties.findings import curve, judged, plot
 from cosim.properties.scale import Scale
-from fmu_src.run.batch import Array
 from hesr_model.audit.expectations import PASSIVE
 from hesr_model.audit.properties import Finding
+from hesr_model.support.arrays import Array
 
 AMPLITUDES = (0.02, 0.5, 2.0)
 """Of the torque, in friction levels: far within pre-sliding, half of it, and sliding."""

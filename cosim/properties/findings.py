@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fmu_src.run.batch import Array
 from hesr_model.audit.properties import Curve, Figure, Finding, Plot
+from hesr_model.support.arrays import Array
 
 _UNITS = {
     "amplitude": "rad/s",

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fmu_src.run.batch import Array
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support.arrays import Array
 
 INERTIA: Mapping[str, tuple[float, ...]] = {"uf850": (3.0, 3.0, 0.6)}
 """Inertia of the joints of robots that come with HESR, the others at rest [kg.m2]."""

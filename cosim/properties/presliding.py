@@ -10,9 +10,9 @@ import numpy as np
 from cosim.properties.bench import FrictionBench
 from cosim.properties.findings import curve, judged, plot
 from cosim.properties.scale import Scale
-from fmu_src.run.batch import Array
 from hesr_model.audit.expectations import CLOSED, INNER, RATE, SMOOTH
 from hesr_model.audit.properties import Finding
+from hesr_model.support.arrays import Array
 
 PERIOD, SLOW_PERIOD = 4.0, 40.0
 """Of the loops [s]."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.properties.bench import FrictionBench
-from fmu_src.run.batch import Array
 from hesr_model.audit.cycles import ENCODER
+from hesr_model.support.arrays import Array
 
 CREEP = 0.01
 """Slow sliding, as a share of the largest trained speed."""

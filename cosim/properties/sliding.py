@@ -5,7 +5,6 @@ import numpy as np
 from cosim.properties.bench import FrictionBench
 from cosim.properties.findings import curve, judged, plot
 from cosim.properties.scale import Scale
-from fmu_src.run.batch import Array
 from hesr_model.audit.attack import loaded_motions
 from hesr_model.audit.cycles import (
     AMPLITUDES,
@@ -19,6 +18,7 @@ from hesr_model.audit.cycles import (
 from hesr_model.audit.expectations import PASSIVE, QUIET, WIDTH
 from hesr_model.audit.properties import Finding
 from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.support.arrays import Array
 
 _SLOWEST, _FASTEST = 0.01, 0.11  # of the one-way motion, as shares of the trained speed
 _PERIODS = (1.0, 50.0)  # [s] of it

@@ -5,9 +5,9 @@ import numpy as np
 from cosim.properties.bench import FrictionBench
 from cosim.properties.findings import curve, judged, plot
 from cosim.properties.scale import Scale
-from fmu_src.run.batch import Array
 from hesr_model.audit.expectations import BEGINS
 from hesr_model.audit.properties import Finding
+from hesr_model.support.arrays import Array
 
 SHARES = np.geomspace(0.05, 1.0, 5)
 """Speeds at which a joint begins, as shares of the trained one."""

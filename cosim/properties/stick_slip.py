@@ -5,9 +5,9 @@ import numpy as np
 from cosim.properties.bench import DriveBench
 from cosim.properties.findings import curve, figures, plot
 from cosim.properties.scale import CREEP, Scale
-from fmu_src.run.batch import Array
 from hesr_model.audit.expectations import WEAKENING
 from hesr_model.audit.properties import Finding
+from hesr_model.support.arrays import Array
 
 STRETCH = 0.2
 """Stretch of the spring under the friction level [rad]."""

@@ -11,12 +11,12 @@ from cosim.report.figures.coverage import JointView, joints
 from cosim.report.figures.style import MEASURED, SERIES, Stroke, write_svg
 from cosim.report.markup import Pictures, Section, joined, listing, paragraph, table, write_sections
 from cosim.report.tables.table import ResultTable, row_of
-from fmu_src.run.batch import Array
 from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.examine import Examination
 from hesr_model.health.excitation_gaps import unseen
 from hesr_model.health.proposal import HEAD, Proposal, robot_file, summary_rows
+from hesr_model.support.arrays import Array
 
 _POINTS = 700
 """Of a line; more are not seen."""

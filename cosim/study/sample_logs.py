@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu_src.run.batch import Array
 from hesr_model.errors import RobotError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
@@ -21,6 +20,7 @@ from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.rigid_body.identification import LEAST_PEAK
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
 
 RATE = 200.0

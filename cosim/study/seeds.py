@@ -18,7 +18,6 @@ from cosim.loop.motions import FourierMotion, Motion, Motions, SweepMotion, name
 from cosim.study.scores import ORACLE, Errors, by_joint, predict_models
 from cosim.study.study import Study
 from fmu_src.arm.plant import Arm, Plant
-from fmu_src.run.batch import Array
 from hesr_model.errors import ConfigError
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.metrics import score
@@ -28,6 +27,7 @@ from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support import parallel
+from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Progress, counted, silent
 
 LEAST = 2

@@ -11,13 +11,14 @@ import numpy as np
 from cosim.systems.system import SystemSpec, Value
 from cosim.systems.wiring import Element, Wiring
 from fmu_src.arm.clock import untimed
-from fmu_src.run.batch import Array, Buffer
+from fmu_src.run.batch import Buffer
 from fmu_src.run.fmu import Component
 from fmu_src.run.master import Layout, Readable, Station
 from fmu_src.run.native import native
 from fmu_src.run.pool import Loaded
 from hesr_model.errors import ConfigError, HesrError, SimulationError
 from hesr_model.logs.tables import write_table
+from hesr_model.support.arrays import Array
 from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Progress, silent
 

@@ -5,9 +5,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 WARNING = 1
 """Highest status of FMI 2.0 with which a call has done its work."""

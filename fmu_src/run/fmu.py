@@ -9,13 +9,14 @@ from fmpy.model_description import ModelDescription
 
 from fmu_src.run import trust as exported
 from fmu_src.run.archive import Archive
-from fmu_src.run.batch import WARNING, Array, Buffer
+from fmu_src.run.batch import WARNING, Buffer
 from fmu_src.run.description import description_in
 from fmu_src.run.instance import BINARIES, SUFFIX, Binary, DiedError, Instance, LoadError
 from fmu_src.run.instance3 import instance_of
 from fmu_src.run.scalars import Declared
 from fmu_src.run.variables import Variables
 from hesr_model.errors import ArtifactError, SimulationError
+from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
 
 if TYPE_CHECKING:

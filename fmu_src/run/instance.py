@@ -21,8 +21,9 @@ from fmpy.fmi2 import (
     fmi2ValueReference,
 )
 
-from fmu_src.run.batch import WARNING, Array, Batch
+from fmu_src.run.batch import WARNING, Batch
 from fmu_src.run.scalars import Declared
+from hesr_model.support.arrays import Array
 
 PLATFORM: str = fmpy.platform
 """This platform, as FMI 2.0 names it."""

@@ -8,9 +8,10 @@ import numpy as np
 from fmpy import fmi3
 from fmpy.fmi3 import FMU3Slave
 
-from fmu_src.run.batch import WARNING, Array
+from fmu_src.run.batch import WARNING
 from fmu_src.run.instance import Binary, CallError, Instance, renamed
 from fmu_src.run.scalars import element_of
+from hesr_model.support.arrays import Array
 
 
 def instance_of(

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from cosim.systems.system import Order
 from cosim.systems.wiring import Element
-from fmu_src.run.batch import Array, Buffer
+from fmu_src.run.batch import Buffer
 from fmu_src.run.fmu import Component
 from hesr_model.errors import SimulationError
+from hesr_model.support.arrays import Array
 
 Places = NDArray[np.intp]
 

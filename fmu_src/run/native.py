@@ -13,11 +13,12 @@ import numpy as np
 
 from fmu_src.export.package import own_source
 from fmu_src.export.toolchain import TARGETS, build
-from fmu_src.run.batch import Array, Batch, Buffer
+from fmu_src.run.batch import Batch, Buffer
 from fmu_src.run.fmu import Component
 from fmu_src.run.instance import PLATFORM
 from fmu_src.run.master import Layout
 from hesr_model.errors import ExportError
+from hesr_model.support.arrays import Array
 
 _log = logging.getLogger(__name__)
 

@@ -16,10 +16,10 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from fmu_src.run.archive import MOST_TEXT, Archive
-from fmu_src.run.batch import Array
 from fmu_src.run.fmu import Component
 from fmu_src.run.reference_manifest import FOLDER, MANIFEST
 from hesr_model.errors import HesrError
+from hesr_model.support.arrays import Array
 from hesr_model.support.text import plain
 
 WAYS: Mapping[str, str] = {

@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from fmu_src.run.batch import Array
 from fmu_src.run.instance import Binary, CallError, DiedError, LoadError, renamed
 from fmu_src.run.sandbox_child import LONGEST_TEXT, PLACE, WORDS, Exchange, unpacked_answer
+from hesr_model.support.arrays import Array
 from hesr_model.support.process import FailedError, Started, how_it_ended
 from hesr_model.support.text import plain
 

@@ -20,7 +20,6 @@ from fmu_src.blocks.controller import controller
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_fmu import adaptive_content, export_bare
-from fmu_src.run.batch import Array
 from fmu_src.run.fmu import Component
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
@@ -28,6 +27,7 @@ from hesr_model.friction.thermal import Thermal
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support.arrays import Array
 
 SCHEME = Scheme(compensation="servo_inversion")
 LOAD = "payload"

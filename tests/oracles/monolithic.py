@@ -10,11 +10,11 @@ import numpy as np
 
 from cosim.loop.closed_loop import Gains, Scheme, preview
 from fmu_src.arm.plant import Arm, Plant
-from fmu_src.run.batch import Array
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import Stepper, predict
 from hesr_model.motions.trajectories import Trajectory
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support.arrays import Array
 
 _ROUNDING = 1e-9  # [s] by which a time may miss the instant at which the motion begins
 

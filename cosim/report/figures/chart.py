@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.typing import LineStyleType
 
 from cosim.report.figures.style import INK, SOFT, Stroke, style_axis, styled
-from fmu_src.run.batch import Array
+from hesr_model.support.arrays import Array
 
 _COLUMNS = 520
 """Of a line over the whole width, each with its least and its greatest value; more are not seen."""

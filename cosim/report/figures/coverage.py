@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from cosim.report.figures.chart import Line, legend, plot
 from cosim.report.figures.style import SERIES, style_axis, styled
-from fmu_src.run.batch import Array
+from hesr_model.support.arrays import Array
 
 _ROW, _BINS = 1.55, 40
 _LEAST = 1e-9

@@ -6,8 +6,8 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fmu_src.run.batch import Array
 from hesr_model.motions.excitation import Excitation
+from hesr_model.support.arrays import Array
 from hesr_model.support.files import written_whole
 
 _ROW_HEIGHT = 1.8

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cosim.report.figures.chart import Line, plot, proxy
 from cosim.report.figures.style import INK, SERIES, SOFT, style_axis, styled
 from cosim.study.scores import Ratio
-from fmu_src.run.batch import Array
+from hesr_model.support.arrays import Array
 
 _MARKERS = ("o", "s", "^", "D", "v", "P")
 _FINE = tuple(0.05 * k for k in range(10, 41))

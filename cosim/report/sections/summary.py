@@ -17,8 +17,8 @@ from cosim.report.tables.table import PAPERS, decimals, title
 from cosim.study.health import read_findings
 from cosim.study.scores import ORACLE
 from cosim.study.verdict import VERDICT, read_verdict
-from fmu_src.run.batch import Array
 from hesr_model.audit.expectations import EXPECTATIONS
+from hesr_model.support.arrays import Array
 
 _FEW = 3  # joints whose figures stand side by side
 

@@ -14,7 +14,6 @@ from threadpoolctl import threadpool_limits
 from cosim.study.scores import by_joint
 from cosim.systems.parameter_set import export_ssv
 from fmu_src.friction.variable_names import exposed
-from fmu_src.run.batch import Array
 from hesr.extras.fleet.result import BODY, JointResult, RobotResult
 from hesr.extras.fleet.study import FleetStudy, Member
 from hesr_model.errors import ArtifactError, FitError, HesrError, LogError
@@ -35,6 +34,7 @@ from hesr_model.rigid_body.accumulation import Streamed
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import at_friction, motion_records
 from hesr_model.robots.robot import RobotDescription, RobotModel
+from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
 from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
 

@@ -12,7 +12,6 @@ from cosim.properties.battery import Subject, measure
 from cosim.properties.bench import FrictionBench
 from cosim.properties.inertia import standing_inertia
 from fmu_src.friction.embedded_model import embedded_model
-from fmu_src.run.batch import Array
 from fmu_src.run.fmu import Component
 from fmu_src.run.replay import replay
 from fmu_src.run.trust import is_ours
@@ -21,6 +20,7 @@ from hesr_model.audit.properties import Properties
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.arrays import Array
 
 _OPTIONAL = ("q", "tau_load")
 """Inputs that an entry may use; all use the velocity."""

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmu_src.run.batch import Array
 from hesr.extras.leaderboard.board_file import Ground, Kind
 from hesr_model.friction.metrics import rmse, rmse_ratio_interval
 from hesr_model.logs.phases import moving, near_reversals
 from hesr_model.rigid_body.residual import FrictionRecord
-from hesr_model.support.arrays import Mask
+from hesr_model.support.arrays import Array, Mask
 
 _DRAWS = 20_000
 _LEVEL = 0.95

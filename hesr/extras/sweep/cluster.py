@@ -10,12 +10,12 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from fmu_src.run import trust as exported
-from fmu_src.run.batch import Array
 from fmu_src.run.trust import is_ours
 from hesr.extras.sweep.plan import Plan
 from hesr.extras.sweep.work import Rows, Task, run_rows
 from hesr_model.errors import ConfigError, HesrError, WorkerError
 from hesr_model.support import cache
+from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256, written_whole
 
 if TYPE_CHECKING:

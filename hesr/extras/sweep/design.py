@@ -6,9 +6,9 @@ from math import prod
 import numpy as np
 from scipy.special import ndtri
 
-from fmu_src.run.batch import Array
 from hesr.extras.sweep.study import MOST_RUNS, Correlated, Input, SweepStudy
 from hesr_model.errors import ConfigError
+from hesr_model.support.arrays import Array
 
 _EDGE = 2.0**-53
 """Least distance to 0 and 1 of what a normal distribution is drawn by."""

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cosim.report.figures.style import SERIES, SOFT, style_axis, styled
-from fmu_src.run.batch import Array
+from hesr_model.support.arrays import Array
 
 _BINS = 40
 _WIDTH = 7.2  # [in]

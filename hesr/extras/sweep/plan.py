@@ -11,12 +11,12 @@ import numpy as np
 
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec, Value
-from fmu_src.run.batch import Array
 from fmu_src.run.pool import HERE
 from hesr.extras.sweep.design import chosen
 from hesr.extras.sweep.study import SweepStudy
 from hesr.extras.sweep.work import Target, Task
 from hesr_model.errors import ConfigError
+from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
 
 

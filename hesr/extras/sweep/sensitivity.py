@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmu_src.run.batch import Array
+from hesr_model.support.arrays import Array
 
 _CONFIDENCE = 0.95
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from filelock import FileLock, Timeout
 
-from fmu_src.run.batch import Array
 from hesr.extras.sweep.work import Rows
 from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.support.arrays import Array
 from hesr_model.support.files import folder_made, written_whole
 from hesr_model.support.typed_json import read_json, write_json
 

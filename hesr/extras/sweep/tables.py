@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cosim.report.tables.table import ResultTable, TableCell, row_of
-from fmu_src.run.batch import Array
+from hesr_model.support.arrays import Array
 
 if TYPE_CHECKING:
     from hesr.extras.sweep.result import Swept

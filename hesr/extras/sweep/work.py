@@ -8,9 +8,9 @@ import numpy as np
 
 from cosim.systems.simulation import Master, Result
 from cosim.systems.system import SystemSpec, Value
-from fmu_src.run.batch import Array
 from fmu_src.run.pool import HERE
 from hesr.extras.sweep.study import Measure, Measured
+from hesr_model.support.arrays import Array
 
 Start = dict[str, dict[str, Value]]
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.loop.traces import Trace
-from fmu_src.run.batch import Array
 from hesr.extras.view.runs import Choice, Shown
 from hesr.extras.view.skeleton import Colour, Paint, arm, reach
+from hesr_model.support.arrays import Array
 
 WIDTH, HEIGHT = 1280, 720  # of a video
 
