@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cosim.interop.case import Alone, Run, Together
-from cosim.interop.reference import Coupling
+from fmu_src.run.master import ExchangeScheme
 from hesr_model.support.arrays import Array
 from hesr_model.support.process import FailedError, run
 
@@ -108,7 +108,17 @@ class Engine:
     find: Callable[[Tools], str]
     alone: Callable[[Tools, Alone, Path], Run] | None = None
     together: Callable[[Tools, Together, Path], Run] | None = None
-    coupling: Coupling = field(default_factory=Coupling)
+    coupling: ExchangeScheme = field(default_factory=ExchangeScheme)
+
+
+def describe(scheme: ExchangeScheme) -> str:
+    """Return an engine's exchange scheme for tables."""
+    parts = ["Jacobi"]
+    if scheme.first == "zero":
+        parts.append("first inputs zero")
+    if scheme.refreshed != "none":
+        parts.append("outputs of new inputs" + " shown" * (scheme.refreshed == "shown"))
+    return ", ".join(parts)
 
 
 def require_success(command: Sequence[str | Path], folder: Path) -> str:

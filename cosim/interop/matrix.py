@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from cosim.interop.case import Alone, Case, Run, Together, deviation
-from cosim.interop.engine import Engine, SkippedError, Tools
+from cosim.interop.engine import Engine, SkippedError, Tools, describe
 from cosim.interop.engines import ENGINES
-from cosim.interop.reference import Coupling, alone, together
+from cosim.interop.reference import alone, together
+from fmu_src.run.master import ExchangeScheme
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.process import FailedError
@@ -84,7 +85,7 @@ class EngineMatrix:
             row.engine.name: {
                 "version": row.version or None,
                 "missing": row.missing or None,
-                "coupling": str(row.engine.coupling) if row.engine.together else None,
+                "coupling": describe(row.engine.coupling) if row.engine.together else None,
                 "cases": {
                     name: {
                         "fails": cell.fails,
@@ -120,11 +121,11 @@ def compare(
     return EngineMatrix(cases=cases, rows=rows)
 
 
-Expected = Callable[[Case, Coupling], Mapping[str, Array]]
+Expected = Callable[[Case, ExchangeScheme], Mapping[str, Array]]
 """What `reference` is, or that which remembers what it gave."""
 
 
-def reference(case: Case, coupling: Coupling) -> Mapping[str, Array]:
+def reference(case: Case, coupling: ExchangeScheme) -> Mapping[str, Array]:
     """Return what our own code gives for a case: (N,) of each signal in its unit."""
     return alone(case) if isinstance(case, Alone) else together(case, coupling)
 
@@ -141,7 +142,7 @@ def _row(engine: Engine, cases: Sequence[Case], tools: Tools, expected: Expected
 def run_cell(engine: Engine, case: Case, tools: Tools, expected: Expected) -> EngineResult:
     """Run an engine on a case and compare it with what it should give."""
     # Ours is first: a case that cannot be run at all is no engine's fault, and some never end.
-    ours = expected(case, engine.coupling if isinstance(case, Together) else Coupling())
+    ours = expected(case, engine.coupling if isinstance(case, Together) else ExchangeScheme())
     try:
         run = _run(engine, case, tools)
     except SkippedError as error:

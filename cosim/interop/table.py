@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from cosim.interop.case import Together
+from cosim.interop.engine import describe
 from cosim.interop.matrix import EngineMatrix, EngineResult
 from cosim.report.tables.table import ResultTable, TableRow
 
@@ -34,7 +35,7 @@ def notes(matrix: EngineMatrix) -> Iterator[str]:
             continue
         run = [row.cells[case] for case in systems if case in row.cells]
         if any(cell.deviation is not None for cell in run):
-            yield f"{name}: systems are coupled by {row.engine.coupling}."
+            yield f"{name}: systems are coupled by {describe(row.engine.coupling)}."
         reasons: dict[str, list[str]] = {}
         for case, cell in row.cells.items():
             if cell.skipped:

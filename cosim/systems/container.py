@@ -24,11 +24,11 @@ from typing import Any
 from cosim.systems.container_description import Exposed, exposed_variables, to_description
 from cosim.systems.contents import SystemContents
 from cosim.systems.ssv import text_of
-from cosim.systems.wiring import Element
 from fmu_src.export.interface import literal
 from fmu_src.export.package import own_source, write_archive
 from fmu_src.export.toolchain import TARGETS, build
 from fmu_src.run.archive import Archive
+from fmu_src.run.master import Element
 from fmu_src.run.recorded import Stimuli, result_files
 from fmu_src.run.trust import is_ours, remember
 from hesr_model.errors import ConfigError, ExportError

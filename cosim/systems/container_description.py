@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 from cosim.systems.contents import SystemContents, Unit
 from cosim.systems.markup import add_units, to_bytes
 from cosim.systems.ssv import text_of
-from cosim.systems.wiring import Element
+from fmu_src.run.master import Element
 
 _PART = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
 _STRUCTURED = re.compile(rf"{_PART}(\.{_PART})*", re.ASCII)

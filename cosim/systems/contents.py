@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.systems.system import SystemSpec
-from cosim.systems.wiring import Element, Wiring
+from cosim.systems.wiring import Wiring
+from fmu_src.run.master import Element
 from fmu_src.run.variables import Variables
 from hesr_model.errors import ConfigError, SimulationError
 

@@ -1,6 +1,6 @@
 """A fixed-step master: runs a system of FMUs and keeps the signals that are observed."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,11 +9,10 @@ from types import TracebackType
 import numpy as np
 
 from cosim.systems.system import SystemSpec, Value
-from cosim.systems.wiring import Element, Wiring
+from cosim.systems.wiring import Wiring
 from fmu_src.arm.clock import untimed
-from fmu_src.run.batch import Buffer
 from fmu_src.run.fmu import Component
-from fmu_src.run.master import Layout, Readable, Station
+from fmu_src.run.master import Element, ExchangeScheme, Layout, Link, Readable, Station
 from fmu_src.run.native import native
 from fmu_src.run.pool import Loaded
 from hesr_model.errors import ConfigError, HesrError, SimulationError
@@ -78,6 +77,7 @@ class Master:
         are the same.
     loaded : lends FMUs that are loaded already and keeps them for the next system; each is loaded
         for this one alone where not given.
+    scheme : exchange of values; the order of the system by default.
 
     Raises
     ------
@@ -94,8 +94,10 @@ class Master:
         *,
         native: bool = True,
         loaded: Loaded | None = None,
+        scheme: ExchangeScheme | None = None,
     ) -> None:
         self.spec, self._path, self._native, self._loaded = spec, path, native, loaded
+        self._scheme = scheme or ExchangeScheme(order=spec.order)
         self._cleanup = ExitStack()
 
     def __enter__(self) -> "Master":
@@ -149,11 +151,11 @@ class Master:
                     outputs=slave.batch([variable for _, variable in own], part),
                 )
             )
-        self._single: dict[Element, Buffer] = {}
         low, high = np.array([b for _, b in wiring.limited]).reshape(-1, 2).T
         self._layout = Layout(
             stations=tuple(stations),
-            order=self.spec.order,
+            links=tuple(self._links(place)),
+            scheme=self._scheme,
             step=self.spec.step,
             values=values,
             names=tuple(names),
@@ -163,6 +165,19 @@ class Master:
             high=high,
         )
         self._stepper = (native(self._layout) if self._native else None) or Readable(self._layout)
+
+    def _links(self, place: Mapping[Element, int]) -> Iterator[Link]:
+        """Yield connected inputs and their sources in the order in which values become known."""
+        sources = self._wiring.sources
+        feeding = set(sources.values())
+        for element in self._wiring.order:
+            if element in sources or element in feeding:
+                name, variable = element
+                yield Link(
+                    buffer=self._slaves[name].batch([variable]),
+                    place=place[sources.get(element, element)],
+                    is_input=element in sources,
+                )
 
     def run(
         self,
@@ -242,48 +257,30 @@ class Master:
             own = station.slave.variables.expanded(more.get(component.name, {}))
             start = self._wiring.start[component.name] | own
             station.slave.enter_initialisation(time=0.0, stop=self.spec.stop, start=start)
-        self._propagate()
+        if self._scheme.first == "propagated":
+            self._propagate()
         for station in self._layout.stations:
             station.slave.exit_initialisation()
         for station in self._layout.stations:
             station.read_outputs()
+        if self._scheme.first == "zero":
+            self._layout.values[:] = 0.0
 
     def _propagate(self) -> None:
-        """Set each connected input to what feeds it, in the order in which values become known.
+        """Pass the initial values on until they settle.
 
-        Outputs may depend on more at the start than later; by repetition that settles, too.
+        Outputs may depend on more inputs at the start than later, so one pass may not suffice.
         """
-        order, sources = self._wiring.order, self._wiring.sources
-        feeding = set(sources.values())
-        known: dict[Element, float] = {}
-        for _ in order:
-            before = dict(known)
-            for element in order:
-                if element not in sources and element not in feeding:
-                    continue
-                if element not in self._single:
-                    name, variable = element
-                    self._single[element] = self._slaves[name].batch([variable])
-                single = self._single[element]
-                if element in sources:
-                    single.values[0] = known[sources[element]]
-                    single.write()
-                else:
-                    known[element] = float(single.read()[0])
-                    if not np.isfinite(known[element]):
-                        raise SimulationError(_not_a_number(element, 0.0))
-            if known == before:
+        before = None
+        for _ in self._layout.links:
+            self._layout.propagate(0.0)
+            if before is not None and np.array_equal(before, self._layout.values):
                 break
+            before = self._layout.values.copy()
 
     def _not_finite(self, time: float) -> SimulationError | None:
         finite = np.isfinite(self._layout.values)
-        if finite.all():
-            return None
-        return SimulationError(_not_a_number(self._layout.names[int(np.argmin(finite))], time))
-
-
-def _not_a_number(element: Element, time: float) -> str:
-    return f"at t = {time:.9g} s {'.'.join(element)} is not a finite number."
+        return None if finite.all() else self._layout.not_finite(int(np.argmin(finite)), time)
 
 
 def simulate(spec: SystemSpec, path: Path, progress: Progress = silent) -> Result:

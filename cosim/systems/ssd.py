@@ -11,7 +11,7 @@ from xml.etree import ElementTree as ET
 from cosim.systems.contents import SystemContents, Unit
 from cosim.systems.markup import NAMESPACES, Version, add_units, to_bytes
 from cosim.systems.system import ComponentSpec
-from cosim.systems.wiring import Element
+from fmu_src.run.master import Element
 
 SSD = "SystemStructure.ssd"
 """Name of the description in an SSP."""

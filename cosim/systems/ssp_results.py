@@ -9,27 +9,33 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.interop.case import TOGETHER, Together
-from cosim.interop.reference import Coupling, together
 from cosim.systems.contents import SystemContents
+from cosim.systems.simulation import Master
 from cosim.systems.ssp_reader import opened_system
 from cosim.systems.system import SystemSpec
 from fmu_src.run.archive import Archive
+from fmu_src.run.master import ExchangeScheme
 from fmu_src.run.recorded import ROWS, table
 from fmu_src.run.reference_manifest import Experiment, manifest_files
 from fmu_src.run.reference_results import Experiment as Read
 from fmu_src.run.reference_results import Verified, experiments, judged
 from fmu_src.run.trust import is_ours
-from hesr_model.errors import HesrError
+from hesr_model.errors import HesrError, SimulationError
 
-_COUPLINGS: Mapping[str, tuple[Coupling, str]] = {
-    "hold": (Coupling(), "all FMUs step with the inputs of the step's beginning"),
+TOLERANCE = 1e-9
+"""Tolerance relative to the largest value of a signal: round-off that a loop amplifies."""
+
+_SCHEMES: Mapping[str, tuple[ExchangeScheme, str]] = {
+    "hold": (
+        ExchangeScheme(order="jacobi"),
+        "all FMUs step with the inputs of the step's beginning",
+    ),
     "shown": (
-        Coupling(refreshed="shown"),
+        ExchangeScheme(order="jacobi", refreshed="shown"),
         "the same, outputs shown once the inputs of the next step are set",
     ),
     "refreshed": (
-        Coupling(refreshed="all"),
+        ExchangeScheme(order="jacobi", refreshed="all"),
         "the same, outputs passed on once the inputs of the next step are set",
     ),
 }
@@ -57,19 +63,19 @@ def result_files(contents: SystemContents) -> dict[str, bytes]:
         return {}
     t = np.round(spec.step * np.arange(min(ROWS, spec.steps) + 1), 12)
     try:
-        found = {name: _run(spec, signals, t, name) for name in _COUPLINGS}
+        found = {name: _run(spec, signals, t, name) for name in _SCHEMES}
     except HesrError:
         return {}
-    ways = "\n".join(f"    {_STEM}_{name}.csv: {text}" for name, (_, text) in _COUPLINGS.items())
+    ways = "\n".join(f"    {_STEM}_{name}.csv: {text}" for name, (_, text) in _SCHEMES.items())
     files = {"extra/README.txt": _README.format(step=spec.step, ways=ways).encode()}
     files[f"{_STEM}_in.csv"] = table({"time": t}, 12)
     files |= {f"{_STEM}_{name}.csv": table({"time": t, **rows}, 14) for name, rows in found.items()}
     own = [
         Experiment(
             name=name, description=text, start=0.0, stop=float(t[-1]), step=spec.step,
-            tolerance=TOGETHER, stimuli=f"{_STEM}_in.csv", references=f"{_STEM}_{name}.csv",
+            tolerance=TOLERANCE, stimuli=f"{_STEM}_in.csv", references=f"{_STEM}_{name}.csv",
         )
-        for name, (_, text) in _COUPLINGS.items()
+        for name, (_, text) in _SCHEMES.items()
     ]  # fmt: skip
     return files | manifest_files(own, files)
 
@@ -103,13 +109,15 @@ def _judge(spec: SystemSpec, experiment: Read, found: Verified) -> None:
     if len(t) < 2 or np.any(np.abs(t - spec.step * np.arange(len(t))) > 1e-9 * spec.step):
         found.skipped.append(f"Experiment '{own}': its rows are not at the system's steps.")
         return
-    judged(experiment, [own] if own in _COUPLINGS else list(_COUPLINGS), played, found)
+    judged(experiment, [own] if own in _SCHEMES else list(_SCHEMES), played, found)
 
 
 def _run(spec: SystemSpec, signals: list[str], t: np.ndarray, way: str) -> dict[str, np.ndarray]:
-    """Return the signals (len(t),) of a system whose values are passed on in one way."""
-    coupling, _ = _COUPLINGS[way]
-    part = spec.model_copy(update={"stop": spec.step * (len(t) - 1)})
-    return together(
-        Together(name=spec.name, spec=part, ssp=Path(spec.name), signals=signals), coupling
-    )
+    """Return the signals (len(t),) of a system under one exchange scheme."""
+    update = {"stop": spec.step * (len(t) - 1), "observe": tuple(signals), "limits": {}}
+    with Master(spec.model_copy(update=update), scheme=_SCHEMES[way][0]) as master:
+        found = master.run().require_success().signals
+    for signal in signals:
+        if signal not in found:
+            raise SimulationError(f"'{signal}' is a vector; reference results are scalars.")
+    return found

@@ -2,13 +2,13 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from fmu_src.run.master import Order
 from hesr_model.support.config import Config, RelativePath
 
-Order = Literal["gauss_seidel", "jacobi"]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")]
 Signal = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*\.\S+$")]
 """`component.variable`; without an index it stands for all elements of a vector."""
@@ -54,8 +54,7 @@ class SystemSpec(Config):
     name : of the system.
     step : communication step [s].
     stop : end of the run, which starts at 0 [s].
-    order : "gauss_seidel" steps the components in their order, each with the newest outputs of the
-        others; "jacobi" gives all of them the outputs of the instant at which their steps begin.
+    order : "gauss_seidel" or "jacobi"; see `fmu_src.run.master.ExchangeScheme`.
     components : in the order in which they are stepped.
     connections : for each connected input the output that feeds it.
     observe : signals whose values are kept.

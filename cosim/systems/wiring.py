@@ -6,11 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from cosim.systems.system import Bounds, SystemSpec, Value
+from fmu_src.run.master import Element
 from fmu_src.run.variables import Variables, suggestion
 from hesr_model.errors import ConfigError, SimulationError
-
-Element = tuple[str, str]
-"""Component and variable."""
 
 
 class Wiring:

@@ -6,19 +6,41 @@ in C for FMUs in this process, with the same results, bit for bit.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.systems.system import Order
-from cosim.systems.wiring import Element
 from fmu_src.run.batch import Buffer
 from fmu_src.run.fmu import Component
 from hesr_model.errors import SimulationError
 from hesr_model.support.arrays import Array
 
 Places = NDArray[np.intp]
+
+Order = Literal["gauss_seidel", "jacobi"]
+"""Order of the calls of a communication step; see `ExchangeScheme`."""
+
+Element = tuple[str, str]
+"""Component and variable."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExchangeScheme:
+    """When the FMUs of a system exchange values.
+
+    Attributes
+    ----------
+    order : "gauss_seidel" steps the components in their order, each with the newest outputs of the
+        others; "jacobi" gives all of them the outputs of the instant at which their steps begin.
+    first : inputs of the first step: outputs "propagated" during the initialisation, or "zero".
+    refreshed : outputs with direct feedthrough that follow the new inputs of an instant: "none",
+        those that are "shown", or "all", including those passed on.
+    """
+
+    order: Order = "gauss_seidel"
+    first: Literal["propagated", "zero"] = "propagated"
+    refreshed: Literal["none", "shown", "all"] = "none"
 
 
 @dataclass(kw_only=True, eq=False)
@@ -67,13 +89,30 @@ class Station:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Link:
+    """A connected input or an output that feeds one.
+
+    Attributes
+    ----------
+    buffer : buffer of this variable alone.
+    place : place of the output among the values of the system.
+    is_input : whether the variable is the input.
+    """
+
+    buffer: Buffer
+    place: int
+    is_input: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Layout:
     """A system as its steps need it.
 
     Attributes
     ----------
     stations : the components, in the order in which they are stepped.
-    order : of the calls; see `SystemSpec`.
+    links : connected inputs and their sources, each after those that its value depends on.
+    scheme : exchange of values.
     step : communication step [s].
     values : (m,) of all outputs that are needed, those of a component side by side.
     names : of the values.
@@ -83,7 +122,8 @@ class Layout:
     """
 
     stations: tuple[Station, ...]
-    order: Order
+    links: tuple[Link, ...]
+    scheme: ExchangeScheme
     step: float
     values: Array
     names: tuple[Element, ...]
@@ -92,15 +132,37 @@ class Layout:
     low: Array
     high: Array
 
-    def require_limits(self, time: float) -> None:
-        """Check the limits.
+    def propagate(self, time: float) -> None:
+        """Set each connected input to its source at a time [s], along direct feedthrough.
 
         Raises
         ------
         SimulationError
-            Naming the first value that is outside, and the time [s].
+            If a source is not finite.
         """
-        values = self.values.take(self.limited, mode="clip")
+        for link in self.links:
+            if link.is_input:
+                link.buffer.values[0] = self.values[link.place]
+                link.buffer.write()
+            else:
+                self.values[link.place] = link.buffer.read()[0]
+                if not np.isfinite(self.values[link.place]):
+                    raise self.not_finite(link.place, time)
+
+    def not_finite(self, place: int, time: float) -> SimulationError:
+        """Return the error for a value that is not finite at a time [s]."""
+        name = ".".join(self.names[place])
+        return SimulationError(f"at t = {time:.9g} s {name} is not a finite number.")
+
+    def require_limits(self, shown: Array, time: float) -> None:
+        """Check the limits of values (m,) at a time [s].
+
+        Raises
+        ------
+        SimulationError
+            Naming the first value that is outside.
+        """
+        values = shown.take(self.limited, mode="clip")
         outside = (values < self.low) | (values > self.high)
         if np.count_nonzero(outside):
             i = int(np.argmax(outside))
@@ -145,7 +207,7 @@ class Readable:
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
         self._zeros = np.zeros_like(layout.values)
-        self._step = self._gauss_seidel if layout.order == "gauss_seidel" else self._jacobi
+        self._step = self._gauss_seidel if layout.scheme.order == "gauss_seidel" else self._jacobi
         self.begin(np.empty((0, len(layout.rows))))
 
     def begin(self, kept: Array) -> None:
@@ -154,16 +216,37 @@ class Readable:
 
     def advance(self, stop: int) -> None:
         """See `Stepper`."""
-        layout, values = self._layout, self._layout.values
+        layout = self._layout
         for k in range(self.done, stop):
             if k > 0:
                 self._step(k - 1)
-            if values.dot(self._zeros) != 0.0:  # infinity and NaN times zero are NaN
+            shown = self._shown(k * layout.step)
+            if shown.dot(self._zeros) != 0.0:  # infinity and NaN times zero are NaN
+                layout.values[:] = shown
                 break
-            values.take(layout.rows, out=self._kept[k], mode="clip")
+            shown.take(layout.rows, out=self._kept[k], mode="clip")
             self.done = k + 1
             if layout.limited.size:
-                layout.require_limits(k * layout.step)
+                layout.require_limits(shown, k * layout.step)
+
+    def _shown(self, time: float) -> Array:
+        """Return the values that are shown at a communication point [s]."""
+        layout, values = self._layout, self._layout.values
+        if layout.scheme.refreshed == "none":
+            return values
+        passed_on = values.copy()
+        if layout.scheme.refreshed == "all":
+            layout.propagate(time)
+        else:
+            for station in layout.stations:
+                station.set_inputs(values)
+        for station in layout.stations:
+            station.read_outputs()
+        if layout.scheme.refreshed == "all":
+            return values
+        shown = values.copy()
+        values[:] = passed_on
+        return shown
 
     def _gauss_seidel(self, k: int) -> None:
         """Step each component that reaches a communication point of its own at the end of step k.

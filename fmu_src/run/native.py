@@ -67,7 +67,9 @@ class _System(ctypes.Structure):
 
 
 def native(layout: Layout) -> "Native | None":
-    """Return what steps a system in C, None where an FMU is foreign or there is no compiler."""
+    """Return the steps in C; None if an FMU is foreign, outputs are refreshed, or no compiler."""
+    if layout.scheme.refreshed != "none":
+        return None
     buffers = [b for station in layout.stations for b in (station.inputs, station.outputs)]
     own = [buffer for buffer in buffers if isinstance(buffer, Batch)]
     library = _library() if len(own) == len(buffers) else None
@@ -104,7 +106,7 @@ class Native:
         self._system = _System(
             stations=ctypes.cast(stations, ctypes.POINTER(_Station)),
             count=len(stations),
-            jacobi=layout.order == "jacobi",
+            jacobi=layout.scheme.order == "jacobi",
             step=layout.step,
             values=self._address(layout.values),
             size=layout.values.size,
@@ -143,7 +145,7 @@ class Native:
             elif i == failing and end is _End.GET_FAILED:
                 station.slave.time = station.reached(self.done, layout.step)
         if end is _End.OUTSIDE:
-            layout.require_limits((self.done - 1) * layout.step)
+            layout.require_limits(layout.values, (self.done - 1) * layout.step)
         if failing >= 0:
             self._fail[failing](_FUNCTIONS[end], int(system.status))
 

@@ -11,10 +11,10 @@ from small_fmus import lag
 
 from cosim.interop.case import Alone, Case, Run, Together, deviation
 from cosim.interop.drive import driven
-from cosim.interop.engine import Engine, SkippedError, Tools
+from cosim.interop.engine import Engine, SkippedError, Tools, describe
 from cosim.interop.engines import ENGINES
 from cosim.interop.matrix import compare
-from cosim.interop.reference import Coupling, alone, together
+from cosim.interop.reference import alone, together
 from cosim.interop.table import notes, table
 from cosim.systems.simulation import Master
 from cosim.systems.system import ComponentSpec, SystemSpec
@@ -22,6 +22,7 @@ from cosim.systems.system_file import write_system
 from fmu_src import export_fmu
 from fmu_src.blocks.trajectory import trajectory
 from fmu_src.export.package import write_fmu
+from fmu_src.run.master import ExchangeScheme
 from hesr_model.errors import SimulationError
 from hesr_model.friction.predict import predict
 from hesr_model.support.process import FailedError
@@ -72,7 +73,7 @@ def test_systems_are_coupled_as_by_our_master(cases: dict[str, Case], refreshed:
     assert isinstance(case, Together)
     changes = {"stop": 0.5, "order": "jacobi", "observe": tuple(case.signals)}
     spec = case.spec.model_copy(update=changes)
-    found = together(replace(case, spec=spec), Coupling(refreshed=refreshed))
+    found = together(replace(case, spec=spec), ExchangeScheme(refreshed=refreshed))
     with Master(spec) as master:
         expected = master.run().require_success().signals
     assert set(found) == set(expected)
@@ -85,13 +86,13 @@ def test_ways_of_coupling_differ_by_far_more_than_the_tolerance(cases: dict[str,
     case = cases["closed"]
     assert isinstance(case, Together)
     short = replace(case, spec=case.spec.model_copy(update={"stop": 1.0}))
-    ways = [Coupling(), Coupling(first="zero"), Coupling(refreshed="shown"),
-            Coupling(refreshed="all")]  # fmt: skip
+    ways = [ExchangeScheme(), ExchangeScheme(first="zero"), ExchangeScheme(refreshed="shown"),
+            ExchangeScheme(refreshed="all")]  # fmt: skip
     found = [together(short, way) for way in ways]
     for i, one in enumerate(found):
         for other in found[:i]:
             assert deviation(Run(signals=one), other) > 1e3 * case.tolerance
-    assert [str(way) for way in ways] == [
+    assert [describe(way) for way in ways] == [
         "Jacobi",
         "Jacobi, first inputs zero",
         "Jacobi, outputs of new inputs shown",

@@ -5,8 +5,8 @@ from xml.etree import ElementTree as ET
 
 from cosim.interop.case import Run, Together
 from cosim.interop.engine import Engine, SkippedError, Tools, given_together, host
-from cosim.interop.reference import Coupling
 from fmu_src.run.archive import MOST_TEXT, Archive
+from fmu_src.run.master import ExchangeScheme
 
 _SET = "}ParameterSet"
 
@@ -36,5 +36,5 @@ ECOS = Engine(
     install="pip install ecospy, and the system's libtbb12 and unzip",
     find=lambda tools: tools.python("ecospy")[1],
     together=_together,
-    coupling=Coupling(refreshed="shown"),
+    coupling=ExchangeScheme(refreshed="shown"),
 )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from cosim.interop.case import Alone, Run, Together
 from cosim.interop.engine import Engine, Tools, given_alone, given_together, host
-from cosim.interop.reference import Coupling
+from fmu_src.run.master import ExchangeScheme
 
 
 def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
@@ -23,5 +23,5 @@ FMPY = Engine(
     find=lambda tools: tools.python("fmpy")[1],
     alone=_alone,
     together=_together,
-    coupling=Coupling(first="zero"),
+    coupling=ExchangeScheme(first="zero"),
 )

@@ -8,7 +8,7 @@ from typing import Any
 
 from cosim.interop.case import Run, Together
 from cosim.interop.engine import Engine, Tools, read_signals, require_success
-from cosim.systems.wiring import Element
+from fmu_src.run.master import Element
 
 _NANOSECONDS = re.compile(r"Interpretation time: (\d+)")
 

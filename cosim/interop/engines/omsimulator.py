@@ -14,7 +14,7 @@ from cosim.interop.engine import (
     host,
     require_success,
 )
-from cosim.interop.reference import Coupling
+from fmu_src.run.master import ExchangeScheme
 
 _HOST = "run_omsimulator.py"
 
@@ -44,5 +44,5 @@ OMSIMULATOR = Engine(
     "the system's loader looks",
     find=_find,
     together=_together,
-    coupling=Coupling(refreshed="all"),
+    coupling=ExchangeScheme(refreshed="all"),
 )

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from cosim.interop.case import Alone, Run, Together
 from cosim.interop.engine import Engine, Tools, given_alone, given_together, host, require_fmi_2
-from cosim.interop.reference import Coupling
+from fmu_src.run.master import ExchangeScheme
 
 _HOST = "run_pyfmi.py"
 
@@ -31,5 +31,5 @@ PYFMI = Engine(
     find=lambda tools: tools.python("pyfmi")[1],
     alone=_alone,
     together=_together,
-    coupling=Coupling(refreshed="shown"),
+    coupling=ExchangeScheme(refreshed="shown"),
 )

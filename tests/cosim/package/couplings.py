@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.systems.contents import SystemContents
-from cosim.systems.wiring import Element
 from fmu_src.run.fmu import Component
+from fmu_src.run.master import Element
 
 Array = NDArray[np.float64]
 
