@@ -29,7 +29,6 @@ KNOWN_UPWARD = {
     "fmu_src.check.convention",
     "fmu_src.friction.discrete_fmu",
     "fmu_src.pages.live.log_section",
-    "fmu_src.run.master",
     "hesr.cli.arena",
     "hesr.cli.fleet",
     "hesr.cli.sweep",
