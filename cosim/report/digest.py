@@ -8,9 +8,9 @@ from cosim.report.tables.loop import outcome
 from cosim.report.tables.markdown import markdown
 from cosim.report.tables.properties import legend, properties
 from cosim.report.tables.scores import MEASURES, bands, errors, other_truths
-from cosim.report.tables.table import PAPERS, ResultTable, TableRow, named
-from cosim.study.scores import CLASSIC
+from cosim.report.tables.table import ResultTable, TableRow, named
 from cosim.study.verdict import read_verdict
+from hesr_model.friction.registry import laws_with, papers_law
 from hesr_model.support.files import written_whole
 
 
@@ -76,9 +76,9 @@ def short(results: Results) -> ResultTable:
     test = results.tests[0]
     whole = errors(test, results.comparisons[test], sliding=results.sliding)
     ranked = [str(row.head) for row in whole.rows]
-    best = min((law for law in CLASSIC if named(law) in ranked),
+    best = min((law for law in laws_with("classic") if named(law) in ranked),
                key=lambda law: ranked.index(named(law)), default=results.best)  # fmt: skip
-    wanted = list(dict.fromkeys(named(law) for law in (best, PAPERS, results.best)))
+    wanted = list(dict.fromkeys(named(law) for law in (best, papers_law(), results.best)))
     rows = {str(row.head): row for row in whole.rows}
     shown: list[TableRow] = [row for row in whole.rows if row.quiet]
     shown += [rows[head] for head in wanted if head in rows]

@@ -8,7 +8,7 @@ from operator import truediv
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.report.tables.table import PAPERS, joints
+from cosim.report.tables.table import joints
 from cosim.study.position_errors import SIMULATION, Simulated
 from cosim.study.results import RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_columns
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Errors
@@ -17,6 +17,7 @@ from hesr_model.audit.properties import Properties, read_properties
 from hesr_model.equations.over_log import Array
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import laws_of_paper
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.support.typed_json import from_json, read_json
 from hesr_model.units import unit_of_joints
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
     from cosim.loop.closed_loop import Scheme
     from cosim.loop.run import LoopOutcome
     from cosim.loop.traces import Trace
-
-_PAPERS_LAWS = (PAPERS, "lugre", "rbfnn_h", "stribeck", "parfam_v")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,7 +107,8 @@ class Results:
     @cached_property
     def key_laws(self) -> list[str]:
         """The laws that pictures show: those of the paper, and the best one."""
-        named = dict.fromkeys((PAPERS, self.best, *_PAPERS_LAWS))
+        paper, *others = laws_of_paper()
+        named = dict.fromkeys((paper, self.best, *others))
         return [law for law in named if law in self.models]
 
     @cached_property

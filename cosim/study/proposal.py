@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hesr_model.friction.registry import laws_with
 from hesr_model.health.proposal import Proposal
 from hesr_model.logs.phases import reversals
 from hesr_model.logs.robot_log import RobotLog
@@ -16,7 +17,6 @@ _TRAINED, _MOST_TRAINED = 0.6, 0.8
 joint is late to reverse."""
 _BEYOND = 0.02
 """Of a log, by which training goes on after a joint's first reversal."""
-_LAWS = ("stribeck", "lugre", "parfam_s_v")
 
 
 def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
@@ -36,7 +36,7 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
         f"name = {json.dumps(_name(path))}  # results go to results/{_name(path)}",
         f"robot = {json.dumps(Path(relpath(robot.resolve(), folder)).as_posix())}",
         "seed = 0",
-        f"laws = {json.dumps(list(_LAWS))}  # 'hesr laws' lists all and what they need",
+        f"laws = {json.dumps(laws_with('proposed'))}  # 'hesr laws' lists all and what they need",
         "# physical = true  # a rigid body that can exist, where the logs determine too little",
         "",
         "[logs]",

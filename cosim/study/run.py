@@ -24,6 +24,7 @@ from fmu_src.pages.live.body import PageBody
 from hesr_model.equations.rows import vectors
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import laws_with
 from hesr_model.health.examine import checked
 from hesr_model.health.fit_checks import check_body, check_laws
 from hesr_model.logs.robot_log import RobotLog
@@ -42,10 +43,6 @@ if TYPE_CHECKING:
     from hesr_model.audit.properties import Properties
 
 Result = TypeVar("Result")
-
-QUICK_LAWS = ("stribeck", "lugre", "parfam_h")
-"""Laws of a quick run: the paper's law and its classic baselines."""
-
 
 _WORK = ("cosim.study.scores", "hesr_model.fitting.fit")
 """Modules that the first work of a run needs."""
@@ -105,7 +102,7 @@ def run_study(
     path : study file.
     output : folder of the results.
     platforms : for which the FMUs hold a binary.
-    quick : run `QUICK_LAWS` only, without variants, without refining the rigid body and without
+    quick : run the `quick` laws only, without variants, without refining the rigid body and without
         the property battery.
     accepted : checks of the logs whose refusals are only told.
     progress : told how far the run has come.
@@ -118,7 +115,12 @@ def run_study(
     study = Study.read(path)
     if quick:
         study = study.model_copy(
-            update={"laws": QUICK_LAWS, "variants": {}, "refinement": None, "tracking": None}
+            update={
+                "laws": laws_with("quick"),
+                "variants": {},
+                "refinement": None,
+                "tracking": None,
+            }
         )
         if study.twin:
             twin = study.twin.model_copy(update={"truths": ()})

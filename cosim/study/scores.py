@@ -15,6 +15,7 @@ from hesr_model.friction.metrics import BandScore, score, score_band, time_band
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import first_states
 from hesr_model.friction.records import record_start
+from hesr_model.friction.registry import laws_with
 from hesr_model.inference.paired_test import compare_errors, holm
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.support.frames import pandas_frame
@@ -27,15 +28,11 @@ Records = Sequence[Sequence[FrictionRecord]]
 MEASURES = ("rmse", "rmse_reversal", "rmse_moving", "r2")
 
 REFERENCE = "lugre"
-"""Law to which ratios are taken where no class has one of its own; else the first law."""
-CLASSIC = (
-    *("stribeck", "lugre", "lugre_textbook", "lugre_passive", "dahl", "strain_wave"),
-    *("lugre_load", "lugre_load_ripple", "dahl_load", "dahl_bound", "strain_wave_bound", "gms"),
-    *(f"bam_m{k}" for k in range(1, 7)),
-)
-"""Laws of the literature, the strongest of which is the reference of its class of inputs."""
+"""Reference law of ratios if a class of inputs has none of its own; otherwise the first law."""
+BASELINE = "stribeck"
+"""Law without memory that summaries and figures show for comparison."""
 MEASURED_START = " + start"
-"""Behind the name of a law in the row where its start comes from measured torques."""
+"""Row-name suffix: initial state estimated from measured torque."""
 Errors = Mapping[str, Mapping[str, Sequence[float]]]
 """RMSE of each joint [N.m] by test set and law."""
 ORACLE = "true friction"
@@ -273,11 +270,11 @@ def _reference(
     """Return the strongest classic law among those with no inputs that a law lacks."""
     if law not in inputs:
         return fallback
-    own = set(inputs[law].split(", "))
+    own, classic = set(inputs[law].split(", ")), laws_with("classic")
     fair = [
         k
         for k in size
-        if k.removesuffix(MEASURED_START) in CLASSIC and set(inputs.get(k, "v").split(", ")) <= own
+        if k.removesuffix(MEASURED_START) in classic and set(inputs.get(k, "v").split(", ")) <= own
     ]
     return min(fair, key=lambda k: size[k]) if fair else fallback
 

@@ -15,7 +15,7 @@ from scipy.special import stdtrit
 
 from cosim.loop.excite import record
 from cosim.loop.motions import FourierMotion, Motion, Motions, SweepMotion, names_of
-from cosim.study.scores import ORACLE, Errors, by_joint, predict_models
+from cosim.study.scores import ORACLE, REFERENCE, Errors, by_joint, predict_models
 from cosim.study.study import Study
 from fmu_src.arm.plant import Arm, Plant
 from hesr_model.errors import ConfigError
@@ -114,7 +114,7 @@ def run_seeds(
     jobs = [partial(one_draw, study, study.seed + k, named) for k in range(seeds)]
     with parallel.results_of(jobs) as results:
         drawn = [next(results) for _ in counted(jobs, progress)]
-    reference = "lugre" if "lugre" in named else named[0]
+    reference = REFERENCE if REFERENCE in named else named[0]
     return Seeds(
         seeds=seeds,
         joints=RobotDescription.read(study.robot).joints,

@@ -119,8 +119,8 @@ def _seeds(path: Path, folder: Path, seeds: int, *, quick: bool, json_file: Path
     """Score laws over draws, write what comes out and print its tables."""
     from cosim.report.tables.seeds import over_draws
     from cosim.report.tables.terminal import show
-    from cosim.study.run import QUICK_LAWS
     from cosim.study.seeds import run_seeds
+    from hesr_model.friction.registry import laws_with
     from hesr_model.support.typed_json import to_json, write_json
 
     with answer_file(json_file) as wanted:
@@ -128,7 +128,7 @@ def _seeds(path: Path, folder: Path, seeds: int, *, quick: bool, json_file: Path
             found = run_seeds(
                 path,
                 seeds,
-                laws=QUICK_LAWS if quick else (),
+                laws=laws_with("quick") if quick else (),
                 progress=partial(progress, "running draws"),
             )
         folder.mkdir(parents=True, exist_ok=True)

@@ -45,6 +45,22 @@ def registry() -> Mapping[str, type[Estimator]]:
     return dict(sorted(registered().items(), key=lambda item: item[1].order))
 
 
+def laws_of_paper() -> tuple[str, ...]:
+    """Return the names of the laws of the paper, its own first."""
+    laws = [(law.paper, name) for name, law in registry().items() if law.paper]
+    return tuple(name for _, name in sorted(laws))
+
+
+def papers_law() -> str:
+    """Return the name of the paper's own law."""
+    return laws_of_paper()[0]
+
+
+def laws_with(fact: str) -> tuple[str, ...]:
+    """Return the names of the laws for which a fact is true, such as `quick` or `classic`."""
+    return tuple(name for name, law in registry().items() if getattr(law, fact))
+
+
 def estimator(name: str) -> type[Estimator]:
     """Return the estimator of a name.
 

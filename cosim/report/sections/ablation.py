@@ -1,29 +1,20 @@
-"""What each part of a law is worth: variants of the study, and laws that differ by one thing."""
+"""Ablation: variants of the study, and laws that differ by one part."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from cosim.report.markup import Pictures, Section, joined, paragraph, table
 from cosim.report.results import Results
 from cosim.report.tables.table import ResultTable, number, row_of, title
-
-_STEPS = (
-    ("parfam_v", "parfam_h", "hysteresis state"),
-    ("lugre", "lugre_load", "load"),
-    ("lugre_load", "lugre_load_ripple", "motor ripple"),
-    ("dahl", "dahl_load", "load"),
-    ("lugre_load_ripple", "lugre_load_ripple + start", "a measured start"),
-    ("parfam_h", "parfam_hx", "memory in position, load and ripple"),
-    ("parfam_hx", "parfam_hx + start", "a measured start"),
-    ("parfam_s", "parfam_s + start", "a measured start"),
-)
+from cosim.study.scores import MEASURED_START
+from hesr_model.friction.registry import registry
 
 
 def section(results: Results, pictures: Pictures) -> Section | None:
-    """Show by how much the error falls when one thing is added."""
+    """Show the change of the error when one part is added."""
     del pictures
     test = results.tests[0]
     laws = results.comparisons[test].laws
-    steps = [(a, b, what) for a, b, what in _STEPS if a in laws and b in laws]
+    steps = [(a, b, part) for a, b, part in _steps() if a in laws and b in laws]
     variants = [name for name in results.run.variants if name in laws]
     if not steps and not variants:
         return None
@@ -46,8 +37,8 @@ def section(results: Results, pictures: Pictures) -> Section | None:
                 words=(1,),
                 head=("from, to", "adds", *results.joints),
                 rows=[
-                    row_of(f"{title(a)} → {title(b)}", what, *_changes(laws[a].rmse, laws[b].rmse))
-                    for a, b, what in steps
+                    row_of(f"{title(a)} → {title(b)}", part, *_changes(laws[a].rmse, laws[b].rmse))
+                    for a, b, part in steps
                 ],
             )
         )
@@ -62,6 +53,14 @@ def section(results: Results, pictures: Pictures) -> Section | None:
             *map(table, tables),
         ),
     )
+
+
+def _steps() -> Iterator[tuple[str, str, str]]:
+    """Yield law, extended law and the part that it adds."""
+    for name, law in registry().items():
+        if law.adds is not None:
+            yield law.adds[0], name, law.adds[1]
+        yield name, name + MEASURED_START, "a measured start"
 
 
 def _changes(before: Sequence[float], after: Sequence[float]) -> list[str]:

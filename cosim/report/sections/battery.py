@@ -5,8 +5,9 @@ from markupsafe import Markup
 from cosim.report.markup import Pictures, Section, details, joined, paragraph, table
 from cosim.report.results import Results
 from cosim.report.tables.properties import properties
-from cosim.report.tables.table import PAPERS, title
+from cosim.report.tables.table import title
 from fmu_src.pages.properties_sheet import section as sheet
+from hesr_model.friction.registry import papers_law
 
 
 def section(results: Results, pictures: Pictures) -> Section | None:
@@ -14,7 +15,9 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     del pictures
     if not results.properties:
         return None
-    shown = [law for law in dict.fromkeys((PAPERS, results.best)) if law in results.properties]
+    shown = [
+        law for law in dict.fromkeys((papers_law(), results.best)) if law in results.properties
+    ]
     return Section(
         key="properties",
         title="Property battery",

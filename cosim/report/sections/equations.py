@@ -13,10 +13,11 @@ from cosim.report.markup import (
     table,
 )
 from cosim.report.results import Results
-from cosim.report.tables.table import PAPERS, ResultTable, TableCell, number, row_of, title
+from cosim.report.tables.table import ResultTable, TableCell, number, row_of, title
 from fmu_src.friction.variable_names import exposed
 from fmu_src.pages.mathml import equations, symbol
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.registry import papers_law
 
 _INTERVAL = 1.96
 
@@ -24,7 +25,7 @@ _INTERVAL = 1.96
 def section(results: Results, pictures: Pictures) -> Section:
     """Typeset the paper's law and the best one in full, and the others folded away."""
     del pictures
-    first = [law for law in dict.fromkeys((PAPERS, results.best)) if law in results.models]
+    first = [law for law in dict.fromkeys((papers_law(), results.best)) if law in results.models]
     parts = [
         paragraph(
             Markup(

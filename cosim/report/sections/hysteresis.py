@@ -7,10 +7,10 @@ import numpy as np
 from cosim.report.figures.plots import Sheet, sheets
 from cosim.report.markup import Pictures, Section, joined, paragraph
 from cosim.report.results import Results
-from cosim.report.tables.table import PAPERS
 from hesr_model.equations.over_log import Array
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
+from hesr_model.friction.registry import papers_law
 
 _FREQUENCY = 0.25  # [Hz], of the paper's sine
 _ROWS = 801  # of a period
@@ -23,7 +23,7 @@ def section(results: Results, pictures: Pictures) -> Section | None:
     from cosim.report.figures.chart import Line
     from cosim.report.figures.style import strokes
 
-    model = results.models.get(PAPERS)
+    model = results.models.get(papers_law())
     if model is None or not {"alpha", "beta"} <= set(model.laws[0].values):
         return None
     first = model.laws[0]

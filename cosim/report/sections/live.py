@@ -9,19 +9,25 @@ from markupsafe import Markup
 
 from cosim.report.markup import Pictures, Section, joined, paragraph, render
 from cosim.report.results import Results
-from cosim.report.tables.table import PAPERS, title
+from cosim.report.tables.table import title
+from cosim.study.scores import REFERENCE
 from fmu_src.pages.live.page import live_assets, live_section
 from fmu_src.run.archive import Archive
 from hesr_model.errors import ArtifactError
+from hesr_model.friction.registry import papers_law
 
 _PAGE = "documentation/index.html"
 _DATA = re.compile(r'<script type="application/json">(.*?)</script>', re.DOTALL)
 
 
 def section(results: Results, pictures: Pictures) -> Section | None:
-    """Show the best law, the paper's and LuGre, one at a time."""
+    """Show the best law, the paper's and the reference law, one at a time."""
     del pictures
-    laws = [law for law in dict.fromkeys((results.best, PAPERS, "lugre")) if law in results.models]
+    laws = [
+        law
+        for law in dict.fromkeys((results.best, papers_law(), REFERENCE))
+        if law in results.models
+    ]
     found = {law: live_data(results.folder / "fmus" / f"{law}.fmu") for law in laws}
     lives = [
         (law, title(law), Markup(live_section(data, key=f"live-{law}")))

@@ -9,10 +9,13 @@ from cosim.report.sections.traces import WINDOW as MOVING
 from cosim.report.sections.traces import torque_chart
 from cosim.report.tables.scores import MEASURES, errors, other_truths, position_errors
 from cosim.report.tables.scores import bands as band_table
-from cosim.report.tables.table import PAPERS, ResultTable, named, number, row_of, title
+from cosim.report.tables.table import ResultTable, named, number, row_of, title
 from cosim.study.results import SavedLog
-from cosim.study.scores import input_classes
+from cosim.study.scores import BASELINE, input_classes
+from hesr_model.friction.registry import papers_law
 
+_NETWORK = "rbfnn_h"
+"""Law that Fig. 5 of the paper compares with its own."""
 _WINDOW = 10.0  # [s] of a picture; the view that zooms shows all
 
 
@@ -85,7 +88,7 @@ def _errors(results: Results, name: str, measure: str = "rmse") -> Markup:
 
 def _shown(results: Results) -> list[str]:
     """Return the laws of a static picture: more than three hide each other."""
-    wanted = ("stribeck", PAPERS, results.best)
+    wanted = (BASELINE, papers_law(), results.best)
     laws = [law for law in dict.fromkeys(wanted) if law in results.models]
     return laws if len(laws) > 1 else results.key_laws[:3]
 
@@ -112,7 +115,7 @@ def _of_bands(results: Results, pictures: Pictures, test: str) -> list[Markup]:
     log = results.log_of(test)
     if log is not None:
         marks = tuple((band.start, "split") for band in of_test if band.start > 0.0)
-        laws = [law for law in dict.fromkeys(("rbfnn_h", PAPERS, results.best)) if law in
+        laws = [law for law in dict.fromkeys((_NETWORK, papers_law(), results.best)) if law in
                 results.models]  # fmt: skip
         laws = laws if len(laws) > 1 else _shown(results)
         names = ", ".join(title(law) for law in laws)

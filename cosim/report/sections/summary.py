@@ -13,11 +13,12 @@ from cosim.report.results import Results
 from cosim.report.sections.audit import passive
 from cosim.report.sections.tracking import of_scheme, outer
 from cosim.report.tables.scores import leading
-from cosim.report.tables.table import PAPERS, decimals, title
+from cosim.report.tables.table import decimals, title
 from cosim.study.health import read_findings
-from cosim.study.scores import ORACLE
+from cosim.study.scores import BASELINE, ORACLE
 from cosim.study.verdict import VERDICT, read_verdict
 from hesr_model.audit.expectations import EXPECTATIONS
+from hesr_model.friction.registry import papers_law
 from hesr_model.support.arrays import Array
 
 _FEW = 3  # joints whose figures stand side by side
@@ -109,8 +110,8 @@ def _error(results: Results) -> Tile:
     scores = results.comparisons[results.tests[0]].laws
     best = scores[results.best].rmse
     text = f"error of {title(results.best)}, the best law on ‘{results.tests[0]}’"
-    if "stribeck" in scores and results.best != "stribeck":
-        text += f"; Stribeck {_listed(scores['stribeck'].rmse)}"
+    if BASELINE in scores and results.best != BASELINE:
+        text += f"; {title(BASELINE)} {_listed(scores[BASELINE].rmse)}"
     if ORACLE in scores:
         text += f"; the true friction {_listed(scores[ORACLE].rmse)}"
     return Tile(figure=_listed(best), unit=results.unit("N.m"), text=f"{text} ({_over(results)})")
@@ -118,20 +119,20 @@ def _error(results: Results) -> Tile:
 
 def _paper(results: Results) -> Tile | None:
     scores = results.comparisons[results.tests[0]].ratios
-    if PAPERS not in scores.laws:
+    if papers_law() not in scores.laws:
         return None
-    found = scores.laws[PAPERS]
+    found = scores.laws[papers_law()]
     return Tile(
         figure=_listed([r.value for r in found]),
-        unit=f"× {title(scores.of(PAPERS))}",
-        text=f"error of the paper’s {title(PAPERS)} relative to a "
-        f"{title(scores.of(PAPERS))} that is fitted with the same care: {_verdict(results)}",
+        unit=f"× {title(scores.of(papers_law()))}",
+        text=f"error of the paper’s {title(papers_law())} relative to a "
+        f"{title(scores.of(papers_law()))} that is fitted with the same care: {_verdict(results)}",
     )
 
 
 def _verdict(results: Results) -> str:
     """Say on how many joints the paper's law is better or worse, beyond chance."""
-    found = results.comparisons[results.tests[0]].ratios.laws[PAPERS]
+    found = results.comparisons[results.tests[0]].ratios.laws[papers_law()]
     better, worse, alike = (
         [j for j, r in zip(results.joints, found, strict=True) if r.verdict == verdict]
         for verdict in ("better", "worse", "alike")
@@ -160,8 +161,8 @@ def _physics(results: Results) -> Tile | None:
         return None
     good = [law for law, of_law in found.items() if all(map(passive, of_law.audits))]
     text = "laws never give energy on the closed cycles that were tried"
-    if PAPERS in found and PAPERS not in good:
-        text += f"; the paper’s {title(PAPERS)} does"
+    if papers_law() in found and papers_law() not in good:
+        text += f"; the paper’s {title(papers_law())} does"
     return Tile(figure=f"{len(good)} of {len(found)}", unit="", text=text)
 
 
@@ -210,12 +211,12 @@ def _honest(results: Results) -> list[str]:
             f"Noise and the rigid body’s own error leave {_listed(floor)} {results.unit('N.m')} to "
             f"any law; {title(results.best)} is {above:.0f}\u00a0% above that on average."
         )
-    if PAPERS in results.properties:
+    if papers_law() in results.properties:
         counts = {law: found.passed for law, found in results.properties.items()}
         most = max(counts, key=lambda law: counts[law])
         said.append(
             f"Of the {len(EXPECTATIONS)} properties of friction the paper’s law has "
-            f"{counts[PAPERS]} on all joints; the most are had by {title(most)}, "
+            f"{counts[papers_law()]} on all joints; the most are had by {title(most)}, "
             f"{counts[most]}. A small RMSE does not make a law friction."
         )
     if results.loop:

@@ -161,7 +161,7 @@ def _figure(results: Results, pictures: Pictures, scheme: Scheme) -> Markup:
     from cosim.report.figures.chart import Chart, Line, Panel
     from cosim.report.figures.style import DESIRED, SOFT, Stroke, strokes
 
-    key_laws = [law for law in results.key_laws if law not in ("stribeck", "parfam_v")]
+    key_laws = [law for law in results.key_laws if results.models[law].laws[0].form.memory]
     paths = {
         law: results.paths[scheme, law]
         for law in (StandIn.BODY_ONLY, *key_laws)

@@ -8,10 +8,7 @@ from markupsafe import Markup
 
 from cosim.loop.closed_loop import StandIn
 from cosim.study.scores import MEASURED_START
-from hesr_model.friction.registry import registry
-
-PAPERS = "parfam_h"
-"""The law of the paper."""
+from hesr_model.friction.registry import papers_law, registry
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +104,7 @@ def title(law: str) -> str:
 
 def named(law: str) -> str:
     """Return the title of a law as the head of a row."""
-    if law == PAPERS:
+    if law == papers_law():
         return f"{title(law)} (the paper’s)"
     return title(law)
 
