@@ -8,7 +8,7 @@ import numpy as np
 from cosim.interop.case import Alone
 from cosim.systems.system import Value
 from fmu_src.run.fmu import Component
-from fmu_src.run.scalars import arrays_of
+from fmu_src.run.variables import arrays_of
 from hesr_model.support.arrays import Array
 
 _AMPLITUDE, _RATE, _PHASE = 0.5, 2.0 * np.pi, 0.7

@@ -10,7 +10,7 @@ from typing import Any
 from cosim.systems.system import SystemSpec
 from cosim.systems.wiring import Wiring
 from fmu_src.run.master import Element
-from fmu_src.run.variables import Variables
+from fmu_src.run.variables import Variables, model_description
 from hesr_model.errors import ConfigError, SimulationError
 
 _FIRST_DATE = datetime(1980, 1, 1, tzinfo=UTC)  # before it an archive has no dates
@@ -122,12 +122,10 @@ def description_of(fmu: Path, where: str) -> Any:
     SimulationError
         If it cannot be read.
     """
-    from fmu_src.run.description import model_description as read  # slow to import
-
     if not fmu.is_file():
         raise ConfigError(f"{where}: there is no FMU {fmu}.")
     try:
-        found = read(fmu)
+        found = model_description(fmu)
     except SimulationError as error:
         raise SimulationError(f"{where}: {error}") from error
     if found.fmiVersion != "2.0" or found.coSimulation is None:

@@ -14,9 +14,9 @@ import numpy as np
 from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, errors, torques
-from fmu_src.run.description import model_description
 from fmu_src.run.fmu import Component
 from fmu_src.run.replay import require_finite
+from fmu_src.run.variables import model_description
 from hesr.extras.adaptive.component import ADAPT
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS

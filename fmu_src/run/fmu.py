@@ -10,11 +10,9 @@ from fmpy.model_description import ModelDescription
 from fmu_src.run import trust as exported
 from fmu_src.run.archive import Archive
 from fmu_src.run.batch import WARNING, Buffer
-from fmu_src.run.description import description_in
 from fmu_src.run.instance import BINARIES, SUFFIX, Binary, DiedError, Instance, LoadError
 from fmu_src.run.instance3 import instance_of
-from fmu_src.run.scalars import Declared
-from fmu_src.run.variables import Variables
+from fmu_src.run.variables import Declared, Variables, description_in
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
@@ -42,7 +40,7 @@ class Component:
     ----------
     description : the FMU's own, once it is loaded.
     variables : look-up in it.
-    declared : of FMI 3.0, its variables as they are declared; see `fmu_src.run.scalars`.
+    declared : of FMI 3.0, its variables as they are declared; see `fmu_src.run.variables`.
     time : that the FMU has reached, or at which the call began that failed [s].
     messages : what the FMU has told its host.
     used : whether an initialisation has begun, so that a reset is needed before another one.

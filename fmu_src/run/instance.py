@@ -22,7 +22,7 @@ from fmpy.fmi2 import (
 )
 
 from fmu_src.run.batch import WARNING, Batch
-from fmu_src.run.scalars import Declared
+from fmu_src.run.variables import Declared
 from hesr_model.support.arrays import Array
 
 PLATFORM: str = fmpy.platform
@@ -85,7 +85,7 @@ class Binary:
     guid, identifier : from its description.
     name : of the instance.
     fmi : version.
-    variables : of FMI 3.0; see `fmu_src.run.scalars`.
+    variables : of FMI 3.0; see `fmu_src.run.variables`.
     """
 
     folder: str

@@ -10,7 +10,7 @@ from fmpy.fmi3 import FMU3Slave
 
 from fmu_src.run.batch import WARNING
 from fmu_src.run.instance import Binary, CallError, Instance, renamed
-from fmu_src.run.scalars import element_of
+from fmu_src.run.variables import element_of
 from hesr_model.support.arrays import Array
 
 
@@ -116,7 +116,7 @@ class Batch3:
     ----------
     slave : the FMU.
     held : values that were last set, by value reference; what is written is kept in it.
-    references : of the variables, as `fmu_src.run.scalars` makes them.
+    references : of the variables, as `fmu_src.run.variables` makes them.
     values : (n,) contiguous, the buffer.
     fail : raises an error, given the name of the function that failed and its status.
     """

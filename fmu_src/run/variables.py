@@ -1,30 +1,228 @@
-"""The variables of one FMU, as its description lists them: found by name, start values checked."""
+"""Model descriptions: read, checked, and searched by variable name.
+
+FMI 3.0 variables become FMI 2.0 ones: one scalar per array element, in four types. The reference of
+an element is the value reference of its array and, above bit 32, the element's position.
+"""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from difflib import SequenceMatcher
+from math import prod
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
-from hesr_model.errors import SimulationError
+import numpy as np
+from fmpy.model_description import ModelDescription, read_model_description
+
+from fmu_src.run.archive import MOST_TEXT, Archive
+from hesr_model.errors import ArtifactError, SimulationError
+from hesr_model.support.text import plain, quoted
+
+DESCRIPTION = "modelDescription.xml"
 
 Value = bool | float | int | str | tuple[float, ...] | list[float]
-"""A start value: a number, a list for all elements of a vector, or the name of a choice."""
+"""Start value: a number, a list for all elements of a vector, or the name of a choice."""
+
+Declared = tuple[int, str, str, list[Any]]
+"""Value reference, name, FMI 3.0 type and start values of a variable."""
 
 SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")
-"""What FMI and SSP say of a unit: exponents of the base units, factor and offset."""
+"""Unit attributes of FMI and SSP: exponents of the base units, factor and offset."""
 
+_IDENTIFIER = re.compile(r"[A-Za-z_][0-9A-Za-z_]{0,199}")
 _INDEX = re.compile(r"\[\d+(,\d+)*\]$")
 _CHOICE = re.compile(r"\b(\d+) = (\w+)")
 
 _CLOSE = 0.6
-"""Share of letters that names have in common, in order, from which on one may stand for another."""
+"""Similarity above which a name is suggested in place of an unknown one."""
+
+_POSITION = 32
+"""Lowest bit of an element's position in a reference."""
+
+_MOST_ELEMENTS = 100_000
+_TYPES = {"Float64": "Real", "Enumeration": "Integer"} | {
+    f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)
+}
+
+
+def model_description(fmu: Path) -> ModelDescription:
+    """Read the description of an FMU.
+
+    Raises
+    ------
+    SimulationError
+        If it cannot be read, or its model identifier cannot be a file name.
+    """
+    try:
+        with Archive(fmu) as archive:
+            return description_in(archive)[0]
+    except ArtifactError as error:
+        raise SimulationError(f"{error}") from error
+
+
+def description_in(archive: Archive) -> tuple[ModelDescription, list[Declared]]:
+    """Read the description in an opened FMU.
+
+    Returns
+    -------
+    Description with scalar variables and, for FMI 3.0, the variables as declared.
+
+    Raises
+    ------
+    ArtifactError
+        If the description is missing or damaged.
+    SimulationError
+        If it cannot be read, or its model identifier cannot be a file name.
+    """
+    text, fmu = archive.read(DESCRIPTION, MOST_TEXT), archive.path
+    with TemporaryDirectory(prefix="hesr-") as folder:
+        Path(folder, DESCRIPTION).write_bytes(text)
+        return _read(folder, str(fmu))
+
+
+def description_of(folder: Path) -> tuple[ModelDescription, list[Declared]]:
+    """Read the description in the folder of an unpacked FMU; see `description_in`."""
+    return _read(str(folder), str(folder))
+
+
+def _read(folder: str, fmu: str) -> tuple[ModelDescription, list[Declared]]:
+    try:
+        about = read_model_description(folder, validate=False)
+    except Exception as error:  # FMPy raises bare exceptions
+        raise SimulationError(f"{fmu}: not a readable FMU ({plain(str(error))}).") from error
+    for kind in (about.coSimulation, about.modelExchange):
+        # It becomes a file name and part of function names.
+        if kind is not None and not _IDENTIFIER.fullmatch(kind.modelIdentifier or ""):
+            raise SimulationError(
+                f"{fmu}: its modelIdentifier is {quoted(str(kind.modelIdentifier))}; needed is an "
+                "identifier of C with at most 200 characters."
+            )
+    if not about.fmiVersion.startswith("3."):
+        return about, []
+    try:
+        return _with_scalars(about)
+    except ValueError as error:
+        raise SimulationError(f"{fmu}: not a readable FMU ({plain(str(error))}).") from error
+
+
+# --- arrays of FMI 3.0 ------------------------------------------------------------------------
+
+
+def reference_of(array: int, position: int) -> int:
+    """Return the reference of an array element."""
+    return array | position << _POSITION
+
+
+def element_of(reference: int) -> tuple[int, int]:
+    """Return the value reference of an array and the position of an element."""
+    return reference & (1 << _POSITION) - 1, reference >> _POSITION
+
+
+def arrays_of(about: Any, declared: Sequence[Declared]) -> dict[str, tuple[str, ...]]:
+    """Return the element names of each array by array name."""
+    found: dict[int, list[str]] = {}
+    for variable in about.modelVariables:
+        found.setdefault(element_of(variable.valueReference)[0], []).append(variable.name)
+    return {name: tuple(found[array]) for array, name, _, _ in declared if name not in found[array]}
+
+
+def _with_scalars(about: Any) -> tuple[Any, list[Declared]]:
+    """Replace each FMI 3.0 array by its elements; a dependency on an array is one on each element.
+
+    Raises
+    ------
+    ValueError
+        If a size, value reference or start value is invalid, or there are too many elements.
+    """
+    _require_sizes(about.modelVariables)
+    elements = {id(v): _elements(v) for v in about.modelVariables}
+    declared = [(v.valueReference, v.name, v.type, _starts(v)) for v in about.modelVariables]
+
+    def all_elements(variables: Sequence[Any]) -> list[Any]:
+        return [e for v in variables for e in elements[id(v)]]
+
+    def scalars(unknowns: Sequence[Any]) -> list[Any]:
+        return [
+            _changed(
+                unknown,
+                variable=variable,
+                dependencies=unknown.dependencies and all_elements(unknown.dependencies),
+            )
+            for unknown in unknowns
+            for variable in elements[id(unknown.variable)]
+        ]
+
+    found = _changed(
+        about,
+        modelVariables=all_elements(about.modelVariables),
+        outputs=scalars(about.outputs),
+        derivatives=scalars(about.derivatives),
+        initialUnknowns=scalars(about.initialUnknowns),
+    )
+    return found, declared
+
+
+def _changed(one: Any, **values: Any) -> Any:
+    other = copy(one)
+    for name, value in values.items():
+        setattr(other, name, value)
+    return other
+
+
+def _require_sizes(variables: Sequence[Any]) -> None:
+    for v in variables:
+        if not 0 <= v.valueReference < 1 << _POSITION:
+            raise ValueError(f"the value reference of '{v.name}' is {v.valueReference}")
+        if any(size < 0 for size in v.shape):
+            raise ValueError(f"a dimension of '{v.name}' is {min(v.shape)}")
+    count = sum(prod(v.shape) for v in variables)
+    if count > _MOST_ELEMENTS:
+        raise ValueError(
+            f"its variables have {count} elements; at most {_MOST_ELEMENTS} can be read"
+        )
+
+
+def _elements(variable: Any) -> list[Any]:
+    kind = _TYPES.get(variable.type, variable.type)
+    if not variable.dimensions:
+        return [_changed(variable, type=kind)]
+    starts = (variable.start or "").split()
+    return [
+        _changed(
+            variable,
+            name=f"{variable.name}[{','.join(str(i + 1) for i in index)}]",
+            type=kind,
+            valueReference=reference_of(variable.valueReference, position),
+            start=starts[position if len(starts) > 1 else 0] if starts else None,
+            dimensions=[],
+            shape=(),
+        )
+        for position, index in enumerate(np.ndindex(*variable.shape))
+    ]
+
+
+def _starts(variable: Any) -> list[Any]:
+    """Return the start value of each element, zero by default."""
+    if variable.type in ("String", "Binary", "Clock"):
+        return [variable.start or ""]
+    size = prod(variable.shape or (1,))
+    given = [_number(text) for text in str(variable.start or "").split()]
+    return given if len(given) == size else (given or [0.0])[:1] * size
+
+
+def _number(text: str) -> float:
+    return float(text == "true") if text in ("true", "false") else float(text)
+
+
+# --- look-up by name --------------------------------------------------------------------------
 
 
 def suggestion(name: str, known: Iterable[str], most: int) -> str:
-    """Return "did you mean a, b or c?", the closest name first; nothing where none is close."""
+    """Return "did you mean a, b or c?" with the closest names first; empty if none is close."""
     shares = {other: SequenceMatcher(None, other, name).ratio() for other in known}
-    # Stable: names that are equally close stay in their own order.
+    # The sort is stable, so equally close names keep their order.
     near = sorted((o for o, s in shares.items() if s >= _CLOSE), key=lambda o: -shares[o])[:most]
     if not near:
         return ""
@@ -33,7 +231,7 @@ def suggestion(name: str, known: Iterable[str], most: int) -> str:
 
 
 class Variables:
-    """Look-up in the description of an FMU.
+    """Variables of an FMU by name.
 
     Parameters
     ----------
@@ -43,7 +241,7 @@ class Variables:
     Raises
     ------
     SimulationError
-        By every method: naming the FMU and what it does not have.
+        By every method, naming the FMU and the missing variable.
     """
 
     def __init__(self, fmu: Path, description: Any) -> None:
@@ -62,27 +260,21 @@ class Variables:
             raise SimulationError(f"{self._fmu}: there is no variable '{name}'{end}") from None
 
     def elements(self, name: str) -> list[str]:
-        """Return the variables that a name stands for: itself, or all elements of a vector."""
+        """Return the variable of this name, or all elements of the vector of this name."""
         if name in self._by_name:
             return [name]
         vector = re.compile(rf"{re.escape(name)}\[\d+(,\d+)*\]")
         return [n for n in self._by_name if vector.fullmatch(n)] or [self[name].name]
 
     def references(self, names: Sequence[str], kind: str) -> list[int]:
-        """Return the value references of variables, all of which have to be of one type.
-
-        Raises
-        ------
-        SimulationError
-            If there is no such variable, or it is of another type.
-        """
+        """Return the value references of variables, which must be of one type."""
         for name in names:
             if self[name].type != kind:
                 raise SimulationError(f"{self._fmu}: variable '{name}' is not a {kind}.")
         return [self._by_name[name].valueReference for name in names]
 
     def unit(self, name: str) -> tuple[str | None, tuple[float, ...] | None]:
-        """Return the unit of a variable, and what it is in SI base units where that is said."""
+        """Return the unit of a variable and, if defined, its value in SI base units."""
         variable = self[name]
         unit = variable.unit or (variable.declaredType.unit if variable.declaredType else None)
         base = self._units.get(unit)
@@ -95,19 +287,19 @@ class Variables:
 
     @property
     def feedthrough(self) -> dict[str, list[str]]:
-        """For each output the inputs on which it depends directly, all where none are declared."""
+        """Inputs with direct feedthrough to each output; all inputs if none are declared."""
         return {u.variable.name: self._needed(u) for u in self._description.outputs}
 
     @property
     def declares_feedthrough(self) -> bool:
-        """Whether every output says on which inputs it depends."""
+        """Whether the dependencies of every output are declared."""
         return all(unknown.dependencies is not None for unknown in self._description.outputs)
 
     @property
     def needed(self) -> list[str]:
-        """Inputs that matter.
+        """Inputs that affect outputs or states.
 
-        An FMU for model exchange too shows all derivatives, hence what nothing depends on. One for
+        An FMU with model exchange declares the dependencies of its derivatives. One for
         co-simulation alone may use any input in its steps.
         """
         about = self._description
@@ -123,13 +315,7 @@ class Variables:
         return [v.name for v in unknown.dependencies if v.causality == "input"]
 
     def expanded(self, values: Mapping[str, Value]) -> dict[str, float | str]:
-        """Return values by variable, from numbers, lists for vectors, and names of choices.
-
-        Raises
-        ------
-        SimulationError
-            If there is no such variable, or the values do not fit it.
-        """
+        """Return values by variable from numbers, lists for vectors, and names of choices."""
         found: dict[str, float | str] = {}
         for name, value in values.items():
             elements = self.elements(name)
@@ -145,7 +331,7 @@ class Variables:
         return found
 
     def _checked(self, name: str, value: float | str) -> float | str:
-        """Return a start value as its variable's type takes it."""
+        """Return a start value that fits the type of its variable."""
         variable = self[name]
         if variable.type == "String":
             fits = isinstance(value, str)
@@ -164,7 +350,8 @@ class Variables:
     def _choice(self, name: str, value: str) -> int:
         """Return the value of a named choice.
 
-        An Enumeration has them; an Integer's description may list them, as "1 = fourier, 2 = sine".
+        An Enumeration declares them; the description of an Integer may list them, as
+        "1 = fourier, 2 = sine".
         """
         variable = self[name]
         declared = variable.declaredType

@@ -14,8 +14,8 @@ from fmu_src.blocks.velocity import velocity
 from fmu_src.export.description3 import to_xml3
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run import trust as exported
-from fmu_src.run.description import model_description
 from fmu_src.run.fmu import Component
+from fmu_src.run.variables import model_description
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
 

@@ -21,8 +21,8 @@ from cosim.systems.ssp_reader import opened_system
 from cosim.systems.system import SystemSpec
 from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.run.archive import Archive
-from fmu_src.run.description import model_description
 from fmu_src.run.fmu import Component
+from fmu_src.run.variables import model_description
 from hesr_model.errors import ArtifactError, HesrError
 
 FEW, MANY = 200, 2000

@@ -248,8 +248,8 @@ def _write_fmu(path: Path) -> None:
 def _fmu(path: Path) -> object:
     from fmu_src.friction.embedded_model import embedded_model
     from fmu_src.run.archive import Archive
-    from fmu_src.run.description import model_description
     from fmu_src.run.reference_results import Verified, experiments
+    from fmu_src.run.variables import model_description
 
     found = Verified()
     model_description(path)

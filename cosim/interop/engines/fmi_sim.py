@@ -14,7 +14,7 @@ from cosim.interop.engine import (
     require_success,
     write_inputs,
 )
-from fmu_src.run.description import model_description
+from fmu_src.run.variables import model_description
 from hesr_model.support.process import FailedError, run
 
 
