@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.study.run import Scored
 from cosim.study.scores import SIGNIFICANCE
-from cosim.study.steps import records_of
+from cosim.study.steps import Scored, records_of
 from hesr_model.inference.paired_test import Paired, compare_errors, holm
 
 

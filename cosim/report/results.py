@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.report.tables.table import joints
-from cosim.study.position_errors import SIMULATION, Simulated
-from cosim.study.results import RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_columns
+from cosim.study.position_errors import SIMULATION, PositionErrors
+from cosim.study.results import RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_torques
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Errors
 from fmu_src.pages.datasheet import ModelAudit
 from hesr_model.audit.properties import Properties, read_properties
@@ -54,7 +54,7 @@ class Results:
     models: Mapping[str, FrictionModel]
     comparisons: Mapping[str, Comparison]
     properties: Mapping[str, Properties] = field(default_factory=dict)
-    simulated: Mapping[str, Simulated] = field(default_factory=dict)
+    simulated: Mapping[str, PositionErrors] = field(default_factory=dict)
     truths: Mapping[str, Errors] = field(default_factory=dict)
     loop: "LoopOutcome | None" = None
     paths: "Mapping[tuple[Scheme, str], Trace]" = field(default_factory=dict)
@@ -129,8 +129,8 @@ class Results:
         return next(logs, None)
 
     def torques(self, log: SavedLog) -> dict[str, Array]:
-        """Return the torques of a log over time; see `saved.write_torques`."""
-        return read_columns(self.folder / TRACES / log.trace)
+        """Return the torques of a log over time; see `write_torques`."""
+        return read_torques(self.folder / TRACES / log.trace)
 
     @classmethod
     def read(cls, folder: Path) -> "Results":
@@ -170,9 +170,9 @@ def _comparisons(path: Path) -> dict[str, Comparison]:
     }
 
 
-def _simulated(path: Path) -> dict[str, Simulated]:
+def _simulated(path: Path) -> dict[str, PositionErrors]:
     return {
-        name: from_json(Simulated, of_test, path, f"the simulations of a run on {name!r}")
+        name: from_json(PositionErrors, of_test, path, f"the simulations of a run on {name!r}")
         for name, of_test in (read_json(path) if path.is_file() else {}).items()
     }
 

@@ -1,4 +1,4 @@
-"""How well laws simulate: measured torque in, position out, over windows of logs."""
+"""Position errors of laws as simulators: measured torque in, position out, over windows of logs."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -18,44 +18,43 @@ from hesr_model.robots.robot import RobotModel
 from hesr_model.support import parallel
 
 SIMULATION = "simulation.json"
-"""In a folder of results."""
-
+"""File of the errors in a folder of results."""
 LENGTHS = (0.2, 0.5)
-"""Of windows [s]."""
+"""Lengths of the windows [s]."""
 
-_WEIGHTLESS = 1e-9  # of the largest torque
-
+_WEIGHTLESS = 1e-9
+"""Gravity torque over the largest torque, below which there is no gravity."""
 _Errors = tuple[float | None, ...]
-"""Of each joint [rad; m]; None where a law diverges."""
+"""Error of each joint [rad; m]; None if the simulation diverges."""
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Simulated:
+class PositionErrors:
     """Position errors of laws as simulators.
 
     Attributes
     ----------
-    joints : their names.
-    lengths : of the windows [s].
-    windows : by law, for each length the RMS error of each joint [rad; m]; None if it diverges.
-    open_loop : by law, that of each joint over whole logs; empty where gravity acts, since an
-        upright arm diverges whatever its friction.
+    joints : names of the joints.
+    lengths : lengths of the windows [s].
+    windows : by law, the RMS errors of the joints for each length [rad; m]; None if it diverges.
+    open_loop : by law, the same over whole logs; empty under gravity, where an upright arm diverges
+        with any friction.
     """
 
     joints: tuple[str, ...]
     lengths: tuple[float, ...]
-    windows: Mapping[str, tuple[tuple[float | None, ...], ...]]
-    open_loop: Mapping[str, tuple[float | None, ...]]
+    windows: Mapping[str, tuple[_Errors, ...]]
+    open_loop: Mapping[str, _Errors]
 
 
 def simulate_laws(
     models: Mapping[str, FrictionModel], records: Records, robot: RobotModel, body: RigidBody
-) -> Simulated | None:
-    """Score laws as simulators on records [joint][log]; None where nothing can be simulated.
+) -> PositionErrors | None:
+    """Score laws as simulators on records [joint][log]; log a warning and return None if none can.
 
-    Why not is logged as a warning.
+    See `simulate_tests`.
     """
     return simulate_tests(models, {"": records}, robot, body).get("")
 
@@ -65,8 +64,8 @@ def simulate_tests(
     tests: Mapping[str, Records],
     robot: RobotModel,
     body: RigidBody,
-) -> dict[str, Simulated]:
-    """Score laws as simulators on test sets, by name; those that cannot be simulated are absent."""
+) -> dict[str, PositionErrors]:
+    """Score laws as simulators on test sets; those that cannot be simulated are left out."""
     windows: dict[str, list[Windows]] = {}
     logs: dict[str, list[Windows]] = {}
     for test, records in tests.items():
@@ -74,22 +73,22 @@ def simulate_tests(
         try:
             windows[test] = [windows_of(of_joints, length) for length in LENGTHS]
         except SimulationError as error:
-            _unscored(error)
+            _warn(error)
             continue
         if _weightless(of_joints, robot, body):
             logs[test] = list(map(whole, of_joints))
     cut = [w for of_test in (*windows.values(), *logs.values()) for w in of_test]
-    jobs = [partial(_simulated, model, cut, robot, body) for model in models.values()]
+    jobs = [partial(_errors, model, cut, robot, body) for model in models.values()]
     with parallel.results_of(jobs) as results:
         of_laws = list(results)
     parts = {}
     for law, errors in zip(models, of_laws, strict=True):
         if isinstance(errors, SimulationError):
-            _unscored(errors)
+            _warn(errors)
             return {}
         parts[law] = iter(errors)
     found = {
-        test: Simulated(
+        test: PositionErrors(
             joints=tuple(robot.description.joints),
             lengths=LENGTHS,
             windows={law: tuple(islice(part, len(LENGTHS))) for law, part in parts.items()},
@@ -104,25 +103,25 @@ def simulate_tests(
     return found
 
 
-def _unscored(reason: SimulationError) -> None:
+def _warn(reason: SimulationError) -> None:
     _log.warning("warning: laws are not scored as simulators: %s", reason)
 
 
-def _simulated(
+def _errors(
     model: FrictionModel, cut: Sequence[Windows], robot: RobotModel, body: RigidBody
 ) -> list[_Errors] | SimulationError:
-    """Return the errors over each set of windows, or why there are none.
+    """Return the errors over each set of windows, or the reason why there are none.
 
-    Sets of as many steps are stepped as one, which takes little longer than the largest of them.
+    Sets with the same number of steps run together, which takes little longer than the largest.
     """
-    one = Simulator(robot=robot, parameters=body.parameters, friction=model)
+    simulator = Simulator(robot=robot, parameters=body.parameters, friction=model)
     found: dict[int, _Errors] = {}
-    alike: dict[tuple[int, int], list[int]] = {}
+    groups: dict[tuple[int, int], list[int]] = {}
     for i, w in enumerate(cut):
-        alike.setdefault((w.t.shape[1], inner_steps(np.diff(w.t))), []).append(i)
+        groups.setdefault((w.t.shape[1], inner_steps(np.diff(w.t))), []).append(i)
     try:
-        for places in alike.values():
-            q = one.run(joined([cut[i] for i in places]))
+        for places in groups.values():
+            q = simulator.run(joined([cut[i] for i in places]))
             ends = np.cumsum([len(cut[i].t) for i in places])
             for i, part in zip(places, np.split(q, ends[:-1]), strict=True):
                 found[i] = position_errors(part, cut[i])
@@ -132,7 +131,7 @@ def _simulated(
 
 
 def _weightless(logs: Logs, robot: RobotModel, body: RigidBody) -> bool:
-    """Tell whether gravity does no work on the joints."""
+    """Whether gravity does no work on the joints."""
     q = np.concatenate([np.column_stack([r.q for r in log]) for log in logs])
     weight = robot.torque(body.parameters, q, np.zeros_like(q), np.zeros_like(q))
     largest = max(np.abs(r.tau + r.tau_load).max() for log in logs for r in log)

@@ -1,4 +1,4 @@
-"""A study of logs that were looked at: it trains on some of them, and tests on what is left."""
+"""Proposed study of inspected logs: training on some of them, test on the rest."""
 
 import json
 from collections.abc import Sequence
@@ -13,20 +13,18 @@ from hesr_model.logs.phases import reversals
 from hesr_model.logs.robot_log import RobotLog
 
 _TRAINED, _MOST_TRAINED = 0.6, 0.8
-"""Share of a log that is the only one, in time, on which laws are trained; the most of it where a
-joint is late to reverse."""
+"""Share of a single log used for training, and its maximum if a joint reverses late."""
 _BEYOND = 0.02
-"""Of a log, by which training goes on after a joint's first reversal."""
-
+"""Share of the log trained beyond a joint's first reversal."""
 
 def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
-    """Return the text of a study file that stands at `path`.
+    """Return the text of a study file at `path`.
 
-    Of several logs the last one is the test. A single one is cut in time, and its end is the test.
+    The last of several logs is the test. A single log is split in time, and its end is the test.
 
     Parameters
     ----------
-    robot : the robot file that reads the logs.
+    robot : robot file of the logs.
     """
     folder = path.resolve().parent
     files = [Path(relpath(_file(log.path), folder)).as_posix() for log in proposal.logs]
@@ -37,7 +35,7 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
         f"robot = {json.dumps(Path(relpath(robot.resolve(), folder)).as_posix())}",
         "seed = 0",
         f"laws = {json.dumps(laws_with('proposed'))}  # 'hesr laws' lists all and what they need",
-        "# physical = true  # a rigid body that can exist, where the logs determine too little",
+        "# physical = true  # physically possible masses, if the logs determine too little",
         "",
         "[logs]",
     ]
@@ -60,7 +58,7 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
 
 
 def _share(log: RobotLog) -> float:
-    """Share of a log to train on: no friction is learnt of a joint that has not reversed."""
+    """Return the share of a log to train on, at least until every joint has reversed."""
     dq = np.gradient(log.q, log.t, axis=0) if log.dq is None else log.dq
     found = [reversals(np.asarray(v)) for v in dq.T]
     whole, first = log.t[-1] - log.t[0], [rows[0] for rows in found if len(rows)]
@@ -78,12 +76,12 @@ def _sets(trained: Sequence[str], tested: Sequence[str]) -> list[str]:
 
 
 def _file(path: Path | None) -> Path:
-    assert path is not None  # logs of a proposal were read from files
+    assert path is not None  # logs of a proposal come from files
     return path.resolve()
 
 
 def _name(path: Path) -> str:
-    """Name of the study: its file's, or that of its folder where the file is plainly 'study'."""
+    """Return the name of the study: that of its file, or of the folder of a file named 'study'."""
     stem = path.resolve().parent.name if path.stem == "study" else path.stem
     kept = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in stem)
     return kept.lstrip("_-") or "study"

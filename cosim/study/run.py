@@ -1,4 +1,4 @@
-"""The main job: a study's logs in; rigid body, laws, FMUs and their scores out."""
+"""Run a study: identify the rigid body, fit laws, export FMUs, score them, judge them."""
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -8,13 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from cosim.study.describe import save_run
-from cosim.study.health import told, write_findings
 from cosim.study.position_errors import SIMULATION, simulate_tests
-from cosim.study.results import TRUTHS
-from cosim.study.scored import Scored
+from cosim.study.results import TRUTHS, log_findings, save_run, write_findings
 from cosim.study.scores import Comparison, Errors
-from cosim.study.steps import Job, LogRecords, records_of
+from cosim.study.steps import Job, LogRecords, Scored, records_of
 from cosim.study.study import Study
 from cosim.study.verdict import Verdict, verdict, write_verdict
 from fmu_src.export.toolchain import get_ready, targets
@@ -45,12 +42,12 @@ if TYPE_CHECKING:
 Result = TypeVar("Result")
 
 _WORK = ("cosim.study.scores", "hesr_model.fitting.fit")
-"""Modules that the first work of a run needs."""
+"""Modules preloaded by the workers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a run made.
+    """Results of a run.
 
     Attributes
     ----------
@@ -58,13 +55,13 @@ class Outcome:
     comparisons : scores of the FMUs on each test set.
     models : fitted model of each law.
     fmus : path of each law's FMU.
-    left_out : why a law of the study was not fitted, by law.
-    properties : what the property battery found, by law; empty for a quick run.
-    verdict : which FMU to take and why, in words.
-    loop : what the closed loop gave, None where the study has none.
-    truths : errors of the laws under other truths of a twin, by truth, test set and law.
-    truth : of the twin; empty for the friction of its MJCF.
-    cached : how many entries of each kind were in the cache, and how many were asked for.
+    left_out : reason for each law of the study that was not fitted.
+    properties : results of the physics checks by law; empty for a quick run.
+    verdict : the recommended FMU and the reasons.
+    loop : results of the closed loop; None without one.
+    truths : errors on the alternative plants of a twin, by plant, test set and law.
+    truth : friction of the twin; empty for that of its MJCF.
+    cached : cache hits and requests by kind of entry.
     """
 
     rigid_body: RigidBody
@@ -89,23 +86,21 @@ def run_study(
     accepted: Sequence[str] = (),
     progress: Stages = silent,
 ) -> Outcome:
-    """Run a study and write everything that it makes into a folder, or nothing on an error.
+    """Run a study and write all results into a folder, or nothing on an error.
 
-    What takes long (laws of single joints, rows of the closed loop, findings of the property
-    battery) is kept beside the folder when it is done: a run that was stopped or killed goes on
-    from there. The battery comes last.
-
-    The scores are those of the FMUs, driven through FMPy over the test logs.
+    Finished parts of long work (laws of single joints, rows of the closed loop, physics checks) are
+    kept next to the folder, so that an interrupted run continues there. The scores are those of
+    the FMUs, replayed in FMPy over the test logs.
 
     Parameters
     ----------
     path : study file.
     output : folder of the results.
-    platforms : for which the FMUs hold a binary.
-    quick : run the `quick` laws only, without variants, without refining the rigid body and without
-        the property battery.
-    accepted : checks of the logs whose refusals are only told.
-    progress : told how far the run has come.
+    platforms : platforms of the FMUs' binaries.
+    quick : run the `quick` laws only, without variants, refinement of the rigid body, closed loop and
+        physics checks.
+    accepted : log checks that only warn.
+    progress : receives the state of the run.
 
     Raises
     ------
@@ -114,17 +109,9 @@ def run_study(
     """
     study = Study.read(path)
     if quick:
-        study = study.model_copy(
-            update={
-                "laws": laws_with("quick"),
-                "variants": {},
-                "refinement": None,
-                "tracking": None,
-            }
-        )
-        if study.twin:
-            twin = study.twin.model_copy(update={"truths": ()})
-            study = study.model_copy(update={"twin": twin})
+        twin = study.twin and study.twin.model_copy(update={"truths": ()})
+        fewer = {"laws": laws_with("quick"), "variants": {}, "refinement": None, "tracking": None}
+        study = study.model_copy(update={**fewer, "twin": twin})
     targets(platforms)
     used = USED.copy()
     kept = unfinished(output)
@@ -141,27 +128,25 @@ def run_study(
                 write_json(folder / TRUTHS, truths)
             loop = job.closed_loop(run.robot, run.rigid_body, folder, models)
             found = {} if quick else job.properties(run.robot, run.rigid_body, models, folder)
-            # The battery tells what stands in the documentation, and comes last.
+            # Last, because the documentation of the FMUs contains the physics checks.
             body = PageBody.of(run.robot, run.rigid_body)
             audits = _of_each(
                 models,
                 partial(_documented, run.fmus, found, platforms=platforms, body=body),
                 partial(job.progress, "documenting FMUs"),
             )
-            first_test = next(iter(study.logs.test.values()))
             words = verdict(
                 run.comparisons,
                 models,
                 records_of(study.logs.training, records),
-                records_of(first_test, records),
+                next(iter(tested.values())),
                 found,
                 gear_ratio=job.robot.gear_ratio is not None,
             )
             write_verdict(folder, words)
-            command = _command(path, platforms, quick=quick)
-            save_run(folder, run, command=command, quick=quick)
+            save_run(folder, run, command=_command(path, platforms, quick=quick), quick=quick)
         shutil.rmtree(kept, ignore_errors=True)
-        from cosim.report.page import write_report  # draws, which takes long to load
+        from cosim.report.page import write_report  # slow to import
 
         known = {law: audit for law, audit in audits.items() if audit}
         write_report(output, audits=known, progress=job.progress)
@@ -181,35 +166,22 @@ def run_study(
 
 
 def score_study(
-    job: Job,
-    folder: Path,
-    *,
-    platforms: Sequence[str] = ("linux64",),
-    accepted: Sequence[str] = (),
+    job: Job, folder: Path, *, platforms: Sequence[str] = ("linux64",), accepted: Sequence[str] = ()
 ) -> Scored:
-    """Identify, fit, write the FMUs and score them on the test logs: the tables of a run.
+    """Identify, fit, write the FMUs into an existing folder and score them on the test logs.
 
-    Parameters
-    ----------
-    job : the steps of the study.
-    folder : there already; body, laws, FMUs, findings and scores are written into it.
-    platforms, accepted : as of `run_study`.
-
-    Raises
-    ------
-    HesrError
-        If the study, a log or the data in it do not allow the run.
+    See `run_study` for `platforms`, `accepted` and errors.
     """
     study, model = job.study, RobotModel(job.robot)
     files = job.log_files(folder)
     logs = {name: job.read(name, file) for name, file in files.items()}
-    findings = told(checked(list(logs.values()), model, accepted))
+    findings = log_findings(checked(list(logs.values()), model, accepted))
     rigid_body, refined = job.rigid_body(logs, model)
-    findings += told(check_body(rigid_body, model))
+    findings += log_findings(check_body(rigid_body, model))
     about = [study.robot, job.robot.model, *(files[name] for name in job.trained_on)]
     owner = study.owner.known or job.robot.owner.known
     source = provenance(files=about, seed=study.seed) | ({"owner": owner} if owner else {})
-    if study.twin is None:  # whose logs are new each time
+    if study.twin is None:  # the twin's logs are new in each run
         source |= {"created": newest([files[name] for name in job.trained_on])}
     replace(rigid_body, provenance=source).write(folder / "rigid_body.json")
     decouple = partial(friction_records, model=model, rigid_body=rigid_body)
@@ -223,7 +195,7 @@ def score_study(
     }
     models, left_out = job.fit_all(records, source)
     models |= {law: replace(m, provenance=source) for law, m in refined.items() if law in models}
-    findings += told(check_laws(models, records_of(study.logs.training, records)))
+    findings += log_findings(check_laws(models, records_of(study.logs.training, records)))
     write_findings(folder, findings)
     for law, fitted in models.items():
         fitted.write(folder / "laws" / f"{law}.json")
@@ -255,7 +227,7 @@ def _runs(
     logs: Mapping[str, RobotLog],
     decouple: Callable[[RobotLog], list[FrictionRecord]],
 ) -> LogRecords:
-    """Return records of all logs; what is tested on a part of a log begins with what is before."""
+    """Return records of all logs; a tested part of a log includes all rows before it."""
     tested = {name for names in job.study.logs.test.values() for name in names}
     found = {}
     for name, log in logs.items():
@@ -276,7 +248,7 @@ def _documented(
     model: FrictionModel,
     **more: Any,
 ) -> ModelAudit | None:
-    """Write an FMU with its documentation; return the audit that stands there, if it has one."""
+    """Write an FMU with its documentation; return the audit in it, if any."""
     audit = None
     with suppress(SimulationError):
         audit = ModelAudit.of(model, model.trained)
@@ -289,19 +261,19 @@ def _of_each(
     do: Callable[[str, FrictionModel], Result],
     progress: Progress,
 ) -> dict[str, Result]:
-    """Do something with each law, in processes."""
+    """Apply a function to each law, in processes."""
     jobs = [partial(do, law, fitted) for law, fitted in models.items()]
     with parallel.results_of(jobs, costs=[fitted.size for fitted in models.values()]) as done:
         return {law: next(done) for law in counted(list(models), progress)}
 
 
 def unfinished(output: Path) -> Path:
-    """Return where what is finished is kept until a run is done."""
+    """Return the folder of a run's checkpoints."""
     return output.parent / f".{output.name}-unfinished"
 
 
 def _command(study: Path, platforms: Sequence[str], *, quick: bool) -> str:
-    """Return the command that makes the same results again; folders of the machine stay out."""
+    """Return the command that repeats the run, without folders of the machine."""
     default = models_folder() / "studies" / "default.toml"
     given = [study.name if study.is_absolute() else study.as_posix()]
     return " ".join(

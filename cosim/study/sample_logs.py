@@ -1,7 +1,4 @@
-"""Sample logs of any robot: motions within its limits, with friction and noise of plausible size.
-
-They stand in for measured logs until a user has some, so that everything can be run at once.
-"""
+"""Simulated sample logs of any robot, until a user has measured ones."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,22 +21,22 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
 
 RATE = 200.0
-"""[Hz]"""
+"""Sample rate [Hz]."""
 
 _MARK = "SAMPLES.sha256"
-"""Beside the logs, as `sha256sum` writes it: who puts his own in their place need not say so."""
+"""SHA-256 list next to the sample logs; a replaced log no longer matches it."""
 
 _PERIOD = 20.0
+"""Period of the motions [s]."""
 _HARMONICS = 5
 _CANDIDATES = 8
-
+"""Number of random motions; the best conditioned one is taken for training."""
 _FINER = 10
-"""Friction is simulated at so many times the rate: it does not know when samples are taken."""
-
+"""Steps of simulated friction per sample."""
 _NO_LIMIT = 1e12
-"""[N.m] Simulated joints may have any torque; effort limits of model files are often invented."""
+"""Torque limit [N.m]; effort limits of model files are often invented."""
 
-# Relative to the largest rigid-body torque of the joint, but at least of the robot / 20.
+# Relative to the largest rigid-body torque of the joint, at least to that of the robot / 20.
 _COULOMB, _VISCOUS, _TORQUE_NOISE = 0.15, 0.15, 0.005
 _STATIC = 1.3  # to Coulomb
 _STRIBECK = 0.05  # of the peak velocity
@@ -48,14 +45,14 @@ _POSITION_NOISE, _VELOCITY_NOISE = 5e-6, 5e-4  # of travel and of peak velocity
 
 
 def sample_logs(model: RobotModel) -> tuple[RobotLog, RobotLog]:
-    """Simulate two random Fourier motions of 20 s: one to train on, one to test.
+    """Simulate two random Fourier motions of 20 s, for training and test.
 
-    Torque is that of the model file's rigid body, of LuGre friction (eq. 1-3) and of noise.
+    The torque is that of the model file's rigid body, LuGre friction (eq. 1-3) and noise.
 
     Raises
     ------
     RobotError
-        If the model file allows a joint no motion that is fast enough to be identified.
+        If the limits of a joint allow no motion fast enough for identification.
     """
     settings = sample_settings(model)
     base = base_columns(model)
@@ -70,7 +67,7 @@ def sample_logs(model: RobotModel) -> tuple[RobotLog, RobotLog]:
 
 
 def sample_settings(model: RobotModel, period: float = _PERIOD) -> ExcitationSettings:
-    """Return how sample motions are drawn, with their period [s]."""
+    """Return the settings of sample motions with a period [s]."""
     return ExcitationSettings(
         harmonics=_HARMONICS,
         period=(period, period),
@@ -80,33 +77,33 @@ def sample_settings(model: RobotModel, period: float = _PERIOD) -> ExcitationSet
 
 
 def mark_samples(files: Sequence[Path]) -> None:
-    """Write down beside log files that they are samples, so that no report calls them measured."""
+    """Record next to log files that they are samples, so that no report calls them measured."""
     lines = [f"{sha256(file)}  {file.name}\n" for file in files]
     (files[0].parent / _MARK).write_text("".join(lines), encoding="utf-8")
 
 
 def is_sample(file: Path) -> bool:
-    """Whether a log file still is one of the samples that were laid in its folder."""
+    """Whether a log file is an unchanged sample log."""
     mark = file.parent / _MARK
     return mark.is_file() and sha256(file) in mark.read_text(encoding="utf-8")
 
 
 def plausible_friction(model: RobotModel, motion: Fourier) -> list[FrictionLaw]:
-    """Return LuGre laws whose size follows from what a motion takes of each joint.
+    """Return LuGre laws scaled by the torques of a motion.
 
     Raises
     ------
     RobotError
-        If the motion does not move a joint fast enough to be identified.
+        If a joint moves too slowly for identification.
     """
     q, dq, ddq = motion.sample(np.arange(round(_PERIOD * RATE)) / RATE)
     speed, travel = np.abs(dq).max(axis=0), np.ptp(q, axis=0)
     for joint, peak in zip(model.description.joints, speed, strict=True):
         if peak <= LEAST_PEAK:
             raise RobotError(
-                f"robot '{model.description.name}': the limits of joint '{joint}' admit no motion "
-                f"faster than {peak:.2g} rad/s (m/s); identification needs more than "
-                f"{LEAST_PEAK:g}, so leave the joint out."
+                f"robot '{model.description.name}': the limits of joint '{joint}' allow at most "
+                f"{peak:.2g} rad/s (m/s); identification needs more than {LEAST_PEAK:g}, so leave "
+                "the joint out."
             )
     return [
         FrictionLaw(
@@ -127,7 +124,7 @@ def plausible_friction(model: RobotModel, motion: Fourier) -> list[FrictionLaw]:
 
 
 def _levels(model: RobotModel, q: Array, dq: Array, ddq: Array) -> Array:
-    """Size of the torques of each joint (n,) [N.m]: for a model without masses 1."""
+    """Return the size of the torques of each joint (n,) [N.m]; 1 for a model without masses."""
     peaks = np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0)
     levels: Array = np.maximum(peaks, peaks.max() / 20.0)
     return np.where(levels > 0.0, levels, 1.0)
@@ -142,7 +139,7 @@ def simulated(
     seed: int,
     seconds: float = _PERIOD,
 ) -> RobotLog:
-    """Return the log of a motion of a robot with LuGre friction, of so many seconds, with noise."""
+    """Simulate the log of a motion with friction and noise."""
     fine = np.arange(round(seconds * RATE) * _FINER + 1) / (RATE * _FINER)
     velocity = motion.sample(fine)[1]
     friction = np.column_stack(

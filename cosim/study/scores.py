@@ -1,4 +1,4 @@
-"""How well laws predict logs: as Python models, or as the FMUs made of them."""
+"""Scores of friction predictions on logs, by Python models or by their FMUs."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,7 +23,7 @@ from hesr_model.support.html import table
 from hesr_model.support.progress import Progress, counted, silent
 
 Records = Sequence[Sequence[FrictionRecord]]
-"""For each joint its records, one for each log."""
+"""Records by joint and log."""
 
 MEASURES = ("rmse", "rmse_reversal", "rmse_moving", "r2")
 
@@ -34,11 +34,11 @@ BASELINE = "stribeck"
 MEASURED_START = " + start"
 """Row-name suffix: initial state estimated from measured torque."""
 Errors = Mapping[str, Mapping[str, Sequence[float]]]
-"""RMSE of each joint [N.m] by test set and law."""
+"""RMSE of each joint [N.m], by test set and law."""
 ORACLE = "true friction"
-"""Row of the twin's own friction: what is left is noise and the error of the rigid body."""
+"""Row of the twin's own friction; its error is noise and the error of the rigid body."""
 SIGNIFICANCE = 0.05
-"""Probability, adjusted for all comparisons of a table, below which a difference counts."""
+"""Significance level of differences, adjusted for all comparisons of a table."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,9 +47,9 @@ class Ratio:
 
     Attributes
     ----------
-    value, low, high : the ratio and its 95 % interval by itself, None of a log that is too short.
-    p : probability of such a difference by chance, adjusted for all ratios of the table (Holm);
-        None in results of earlier versions.
+    value, low, high : the ratio and its 95 % interval; None if the log is too short.
+    p : p-value of the difference, adjusted for all ratios of the table (Holm); None in results of
+        earlier versions.
     """
 
     value: float
@@ -60,11 +60,10 @@ class Ratio:
     @property
     def verdict(self) -> str:
         """Whether the law is "better" or "worse" than its reference, or "alike"."""
-        if self.p is None:  # as earlier versions judged
-            low, high = self.low, self.high
-            sure = low is not None and high is not None and (high < 1.0 or low > 1.0)
-        else:
+        if self.p is not None:
             sure = self.p < SIGNIFICANCE
+        else:  # rule of earlier versions
+            sure = None not in (self.low, self.high) and not self.low <= 1.0 <= self.high
         if not sure:
             return "alike"
         return "better" if self.value < 1.0 else "worse"
@@ -72,14 +71,14 @@ class Ratio:
 
 @dataclass(frozen=True, kw_only=True)
 class Ratios:
-    """Ratios of each other law to the reference of its class, one for each joint.
+    """Ratios of each other law to its reference, one per joint.
 
     Attributes
     ----------
-    reference : of laws whose class has none of its own.
+    reference : fallback reference.
     laws : ratios by law.
-    references : of each law, the strongest classic law that has no other inputs; empty in results
-        of earlier versions, and where inputs are not known.
+    references : reference of each law, the strongest classic law without further inputs; empty in
+        results of earlier versions, or if inputs are unknown.
     """
 
     reference: str
@@ -87,13 +86,13 @@ class Ratios:
     references: Mapping[str, str] = field(default_factory=dict)
 
     def of(self, law: str) -> str:
-        """Return the law to which a law's ratios are taken."""
+        """Return the reference of a law."""
         return self.references.get(law, self.reference)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LawScores:
-    """Errors of a law, one for each joint [N.m] but for `r2`; None where no row is of that kind."""
+    """Errors of a law per joint [N.m; `r2` has no unit]; None without rows of that kind."""
 
     rmse: tuple[float, ...]
     rmse_reversal: tuple[float | None, ...]
@@ -109,15 +108,13 @@ class Comparison:
     ----------
     joints : names of the joints.
     tau_std : standard deviation of the measured friction of each joint [N.m].
-    laws : scores of each law.
-    ratios : of each other law to the reference.
-    leading : for each joint the law of the least error, and those that it is not better than
-        beyond chance, adjusted for all comparisons on the joint (Holm); empty in results of earlier
-        versions.
-    per_log : what of each test log was fitted before it was compared; empty where nothing was,
-        None in a study that fits nothing of the kind.
-    bands : of each law that has one, how measured friction lies within its 95 % band, one for each
-        joint; empty in results of earlier versions.
+    laws : scores by law.
+    ratios : ratios of the other laws to their references.
+    leading : for each joint the law with the lowest error and all laws that are not significantly
+        worse (Holm over the joint); empty in results of earlier versions.
+    per_log : quantities fitted to each test log before the comparison; empty for none, None in a
+        study without `per_log`.
+    bands : coverage of the 95 % band by law and joint; empty in results of earlier versions.
     """
 
     joints: tuple[str, ...]
@@ -148,7 +145,7 @@ class Comparison:
 
 
 def by_joint(logs: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
-    """Turn records by log and joint into records by joint and log."""
+    """Transpose records [log][joint] to [joint][log]."""
     return [list(of_joint) for of_joint in zip(*logs, strict=True)]
 
 
@@ -162,9 +159,8 @@ def compare(
 
     Parameters
     ----------
-    inputs : of each law, as `inputs_of` names them: laws are compared with the strongest classic
-        law that has no inputs besides.
-    models : whose bands are scored, too, where they have one; each predicts a row of its name.
+    inputs : inputs of each law, see `inputs_of`; they decide the references.
+    models : models by row whose bands are also scored.
     """
     errors = {
         law: [
@@ -186,7 +182,7 @@ def compare(
     periods = [[float(np.median(np.diff(r.t))) for r in of_joint] for of_joint in records]
 
     def paired(pairs: Iterable[tuple[str, str, int]]) -> dict[tuple[str, str, int], Ratio]:
-        """Compare laws with others on joints, as one family."""
+        """Compare pairs of laws on joints, as one family."""
         found = {
             (law, other, j): compare_errors(errors[law][j], errors[other][j], periods[j])
             for law, other, j in pairs
@@ -202,7 +198,7 @@ def compare(
     ratios = paired((law, references[law], j) for law in others for j in numbered)
     ranked = [law for law in predictions if _runs(law)]
     best = [min(ranked, key=lambda law: scores[law][j].rmse) for j in numbered] if ranked else []
-    # A family for each joint: over all of them so many comparisons leave few blocks no power.
+    # One family per joint: a family over all joints has no power with few blocks.
     apart = {
         key: ratio
         for j in numbered
@@ -260,14 +256,14 @@ def _band_scores(
 
 
 def _runs(law: str) -> bool:
-    """Whether there is a row's law to run: no truth, no start from measured torques."""
+    """Whether a user can run the row: not the truth, no start from measured torques."""
     return law != ORACLE and not law.endswith(MEASURED_START)
 
 
 def _reference(
     law: str, size: Mapping[str, float], inputs: Mapping[str, str], fallback: str
 ) -> str:
-    """Return the strongest classic law among those with no inputs that a law lacks."""
+    """Return the strongest classic law without further inputs."""
     if law not in inputs:
         return fallback
     own, classic = set(inputs[law].split(", ")), laws_with("classic")
@@ -284,8 +280,8 @@ def within(
 ) -> tuple[list[list[FrictionRecord]], list[list[Array]]]:
     """Return the rows of records and torques with start <= t < stop [s].
 
-    Torques are (N,) [N.m], by joint and log. Time counts from the beginning of each log; logs that
-    end before are left out.
+    Torques are (N,) [N.m], by joint and log. Time counts from the start of each log; logs without
+    such rows are left out.
 
     Raises
     ------
@@ -308,10 +304,7 @@ def within(
 
 
 def inputs_of(model: FrictionModel) -> str:
-    """Name the inputs that a model uses on any joint: laws of equal inputs compare fairly.
-
-    A start from measured torques is a row of its own (`measured_start`).
-    """
+    """Return the names of the inputs that a model uses on any joint."""
     used = {symbol for law in model.laws for symbol in law.form.inputs}
     names = [
         label for symbol, label in zip(INPUTS, ("v", "q", "load"), strict=True) if symbol in used
@@ -319,32 +312,18 @@ def inputs_of(model: FrictionModel) -> str:
     return ", ".join(names)
 
 
-def measured_start(law: str) -> str:
-    """Return the row of a law's model whose states start as the first measured torques say."""
-    return f"{law}{MEASURED_START}"
-
-
-def takes_start(model: FrictionModel) -> bool:
-    """Whether measured torques can say where the states of a model start."""
-    return any(law.start_samples for law in model.laws)
-
-
 def rows_of(models: Mapping[str, FrictionModel]) -> dict[str, tuple[str, bool]]:
     """Return the model of each row of a table, and whether it starts from measured torques."""
-    return {
-        measured_start(name) if with_start else name: (name, with_start)
-        for name, model in models.items()
-        for with_start in ((False, True) if takes_start(model) else (False,))
-    }
+    rows = {}
+    for name, model in models.items():
+        rows[name] = (name, False)
+        if any(law.start_samples for law in model.laws):
+            rows[f"{name}{MEASURED_START}"] = (name, True)
+    return rows
 
 
 def input_classes(models: Mapping[str, FrictionModel]) -> dict[str, str]:
-    """Return the inputs of each row of a table, by which rows compare fairly.
-
-    Parameters
-    ----------
-    models : by their names; those that can start from measured torques are a second row, too.
-    """
+    """Return the inputs of each row of a table; only rows with equal inputs compare fairly."""
     return {
         row: inputs_of(models[name]) + (", start" if with_start else "")
         for row, (name, with_start) in rows_of(models).items()
@@ -356,12 +335,12 @@ def predict_model(
 ) -> list[list[Array]]:
     """Return the model's torque for records, (N,) [N.m] by joint and log.
 
-    With `measured_start` its states start as the first measured torques say.
+    With `measured_start` the initial state is estimated from the first measured torques.
 
     Raises
     ------
     ArtifactError
-        If the model is not of these joints.
+        If the model is for other joints.
     """
     joints = tuple(of_joint[0].joint for of_joint in records)
     if joints != model.joints:
@@ -378,10 +357,7 @@ def predict_model(
 def predict_models(
     models: Mapping[str, FrictionModel], records: Records, progress: Progress = silent
 ) -> dict[str, list[list[Array]]]:
-    """Return the torque of each row of a table, as `predict_model` does, by its name.
-
-    Rows are those of `rows_of`: models that can start from measured torques have two.
-    """
+    """Return the torques (N,) [N.m] by row of `rows_of`, joint and log."""
     rows = rows_of(models)
     return {
         row: predict_model(models[name], records, measured_start=with_start)
@@ -390,12 +366,10 @@ def predict_models(
 
 
 def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) -> list[list[Array]]:
-    """Return the torque that an FMU computes for records, through FMPy, by joint and log.
+    """Return the torque of an FMU for records, (N,) [N.m] by joint and log, replayed in FMPy.
 
-    Each is (N,) [N.m].
-
-    With `measured_start` the start of those states that can take theirs from the first torque
-    samples is estimated from the model that the FMU carries and set before the initialisation.
+    With `measured_start` the initial state is estimated from the first measured torques, with the
+    model inside the FMU, and set before the initialisation.
     """
     from fmu_src.friction.embedded_model import embedded_model
     from fmu_src.friction.friction_component import GIVEN, START_MODE

@@ -1,8 +1,8 @@
-"""The prediction part of a twin's study over many draws: noise, motions and true friction.
+"""Prediction part of a twin's study over random draws of noise, motions and true friction.
 
-Each draw has noise of its own, Fourier motions of other seeds, other motions of another amplitude,
-and on each joint true friction of another level and viscosity. The rigid body is identified and the
-laws are fitted as in the study; what differs between draws gives the tables intervals.
+Each draw has its own noise, Fourier motions, amplitudes of other motions, and friction level and
+viscosity of each joint. Rigid body and laws are fitted as in the study; the spread over draws gives
+the intervals of the tables.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,14 +31,15 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Progress, counted, silent
 
 LEAST = 2
-"""Draws that have a scatter."""
+"""Minimum number of draws."""
 LEVEL, VISCOSITY = 0.15, 0.3
-"""Standard deviations of the logarithms of true Coulomb and viscous friction."""
+"""Standard deviations of the logarithms of Coulomb and viscous friction."""
 _AMPLITUDE = 0.8
-"""Least factor on the amplitude of what is no Fourier motion."""
+"""Minimum factor on the amplitude of motions other than Fourier series."""
 _TRIES = 100
-"""Fourier motions that are drawn until one stays within the limits."""
+"""Maximum number of Fourier motions drawn to stay within the limits."""
 _UPPER = 0.975
+"""Quantile of the upper end of intervals."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,12 +53,12 @@ class Spread:
 
 @dataclass(frozen=True, kw_only=True)
 class SeedScores:
-    """What laws err by on one test set, over draws.
+    """Errors of laws on one test set, over draws.
 
     Attributes
     ----------
-    rmse : of each law and joint the mean over draws [N.m].
-    ratios : of each other law and joint the geometric mean of its RMSE over the reference's.
+    rmse : mean over draws by law, one per joint [N.m].
+    ratios : geometric mean of the RMSE over that of the reference, by law, one per joint.
     """
 
     rmse: Mapping[str, tuple[Spread, ...]]
@@ -70,9 +71,9 @@ class Seeds:
 
     Attributes
     ----------
-    seeds : how many draws.
-    joints : their names.
-    reference : law to which ratios are taken.
+    seeds : number of draws.
+    joints : names of the joints.
+    reference : reference of the ratios.
     tests : scores by test set.
     """
 
@@ -85,14 +86,14 @@ class Seeds:
 def run_seeds(
     path: Path, seeds: int, *, laws: Sequence[str] = (), progress: Progress = silent
 ) -> Seeds:
-    """Run the prediction part of a twin's study over many draws.
+    """Run the prediction part of a twin's study over random draws.
 
     Parameters
     ----------
-    path : study file, of a twin.
-    seeds : how many draws; they are numbered from the study's seed on.
-    laws : names in the registry; those of the study where not given.
-    progress : told how many draws are done.
+    path : study file of a twin.
+    seeds : number of draws; the first has the study's seed.
+    laws : names in the registry; by default those of the study.
+    progress : receives the number of finished draws.
 
     Raises
     ------
@@ -101,16 +102,16 @@ def run_seeds(
     """
     study = Study.read(path)
     if study.twin is None:
-        raise ConfigError(f"{path}: seeds are drawn for a digital twin; this study has logs.")
+        raise ConfigError(f"{path}: --seeds needs a digital twin; this study has measured logs.")
     if study.twin.truth is not None:
         raise ConfigError(
-            f"{path}: seeds are drawn for the friction of the MJCF; key 'twin.truth' names another."
+            f"{path}: --seeds needs the friction of the MJCF; remove the key 'twin.truth'."
         )
     if seeds < LEAST:
-        raise ConfigError(f"--seeds is {seeds}; needed are at least {LEAST}, which can differ.")
+        raise ConfigError(f"--seeds is {seeds}; at least {LEAST} are needed.")
     named = tuple(laws or study.laws)
     if not named:
-        raise ConfigError(f"{path}: key 'laws' names none; with --seeds it must, or use --quick.")
+        raise ConfigError(f"{path}: --seeds needs the key 'laws', or --quick.")
     jobs = [partial(one_draw, study, study.seed + k, named) for k in range(seeds)]
     with parallel.results_of(jobs) as results:
         drawn = [next(results) for _ in counted(jobs, progress)]
@@ -124,9 +125,8 @@ def run_seeds(
 
 
 def one_draw(study: Study, seed: int, laws: Sequence[str]) -> Errors:
-    """Return the errors of laws on the test sets of one draw, and that of the true friction."""
-    if study.twin is None:
-        raise TypeError("the study has no twin")
+    """Return the errors of laws and of the true friction on the test sets of one draw."""
+    assert study.twin is not None
     rng = np.random.default_rng(seed)
     plant = Plant.read(study.twin.plant)
     noise = plant.noise.model_copy(update={"seed": int(rng.integers(2**31))})
@@ -152,14 +152,14 @@ def errors_on(
     laws: Sequence[str],
     fit: Callable[..., dict[str, FrictionModel]],
 ) -> Errors:
-    """Return the errors of laws on the test sets of a twin's logs, and that of the true friction.
+    """Return the errors of laws and of the true friction on the test sets of a twin's logs.
 
     Parameters
     ----------
-    study : which logs serve for what.
-    logs, truths : of the twin, by name; truths (N, n) [N.m].
+    study : uses of the logs.
+    logs, truths : logs of the twin and their true friction (N, n) [N.m], by name.
     laws : names in the registry.
-    fit : `fit_models` with what is particular to the run.
+    fit : `fit_models` with the settings of the run.
     """
     robot = RobotModel(RobotDescription.read(study.robot))
     body = identify(
@@ -191,7 +191,7 @@ def errors_on(
 
 
 def _drawn(motion: Motion, limits: Array, rng: np.random.Generator) -> Motion:
-    """Return another motion of the same kind, within the limits (n, 2) [rad]."""
+    """Draw another motion of the same kind, within the limits (n, 2) [rad]."""
     if not isinstance(motion, FourierMotion):
         factor = float(rng.uniform(_AMPLITUDE, 1.0))
         keys = ("amplitude", "swing") if isinstance(motion, SweepMotion) else ("amplitude",)
@@ -225,7 +225,7 @@ def _scores(drawn: Sequence[Mapping[str, Sequence[float]]], reference: str) -> S
 
 
 def _spreads(values: Array) -> tuple[Spread, ...]:
-    """Return mean and Student's 95 % interval of each column of (seeds, n)."""
+    """Return mean and Student's 95 % interval of each column (seeds, n)."""
     count = len(values)
     means = values.mean(axis=0)
     halves = stdtrit(count - 1, _UPPER) * values.std(axis=0, ddof=1) / np.sqrt(count)

@@ -1,4 +1,4 @@
-"""A folder to start from: a robot's model, a robot file, a study and sample logs."""
+"""Project folders: a copy of the robot's model, a robot file, a study and sample logs."""
 
 import json
 import re
@@ -20,13 +20,14 @@ _FILES = ("robot.toml", "study.toml", "README.txt")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Started:
-    """What was laid.
+class NewProject:
+    """A created project folder.
 
     Attributes
     ----------
-    joints : those of the robot file.
-    unused : joints of the model that stand still, or follow others.
+    folder : the folder.
+    joints : joints of the robot file.
+    unused : further joints of the model, which are fixed or follow others.
     """
 
     folder: Path
@@ -34,25 +35,23 @@ class Started:
     unused: tuple[str, ...]
 
 
-def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> Started:
-    """Lay a folder that `hesr run FOLDER/study.toml` runs at once.
+def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
+    """Create a project folder for `hesr run FOLDER/study.toml`.
 
-    The model file is copied; what it says of meshes does not matter. The logs are simulated, see
-    `sample_logs`.
+    The model file is copied without its meshes; the logs are simulated, see `sample_logs`.
 
     Parameters
     ----------
-    folder : a new or empty one.
+    folder : a new or empty folder.
     model : URDF, or MJCF (``.xml``).
-    joints : those to use; by default all that turn about or slide along one axis and do not
-        follow others.
+    joints : joints to use; by default all revolute and prismatic ones that do not follow others.
 
     Raises
     ------
     ConfigError
-        If the folder holds something already.
+        If the folder is not empty.
     RobotError
-        If the model cannot be used, or a joint in it.
+        If the model or one of its joints cannot be used.
     ArtifactError
         If the folder cannot be written.
     """
@@ -62,7 +61,7 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> Started:
         raise ConfigError(f"{folder}: is not empty; give a new or an empty folder.")
     if model.suffix.lower() == ".xacro":
         raise RobotError(
-            f"{model}: is a xacro file, which must be expanded first: "
+            f"{model}: is a xacro file; expand it first: "
             f"xacro {model.name} > {model.with_suffix('').with_suffix('.urdf').name}."
         )
     used = driven_joints(model, joints)
@@ -97,7 +96,7 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> Started:
             written.append(temporary / "logs" / f"{log.name}.csv")
             log.write(written[-1])
         mark_samples(written)
-    return Started(
+    return NewProject(
         folder=folder,
         joints=tuple(joint.name for joint in used),
         unused=tuple(joint.name for joint in others),
@@ -114,9 +113,9 @@ def _environment() -> jinja2.Environment:
         loader=jinja2.FileSystemLoader(models_folder() / "new"),
         undefined=jinja2.StrictUndefined,
         keep_trailing_newline=True,
-        # What is rendered is TOML and plain text, in which nothing is to be escaped for HTML.
+        # The templates are TOML and plain text, not HTML.
         autoescape=False,
     )
-    # A basic string of TOML takes the escapes of JSON.
+    # TOML strings have the escapes of JSON.
     environment.filters["toml"] = lambda text: json.dumps(text, ensure_ascii=False)
     return environment

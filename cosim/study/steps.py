@@ -1,4 +1,4 @@
-"""The steps of a study, from its logs to its closed loop."""
+"""Steps of a study, from its logs to its closed loop."""
 
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -44,33 +44,28 @@ if TYPE_CHECKING:
     from cosim.loop.run import LoopOutcome
     from hesr_model.audit.properties import Properties
 
-
 _log = logging.getLogger(__name__)
 
-
 LogRecords = Mapping[str, Sequence[Sequence[FrictionRecord]]]
-"""Records of every log, by its name, [part][joint]: a log with gaps has several parts."""
-
-
+"""Records by log, [part][joint]; a log with gaps has several parts."""
 Predictions = Mapping[str, Mapping[str, Sequence[Sequence[Array]]]]
-"""Friction torques of each test set, by law, [joint][log], (N,) each [N.m]."""
+"""Friction torques by test set and law, [joint][log], (N,) each [N.m]."""
 
 
 def records_of(names: Iterable[str], records: LogRecords) -> list[list[FrictionRecord]]:
-    """Return the records of some logs, [joint][part]."""
+    """Return the records of the named logs, [joint][part]."""
     return by_joint([part for name in names for part in records[name]])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """The steps of a study.
+    """Steps of a study; it is checked against the registry of laws.
 
     Attributes
     ----------
     study, path : the study and its file.
-    progress : told how far it has come.
-    kept : folder in which what is done is kept until the run has ended, so that a run that was
-        stopped or killed goes on from there; None for none.
+    progress : receives the state of the run.
+    kept : folder of checkpoints, from which an interrupted run continues; None for none.
     """
 
     study: Study
@@ -81,52 +76,51 @@ class Job:
     def __post_init__(self) -> None:
         study = self.study
         for law in study.laws:
-            self._require_law("laws", law, {})
+            self._require_law("laws", law)
         for law, options in study.options.items():
             self._require_law(f"options.{law}", law, options)
         for name, variant in study.variants.items():
             if name in registry():
-                raise ConfigError(
-                    f"{self.path}: key 'variants.{name}' has the name of a law; give it one of its "
-                    "own."
-                )
-            self._require_law(f"variants.{name}.law", variant.law, {})
+                raise self._error(f"key 'variants.{name}' has the name of a law; rename it.")
+            self._require_law(f"variants.{name}.law", variant.law)
             self._require_law(f"variants.{name}.options", variant.law, variant.options)
         if study.refinement:
-            self._require_law("refinement.law", study.refinement.law, {})
+            self._require_law("refinement.law", study.refinement.law)
         for law in study.tracking.sources if study.tracking else ():
             if law not in self.laws:
-                raise ConfigError(
-                    f"{self.path}: key 'tracking.sources': law '{law}' is none of the study's, "
-                    f"{', '.join(self.laws)}."
+                listed = ", ".join(self.laws)
+                raise self._error(
+                    f"key 'tracking.sources': law '{law}' is not in the study; it has {listed}."
                 )
 
-    def _require_law(self, key: str, law: str, options: Mapping[str, Any]) -> None:
-        """Check that there is the law and that it takes the options."""
+    def _error(self, text: str) -> ConfigError:
+        return ConfigError(f"{self.path}: {text}")
+
+    def _require_law(self, key: str, law: str, options: Mapping[str, Any] | None = None) -> None:
+        """Check that the law exists and takes the options."""
         if law not in registry():
-            raise ConfigError(
-                f"{self.path}: key '{key}': law '{law}' is unknown; known are "
-                f"{', '.join(registry())}."
+            raise self._error(
+                f"key '{key}': law '{law}' is unknown; known are {', '.join(registry())}."
             )
+        options = options or {}
         allowed = signature(estimator(law)).parameters
         if unknown := [name for name in options if name not in allowed]:
-            raise ConfigError(
-                f"{self.path}: unknown key '{key}.{unknown[0]}'; allowed here: "
-                f"{', '.join(allowed) or 'none'}."
+            raise self._error(
+                f"unknown key '{key}.{unknown[0]}'; allowed here: {', '.join(allowed) or 'none'}."
             )
         try:
             estimator(law)(**options)
         except (HesrError, TypeError) as error:
-            raise ConfigError(f"{self.path}: table '{key}': {str(error).rstrip('.')}.") from error
+            raise self._error(f"table '{key}': {str(error).rstrip('.')}.") from error
 
     @cached_property
     def robot(self) -> RobotDescription:
-        """The robot of the study, as its file describes it."""
+        """Robot file of the study."""
         return RobotDescription.read(self.study.robot)
 
     @cached_property
     def laws(self) -> tuple[str, ...]:
-        """Laws and variants: where the study names none, everyday ones that the robot allows."""
+        """Laws and variants; by default all everyday laws that the robot allows."""
         possible = (
             name
             for name, law in registry().items()
@@ -136,17 +130,17 @@ class Job:
 
     @property
     def trained_on(self) -> list[str]:
-        """Names of the logs from which anything is estimated."""
+        """Names of the logs used for identification or training."""
         logs = self.study.logs
         return list(dict.fromkeys((*logs.identification, *logs.reversed, *logs.training)))
 
     def log_files(self, folder: Path) -> dict[str, Path]:
-        """Return the file of every log of the study; the twin's are made now.
+        """Return the file of every log of the study; those of the twin are simulated.
 
         Raises
         ------
         ConfigError
-            If the study names a log that is no motion of the twin.
+            If a log of the study is not a motion of the twin.
         """
         tested = (name for logs in self.study.logs.test.values() for name in logs)
         names = dict.fromkeys((*self.trained_on, *tested))
@@ -154,7 +148,7 @@ class Job:
             parts = self.study.logs.parts
             files = {name: parts[name].log if name in parts else name for name in names}
             return {name: self.path.parent / file for name, file in files.items()}
-        # MuJoCo is loaded for a twin only, not for measured logs.
+        # MuJoCo is loaded for a twin only.
         from cosim.loop.excite import excite
         from cosim.loop.motions import Motions
         from cosim.loop.truth_arm import twins_fmu, twins_plant
@@ -167,29 +161,29 @@ class Job:
         self.progress("running the arm", 1, 1)
         for name in names:
             if name not in made:
-                raise ConfigError(
-                    f"{self.path}: key 'logs' names '{name}', which is no motion of {motions}; "
-                    f"its motions give {', '.join(made)}."
+                raise self._error(
+                    f"key 'logs': '{name}' is not a motion of {motions}; its motions give "
+                    f"{', '.join(made)}."
                 )
         return {name: made[name] for name in names}
 
     def read(self, name: str, file: Path) -> RobotLog:
-        """Read a log of the study, or the part of one that bears a name.
+        """Read a log of the study, or a named part of a log.
 
         Raises
         ------
         LogError
-            As `RobotLog.read`, or if there are no rows in the part.
+            If the log is refused, or the part has no rows.
         """
         log = RobotLog.read(file, self.robot)
         part = self.study.logs.parts.get(name)
         return log if part is None else self._part(log, name, part)
 
     def led_up_to(self, name: str, file: Path) -> RobotLog | None:
-        """Read a part of a log with what is before it; None of a whole log, or from its beginning.
+        """Read a part of a log with all rows before it; None if there are none.
 
-        A law that is tested on the part runs through that first: its states are then what the
-        motion has made of them, as in anything that runs the law.
+        A law that is tested on the part runs through these rows first, so that its states at the
+        start follow from the motion.
         """
         part = self.study.logs.parts.get(name)
         if part is None or part.start == 0.0:
@@ -202,19 +196,15 @@ class Job:
         rows = np.flatnonzero((since >= part.start) & (since < part.stop))
         if len(rows) < 2:
             raise LogError(
-                f"{log.path}: has no rows from {part.start:g} to {part.stop:g} s, the part "
-                f"'{name}' of the study; it is {since[-1]:.4g} s long."
+                f"{log.path}: no rows from {part.start:g} to {part.stop:g} s, the part '{name}' of "
+                f"the study; the log is {since[-1]:.4g} s long."
             )
         return replace(log.rows(rows), name=name)
 
     def properties(
-        self,
-        robot: RobotModel,
-        body: RigidBody,
-        models: Mapping[str, FrictionModel],
-        folder: Path,
+        self, robot: RobotModel, body: RigidBody, models: Mapping[str, FrictionModel], folder: Path
     ) -> "dict[str, Properties]":
-        """Put all laws to the property battery and write what it finds."""
+        """Run the physics checks on all laws and write the results."""
         from cosim.properties.battery import Subject, run_battery
         from cosim.properties.inertia import standing_inertia
         from hesr_model.audit.properties import write_properties
@@ -233,13 +223,9 @@ class Job:
         return found
 
     def closed_loop(
-        self,
-        robot: RobotModel,
-        body: RigidBody,
-        folder: Path,
-        models: Mapping[str, FrictionModel],
+        self, robot: RobotModel, body: RigidBody, folder: Path, models: Mapping[str, FrictionModel]
     ) -> "LoopOutcome | None":
-        """Run the loop of the study."""
+        """Run the closed loop of the study; None if it has none."""
         if self.study.tracking is None or self.study.twin is None:
             return None
         from cosim.loop.run import run_loop
@@ -269,7 +255,7 @@ class Job:
         return outcome
 
     def other_truths(self, laws: Sequence[str]) -> dict[str, Errors]:
-        """Score laws under the further truths of the twin; empty where the study names none."""
+        """Score laws on the alternative plants of the twin; empty if the study names none."""
         if self.study.twin is None or not self.study.twin.truths:
             return {}
         from cosim.loop.alternative_plants import under_truths
@@ -280,9 +266,9 @@ class Job:
     def rigid_body(
         self, logs: Mapping[str, RobotLog], model: RobotModel
     ) -> tuple[RigidBody, dict[str, FrictionModel]]:
-        """Identify the rigid body, again once friction is known where the study wants that.
+        """Identify the rigid body, and refine it with fitted friction if the study asks for that.
 
-        Returns the body, and the law that was refined together with it, if one was.
+        Returns the body and the law that was refined together with it, if any.
         """
         forward = [logs[name] for name in self.study.logs.identification]
         backward = [logs[name] for name in self.study.logs.reversed]
@@ -336,10 +322,10 @@ class Job:
     def fit_all(
         self, records: LogRecords, source: Mapping[str, Any]
     ) -> tuple[dict[str, FrictionModel], dict[str, str]]:
-        """Fit all laws, but for those that the training logs do not determine.
+        """Fit all laws, except those that the training logs do not determine.
 
-        Returns the models, and why each of the others was left out. Laws that the closed loop
-        needs are not left out.
+        Returns the models, and the reason for each law left out. A law that the closed loop needs
+        raises instead.
         """
         reasons: dict[str, str] = {}
 
@@ -360,32 +346,30 @@ class Job:
         fmus: Path,
         runs: LogRecords,
     ) -> tuple[dict[str, Comparison], Predictions]:
-        """Score the FMUs on every test set and on its bands; of a twin the truth as well.
+        """Score the FMUs on every test set and its bands; for a twin also the true friction.
 
-        Where logs may differ by day, the same stands there with what is each log's own fitted.
-        FMUs go through all rows of `runs`, of which the last are those of `records`.
+        With `per_log`, every test set has a second comparison with the offsets of its logs fitted.
+        FMUs replay all rows of `runs`; the last of them are the rows of `records`.
 
         Returns the scores, and the torques on the test sets.
         """
         comparisons, predictions = {}, {}
         inputs = input_classes(models)
         tests = self.study.logs.test
-        variants = rows_of(models)
-        cases = [(name, row) for name in tests for row in variants]
+        cases = [(test, row, *case) for test in tests for row, case in rows_of(models).items()]
         jobs = [
             partial(
                 predict_fmu,
                 fmus / f"{law}.fmu",
-                records_of(tests[name], runs),
+                records_of(tests[test], runs),
                 measured_start=with_start,
             )
-            for name, row in cases
-            for law, with_start in (variants[row],)
+            for test, _, law, with_start in cases
         ]
         replayed: dict[str, dict[str, list[list[Array]]]] = {name: {} for name in tests}
         with parallel.results_of(jobs) as results:
-            for name, row in counted(cases, partial(self.progress, "replaying the FMUs")):
-                replayed[name][row] = next(results)
+            for test, row, *_ in counted(cases, partial(self.progress, "replaying the FMUs")):
+                replayed[test][row] = next(results)
         for name, logs in tests.items():
             tested = records_of(logs, records)
             predicted = {
@@ -427,3 +411,35 @@ class Job:
         names = [f"tau_f{k}" for k in range(1, joints + 1)]
         truths = [read_table(truth_of(log)).numbers(names) for log in logs]
         return [[truth[:, joint] for truth in truths] for joint in range(joints)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scored:
+    """Results of a run up to the scores on the test logs.
+
+    Attributes
+    ----------
+    job : steps of the study.
+    robot : model of the robot.
+    rigid_body : the identified rigid body.
+    files, logs, records : of every log by name; records by part of the log and joint.
+    models : fitted model of each law.
+    left_out : reason for each law of the study that was not fitted.
+    source : provenance of the laws.
+    fmus : path of each law's FMU.
+    comparisons : scores of the FMUs on each test set.
+    predictions : torques of the FMUs there.
+    """
+
+    job: Job
+    robot: RobotModel
+    rigid_body: RigidBody
+    files: Mapping[str, Path]
+    logs: Mapping[str, RobotLog]
+    records: LogRecords
+    models: Mapping[str, FrictionModel]
+    left_out: Mapping[str, str]
+    source: Mapping[str, Any]
+    fmus: Mapping[str, Path]
+    comparisons: Mapping[str, Comparison]
+    predictions: Predictions

@@ -11,21 +11,20 @@ from hesr_model.fitting.day_offsets import Nuisance
 from hesr_model.robots.owner import Owner
 from hesr_model.support.config import Config, RelativePath
 
-# Names that become names of files.
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
+"""Pattern of names that become file names."""
 
 
 class Twin(Config):
-    """Logs that the digital twin makes, instead of measured ones.
+    """Digital twin that makes the logs of a study.
 
     Attributes
     ----------
     plant : file of the arm.
-    signals : file of the signals of the arm's FMU, which then gives the logs; the arm in Python
-        gives them where left out.
+    signals : file of the arm FMU's signals; without it the arm in Python makes the logs.
     motions : file of the motions; each becomes a log of its name.
-    truth : one of the plant's, in place of the friction of its MJCF.
-    truths : those under which the laws are compared besides.
+    truth : friction of the plant file, instead of that of its MJCF.
+    truths : further frictions on which the laws are compared.
     """
 
     plant: RelativePath
@@ -42,12 +41,12 @@ class Twin(Config):
 
 
 class Part(Config):
-    """A part of a log in time, where there is one log only to train on and to test.
+    """Part of a log in time.
 
     Attributes
     ----------
-    log : file beside the study.
-    start, stop : of the part [s], from the beginning of the log.
+    log : file, relative to the study.
+    start, stop : limits of the part [s], from the beginning of the log.
     """
 
     log: str
@@ -56,15 +55,15 @@ class Part(Config):
 
 
 class StudyLogs(Config):
-    """Which logs serve for what: files beside the study, or names of the twin's motions.
+    """Uses of the logs: files relative to the study, or names of the twin's motions.
 
     Attributes
     ----------
-    identification : logs from which the rigid body is identified.
-    reversed : their time-reversed counterparts, where there are any, in the same order.
-    friction : logs on which the laws are trained; those of the identification if left out.
-    test : sets of logs on which the laws are compared, by a name of the set.
-    parts : names for parts of logs, which may stand wherever a log does.
+    identification : logs that identify the rigid body.
+    reversed : their time-reversed counterparts, in the same order.
+    friction : logs that train the laws; by default those of the identification.
+    test : test sets by name.
+    parts : names of parts of logs, which are used like logs.
     """
 
     identification: tuple[str, ...] = Field(min_length=1)
@@ -75,7 +74,7 @@ class StudyLogs(Config):
 
     @property
     def training(self) -> tuple[str, ...]:
-        """Logs on which the laws are trained."""
+        """Logs that train the laws."""
         return self.friction or self.identification
 
     @model_validator(mode="after")
@@ -91,7 +90,7 @@ class StudyLogs(Config):
 
 
 class Variant(Config):
-    """A further row of the tables: a law with other options, for an ablation say.
+    """Law with other options, as a further row of the tables.
 
     Attributes
     ----------
@@ -103,14 +102,14 @@ class Variant(Config):
     options: Mapping[str, Any] = {}
 
 
-class Band(Config):
-    """A part of a test set in time, for instance one side of a chirp's middle frequency.
+class TimeBand(Config):
+    """Part of a test set in time, scored separately.
 
     Attributes
     ----------
     test : name of the test set.
-    name : of the part.
-    start, stop : of the part [s], from the beginning of each log.
+    name : name of the part.
+    start, stop : limits of the part [s], from the beginning of each log.
     """
 
     test: str
@@ -120,14 +119,14 @@ class Band(Config):
 
 
 class RefinementStudy(Config):
-    """Rigid body and friction in turn, or together.
+    """Refinement of the rigid body with fitted friction.
 
     Attributes
     ----------
-    kind : "in_turn", least squares of the torque; "output_error", the simulated position, too.
-    law : whose torque is subtracted before the rigid body is identified again, or which is refined
-        together with it.
-    rounds : how often.
+    kind : "in_turn" identifies the body again without friction; "output_error" fits both to the
+        simulated position.
+    law : the friction law.
+    rounds : number of repetitions.
     """
 
     kind: Literal["in_turn", "output_error"] = "in_turn"
@@ -136,25 +135,25 @@ class RefinementStudy(Config):
 
 
 class Study(Config):
-    """What `hesr run` does.
+    """Input file of `hesr run`.
 
     Attributes
     ----------
-    name : of the study and of its folder of results.
+    name : name of the study and of its folder of results.
     robot : robot file.
-    seed : of every fit.
-    laws : names in the registry; all laws if left out.
+    seed : seed of every fit.
+    laws : names in the registry; by default all everyday laws.
     options : hyper-parameters of estimators, by law.
-    variants : further rows, by their name.
-    per_log : what may differ by log where laws are trained, as on logs of several days: the offset
-        of the torque, the level of friction.
-    physical : whether the rigid body must be one that can exist.
-    refinement : whether the rigid body is identified again once friction is known.
-    bands : parts of test sets that are scored by themselves.
-    twin : where the logs come from the digital twin.
+    variants : further rows by name.
+    per_log : quantities that may differ by training log, as the torque offset or the level of
+        friction of different days.
+    physical : whether the masses of the rigid body must be physically possible.
+    refinement : refinement of the rigid body with fitted friction.
+    bands : parts of test sets that are scored separately.
+    twin : digital twin that makes the logs.
     tracking : closed loop on the twin.
-    logs : which logs serve for what.
-    owner : whose the models are; that of the robot file where not given.
+    logs : uses of the logs.
+    owner : owner of the models; by default that of the robot file.
     """
 
     name: str = Field(pattern=_NAME)
@@ -166,38 +165,26 @@ class Study(Config):
     per_log: tuple[Nuisance, ...] = ()
     physical: bool = False
     refinement: RefinementStudy | None = None
-    bands: tuple[Band, ...] = ()
+    bands: tuple[TimeBand, ...] = ()
     twin: Twin | None = None
     tracking: Tracking | None = None
     logs: StudyLogs
     owner: Owner = Owner()
 
     @model_validator(mode="after")
-    def _bands_are_of_tests(self) -> Self:
+    def _keys_fit(self) -> Self:
         for band in self.bands:
             if band.test not in self.logs.test:
-                raise ValueError(f"band '{band.name}' is of the unknown test set '{band.test}'")
-        return self
-
-    @model_validator(mode="after")
-    def _one_way_to_a_body(self) -> Self:
+                raise ValueError(f"band '{band.name}': test set '{band.test}' is unknown")
         if self.physical and self.refinement:
-            raise ValueError("'physical' does not go with 'refinement'; give one of them")
-        return self
-
-    @model_validator(mode="after")
-    def _names_differ(self) -> Self:
+            raise ValueError("'physical' and 'refinement' exclude each other; remove one")
         rows = {
             "law": [*self.laws, *self.variants],
             "test set or band": [*self.logs.test, *(band.name for band in self.bands)],
         }
         for what, names in rows.items():
             if twice := [name for name, count in Counter(names).items() if count > 1]:
-                raise ValueError(f"the name '{twice[0]}' stands for more than one {what}")
-        return self
-
-    @model_validator(mode="after")
-    def _a_loop_needs_an_arm(self) -> Self:
+                raise ValueError(f"more than one {what} is named '{twice[0]}'")
         if self.tracking and not (self.twin and self.twin.signals):
             raise ValueError("'tracking' needs the keys 'twin' and 'twin.signals'")
         return self

@@ -1,4 +1,4 @@
-"""A run in words: which FMU to take and why, what it leaves unexplained, and what would help."""
+"""Verdict of a run: the recommended FMU, its weaknesses, and data that would improve it."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,30 +23,30 @@ if TYPE_CHECKING:
 VERDICT, VERDICT_FORMAT = "verdict.json", "hesr-verdict-1"
 
 _MUCH = 25.0
-"""[%] Of friction: who leaves more has not understood the joint."""
+"""Unexplained friction [%] above which a joint is called poorly modelled."""
 _AT_REVERSALS = 1.5
-"""Times the error over all rows from which on reversals are where a law is weak."""
+"""Error near reversals over that of all rows, above which reversals are called weak."""
 _BEYOND = 0.02
-"""Share of test rows outside the trained speeds that is worth a word."""
+"""Minimum share of test rows outside the trained speeds that is reported."""
 _RESTS = 0.02
-"""Share of training rows at rest below which stiction was hardly seen."""
+"""Minimum share of training rows at rest that shows stiction."""
 _LOADED = 0.5
-"""Of the size of friction: where the load varies by less, its effect on friction is not seen."""
+"""Minimum spread of the load over that of friction that shows the effect of load."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What a run comes to.
+    """Verdict of a run.
 
     Attributes
     ----------
-    law : whose FMU to take.
+    law : the recommended law.
     fmu : its file, relative to the folder of results.
-    test : the test set by which it was chosen.
-    why : in a sentence.
-    unexplained : by joint, its error over the size of friction there [%].
-    weak : where it is weak, a sentence each.
-    improve : what would improve it, a sentence each.
+    test : test set that decided.
+    why : reason in one sentence.
+    unexplained : error over the size of friction by joint [%].
+    weak : weaknesses, one sentence each.
+    improve : improvements, one sentence each.
     """
 
     law: str
@@ -59,12 +59,12 @@ class Verdict:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The verdict in words."""
+        """The verdict in sentences."""
         shares = zip(short_names(len(self.unexplained)), self.unexplained.values(), strict=True)
         left = ", ".join(f"{joint} {share:.0f} %" for joint, share in shares)
         return (
-            f"Take {self.fmu} ({title(self.law)}): {self.why}",
-            f"Of friction it leaves unexplained on '{self.test}': {left}.",
+            f"Recommended: {self.fmu} ({title(self.law)}): {self.why}",
+            f"Unexplained friction on '{self.test}': {left}.",
             *self.weak,
             *self.improve,
         )
@@ -81,35 +81,37 @@ def verdict(
 ) -> Verdict:
     """Judge a run by its first test set.
 
-    Of the laws that no other one beats on as many joints, beyond chance among all comparisons, the
-    one is taken that has most properties of friction, then the least error.
+    Candidates are the laws that lead on most joints, where no other law is significantly better.
+    Of these the law that passes most physics checks is taken, then the one with the lowest error.
 
     Parameters
     ----------
-    comparisons : of every test set, the first one first.
+    comparisons : scores by test set.
     models : the laws.
     trained, tested : records [joint][log] of the training logs and of the first test set.
-    properties : what the battery found; empty where it was not run.
-    gear_ratio : whether the robot file gives it.
+    properties : results of the physics checks; empty if they were not run.
+    gear_ratio : whether the robot file has gear ratios.
     """
     test, scores = next(iter(comparisons.items()))
     names = [law for law in scores.laws if law != ORACLE]
     leads = {law: sum(law in of_joint for of_joint in scores.leading) for law in names}
     most = max(leads.values())
-    equals = [law for law in names if leads[law] == most]
-    had = {law: properties[law].passed for law in equals if law in properties}
+    candidates = [law for law in names if leads[law] == most]
+    passed = {law: properties[law].passed for law in candidates if law in properties}
     error = {law: _relative(scores, law) for law in names}
-    law = min(equals, key=lambda name: (-had.get(name, 0), error[name]))
-    own = scores.laws[law]
+    law = min(candidates, key=lambda name: (-passed.get(name, 0), error[name]))
     percent = {
         joint: 100.0 * rmse / std
-        for joint, rmse, std in zip(scores.joints, own.rmse, scores.tau_std, strict=True)
+        for joint, rmse, std in zip(
+            scores.joints, scores.laws[law].rmse, scores.tau_std, strict=True
+        )
     }
+    equals = [name for name in candidates if name != law]
     return Verdict(
         law=law,
         fmu=f"fmus/{law}.fmu",
         test=test,
-        why=_why(law, most, [name for name in equals if name != law], len(scores.joints), had),
+        why=_why(law, f"on {most} of {len(scores.joints)} joints", equals, passed),
         unexplained=percent,
         weak=tuple(_weak(scores, law, percent, properties)),
         improve=tuple(_improve(models[law], trained, tested, gear_ratio=gear_ratio)),
@@ -121,17 +123,16 @@ def _relative(scores: Comparison, law: str) -> float:
     return float(np.mean(ratios))
 
 
-def _why(law: str, most: int, equals: Sequence[str], joints: int, had: Mapping[str, int]) -> str:
-    on = f"on {most} of {joints} joints"
+def _why(law: str, on: str, equals: Sequence[str], passed: Mapping[str, int]) -> str:
     if not equals:
-        return f"{on} no other law is better beyond chance, which holds for none of the others."
+        return f"{on} no other law is significantly better, and each other law is on fewer."
     others = ", ".join(map(title, equals))
     reason = (
-        f"it has more of the properties of friction ({had[law]} of {len(EXPECTATIONS)})"
-        if law in had and had[law] > max((had.get(name, 0) for name in equals), default=0)
-        else "its error is the least"
+        f"it passes more physics checks ({passed[law]} of {len(EXPECTATIONS)})"
+        if law in passed and passed[law] > max((passed.get(name, 0) for name in equals), default=0)
+        else "it has the lowest error"
     )
-    return f"{on} no law is better beyond chance, as holds for {others}, too; {reason}."
+    return f"{on} no law is significantly better (tied with {others}); {reason}."
 
 
 def _weak(
@@ -143,19 +144,19 @@ def _weak(
     short, own = short_names(len(scores.joints)), scores.laws[law]
     much = [name for name, share in zip(short, percent.values(), strict=True) if share > _MUCH]
     if much:
-        yield f"It explains {', '.join(much)} badly: more than {_MUCH:g} % of friction is left."
+        yield f"Poorly modelled: {', '.join(much)} (more than {_MUCH:g} % of friction unexplained)."
     pairs = zip(short, own.rmse_reversal, own.rmse, strict=True)
     turning = [name for name, at, over in pairs if at is not None and at > _AT_REVERSALS * over]
     if turning:
-        yield f"It is weak at reversals of {', '.join(turning)}."
-    if law in properties:
-        lacking = [
-            expectation.title
-            for key, expectation in EXPECTATIONS.items()
-            if any(joint.findings[key].verdict == "fail" for joint in properties[law].joints)
-        ]
-        if lacking:
-            yield f"On some joint it does not behave as friction does: {', '.join(lacking)}."
+        yield f"Large errors near reversals: {', '.join(turning)}."
+    failed = [
+        expectation.title
+        for key, expectation in EXPECTATIONS.items()
+        if law in properties
+        and any(joint.findings[key].verdict == "fail" for joint in properties[law].joints)
+    ]
+    if failed:
+        yield f"Physics checks it fails on at least one joint: {', '.join(failed)}."
 
 
 def _improve(
@@ -175,17 +176,19 @@ def _improve(
             resting.append(name)
         if np.std(load) < _LOADED * np.std(tau):
             loaded.append(name)
-    if faster:
-        yield f"Faster training logs would help on {', '.join(faster)}: the test goes beyond them."
-    if resting:
-        yield f"Training logs with rests would help on {', '.join(resting)}, which hardly rest."
-    if loaded:
-        yield (
-            f"A log with a payload would tell how friction rises with the load on "
-            f"{', '.join(loaded)}, where the load hardly varies."
-        )
+    for names, advice in (
+        (faster, "the test is faster than the training logs; record faster motion."),
+        (resting, "hardly any standstill in the training logs; record rests."),
+        (
+            loaded,
+            "the load hardly changes; record a log with a payload to model load-dependent "
+            "friction.",
+        ),
+    ):
+        if names:
+            yield f"{', '.join(names)}: {advice}"
     if not gear_ratio:
-        yield "With 'gear_ratio' in the robot file, laws with motor ripple could be fitted."
+        yield "Add gear_ratio to the robot file to also fit motor ripple."
 
 
 def write_verdict(folder: Path, found: Verdict) -> None:
@@ -194,7 +197,7 @@ def write_verdict(folder: Path, found: Verdict) -> None:
 
 
 def read_verdict(folder: Path) -> Verdict | None:
-    """Read it back; None where results of earlier versions have none.
+    """Read a verdict; None if the results are of an earlier version without one.
 
     Raises
     ------

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
-from cosim.study.health import told
+from cosim.study.results import log_findings
 from fmu_src import model_file
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.findings import Finding
@@ -113,7 +113,7 @@ def records_of(
 def examined(logs: Sequence[RobotLog], model: RobotModel, accept: Sequence[str]) -> list[Finding]:
     """Check logs on their robot; what cannot be right raises, what is odd is told and returned."""
     require_different(logs)
-    return told(checked(logs, model, accept))
+    return log_findings(checked(logs, model, accept))
 
 
 def telling_apart(namings: Sequence[Sequence[str]], what: str) -> Sequence[str]:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from cosim.loop.design import Design
     from cosim.study.run import Outcome
     from cosim.study.scores import Comparison
-    from cosim.study.starter import Started
+    from cosim.study.starter import NewProject
     from cosim.systems.simulation import Result
     from fmu_src.check.report import Report
     from hesr.extras.adaptive.monitor import Watched
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from hesr_model.health.proposal import Proposal
 
 
-def new(folder: AnyPath, robot: AnyPath, joints: Sequence[str] = ()) -> "Started":
+def new(folder: AnyPath, robot: AnyPath, joints: Sequence[str] = ()) -> "NewProject":
     """Lay a folder to start from, for a robot's URDF or MJCF; see `cosim.study.starter.start`."""
     from cosim.study.starter import start
 

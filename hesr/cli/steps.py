@@ -76,7 +76,7 @@ def identify(
     Example: hesr identify excitation.csv --robot robot.toml -o rigid_body.json
     """
     from cosim.report.tables.laws import rigid_body as summary
-    from cosim.study.health import told
+    from cosim.study.results import log_findings
     from cosim.workflow.arguments import examined, logs_of
     from hesr_model.friction.model import FrictionModel
     from hesr_model.health.fit_checks import check_body
@@ -129,7 +129,7 @@ def identify(
         findings += impossible
         source |= {"health": [to_json(finding) for finding in findings]}
         replace(found, provenance=source).write(output)
-        told(impossible)
+        log_findings(impossible)
     if payload is not None:
         centre = ", ".join(f"{c:.4f}" for c in carried.centre_of_mass)
         typer.echo(
@@ -165,7 +165,7 @@ def fit(
     Example: hesr fit sweep.csv --robot robot.toml --rigid-body rigid_body.json --law parfam_h
     -o law.json --option 'search="paper"'
     """
-    from cosim.study.health import told
+    from cosim.study.results import log_findings
     from hesr_model.fitting.fit import fit_models
     from hesr_model.friction.registry import estimator
     from hesr_model.health.fit_checks import check_laws
@@ -191,7 +191,7 @@ def fit(
             progress=partial(progress, f"fitting {law}"),
         )[law]
     model.write(output)
-    told(check_laws({law: model}, records))
+    log_findings(check_laws({law: model}, records))
     _print_law(model)
     typer.echo(f"{law} for {', '.join(model.joints)}; written to {output}.")
 
@@ -213,8 +213,8 @@ def evaluate(
     """
     from cosim.report.tables.scores import position_errors
     from cosim.report.tables.terminal import show
-    from cosim.study.health import told
     from cosim.study.position_errors import simulate_laws
+    from cosim.study.results import log_findings
     from cosim.study.scores import compare, input_classes, predict_models
     from hesr_model.friction.model import FrictionModel
     from hesr_model.health.fit_checks import check_owner
@@ -234,7 +234,7 @@ def evaluate(
     with shown_progress() as progress:
         records, own, _ = read_records(logs, robot, rigid_body, progress, accept)
         for model in models:
-            told(check_owner(model, own))
+            log_findings(check_owner(model, own))
         inputs = input_classes(named)
         predicted = predict_models(named, records, partial(progress, "evaluating"))
         scores = compare(records, predicted, inputs, named)

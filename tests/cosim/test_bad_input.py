@@ -515,7 +515,7 @@ STUDY_FAULTS = {
     "a loop with a law that the study has not": (
         "[twin]\n",
         f"{TRACKING}[twin]\n{SIGNALS}\n",
-        "key 'tracking.sources': law 'lugre' is none of the study's, stribeck, parfam_h.",
+        "key 'tracking.sources': law 'lugre' is not in the study; it has stribeck, parfam_h.",
     ),
     "an unknown key": ("seed = 3", "sead = 3", "unknown key 'sead'; allowed here: "),
     "an unknown key in a table": (
@@ -554,7 +554,7 @@ STUDY_FAULTS = {
     "a log that no motion gives": (
         '["trial"]',
         '["tiral"]',
-        "key 'logs' names 'tiral', which is no motion of ",
+        "key 'logs': 'tiral' is not a motion of ",
     ),
 }
 

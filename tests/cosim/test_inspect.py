@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from small_study import Hesr, hesr_here
 
-from cosim.study.health import read_findings
 from cosim.study.proposal import study_file
+from cosim.study.results import read_findings
 from cosim.study.run import score_study
 from cosim.study.steps import Job
 from cosim.study.study import Study

@@ -272,7 +272,7 @@ ERRORS = [
         "arm.urdf.xacro",
         ONE_JOINT,
         [],
-        r"arm\.urdf\.xacro: is a xacro file, which must be expanded first: "
+        r"arm\.urdf\.xacro: is a xacro file; expand it first: "
         r"xacro arm\.urdf\.xacro > arm\.urdf\.$",
     ),
 ]

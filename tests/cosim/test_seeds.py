@@ -54,7 +54,7 @@ def test_the_command(study: Path, tmp_path: Path, capsys, monkeypatch) -> None:
 
 
 def test_what_seeds_cannot_be_drawn_for(study: Path) -> None:
-    with pytest.raises(ConfigError, match=r"--seeds is 1; needed are at least 2"):
+    with pytest.raises(ConfigError, match=r"--seeds is 1; at least 2 are needed"):
         run_seeds(study, 1)
     text = study.read_text(encoding="utf-8")
     no_laws = study.with_name("none.toml")
@@ -65,5 +65,5 @@ def test_what_seeds_cannot_be_drawn_for(study: Path) -> None:
     measured = study.with_name("measured.toml")
     before, _, after = text.partition("[twin]")
     measured.write_text(before + after[after.index("[logs]") :], encoding="utf-8")
-    with pytest.raises(ConfigError, match="seeds are drawn for a digital twin"):
+    with pytest.raises(ConfigError, match="--seeds needs a digital twin"):
         run_seeds(measured, 2)

@@ -129,19 +129,19 @@ HEAD = 'name = "x"\nrobot = "r.toml"\n'
         ),
         (
             f'{HEAD}bands = [{{ test = "seen", name = "b" }}]\n{LOGS}',
-            "band 'b' is of the unknown test set 'seen'",
+            "band 'b': test set 'seen' is unknown",
         ),
         (
             f'{HEAD}bands = [{{ test = "unseen", name = "unseen" }}]\n{LOGS}',
-            "the name 'unseen' stands for more than one test set or band",
+            "more than one test set or band is named 'unseen'",
         ),
         (
             f'{HEAD}laws = ["lugre", "lugre"]\n{LOGS}',
-            "the name 'lugre' stands for more than one law",
+            "more than one law is named 'lugre'",
         ),
         (
             f'{HEAD}laws = ["lugre"]\n{LOGS}[variants.lugre]\nlaw = "stribeck"',
-            "the name 'lugre' stands for more than one law",
+            "more than one law is named 'lugre'",
         ),
         (
             f'{HEAD}bands = [{{ test = "unseen", name = "b", start = -1.0 }}]\n{LOGS}',
@@ -386,7 +386,7 @@ def test_unknown_laws_are_found_before_the_arm_runs(
 def test_a_test_log_that_is_no_motion_is_named(tmp_path: Path) -> None:
     study = tiny(tmp_path)
     study.write_text(study.read_text().replace('["trial"]', '["trail"]'), encoding="utf-8")
-    with pytest.raises(ConfigError, match="'trail', which is no motion of"):
+    with pytest.raises(ConfigError, match="'trail' is not a motion of"):
         run_study(study, tmp_path / "results")
     assert {p.name for p in tmp_path.iterdir()} == {"study.toml", "motions.toml"}
 
@@ -410,7 +410,7 @@ def test_a_variant_may_not_be_named_as_a_law(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         Job(study=Study.read(path), path=path, progress=lambda *_: None)
     assert str(caught.value) == (
-        f"{path}: key 'variants.lugre' has the name of a law; give it one of its own."
+        f"{path}: key 'variants.lugre' has the name of a law; rename it."
     )
 
 

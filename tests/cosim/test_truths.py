@@ -122,9 +122,7 @@ def test_seeds_are_not_drawn_for_another_truth(tmp_path: Path, capsys, monkeypat
     path = study_with(tmp_path, signals('truth = "strain_wave"'))
     answer = hesr_here(capsys, monkeypatch)("run", path, "--seeds", "2")
     assert answer.code == 2
-    assert (
-        "seeds are drawn for the friction of the MJCF; key 'twin.truth' names another" in answer.err
-    )
+    assert "--seeds needs the friction of the MJCF; remove the key 'twin.truth'" in answer.err
 
 
 def test_the_default_study_shows_both():

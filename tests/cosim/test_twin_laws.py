@@ -11,9 +11,9 @@ from significance import against
 from cosim.loop.closed_loop import StandIn
 from cosim.loop.loops import StudyLoop, assemble, build, limits_of, motions, run_tracking
 from cosim.loop.tracking import Tracked, track
-from cosim.study.run import Scored, run_study, score_study
-from cosim.study.scores import ORACLE, Comparison, measured_start
-from cosim.study.steps import Job
+from cosim.study.run import run_study, score_study
+from cosim.study.scores import MEASURED_START, ORACLE, Comparison
+from cosim.study.steps import Job, Scored
 from cosim.study.study import Study
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
@@ -120,7 +120,7 @@ def test_both_bands_of_the_chirp_are_scored_for_every_law(outcome: Outcome) -> N
     low, high = (outcome.comparisons[f"chirp {band}"] for band in ("to 0.6 Hz", "from 0.6 Hz"))
     whole = outcome.comparisons["chirp"]
     started = {
-        measured_start(law)
+        f"{law}{MEASURED_START}"
         for law, model in outcome.models.items()
         if any(of_joint.start_samples for of_joint in model.laws)
     }

@@ -79,7 +79,7 @@ def _battery(path: Path) -> object:
 
 
 def _write_findings(path: Path) -> None:
-    from cosim.study.health import HEALTH, write_findings
+    from cosim.study.results import HEALTH, write_findings
     from hesr_model.findings import Finding
 
     write_findings(
@@ -95,7 +95,7 @@ def _write_findings(path: Path) -> None:
 
 
 def _findings(folder: Path) -> object:
-    from cosim.study.health import read_findings
+    from cosim.study.results import read_findings
 
     return read_findings(folder)
 
@@ -134,10 +134,10 @@ def _simulations(path: Path) -> object:
 
 
 def _write_simulations(path: Path) -> None:
-    from cosim.study.position_errors import Simulated
+    from cosim.study.position_errors import PositionErrors
     from hesr_model.support.typed_json import to_json, write_json
 
-    found = Simulated(
+    found = PositionErrors(
         joints=("a", "b"), lengths=(0.5, 1.0), windows={"lugre": ((0.1, None), (0.2, 0.3))},
         open_loop={"lugre": (None, 0.4)},
     )  # fmt: skip

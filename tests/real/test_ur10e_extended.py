@@ -13,9 +13,9 @@ import pytest
 from registry_models import STUDIED
 from significance import against
 
-from cosim.study.run import Scored, run_study, score_study
-from cosim.study.scores import Comparison, inputs_of, measured_start, takes_start
-from cosim.study.steps import Job
+from cosim.study.run import run_study, score_study
+from cosim.study.scores import MEASURED_START, Comparison, inputs_of
+from cosim.study.steps import Job, Scored
 from cosim.study.study import Study
 from fmu_src.run.replay import replay
 from hesr_model.friction.model import FrictionModel
@@ -54,6 +54,15 @@ STUDY = Path(__file__).with_name("ur10e_study.toml")
 SLOW = {"rbfnn_h", "mlp_h", "parfam_h"}
 """Laws that take half of the time, and of which nothing is asked but that they are their FMUs."""
 FAST = tuple(law for law in STUDIED if law not in SLOW)
+
+
+def measured_start(law: str) -> str:
+    """Return the row of a law whose initial state is estimated from measured torque."""
+    return f"{law}{MEASURED_START}"
+
+
+def takes_start(model: FrictionModel) -> bool:
+    return any(law.start_samples for law in model.laws)
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ from markupsafe import Markup
 from cosim.report.markup import Pictures, Section, details, joined, listing, paragraph, table
 from cosim.report.results import Results
 from cosim.report.tables.table import ResultTable, number, row_of
-from cosim.study.health import read_findings
+from cosim.study.results import read_findings
 
 _FEW = 3  # findings that stand open
 

@@ -14,7 +14,7 @@ from cosim.report.sections.audit import passive
 from cosim.report.sections.tracking import of_scheme, outer
 from cosim.report.tables.scores import leading
 from cosim.report.tables.table import decimals, title
-from cosim.study.health import read_findings
+from cosim.study.results import read_findings
 from cosim.study.scores import BASELINE, ORACLE
 from cosim.study.verdict import VERDICT, read_verdict
 from hesr_model.audit.expectations import EXPECTATIONS

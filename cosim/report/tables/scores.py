@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from cosim.report.tables.table import ResultTable, decimals, fixed, joints, named, row_of, title
-from cosim.study.position_errors import Simulated
+from cosim.study.position_errors import PositionErrors
 from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors, Ratio
 from hesr_model.units import unit_of_joints
 
@@ -178,7 +178,7 @@ def _mean_ratio(errors: Errors, law: str, reference: str) -> float | None:
     return math.exp(math.fsum(logs) / len(logs)) if logs else None
 
 
-def position_errors(name: str, found: Simulated, sliding: Sequence[bool] = ()) -> ResultTable:
+def position_errors(name: str, found: PositionErrors, sliding: Sequence[bool] = ()) -> ResultTable:
     """Return laws as simulators: the error of the position of each joint over windows.
 
     Parameters
