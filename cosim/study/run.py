@@ -110,8 +110,15 @@ def run_study(
     study = Study.read(path)
     if quick:
         twin = study.twin and study.twin.model_copy(update={"truths": ()})
-        fewer = {"laws": laws_with("quick"), "variants": {}, "refinement": None, "tracking": None}
-        study = study.model_copy(update={**fewer, "twin": twin})
+        study = study.model_copy(
+            update={
+                "laws": laws_with("quick"),
+                "variants": {},
+                "refinement": None,
+                "tracking": None,
+                "twin": twin,
+            }
+        )
     targets(platforms)
     used = USED.copy()
     kept = unfinished(output)

@@ -63,7 +63,8 @@ class Ratio:
         if self.p is not None:
             sure = self.p < SIGNIFICANCE
         else:  # rule of earlier versions
-            sure = None not in (self.low, self.high) and not self.low <= 1.0 <= self.high
+            low, high = self.low, self.high
+            sure = low is not None and high is not None and (high < 1.0 or low > 1.0)
         if not sure:
             return "alike"
         return "better" if self.value < 1.0 else "worse"

@@ -409,9 +409,7 @@ def test_a_variant_may_not_be_named_as_a_law(tmp_path: Path) -> None:
     path.write_text(f'{HEAD}{LOGS}[variants.lugre]\nlaw = "stribeck"')
     with pytest.raises(ConfigError) as caught:
         Job(study=Study.read(path), path=path, progress=lambda *_: None)
-    assert str(caught.value) == (
-        f"{path}: key 'variants.lugre' has the name of a law; rename it."
-    )
+    assert str(caught.value) == (f"{path}: key 'variants.lugre' has the name of a law; rename it.")
 
 
 def test_a_quick_run_has_the_classic_laws_only(tmp_path: Path) -> None:
