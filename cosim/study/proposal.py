@@ -17,6 +17,7 @@ _TRAINED, _MOST_TRAINED = 0.6, 0.8
 _BEYOND = 0.02
 """Share of the log trained beyond a joint's first reversal."""
 
+
 def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
     """Return the text of a study file at `path`.
 
