@@ -97,8 +97,8 @@ def run_study(
     path : study file.
     output : folder of the results.
     platforms : platforms of the FMUs' binaries.
-    quick : run the `quick` laws only, without variants, refinement of the rigid body, closed loop and
-        physics checks.
+    quick : run the `quick` laws only, without variants, refinement of the rigid body, closed loop
+        and physics checks.
     accepted : log checks that only warn.
     progress : receives the state of the run.
 

@@ -68,7 +68,6 @@ NOUNS = {
 NOUNS |= {"tuning", "wiring"}
 
 KNOWN_PARTICIPLES = {
-    "cosim.study.scored",
     "fmu_src.run.recorded",
     "fmu_src.run.recording",
     "hesr_model.friction.banded",
