@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.study.scores import SIGNIFICANCE
-from cosim.study.steps import Scored, records_of
+from cosim.study.results import Scored
+from cosim.study.scores import SIGNIFICANCE, records_of
 from hesr_model.inference.paired_test import Paired, compare_errors, holm
 
 
@@ -43,7 +43,7 @@ class Against:
 
 def against(run: Scored, tests: str, laws: Iterable[str], other: str = "lugre") -> Against:
     """Compare laws with another one on a set of test logs, joint by joint."""
-    records = records_of(run.job.study.logs.test[tests], run.records)
+    records = records_of(run.study.logs.test[tests], run.records)
     torque = run.predictions[tests]
     found = {}
     for law in laws:

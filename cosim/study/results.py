@@ -6,23 +6,24 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from pydantic import ConfigDict
 
 from cosim.study.sample_logs import is_sample
-from cosim.study.scores import inputs_of
+from cosim.study.scores import Comparison, LogRecords, Predictions, inputs_of
 from cosim.study.study import Study, TimeBand
 from hesr_model.equations.over_log import Array
 from hesr_model.findings import Finding
+from hesr_model.friction.model import FrictionModel
+from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.tables import read_table, write_table
+from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.robots.robot import RobotModel
 from hesr_model.support.files import sha256
 from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
-
-if TYPE_CHECKING:
-    from cosim.study.steps import Scored
 
 RUN, TRACES, TRUTHS, HEALTH = "run.json", "traces", "truths.json", "health.json"
 RUN_FORMAT, HEALTH_FORMAT = "hesr-run-1", "hesr-health-1"
@@ -116,13 +117,45 @@ class SavedRun:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Scored:
+    """Results of a run up to the scores on the test logs.
+
+    Attributes
+    ----------
+    study : the study.
+    robot : model of the robot.
+    rigid_body : the identified rigid body.
+    files, logs, records : of every log by name; records by part of the log and joint.
+    models : fitted model of each law.
+    left_out : reason for each law of the study that was not fitted.
+    source : provenance of the laws.
+    fmus : path of each law's FMU.
+    comparisons : scores of the FMUs on each test set.
+    predictions : torques of the FMUs there.
+    """
+
+    study: Study
+    robot: RobotModel
+    rigid_body: RigidBody
+    files: Mapping[str, Path]
+    logs: Mapping[str, RobotLog]
+    records: LogRecords
+    models: Mapping[str, FrictionModel]
+    left_out: Mapping[str, str]
+    source: Mapping[str, Any]
+    fmus: Mapping[str, Path]
+    comparisons: Mapping[str, Comparison]
+    predictions: Predictions
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Findings:
     findings: tuple[Finding, ...]
 
 
-def save_run(folder: Path, run: "Scored", *, command: str, quick: bool) -> None:
+def save_run(folder: Path, run: Scored, *, command: str, quick: bool) -> None:
     """Write `run.json`, and the torques of the first log of each role."""
-    study, robot, files = run.job.study, run.job.robot, run.files
+    study, robot, files = run.study, run.robot.description, run.files
     traces = _save_torques(folder / TRACES, run)
     stems = Counter(log.name for log in run.logs.values())
     twin = {"mujoco": version("mujoco")} if study.twin else {}
@@ -178,9 +211,9 @@ def _roles(study: Study, name: str) -> tuple[str, ...]:
     return tuple(role for role, names in of_role.items() if name in names)
 
 
-def _save_torques(folder: Path, run: "Scored") -> dict[str, str]:
+def _save_torques(folder: Path, run: Scored) -> dict[str, str]:
     """Write the torques of the first log of each role, up to a gap; return their files by log."""
-    logs = run.job.study.logs
+    logs = run.study.logs
     first: dict[str, dict[str, list[Array]]] = {logs.identification[0]: {}}
     for test, names in logs.test.items():
         first[names[0]] = {

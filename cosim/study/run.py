@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from cosim.study.position_errors import SIMULATION, simulate_tests
-from cosim.study.results import TRUTHS, log_findings, save_run, write_findings
-from cosim.study.scores import Comparison, Errors
-from cosim.study.steps import Job, LogRecords, Scored, records_of
+from cosim.study.results import TRUTHS, Scored, log_findings, save_run, write_findings
+from cosim.study.scores import Comparison, Errors, LogRecords, records_of
+from cosim.study.steps import Job
 from cosim.study.study import Study
 from cosim.study.verdict import Verdict, verdict, write_verdict
 from fmu_src.export.toolchain import get_ready, targets
@@ -213,7 +213,7 @@ def score_study(
     comparisons, predictions = job.compare(models, records, files, folder / "fmus", runs)
     write_json(folder / "evaluation.json", {name: to_json(c) for name, c in comparisons.items()})
     return Scored(
-        job=job,
+        study=study,
         robot=model,
         rigid_body=rigid_body,
         files=files,

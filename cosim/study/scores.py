@@ -24,6 +24,10 @@ from hesr_model.support.progress import Progress, counted, silent
 
 Records = Sequence[Sequence[FrictionRecord]]
 """Records by joint and log."""
+LogRecords = Mapping[str, Sequence[Sequence[FrictionRecord]]]
+"""Records by log, [part][joint]; a log with gaps has several parts."""
+Predictions = Mapping[str, Mapping[str, Sequence[Sequence[Array]]]]
+"""Friction torques by test set and law, [joint][log], (N,) each [N.m]."""
 
 MEASURES = ("rmse", "rmse_reversal", "rmse_moving", "r2")
 
@@ -148,6 +152,11 @@ class Comparison:
 def by_joint(logs: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
     """Transpose records [log][joint] to [joint][log]."""
     return [list(of_joint) for of_joint in zip(*logs, strict=True)]
+
+
+def records_of(names: Iterable[str], records: LogRecords) -> list[list[FrictionRecord]]:
+    """Return the records of the named logs, [joint][part]."""
+    return by_joint([part for name in names for part in records[name]])
 
 
 def compare(

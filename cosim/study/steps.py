@@ -1,7 +1,7 @@
 """Steps of a study, from its logs to its closed loop."""
 
 import logging
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from inspect import signature
@@ -14,10 +14,12 @@ from cosim.study.scores import (
     ORACLE,
     Comparison,
     Errors,
-    by_joint,
+    LogRecords,
+    Predictions,
     compare,
     input_classes,
     predict_fmu,
+    records_of,
     rows_of,
     within,
 )
@@ -34,7 +36,7 @@ from hesr_model.logs.signals import smoothed
 from hesr_model.logs.tables import read_table
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.refinement import identify_again
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support import parallel
 from hesr_model.support.progress import Stages, counted
@@ -45,16 +47,6 @@ if TYPE_CHECKING:
     from hesr_model.audit.properties import Properties
 
 _log = logging.getLogger(__name__)
-
-LogRecords = Mapping[str, Sequence[Sequence[FrictionRecord]]]
-"""Records by log, [part][joint]; a log with gaps has several parts."""
-Predictions = Mapping[str, Mapping[str, Sequence[Sequence[Array]]]]
-"""Friction torques by test set and law, [joint][log], (N,) each [N.m]."""
-
-
-def records_of(names: Iterable[str], records: LogRecords) -> list[list[FrictionRecord]]:
-    """Return the records of the named logs, [joint][part]."""
-    return by_joint([part for name in names for part in records[name]])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -411,35 +403,3 @@ class Job:
         names = [f"tau_f{k}" for k in range(1, joints + 1)]
         truths = [read_table(truth_of(log)).numbers(names) for log in logs]
         return [[truth[:, joint] for truth in truths] for joint in range(joints)]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scored:
-    """Results of a run up to the scores on the test logs.
-
-    Attributes
-    ----------
-    job : steps of the study.
-    robot : model of the robot.
-    rigid_body : the identified rigid body.
-    files, logs, records : of every log by name; records by part of the log and joint.
-    models : fitted model of each law.
-    left_out : reason for each law of the study that was not fitted.
-    source : provenance of the laws.
-    fmus : path of each law's FMU.
-    comparisons : scores of the FMUs on each test set.
-    predictions : torques of the FMUs there.
-    """
-
-    job: Job
-    robot: RobotModel
-    rigid_body: RigidBody
-    files: Mapping[str, Path]
-    logs: Mapping[str, RobotLog]
-    records: LogRecords
-    models: Mapping[str, FrictionModel]
-    left_out: Mapping[str, str]
-    source: Mapping[str, Any]
-    fmus: Mapping[str, Path]
-    comparisons: Mapping[str, Comparison]
-    predictions: Predictions

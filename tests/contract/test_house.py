@@ -22,7 +22,6 @@ FMT_SKIPS = 187
 
 KNOWN_DUPLICATES = {
     "Array",
-    "Band",
     "Binary",
     "Choice",
     "Component",
@@ -44,7 +43,6 @@ KNOWN_DUPLICATES = {
     "Signals",
     "Source",
     "Start",
-    "Started",
     "Stepper",
     "Table",
     "Target",

@@ -11,9 +11,10 @@ from significance import against
 from cosim.loop.closed_loop import StandIn
 from cosim.loop.loops import StudyLoop, assemble, build, limits_of, motions, run_tracking
 from cosim.loop.tracking import Tracked, track
+from cosim.study.results import Scored
 from cosim.study.run import run_study, score_study
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison
-from cosim.study.steps import Job, Scored
+from cosim.study.steps import Job
 from cosim.study.study import Study
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction

@@ -13,9 +13,10 @@ import pytest
 from registry_models import STUDIED
 from significance import against
 
+from cosim.study.results import Scored
 from cosim.study.run import run_study, score_study
 from cosim.study.scores import MEASURED_START, Comparison, inputs_of
-from cosim.study.steps import Job, Scored
+from cosim.study.steps import Job
 from cosim.study.study import Study
 from fmu_src.run.replay import replay
 from hesr_model.friction.model import FrictionModel

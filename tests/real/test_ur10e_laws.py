@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.study.results import Scored
 from cosim.study.run import score_study
-from cosim.study.steps import Job, Scored
+from cosim.study.steps import Job
 from cosim.study.study import Study
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support import parallel
