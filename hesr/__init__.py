@@ -26,10 +26,10 @@ from hesr_model.support.lazy import lazy
 
 if TYPE_CHECKING:
     from cosim.regressor import FrictionRegressor
+    from cosim.workflow.check import check
     from cosim.workflow.commands import (
         arena,
         audit,
-        check,
         evaluate,
         excite,
         export,
@@ -99,12 +99,13 @@ _COMMANDS = (
         "evaluate",
         "audit",
     ),
-    *("properties", "arena", "laws", "export", "check", "replay", "thermal", "monitor"),
+    *("properties", "arena", "laws", "export", "replay", "thermal", "monitor"),
     "fleet",
     "simulate",
     "package",
 )
 _HOMES = dict.fromkeys(_COMMANDS, "cosim.workflow.commands") | {
+    "check": "cosim.workflow.check",
     "FrictionModel": "hesr_model.friction.model",
     "FrictionRegressor": "cosim.regressor",
     "HesrError": "hesr_model.errors",

@@ -4,6 +4,8 @@ Each carries one sentence that names the file, the column or key, the row where 
 was found and what is needed. The command line prints that sentence and exits with 2.
 """
 
+import re
+
 from hesr_model.support.text import escaped
 
 _LONGEST = 2000  # characters of a sentence; what a file holds may have millions
@@ -24,6 +26,17 @@ class HesrError(Exception):
 
 class ConfigError(HesrError):
     """A TOML file or a command-line argument does not say what is needed."""
+
+
+class ArgumentError(ConfigError):
+    """Arguments of a call, or options of a command, that do not go together.
+
+    Its sentence quotes parameters by their names in Python.
+    """
+
+    def on_command_line(self) -> str:
+        """Return the sentence with the parameters as options."""
+        return re.sub(r"'([a-z_]+)'", lambda m: f"--{m[1].replace('_', '-')}", str(self))
 
 
 class LogError(HesrError):

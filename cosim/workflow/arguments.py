@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.study.results import log_findings
@@ -16,6 +17,7 @@ from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import RobotModel
 from hesr_model.robots.robot_argument import RobotLike, model_of
+from hesr_model.support.files import PathArg as PathArg
 from hesr_model.support.files import path_of
 from hesr_model.support.progress import Progress, counted, silent
 
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from fmu_src.pages.live.body import PageBody
 
 AnyPath = str | PathLike[str]
+Fmus = AnyPath | Sequence[AnyPath]
 Log = RobotLog | AnyPath
 Body = RigidBody | AnyPath
 Model = FrictionModel | AnyPath
@@ -159,3 +162,18 @@ def named(models: Any) -> dict[str, FrictionModel]:
             f"{len(read)} friction models have {len(found)} names; give a mapping that names each."
         )
     return found
+
+
+def paths_of(files: PathArg | Sequence[PathArg], what: str) -> list[Path]:
+    """Return one or several paths as a list; `what` names one in the error."""
+    return [path_of(file, what) for file in listed(files)]
+
+
+def remember_trust(fmus: Iterable[Path], *, trust: bool) -> None:
+    """Record FMUs as trusted if `trust` is set."""
+    if trust:
+        from fmu_src.run.trust import remember
+
+        for fmu in fmus:
+            if fmu.is_file():  # a missing file is refused where it is read
+                remember(fmu)

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from cosim.study.scores import Comparison
     from cosim.study.starter import NewProject
     from cosim.systems.simulation import Result
-    from fmu_src.check.report import Report
     from hesr.extras.adaptive.monitor import Watched
     from hesr.extras.fleet.result import Fleet
     from hesr.extras.leaderboard.leaderboard import Leaderboard
@@ -369,14 +368,6 @@ def writer(format: str) -> Callable[..., Any]:  # noqa: A002  # as --format
     module, _, name = _WRITERS[format].partition(":")
     function: Callable[..., Any] = getattr(import_module(module), name)
     return function
-
-
-def check(fmu: AnyPath, *, vdmcheck: AnyPath | None = None, hostile: bool = False) -> "Report":
-    """Check an FMU by every validator there is."""
-    from fmu_src.check import check as check_fmu
-
-    folder = None if vdmcheck is None else path_of(vdmcheck, "a folder")
-    return check_fmu(path_of(fmu, "an FMU"), vdmcheck=folder, hostile=hostile)
 
 
 def simulate(system: AnyPath) -> "Result":

@@ -111,12 +111,12 @@ def judge(fmu: Path) -> FrictionModel:
     for name, kind in (*needed, *((f"tau[{i}]", "output") for i in joints)):
         if (name, kind) not in has:
             raise SimulationError(
-                f"{fmu}: --convention needs a friction FMU (velocity in, torque out), and this one "
-                f"has no {kind} '{name}'."
+                f"{fmu}: --kind convention needs a friction FMU (velocity in, torque out), and "
+                f"this one has no {kind} '{name}'."
             )
     if model.thermal or (ADAPT.name, "input") in has:
         raise SimulationError(
-            f"{fmu}: --convention needs a friction FMU that follows neither friction nor "
+            f"{fmu}: --kind convention needs a friction FMU that follows neither friction nor "
             "temperature, and this one does."
         )
     return model

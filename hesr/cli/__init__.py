@@ -3,28 +3,6 @@
 import sys
 from typing import NoReturn
 
-from hesr.cli import (  # noqa: F401  # each registers its commands
-    arena,
-    audit,
-    check,
-    constants,
-    excite,
-    export,
-    fleet,
-    inspect,
-    interop,
-    job,
-    monitor,
-    new,
-    package,
-    properties,
-    report,
-    simulate,
-    steps,
-    sweep,
-    thermal,
-    view,
-)
 from hesr.cli.app import app
 from hesr.cli.console import ended_by_signals
 from hesr.cli.errors import errors_said, home_where_needed, plain_where_needed

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from hesr.cli.app import Json, Trust, app, trusted
 from hesr.cli.console import answer, shown_progress
+from hesr.cli.old_app import Json, Trust, app, trusted
 
 
 @app.command()

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from hesr.cli.app import app
 from hesr.cli.given_law import given_law
+from hesr.cli.old_app import app
 from hesr_model.errors import ConfigError
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, TextIO
 
-import typer
+import click
 
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.support.files import written_whole
@@ -79,7 +79,7 @@ def command_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Ite
     ------
     ConfigError
         If both are wanted.
-    typer.Exit
+    SystemExit
         On an interrupt, once a sentence has said so.
     """
     if quiet and verbose:
@@ -102,8 +102,10 @@ def command_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Ite
                 kept, cause = f", and {interrupt.kept}", interrupt.interrupt
             ended = isinstance(cause, _Ended)
             who = "ended by another program" if ended else "interrupted"
-            typer.echo(f"hesr: {who}; no file is half-written{kept}.", err=True)
-            raise typer.Exit(128 + signal.SIGTERM if ended else INTERRUPTED) from interrupt
+            click.echo(f"hesr: {who}; no file is half-written{kept}.", err=True)
+            raise click.exceptions.Exit(
+                128 + signal.SIGTERM if ended else INTERRUPTED
+            ) from interrupt
 
 
 @contextmanager
@@ -255,7 +257,7 @@ def answer_file(json_file: Path | None) -> Iterator[Path | None]:
             file = Path(folder) / "answer.json"
             yield file
             if not _output.get().quiet:
-                typer.echo(file.read_text(encoding="utf-8"), nl=False, file=_output.get().answer)
+                click.echo(file.read_text(encoding="utf-8"), nl=False, file=_output.get().answer)
     else:
         with written_whole(json_file) as temporary:
             yield temporary

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from hesr.cli.app import Json, Logs, Robot, app
 from hesr.cli.console import answer, working
 from hesr.cli.numbers import numbers
+from hesr.cli.old_app import Json, Logs, Robot, app
 from hesr_model.errors import ConfigError
 
 

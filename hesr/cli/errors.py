@@ -8,10 +8,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import NoReturn
 
-import typer
+import click
 
 from hesr_model.errors import HesrError
 from hesr_model.support.text import plain
+
+MOVED: dict[str, str] = {}
+"""Sentence of each verb of earlier versions: its new form."""
 
 _REFUSED = 2
 _UNREAD = 1
@@ -36,7 +39,7 @@ def errors_said() -> Iterator[None]:
         finally:
             sys.stdout.flush()
     except HesrError as error:
-        _refuse(str(error))
+        refuse(str(error))
     except BrokenPipeError:
         _give_up_output()
         sys.exit(_UNREAD)
@@ -44,15 +47,16 @@ def errors_said() -> Iterator[None]:
         where = f"{plain(error.filename)}: " if isinstance(error.filename, str) else ""
         reason = " ".join((error.strerror or str(error)).split()).rstrip(".")
         _give_up_output()
-        _refuse(f"{where}the system reports an error ({reason}).")
+        refuse(f"{where}the system reports an error ({reason}).")
     except MemoryError:
-        _refuse("memory does not suffice for this; give less data at once, or a machine with more.")
+        refuse("memory does not suffice for this; give less data at once, or a machine with more.")
     except RecursionError:
-        _refuse("a file that was read is nested too deeply.")
+        refuse("a file that was read is nested too deeply.")
 
 
-def _refuse(sentence: str) -> NoReturn:
-    typer.echo(f"hesr: {plain(sentence, _LONGEST)}", err=True)
+def refuse(sentence: str) -> NoReturn:
+    """Print a sentence and exit with the code of bad input."""
+    click.echo(f"hesr: {plain(sentence, _LONGEST)}", err=True)
     sys.exit(_REFUSED)
 
 

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from hesr.cli.app import Table, app
 from hesr.cli.console import shown_progress
+from hesr.cli.old_app import Table, app
 
 
 @app.command()

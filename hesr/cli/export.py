@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hesr.cli.app import Output, Platforms, app
 from hesr.cli.console import shown_progress
+from hesr.cli.old_app import Output, Platforms, app
 from hesr.cli.writers import Format, Request, write_law, write_robot
 from hesr_model.errors import ConfigError
 

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from hesr.cli.app import Folder, Json, Workers, app
 from hesr.cli.console import answer, shown_progress
+from hesr.cli.old_app import Folder, Json, Workers, app
 
 
 @app.command()

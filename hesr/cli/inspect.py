@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hesr.cli.app import Json, Logs, app
 from hesr.cli.console import answer, working
+from hesr.cli.old_app import Json, Logs, app
 
 if TYPE_CHECKING:
     from hesr_model.health.proposal import Proposal

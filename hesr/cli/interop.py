@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hesr.cli.app import Json, Trust, app, trusted
 from hesr.cli.console import answer, shown_progress
+from hesr.cli.old_app import Json, Trust, app, trusted
 
 if TYPE_CHECKING:
     from cosim.interop.case import Case

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from hesr.cli.app import Accept, Folder, Json, Platforms, app
 from hesr.cli.console import Interrupted, answer, answer_file, shown_progress
+from hesr.cli.old_app import Accept, Folder, Json, Platforms, app
 
 _CACHED = {
     "binaries": "compiled libraries",

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from hesr.cli.app import Accept, Body, Json, Logs, Robot, app
 from hesr.cli.console import answer, working
+from hesr.cli.old_app import Accept, Body, Json, Logs, Robot, app
 
 
 @app.command()

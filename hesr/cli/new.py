@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from hesr.cli.app import app
 from hesr.cli.console import working
+from hesr.cli.old_app import app
 
 
 @app.command()

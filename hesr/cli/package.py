@@ -4,8 +4,8 @@ from typing import Annotated
 
 import typer
 
-from hesr.cli.app import Output, System, app
 from hesr.cli.console import working
+from hesr.cli.old_app import Output, System, app
 
 
 @app.command()

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hesr.cli.app import Json, Trust, app, trusted
 from hesr.cli.console import answer_file, shown_progress
 from hesr.cli.given_law import given_law
 from hesr.cli.numbers import numbers
+from hesr.cli.old_app import Json, Trust, app, trusted
 from hesr_model.errors import ConfigError
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from hesr.cli.app import Result, app
 from hesr.cli.console import shown_progress
+from hesr.cli.old_app import Result, app
 
 
 @app.command()

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from hesr.cli.app import System, Table, Trust, app, require_table, trusted
 from hesr.cli.console import shown_progress
+from hesr.cli.old_app import System, Table, Trust, app, require_table, trusted
 
 if TYPE_CHECKING:
     from cosim.systems.system import SystemSpec

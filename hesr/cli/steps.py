@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hesr.cli.app import (
+from hesr.cli.console import answer, shown_progress
+from hesr.cli.old_app import (
     Accept,
     Body,
     Json,
@@ -19,7 +20,6 @@ from hesr.cli.app import (
     read_records,
     trusted,
 )
-from hesr.cli.console import answer, shown_progress
 from hesr_model.errors import ConfigError
 from hesr_model.support.untrusted_text import parse_toml
 

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from hesr.cli.app import Json, Workers, app, require_table
 from hesr.cli.console import answer, shown_progress
+from hesr.cli.old_app import Json, Workers, app, require_table
 
 
 @app.command()

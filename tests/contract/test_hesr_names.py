@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import hesr
-from hesr.cli.app import _ORDER as COMMANDS
+from hesr.cli.old_app import _ORDER as COMMANDS
 from hesr_model.support.lazy import lazy
 
 NOT_CALLS = {"view", "interop", "constants", "sweep"}

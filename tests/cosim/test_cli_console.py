@@ -74,8 +74,11 @@ def test_a_check_that_fails_still_answers(hesr: Hesr, tmp_path: Path) -> None:
     fmu.write_text("no archive", encoding="utf-8")
     answer = hesr("check", fmu, "--json", "-")
     assert answer.code == 1
-    (report,) = json.loads(answer.out)
-    assert report["problems"]
+    envelope = json.loads(answer.out)
+    assert list(envelope) == ["format", "passed", "findings", "result", "files"]
+    assert not envelope["passed"]
+    assert envelope["findings"][0]["where"] == str(fmu)
+    assert envelope["result"][0]["problems"]
 
 
 def test_a_file_that_cannot_be_written_is_found_out_before_the_run(

@@ -92,13 +92,13 @@ def test_an_fmu_with_other_connectors_is_refused_before_it_is_checked(
     friction_fmu: Path, drive_fmu: Path, hesr: Hesr
 ) -> None:
     sentence = (
-        f"{drive_fmu}: --convention needs a friction FMU (velocity in, torque out), and this one "
-        "has no input 'dq[1]'."
+        f"{drive_fmu}: --kind convention needs a friction FMU (velocity in, torque out), and this "
+        "one has no input 'dq[1]'."
     )
     with pytest.raises(SimulationError) as caught:
         measure(drive_fmu)
     assert str(caught.value) == sentence
-    answer = hesr("check", "--convention", friction_fmu, drive_fmu, "--json", "-")
+    answer = hesr("check", "--kind", "convention", friction_fmu, drive_fmu, "--json", "-")
     assert (answer.code, answer.out, answer.err) == (2, "", f"hesr: {sentence}\n")
 
 
@@ -109,10 +109,10 @@ def test_a_friction_fmu_whose_description_is_broken_is_checked_all_the_same(
     with zipfile.ZipFile(friction_fmu) as old, zipfile.ZipFile(broken, "w") as new:
         for name in old.namelist():
             new.writestr(name, b"<" if name == "modelDescription.xml" else old.read(name))
-    answer = hesr("check", "--convention", broken)
-    assert answer.code == 2
-    assert f"{broken}: [xml] modelDescription.xml:" in answer.out
-    assert answer.err.startswith(f"hesr: {broken}: not a readable FMU (")
+    answer = hesr("check", "--kind", "convention", broken)
+    assert (answer.code, answer.err) == (1, "")
+    assert "modelDescription.xml:" in answer.out
+    assert f"not run: Convention: {broken}: not a readable FMU (" in answer.out
 
 
 def test_results_as_a_table_and_as_json(friction_fmu: Path) -> None:

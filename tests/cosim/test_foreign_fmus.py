@@ -264,7 +264,7 @@ def test_the_commands_say_it_in_one_sentence(
         ("simulate", system, "-o", answer.with_suffix(".csv")),
         ("interop", hostile_lag, "--json", answer),
         ("interop", system, "--json", answer),
-        ("check", hostile_friction, "--convention", "--json", answer),
+        ("check", hostile_friction, "--kind", "convention", "--json", answer),
     ):
         ended = hesr(*command)
         assert ended.code == 2, (command, ended)

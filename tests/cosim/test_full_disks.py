@@ -108,7 +108,7 @@ def test_a_full_disk_is_one_sentence(full: Path, lag_fmu: Path, tmp_path: Path, 
         ("out.ssp", "package", system, "-o"),
         ("Out.fmu", "package", system, "--container", "-o"),
         ("run.csv", "sweep", study, "--replay", 1, "-o"),
-        ("check.json", "check", lag_fmu, "--references", "--quiet", "--json"),
+        ("check.json", "check", lag_fmu, "--kind", "references", "--quiet", "--json"),
         ("model.h", "export", "uf850-table1", "--format", "c", "-o"),  # and model.csv
         ("Friction.mo", "export", "uf850-table1", "--format", "modelica", "-o"),
         ("properties.json", "properties", "uf850-table1", "--quiet", "--json"),

@@ -61,7 +61,7 @@ def commands(fmu: Path) -> list[tuple[object, ...]]:
         ("package", system, "--container", "-o", folder / "out.fmu"),
         ("interop", fmu, "--json", folder / "out.json"),
         ("properties", fmu, "--json", folder / "out.json"),
-        ("check", fmu, "--convention", "--json", folder / "out.json"),
+        ("check", fmu, "--kind", "convention", "--json", folder / "out.json"),
     ]
 
 

@@ -32,7 +32,7 @@ def test_the_component_of_the_page_warms_as_its_equation_says(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     exec(compile(block("add-a-component.md", "python"), "warming.py", "exec"), {})
-    checked = hesr("check", "--references", "Warming.fmu")
+    checked = hesr("check", "--kind", "references", "Warming.fmu")
     assert checked.code == 0, checked.out
     Path("Friction.fmu").write_bytes(table1_fmu.read_bytes())
     Path("warm.toml").write_text(block("add-a-component.md", "toml"), encoding="utf-8")

@@ -133,7 +133,7 @@ def test_an_ssp_carries_results_of_each_coupling(bench: Bench, tmp_path: Path, h
         members = {name: archive.read(name) for name in archive.namelist()}
     results = {way: members[f"extra/results/system_{way}.csv"] for way in WAYS}
     assert len(set(results.values())) == 3  # engines differ
-    answer = hesr("check", ssp, "--references")
+    answer = hesr("check", ssp, "--kind", "references")
     assert (answer.code, answer.out.strip()) == (0, f"{ssp}: no problem found.")
     # Those of another coupling are not an engine's own.
     members["extra/results/system_hold.csv"] = results["refreshed"]
@@ -144,7 +144,7 @@ def test_an_ssp_carries_results_of_each_coupling(bench: Bench, tmp_path: Path, h
     assert experiment.startswith("experiment 'hold': ")
 
 
-@pytest.mark.parametrize("options", [(), ("--references", "--hostile")])
+@pytest.mark.parametrize("options", [(), ("--kind", "references", "--kind", "hostile")])
 def test_of_an_ssp_nothing_else_is_checked(
     options: tuple[str, ...], tmp_path: Path, hesr: Hesr
 ) -> None:

@@ -44,31 +44,31 @@ PROBLEM = (
 
 def test_nothing_is_wrong(table1_fmu):
     found = hesr("check", table1_fmu)
-    assert found == Answer(
-        0, [f"{table1_fmu}: {NO_VDMCHECK}", f"{table1_fmu}: no problem found."], ""
-    )
+    assert found == Answer(0, [f"{table1_fmu}: no problem found.", f"  {NO_VDMCHECK}"], "")
 
 
 def test_something_is_wrong(source_fmu, bad, tmp_path):
     found = hesr("check", source_fmu, bad, "--json", tmp_path / "deep" / "o.json")
     assert found.code == 1
     assert found.out == [
-        f"{source_fmu}: {NO_VDMCHECK}",
         f"{source_fmu}: no problem found.",
-        f"{bad}: [paths] {PROBLEM}",
-        f"{bad}: {NO_VDMCHECK}",
+        f"  {NO_VDMCHECK}",
         f"{bad}: 1 problem found.",
+        f"  error: {PROBLEM} [paths]",
+        f"  {NO_VDMCHECK}",
     ]
     written = json.loads((tmp_path / "deep" / "o.json").read_text(encoding="utf-8"))
+    assert not written["passed"]
+    assert [(f["where"], f["found"]) for f in written["findings"]] == [(str(bad), PROBLEM)]
     skipped = [NO_VDMCHECK.removeprefix("not run: ")]
-    assert written == [
-        {"fmu": str(source_fmu), "problems": [], "skipped": skipped},
-        {
-            "fmu": str(bad),
-            "problems": [{"check": "paths", "text": PROBLEM}],
-            "skipped": skipped,
-        },
-    ]
+    first, second = written["result"]
+    assert first == {"fmu": str(source_fmu), "problems": [], "skipped": skipped}
+    assert [(p["check"], p["found"]) for p in second["problems"]] == [("paths", PROBLEM)]
+
+
+@pytest.mark.parametrize(("least", "code"), [("never", 0), ("advice", 1), ("warning", 1)])
+def test_the_severity_that_fails_is_chosen(bad, least, code):
+    assert hesr("check", bad, "--fail-on", least).code == code
 
 
 def test_a_file_that_is_no_fmu_is_a_problem_and_no_error(tmp_path):
@@ -76,7 +76,7 @@ def test_a_file_that_is_no_fmu_is_a_problem_and_no_error(tmp_path):
     path.write_bytes(b"no zip")
     found = hesr("check", path)
     assert found.code == 1
-    assert found.out[-1] == f"{path}: 1 problem found."
+    assert found.out[0] == f"{path}: 1 problem found."
 
 
 def test_a_file_that_is_not_there_is_told_before_any_work(source_fmu, tmp_path):
@@ -97,6 +97,6 @@ def test_an_fmu_has_to_be_given():
 
 def test_a_master_at_its_worst(make_law, make_model, tmp_path):
     fmu = export_fmu(make_model(make_law("lugre")), tmp_path / "F.fmu")
-    found = hesr("check", fmu, "--hostile", "--json", tmp_path / "o.json")
-    assert found == Answer(0, [f"{fmu}: {NO_VDMCHECK}", f"{fmu}: no problem found."], "")
-    assert json.loads((tmp_path / "o.json").read_text(encoding="utf-8"))[0]["problems"] == []
+    found = hesr("check", fmu, "--kind", "hostile", "--json", tmp_path / "o.json")
+    assert found == Answer(0, [f"{fmu}: no problem found.", f"  {NO_VDMCHECK}"], "")
+    assert json.loads((tmp_path / "o.json").read_text(encoding="utf-8"))["passed"]

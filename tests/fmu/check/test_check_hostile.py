@@ -1,4 +1,4 @@
-"""`hesr check --hostile`: our own FMUs bear every master; what others do not bear is told."""
+"""`hesr check --kind hostile`: our own FMUs bear every master; what others do not bear is told."""
 
 import re
 from collections.abc import Callable

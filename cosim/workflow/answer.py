@@ -1,0 +1,120 @@
+"""One interface of results: summary, tables, findings and JSON."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cosim.report.tables.table import ResultTable
+    from hesr_model.findings import Finding
+
+MOST_LINES = 25
+"""Largest number of lines of a summary."""
+
+
+class Answer(ABC):
+    """Result of a command.
+
+    Attributes
+    ----------
+    format : name of the JSON format.
+    findings : what the command found, errors first.
+    files : files that the command wrote.
+    """
+
+    format: str = "hesr-answer-1"
+    findings: Sequence[Finding] = ()
+    files: Sequence[Path] = ()
+
+    @abstractmethod
+    def summary(self) -> str:
+        """Return the verdict, then paths, in at most 25 lines."""
+
+    def tables(self) -> Sequence[ResultTable | str]:
+        """Return the full tables, with sentences between them."""
+        return ()
+
+    def result(self) -> Any:
+        """Return the result as JSON data."""
+        return None
+
+    @property
+    def passed(self) -> bool:
+        """Whether no finding is an error."""
+        return not any(finding.severity == "error" for finding in self.findings)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the envelope that `--json` writes."""
+        from hesr_model.support.typed_json import to_json
+
+        return {
+            "format": self.format,
+            "passed": self.passed,
+            "findings": [to_json(finding) for finding in self.findings],
+            "result": self.result(),
+            "files": [str(file) for file in self.files],
+        }
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.summary().partition(chr(10))[0]!r})"
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        from cosim.report.markup import table
+
+        parts = (
+            f"<p>{escape(one)}</p>" if isinstance(one, str) else str(table(one))
+            for one in self.tables()
+        )
+        return "\n".join([f"<pre>{escape(self.summary())}</pre>", *parts])
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Written(Answer):
+    """Files that a command wrote, with the sentences that describe them.
+
+    Attributes
+    ----------
+    lines : lines of the summary.
+    shown : tables.
+    data : result as JSON data.
+    """
+
+    lines: Sequence[str]
+    shown: Sequence[ResultTable | str] = ()
+    data: Any = None
+    findings: Sequence[Finding] = ()
+    files: Sequence[Path] = ()
+
+    def summary(self) -> str:
+        """Return the lines, then the files."""
+        return shortened(self.lines, self.files)
+
+    def tables(self) -> Sequence[ResultTable | str]:
+        """Return the tables."""
+        return self.shown
+
+    def result(self) -> Any:
+        """Return the result as JSON data."""
+        return self.data
+
+
+def shortened(lines: Iterable[str], files: Sequence[Path] = ()) -> str:
+    """Return lines and the files that were written, as text of at most `MOST_LINES` lines."""
+    listed = [part for line in lines for part in line.split("\n")]
+    written = [f"Written: {', '.join(map(str, files))}"] if files else []
+    room = MOST_LINES - len(written)
+    if len(listed) > room:
+        left = len(listed) - room + 1
+        listed = [*listed[: room - 1], f"{left} more lines: --verbose shows them."]
+    return "\n".join([*listed, *written])
+
+
+def finding_lines(findings: Iterable[Finding]) -> list[str]:
+    """Return one line per finding: severity, sentence and name of the check."""
+    return [f"{f.severity}: {f.sentence} [{f.check}]" for f in findings]

@@ -1,0 +1,188 @@
+"""Validation of FMUs and SSPs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+from cosim.workflow.answer import Answer, finding_lines, shortened
+from hesr_model.errors import ArgumentError, HesrError
+from hesr_model.support.progress import Stages, silent
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from cosim.report.tables.table import ResultTable
+    from cosim.workflow.arguments import Fmus, PathArg
+    from fmu_src.check.convention import Convention
+    from fmu_src.check.report import Report
+    from hesr_model.findings import Finding
+
+Kind = Literal["static", "references", "hostile", "convention"]
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class FmuReport(Answer):
+    """Findings of the checks of FMUs.
+
+    Attributes
+    ----------
+    reports : report of each file, in the order of the arguments.
+    conventions : cost of each way to hand over inputs, by file; of the kind ``convention``.
+    """
+
+    format = "hesr-fmu-report-1"
+    reports: Sequence[Report]
+    conventions: Mapping[Path, Convention] = field(default_factory=dict)
+
+    @property
+    def findings(self) -> Sequence[Finding]:  # type: ignore[override]  # derived from the reports
+        """Findings of all files."""
+        return [
+            replace(finding, where=str(report.path))
+            for report in self.reports
+            for finding in report.problems
+        ]
+
+    def _lines(self, most: int | None = None) -> list[str]:
+        lines = []
+        for report in self.reports:
+            lines.append(f"{report.path}: {report.verdict}")
+            own = [f"  {line}" for line in finding_lines(report.problems)]
+            lines += own[:most]
+            if len(own) > len(own[:most]):
+                lines.append(f"  {len(own) - len(own[:most])} more: --verbose lists them.")
+            lines += [f"  not run: {reason}" for reason in report.skipped]
+        return lines
+
+    def summary(self) -> str:
+        """Return verdict, first findings and omitted validators of each file."""
+        return shortened(self._lines(most=max(2, 16 // len(self.reports))))
+
+    def tables(self) -> Sequence[ResultTable | str]:
+        """Return all findings, and the tables of the kind ``convention``."""
+        from cosim.report.tables.laws import convention
+
+        costs = [convention(path.name, found) for path, found in self.conventions.items()]
+        return [*self._lines(), *costs]
+
+    def result(self) -> Any:
+        """Return the reports as JSON data."""
+        from hesr_model.support.typed_json import to_json
+
+        return [
+            report.to_json()
+            | ({"convention": to_json(c)} if (c := self.conventions.get(report.path)) else {})
+            for report in self.reports
+        ]
+
+
+def check(
+    fmus: Fmus,
+    *,
+    kind: Sequence[Kind] = ("static",),
+    vdmcheck: PathArg | None = None,
+    trust: bool = False,
+    progress: Stages = silent,
+) -> FmuReport:
+    """Validate FMUs (FMPy, VDMCheck2, own rules).
+
+    The static checks of an FMU always run, and run none of its code; the other kinds do. An SSP is
+    checked by its reference results only.
+
+    Parameters
+    ----------
+    fmus : path or sequence of paths
+        FMUs of any tool, of FMI 1.0, 2.0 or 3.0; SSPs.
+    kind : sequence of str, optional
+        Further checks, repeatable: references (against the reference results that the file
+        carries), hostile (odd steps, steps taken back, wrong calls), convention (cost of each way
+        to hand over inputs).
+    vdmcheck : path, optional
+        Folder with VDMCheck2; by default .tools/vdmcheck2, if present.
+    trust : bool, optional
+        Run these FMUs without a sandbox, now and later: faster, but they can do what you can.
+    progress : callable, optional
+        Called with stage, steps done and steps in total.
+
+    Returns
+    -------
+    FmuReport
+        Findings per file, and the validators that were not run.
+
+    Raises
+    ------
+    ArtifactError
+        If a file does not exist or cannot be opened; damage inside is a finding.
+    ConfigError
+        If there is no VDMCheck2 in `vdmcheck`, or an SSP is given without ``references``.
+
+    Examples
+    --------
+    On the command line::
+
+        $ hesr check Friction.fmu --vdmcheck .tools/vdmcheck2
+        $ hesr check Friction.fmu --kind hostile --kind references
+
+    In Python:
+
+    >>> import hesr
+    >>> hesr.check("Friction.fmu").passed
+    True
+    """
+    from cosim.workflow.arguments import paths_of, remember_trust
+    from fmu_src.check import check as check_fmu
+    from fmu_src.check import opened
+    from fmu_src.check.convention import judge, measure
+    from fmu_src.check.report import Report
+    from hesr_model.support.files import path_of
+
+    paths = paths_of(fmus, "an FMU")
+    systems = [path for path in paths if path.suffix.lower() == ".ssp"]
+    if systems and set(kind) != {"references"}:
+        raise ArgumentError(
+            f"{systems[0]}: of an SSP the reference results are checked and nothing else; give "
+            "'kind' references only."
+        )
+    for path in paths:
+        if path not in systems:
+            opened(path).close()  # refuse an unreadable file before the work on others
+            if "convention" in kind:
+                judge(path)
+    remember_trust(paths, trust=trust)
+    folder = None if vdmcheck is None else path_of(vdmcheck, "a folder")
+    reports = []
+    for done, path in enumerate(paths):
+        progress("checking", done, len(paths))
+        report = (
+            Report(path, (), ())
+            if path in systems
+            else check_fmu(path, vdmcheck=folder, hostile="hostile" in kind)
+        )
+        reports.append(_with_references(report) if "references" in kind else report)
+    conventions = {}
+    for place, path in enumerate(paths if "convention" in kind else ()):
+        progress(f"measuring {path.name}", 0, 1)
+        try:
+            conventions[path] = measure(path)
+        except HesrError as error:
+            if not (broken := reports[place]).problems:
+                raise
+            reports[place] = replace(broken, skipped=(*broken.skipped, f"Convention: {error}"))
+    return FmuReport(reports=reports, conventions=conventions)
+
+
+def _with_references(report: Report) -> Report:
+    """Return a report that includes the comparison with the reference results of the file."""
+    from cosim.systems.ssp_results import verify_ssp
+    from fmu_src.check.report import problems_of
+    from fmu_src.run.reference_results import verify
+
+    system = report.path.suffix.lower() == ".ssp"
+    found = (verify_ssp if system else verify)(report.path)
+    return replace(
+        report,
+        problems=(*report.problems, *problems_of("references", found.problems)),
+        skipped=(*report.skipped, *found.skipped),
+    )

@@ -1,0 +1,287 @@
+"""Click commands derived from the signatures and docstrings of workflow functions.
+
+A positional parameter becomes an argument, a keyword-only one an option; `bool` a flag, `Literal`
+a choice, `Sequence` a repeatable option, `Mapping` KEY=VALUE, `PerJoint` numbers with commas.
+Annotations are read as text, so that the help of a command loads nothing heavy.
+"""
+
+import inspect
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args, get_origin
+
+import click
+
+from hesr_model.errors import ConfigError
+from hesr_model.support.untrusted_text import parse_toml
+
+Function = Callable[..., Any]
+Kind = click.ParamType[Any, Any]
+Invoke = Callable[[Function, dict[str, Any]], None]
+
+_MANY = ("Logs", "Laws", "Fmus", "Results", "Sources", "Sequence[")
+"""Annotations of parameters that take several values."""
+
+_WIDTH = 75
+"""Width of an example in the help; it is indented by 2 and may end with a backslash."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Form:
+    """Command-line form of a parameter where it differs from the derived one.
+
+    Attributes
+    ----------
+    names : names of the option.
+    metavar : placeholder of the value.
+    option : whether a positional parameter becomes an option.
+    least : smallest integer.
+    complete : source of the completion: a group of plug-ins, or ``"platforms"``.
+    """
+
+    names: tuple[str, ...] = ()
+    metavar: str | None = None
+    option: bool = False
+    least: int | None = None
+    complete: str = ""
+
+
+_FORMS = {
+    "output": Form(names=("-o", "--output"), metavar="FILE"),
+    "export.output": Form(names=("-o", "--output"), metavar="FILE", option=True),
+    "new.robot": Form(metavar="MODEL", option=True),
+    "logs": Form(metavar="LOG"),
+    "laws": Form(metavar="LAW"),
+    "fmus": Form(metavar="FMU"),
+    "results": Form(metavar="RESULT"),
+    "robot": Form(metavar="ROBOT"),
+    "reversed_logs": Form(names=("--reversed",), metavar="LOG"),
+    "options": Form(names=("--option",), metavar="KEY=VALUE"),
+    "accept": Form(metavar="CHECK"),
+    "seed": Form(metavar="N", least=0),
+    "only": Form(metavar="N", least=0),
+    "seeds": Form(metavar="N", least=1),
+    "workers": Form(metavar="N", least=1),
+    "fit.law": Form(metavar="NAME", complete="hesr.laws"),
+    "format": Form(metavar="NAME", complete="hesr.exports"),
+    "platform": Form(metavar="NAME", complete="platforms"),
+}
+"""Forms by parameter, or by verb and parameter."""
+
+
+class _Numbers(Kind):
+    """Numbers with commas between them."""
+
+    name = "X[,X...]"
+
+    def convert(self, value: Any, param: click.Parameter | None, _: Any) -> tuple[float, ...]:
+        try:
+            return tuple(float(part) for part in str(value).split(","))
+        except ValueError as error:
+            raise ConfigError(
+                f"{_option(param)} is '{value}'; needed are numbers with commas between them, as "
+                "3,3,0.6."
+            ) from error
+
+
+class _Pair(Kind):
+    """KEY=VALUE with a value as in TOML."""
+
+    name = "KEY=VALUE"
+
+    def convert(self, value: Any, param: click.Parameter | None, _: Any) -> dict[str, Any]:
+        try:
+            return parse_toml(str(value))
+        except ValueError as error:
+            raise ConfigError(
+                f"{_option(param)} is '{value}'; needed is KEY=VALUE with a value as in TOML, for "
+                'instance ripple=false or search="paper".'
+            ) from error
+
+
+def _option(param: click.Parameter | None) -> str:
+    return param.opts[-1] if param else "the option"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Docstring:
+    """Parts of a numpydoc docstring.
+
+    Attributes
+    ----------
+    summary : first line.
+    text : summary and extended summary.
+    parameters : description by parameter.
+    examples : commands of the section Examples, without the prompt.
+    """
+
+    summary: str
+    text: str
+    parameters: dict[str, str] = field(default_factory=dict)
+    examples: list[str] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, function: Function) -> "Docstring":
+        """Parse the docstring of a function."""
+        head, *rest = re.split(r"\n*^(\w[\w ]*)\n-{3,}\n", inspect.getdoc(function) or "",
+                               flags=re.MULTILINE)  # fmt: skip
+        sections = dict(zip(rest[::2], rest[1::2], strict=True))
+        listed = "\n".join(sections.get(s, "") for s in ("Parameters", "Other Parameters"))
+        entries = re.findall(r"^(\w+)(?: :.*)?\n((?: {4}.*\n?|\n)+)", f"{listed}\n", re.MULTILINE)
+        examples = re.sub(r" \\\n\s*", " ", sections.get("Examples", ""))
+        return cls(
+            summary=head.partition("\n")[0],
+            text=_plain(head),
+            parameters={name: _plain(" ".join(text.split())) for name, text in entries},
+            examples=re.findall(r"^ *\$ (hesr .*)$", examples, re.MULTILINE),
+        )
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"`+", "'", text).strip()
+
+
+def command(
+    name: str, function: Function, invoke: Invoke, more: Sequence[inspect.Parameter] = ()
+) -> click.Command:
+    """Return the command of a workflow function.
+
+    Parameters
+    ----------
+    name : verb.
+    function : workflow function.
+    invoke : runs the function with the values that were given, by parameter.
+    more : options that the function takes in addition, as those of a format.
+    """
+    told = Docstring.of(function)
+    own = [
+        one
+        for one in inspect.signature(function).parameters.values()
+        if one.kind is not one.VAR_KEYWORD and one.name != "progress"
+    ]
+    shown = [
+        _parameter(name, one, told.parameters.get(one.name, ""), function) for one in (*own, *more)
+    ]
+    return click.Command(
+        name,
+        callback=lambda **given: invoke(function, _given(given)),
+        params=[*shown, *_common()],
+        help=told.text,
+        short_help=told.summary,
+        epilog=_lines(told.examples),
+        context_settings={"max_content_width": 80},
+    )
+
+
+def _given(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the values that a user gave, pairs joined; others have the function's default."""
+    given = {name: value for name, value in values.items() if value not in (None, ())}
+    return {
+        name: {k: v for pair in value for k, v in pair.items()}
+        if isinstance(value, tuple) and all(isinstance(part, dict) for part in value)
+        else value
+        for name, value in given.items()
+    }
+
+
+def _parameter(verb: str, one: inspect.Parameter, text: str, function: Function) -> click.Parameter:
+    form = _FORMS.get(f"{verb}.{one.name}") or _FORMS.get(one.name) or Form()
+    annotation = str(one.annotation).removesuffix(" | None")
+    inner = re.sub(r"^Sequence\[(.*)\]$", r"\1", annotation)
+    many = annotation.startswith(_MANY)
+    required = one.default is one.empty
+    if one.kind is one.POSITIONAL_OR_KEYWORD and not form.option:
+        return click.Argument(
+            [one.name],
+            nargs=-1 if many else 1,
+            required=required,
+            metavar=_wrapped(form.metavar or one.name.upper(), many=many, required=required),
+            help=text,
+        )
+    if inner == "bool":
+        return click.Option([f"--{one.name.replace('_', '-')}", one.name], is_flag=True, help=text)
+    kind = _kind(inner, function, form)
+    return click.Option(
+        [*(form.names or (f"--{one.name.replace('_', '-')}",)), one.name],
+        type=kind,
+        multiple=many or isinstance(kind, _Pair),
+        required=required,
+        metavar=form.metavar or _metavar(inner, kind),
+        help=text,
+        shell_complete=_completion(form.complete) if form.complete else None,
+    )
+
+
+def _wrapped(metavar: str, *, many: bool, required: bool) -> str:
+    return f"{metavar if required else f'[{metavar}]'}{'...' * many}"
+
+
+def _kind(annotation: str, function: Function, form: Form) -> Kind:
+    named = vars(sys.modules[function.__module__]).get(annotation)
+    if get_origin(named) is Literal:
+        return click.Choice([str(value) for value in get_args(named)])
+    if annotation.startswith("Mapping"):
+        return _Pair()
+    kinds: dict[str, Kind] = {
+        "int": click.IntRange(min=form.least),
+        "float": click.FLOAT,
+        "PerJoint": _Numbers(),
+    }
+    return kinds.get(annotation, click.STRING)
+
+
+def _metavar(annotation: str, kind: Kind) -> str | None:
+    if isinstance(kind, click.Choice):
+        return None
+    words = {"str": "NAME", "float": "X", "int": "N", "PathArg": "FILE"}
+    return words.get(annotation, kind.name if isinstance(kind, _Numbers | _Pair) else "FILE")
+
+
+def _completion(source: str) -> Callable[[Any, Any, str], list[str]]:
+    def complete(_: Any, __: Any, typed: str) -> list[str]:
+        if source == "platforms":
+            from fmu_src.export.toolchain import TARGETS
+
+            names: Sequence[str] = (*TARGETS, "all")
+        else:
+            from hesr_model.support.plugins import names as registered
+
+            names = registered(source)
+        return [name for name in names if name.startswith(typed)]
+
+    return complete
+
+
+def _common() -> Iterator[click.Option]:
+    """Yield the options of every verb."""
+    yield click.Option(
+        ["--json", "json_file"],
+        metavar="FILE",
+        help="Also write the result as JSON; - is standard output.",
+    )
+    yield click.Option(
+        ["--fail-on"],
+        type=click.Choice(["error", "warning", "advice", "never"]),
+        default="error",
+        help="Least severity of a finding that makes the exit code 1; default: error.",
+    )
+    yield click.Option(["--quiet"], is_flag=True, help="Print errors only.")
+    yield click.Option(
+        ["--verbose"], is_flag=True, help="Log to standard error, and print all tables."
+    )
+
+
+def _lines(examples: Sequence[str]) -> str:
+    """Return examples one below the other, in a form that a shell takes."""
+    lines = ["\b", f"Example{'s' * (len(examples) > 1)}:"]
+    for example in examples:
+        line = " "
+        for part in re.split(" (?=-)", example):  # an option stays with its value
+            if len(line) + len(part) > _WIDTH:
+                lines.append(f"{line} \\")
+                line = "   "
+            line += f" {part}"
+        lines.append(line)
+    return "\n".join(lines)

@@ -1,0 +1,26 @@
+"""Verbs that are not derived yet."""
+
+from hesr.cli import (  # noqa: F401  # each registers its commands
+    arena,
+    audit,
+    constants,
+    excite,
+    export,
+    fleet,
+    inspect,
+    interop,
+    job,
+    monitor,
+    new,
+    package,
+    properties,
+    report,
+    simulate,
+    steps,
+    sweep,
+    thermal,
+    view,
+)
+from hesr.cli.old_app import app  # goes with the last old verb
+
+__all__ = ["app"]
