@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from fmu_src.pages.live.body import PageBody
 
 AnyPath = str | PathLike[str]
-Fmus = AnyPath | Sequence[AnyPath]
+FmuArgs = AnyPath | Sequence[AnyPath]
 Log = RobotLog | AnyPath
 Body = RigidBody | AnyPath
 Model = FrictionModel | AnyPath

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cosim.report.tables.table import ResultTable
-    from cosim.workflow.arguments import Fmus, PathArg
+    from cosim.workflow.arguments import FmuArgs, PathArg
     from fmu_src.check.convention import Convention
     from fmu_src.check.report import Report
     from hesr_model.findings import Finding
@@ -79,7 +79,7 @@ class FmuReport(Answer):
 
 
 def check(
-    fmus: Fmus,
+    fmus: FmuArgs,
     *,
     kind: Sequence[Kind] = ("static",),
     vdmcheck: PathArg | None = None,

@@ -17,8 +17,10 @@ from hesr_model.errors import ArgumentError, ConfigError
 if TYPE_CHECKING:
     from cosim.workflow.answer import Answer
 
-_VERBS = ("new", "inspect", "excite", "identify", "fit", "export", "check", "simulate",
-          "run", "report")  # fmt: skip
+_VERBS = (
+    *("new", "inspect", "excite", "identify", "fit"),
+    *("export", "check", "simulate", "run", "report"),
+)
 
 _EPILOG = """\b
 Exit codes:
@@ -67,10 +69,13 @@ def _old(name: str) -> click.Command:
         typer_app(args=[name, *arguments], prog_name="hesr")
 
     return click.Command(
-        name, callback=call, add_help_option=False, short_help=f"{name}.",
+        name,
+        callback=call,
+        add_help_option=False,
+        short_help=f"{name}.",
         params=[click.Argument(["arguments"], nargs=-1, type=click.UNPROCESSED)],
         context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
-    )  # fmt: skip
+    )
 
 
 def workflow(verb: str) -> Function:

@@ -21,7 +21,7 @@ Function = Callable[..., Any]
 Kind = click.ParamType[Any, Any]
 Invoke = Callable[[Function, dict[str, Any]], None]
 
-_MANY = ("Logs", "Laws", "Fmus", "Results", "Sources", "Sequence[")
+_MANY = ("Logs", "Laws", "FmuArgs", "Results", "Sources", "Sequence[")
 """Annotations of parameters that take several values."""
 
 _WIDTH = 75
@@ -125,8 +125,8 @@ class Docstring:
     @classmethod
     def of(cls, function: Function) -> "Docstring":
         """Parse the docstring of a function."""
-        head, *rest = re.split(r"\n*^(\w[\w ]*)\n-{3,}\n", inspect.getdoc(function) or "",
-                               flags=re.MULTILINE)  # fmt: skip
+        text = inspect.getdoc(function) or ""
+        head, *rest = re.split(r"(?m)\n*^(\w[\w ]*)\n-{3,}\n", text)
         sections = dict(zip(rest[::2], rest[1::2], strict=True))
         listed = "\n".join(sections.get(s, "") for s in ("Parameters", "Other Parameters"))
         entries = re.findall(r"^(\w+)(?: :.*)?\n((?: {4}.*\n?|\n)+)", f"{listed}\n", re.MULTILINE)
