@@ -19,7 +19,7 @@ from hesr_model.friction.table import MotionTable, motion, numbers, torques
 from hesr_model.logs.robot_log import RobotLog, parts_of
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot_argument import RobotLike, model_of
+from hesr_model.robots.robot import RobotLike, model_of
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import path_of
 

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from hesr_model.friction.model import FrictionModel
     from hesr_model.logs.robot_log import RobotLog as Log
     from hesr_model.rigid_body.identification import RigidBody
-    from hesr_model.robots.robot_argument import Robot
+    from hesr_model.robots.robot import RobotModel as Robot
 
     # For checkers only: `help(hesr)` would print the whole of each name.
     __all__ = [
@@ -111,7 +111,7 @@ _HOMES = dict.fromkeys(_COMMANDS, "cosim.workflow.commands") | {
     "HesrError": "hesr_model.errors",
     "Log": "hesr_model.logs.robot_log:RobotLog",
     "RigidBody": "hesr_model.rigid_body.identification",
-    "Robot": "hesr_model.robots.robot_argument",
+    "Robot": "hesr_model.robots.robot:RobotModel",
 }
 
 if not TYPE_CHECKING:  # a checker knows the names above, and shall find others missing

@@ -15,8 +15,7 @@ from hesr_model.health.examine import checked
 from hesr_model.logs.robot_log import RobotLog, parts_of, require_different
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import RobotModel
-from hesr_model.robots.robot_argument import RobotLike, model_of
+from hesr_model.robots.robot import RobotLike, RobotModel, model_of
 from hesr_model.support.files import PathArg as PathArg
 from hesr_model.support.files import path_of
 from hesr_model.support.progress import Progress, counted, silent

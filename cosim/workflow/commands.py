@@ -30,7 +30,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.identification import Method, RigidBody
 from hesr_model.rigid_body.identification import identify as identify_body
-from hesr_model.robots.robot_argument import RobotLike
+from hesr_model.robots.robot import RobotLike
 from hesr_model.support.files import models_folder, path_of
 
 if TYPE_CHECKING:

@@ -20,8 +20,7 @@ from hesr_model.logs.readers.formats import COLUMNS, format_of
 from hesr_model.logs.readers.matlab import read_matlab
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.tables import Table, read_table
-from hesr_model.robots.robot import RobotDescription, RobotModel
-from hesr_model.robots.robot_argument import RobotLike, described
+from hesr_model.robots.robot import RobotDescription, RobotLike, RobotModel, description_of
 
 _ROUNDS = 4
 _CUTOFF_SHARE = 0.3
@@ -52,7 +51,7 @@ class Proposal:
 def inspected(paths: Sequence[Path], robot: RobotLike | None = None) -> Proposal:
     """Look at logs, of a robot that is known, or by their columns alone; see `propose`."""
     if robot is not None:
-        return propose(paths, described(robot), known=True)
+        return propose(paths, description_of(robot), known=True)
     table = open_table(paths[0], "t")
     count = len(guess(table).columns["q"]) if table else 1
     names = tuple(f"joint{k}" for k in range(1, count + 1))

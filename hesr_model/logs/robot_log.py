@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,10 @@ from hesr_model.errors import LogError
 from hesr_model.logs.readers.formats import format_of
 from hesr_model.logs.readers.samples import Samples
 from hesr_model.logs.tables import write_table
-from hesr_model.robots.robot import RobotDescription
-from hesr_model.robots.robot_argument import RobotLike, described
+from hesr_model.robots.robot import RobotDescription, RobotLike, description_of
 from hesr_model.support import frames, html
 from hesr_model.support.arrays import Array, Integers, some_rows
-from hesr_model.support.files import path_of, sha256, written_whole
+from hesr_model.support.files import PathArg, path_of, sha256, written_whole
 
 _LONGEST_GAP = 10.0
 """In usual steps: across a longer gap, velocity and hysteresis states are guesswork."""
@@ -66,7 +64,7 @@ class RobotLog:
     robot: RobotDescription | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        return f"RobotLog('{self.name}', {self.q.shape[1]} joints, {self._size})"
+        return f"Log('{self.name}', {self.q.shape[1]} joints, {self._size})"
 
     def _repr_html_(self) -> str:
         joints = self.joints
@@ -156,7 +154,7 @@ class RobotLog:
         return kept
 
     @classmethod
-    def read(cls, path: str | PathLike[str], robot: RobotLike) -> "RobotLog":
+    def read(cls, path: PathArg, robot: RobotLike) -> "RobotLog":
         """Read a log and check it, columns and units as the robot file says.
 
         By the suffix it is a CSV (with a header), Parquet (``.parquet``, ``.pq``), MATLAB
@@ -177,7 +175,7 @@ class RobotLog:
         RobotError
             If a list of the robot file has not one entry per joint.
         """
-        path, robot = path_of(path, "a log"), described(robot)
+        path, robot = path_of(path, "a log"), description_of(robot)
         robot.require_one_per_joint()
         logged = format_of(path).read(path, robot)
         samples = logged.complete() if robot.log.missing == "drop" else logged
@@ -238,7 +236,7 @@ class RobotLog:
         signals = {name: (values, units[name]) for name, values in self._signals.items()}
         return frames.xarray_dataset(self.t, signals, self.joints, name=self.name)
 
-    def write(self, path: str | PathLike[str]) -> None:
+    def write(self, path: PathArg) -> None:
         """Write as CSV or, by the suffix ``.parquet``, as Parquet; numbers survive unchanged.
 
         The columns are ``t, q1.., dq1.., tau1..``, the defaults of a robot file, and

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
+from os import PathLike
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -12,11 +12,18 @@ from pydantic import Field, model_validator
 
 from hesr_model.errors import RobotError
 from hesr_model.logs.log_format import LogFormat
-from hesr_model.robots.model_file import load, motion_subspace, require_one_axis, set_joint
+from hesr_model.robots.model_file import (
+    driven_joints,
+    load,
+    motion_subspace,
+    require_one_axis,
+    set_joint,
+)
 from hesr_model.robots.owner import Owner
 from hesr_model.robots.transmission import Coupling, Transmission
 from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config, PrintableName, RelativePath, read_toml
+from hesr_model.support.files import PathArg, path_of
 
 LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Of one link: mass, first moments, and inertia about the origin of the link's joint frame."""
@@ -81,7 +88,7 @@ class RobotDescription(Config):
         return self.motors if of_motors else None
 
     @classmethod
-    def read(cls, path: Path) -> Self:
+    def read(cls, path: PathArg) -> Self:
         """Read a robot file.
 
         Raises
@@ -91,6 +98,7 @@ class RobotDescription(Config):
         RobotError
             For a list that has not one entry per joint.
         """
+        path = path_of(path, "a robot")
         description = read_toml(path, cls)
         try:
             description.require_one_per_joint()
@@ -145,23 +153,29 @@ class JointFrame:
 
 
 class RobotModel:
-    """Rigid-body dynamics of a described robot, linear in its parameters (eq. 5).
+    """A robot: its joints, the format of its logs, and its rigid-body dynamics (eq. 5).
 
-    tau = Y(q, dq, ddq) pi, with ten standard parameters per link (`LINK_PARAMETERS`) and, where
-    the description says so, one rotor inertia per joint, whose column of Y is ddq of the joint, or
-    that of its motor where motors turn with several joints.
+    tau = Y(q, dq, ddq) pi, with ten standard parameters per link (`LINK_PARAMETERS`) and, if the
+    description asks for them, one rotor inertia per joint. The column of a rotor in Y is ddq of the
+    joint, or of its motor if motors turn with several joints.
+
+    Parameters
+    ----------
+    source : path of a robot file (TOML), of a URDF or of an MJCF (``.xml``), or a description.
 
     Raises
     ------
+    ConfigError
+        If a robot file cannot be used, or `source` is neither a robot nor a path.
     RobotError
-        If the model file is missing or cannot be parsed, if a joint is not in it, is of a kind
-        with more than one degree of freedom, or is listed out of order, or is logged in units of
-        another kind.
+        If the model file is missing or cannot be parsed, if a joint is not in it, has more than one
+        degree of freedom, is listed out of order, or has log units of the wrong kind.
     """
 
-    def __init__(self, description: RobotDescription) -> None:
-        import pinocchio  # here, so that reading a description stays quick
+    def __init__(self, source: "RobotLike") -> None:
+        import pinocchio  # slow: not needed to read a description
 
+        description = description_of(source)
         description.require_one_per_joint()
         self.description = description
         self._pin: Any = pinocchio
@@ -203,6 +217,19 @@ class RobotModel:
         for joint, name in zip(list(reduced.joints)[1:], wanted, strict=True):
             require_one_axis(joint, name, path)
         return reduced
+
+    def __repr__(self) -> str:
+        return f"Robot('{self.name}', {self.n} joints, {self.description.model.name})"
+
+    @property
+    def name(self) -> str:
+        """Name of the robot."""
+        return self.description.name
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints, from base to tip."""
+        return self.description.joints
 
     @property
     def n(self) -> int:
@@ -354,3 +381,36 @@ class RobotModel:
         for k, joint in enumerate(list(self._model.joints)[1:]):
             set_joint(joint, states.T, q[:, k])
         return states
+
+
+RobotLike = RobotDescription | RobotModel | str | PathLike[str]
+"""A robot, its description, or the path of a robot file (TOML), URDF or MJCF."""
+
+
+def description_of(robot: RobotLike) -> RobotDescription:
+    """Return the description of a robot.
+
+    A URDF or MJCF alone describes a robot with all its joints, whose logs have the default
+    columns ``t, q1.., dq1.., tau1..``.
+
+    Raises
+    ------
+    ConfigError
+        If a robot file cannot be used, or `robot` is neither a robot nor a path.
+    RobotError
+        If a model file cannot be used.
+    """
+    if isinstance(robot, RobotModel):
+        return robot.description
+    if isinstance(robot, RobotDescription):
+        return robot
+    path = path_of(robot, "a robot")
+    if path.suffix.lower() == ".toml":
+        return RobotDescription.read(path)
+    joints = tuple(joint.name for joint in driven_joints(path))
+    return RobotDescription(name=path.stem, model=path.resolve(), joints=joints)
+
+
+def model_of(robot: RobotLike) -> RobotModel:
+    """Return the dynamics of a robot; a `RobotModel` is returned unchanged."""
+    return robot if isinstance(robot, RobotModel) else RobotModel(robot)

@@ -12,8 +12,7 @@ from unchanged import Unchanged
 from hesr_model.errors import ArtifactError, ConfigError, RobotError
 from hesr_model.logs.log_format import LogFormat, LogUnits, column_names
 from hesr_model.robots.model_file import driven_joints, joints_of
-from hesr_model.robots.robot import RobotDescription, RobotModel
-from hesr_model.robots.robot_argument import Robot, described
+from hesr_model.robots.robot import RobotDescription, RobotModel, description_of
 from hesr_model.robots.transmission import Coupling, Transmission, onto
 
 LINK = '<link name="l{k}"><inertial><origin xyz="0.1 0.02 {k}"/><mass value="{k}"/>'
@@ -113,7 +112,7 @@ def test_a_robot_of_all_kinds_of_joints(model_file: Path, unchanged: Unchanged) 
 def test_ranges_of_an_mjcf(tmp_path: Path, angle: str, unchanged: Unchanged) -> None:
     path = tmp_path / "lift.xml"
     path.write_text(MJCF.format(angle=angle), encoding="utf-8")
-    model = Robot(path)
+    model = RobotModel(path)
     unchanged({"limits": model.limits, "rotors": model.rotor_nominal, "sides": [
         joint.slides for joint in joints_of(path)]}, rtol=1e-9)  # fmt: skip
 
@@ -224,7 +223,7 @@ def test_how_robots_are_refused(
                 str(column_names(c, ("a", "b")))
                 for c in ("q{}", "q{0}", "q{1}_x", "{name}_q", ("x", "y"))
             ],
-            "defaults": [str(LogFormat()), str(described(arm).rotor_inertia)],
+            "defaults": [str(LogFormat()), str(description_of(arm).rotor_inertia)],
             "kelvin": [LogUnits(temperature=x).zero_of_temperature for x in ("K", "degC")],
             "factors": str([LogUnits(q=("deg", "-rev", 2.0)).factors("q", 3).round(9).tolist(),
                             LogUnits().factors("dq", 2).tolist()]),

@@ -39,7 +39,7 @@ def test_a_log_shows_what_each_joint_did(arm_log: RobotLog) -> None:
     assert head == ["joint", "travel of q", "largest |tau|", "largest |dq|"]
     travel = np.ptp(arm_log.q, axis=0)
     assert [row[:2] for row in rows] == [[f"joint{k + 1}", f"{travel[k]:.4g}"] for k in range(3)]
-    assert repr(arm_log) == "RobotLog('run', 3 joints, 2000 rows, 9.995 s at 200 Hz)"
+    assert repr(arm_log) == "Log('run', 3 joints, 2000 rows, 9.995 s at 200 Hz)"
 
 
 def test_a_body_shows_its_base_parameters(body: RigidBody) -> None:

@@ -7,35 +7,40 @@ import pytest
 
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.logs.robot_log import RobotLog
-from hesr_model.robots.robot import RobotDescription, RobotModel
-from hesr_model.robots.robot_argument import Robot, described, model_of
+from hesr_model.robots.robot import RobotDescription, RobotModel, description_of, model_of
 
 
 def test_a_model_file_alone_describes_all_its_joints(arm: RobotDescription) -> None:
     for given in (arm.model, str(arm.model)):
-        found = described(given)
+        found = description_of(given)
         assert (found.name, found.joints, found.model) == ("arm", arm.joints, arm.model)
 
 
 def test_a_robot_stands_for_itself(arm: RobotDescription, arm_model: RobotModel) -> None:
-    assert described(arm) is arm
-    assert described(arm_model) is arm
+    assert description_of(arm) is arm
+    assert description_of(arm_model) is arm
     assert model_of(arm_model) is arm_model
-    assert isinstance(model_of(arm), Robot)
+    assert isinstance(model_of(arm), RobotModel)
+
+
+def test_a_robot_shows_itself_in_one_line(arm: RobotDescription) -> None:
+    robot = RobotModel(arm)
+    assert repr(robot) == "Robot('arm', 3 joints, arm.xml)"
+    assert (robot.name, robot.joints) == (arm.name, arm.joints)
 
 
 def test_a_robot_file_is_read(arm: RobotDescription) -> None:
     file = arm.model.with_name("robot.toml")
     file.write_text('name = "toml"\nmodel = "arm.xml"\njoints = ["j1", "j2"]\n', encoding="utf-8")
-    assert Robot(str(file)).description.joints == ("j1", "j2")
+    assert RobotModel(str(file)).description.joints == ("j1", "j2")
 
 
 def test_what_is_no_robot_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
-        Robot(3)  # type: ignore[arg-type]  # the mistake
+        RobotModel(3)  # type: ignore[arg-type]  # the mistake
     assert str(caught.value) == ("a robot is given as int; needed is a path, as text or as a Path.")
     with pytest.raises(RobotError, match="no such model file"):
-        Robot(tmp_path / "none.urdf")
+        RobotModel(tmp_path / "none.urdf")
 
 
 def test_a_log_is_read_by_text_and_knows_its_robot(
