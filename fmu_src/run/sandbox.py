@@ -24,7 +24,7 @@ import numpy as np
 from fmu_src.run.instance import Binary, CallError, DiedError, LoadError, renamed
 from fmu_src.run.sandbox_child import LONGEST_TEXT, PLACE, WORDS, Exchange, unpacked_answer
 from hesr_model.support.arrays import Array
-from hesr_model.support.process import FailedError, Started, how_it_ended
+from hesr_model.support.process import ChildProcess, FailedError, how_it_ended
 from hesr_model.support.text import plain
 
 _FAREWELL = 5.0  # [s] to free an instance
@@ -90,15 +90,16 @@ class Remote:
         self._connection, theirs = Pipe()
         # -P: what lies in the current folder is not imported.
         command = (sys.executable, "-P", "-m", "fmu_src.run.sandbox_child", str(theirs.fileno()))
+        more: dict[str, Any]
         if sys.platform == "win32":
             os.set_handle_inheritable(theirs.fileno(), True)
-            more: dict[str, Any] = {"close_fds": False}
+            more = {"close_fds": False}
         else:
             _bound(self._connection.fileno(), seconds)
             more = {"pass_fds": (theirs.fileno(),)}
         self._wait = _waiting(self._connection)
         try:
-            self._started = Started(
+            self._started = ChildProcess(
                 command,
                 folder,
                 stdin=subprocess.PIPE,  # which is closed when this process ends

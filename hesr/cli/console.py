@@ -30,7 +30,7 @@ INTERRUPTED = 130
 _STANDARD_OUTPUT = Path("-")
 _AGAIN = 2.0  # [s] a second Ctrl-C sooner than that does not disturb the tidying after the first
 _LATER = 0.05  # [s] an interrupt that Python has dropped is raised again
-_PACKAGES = ("hesr_model", "fmu_src", "cosim")
+_PACKAGES = ("hesr_model", "fmu_src", "cosim", "hesr")
 _log = logging.getLogger(__name__)
 
 

@@ -1,41 +1,35 @@
-"""Independent jobs in worker processes, which are stopped at once where anything fails."""
+"""Independent jobs in worker processes, which are killed at once if anything fails."""
 
+import json
 import os
-import shutil
-import signal
+import sys
 import tempfile
-import threading
-import time
-import warnings
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from importlib import import_module
-from multiprocessing import resource_tracker
 from pathlib import Path
-from queue import Empty
-from typing import TYPE_CHECKING, Any, TypeVar
+from queue import SimpleQueue
+from subprocess import PIPE
+from threading import Thread
+from typing import Any, TypeVar
 
 import cloudpickle
 
 from hesr_model.errors import WorkerError
 from hesr_model.support import interrupts
 from hesr_model.support.cache import USED
-from hesr_model.support.garbage import collect_seldom
-
-if TYPE_CHECKING:
-    from concurrent.futures import Future
-
-    from joblib.externals.loky import ProcessPoolExecutor
+from hesr_model.support.process import ChildProcess, end_marked, new_mark
+from hesr_model.support.worker import JOBS, Answer, read_answer
 
 Result = TypeVar("Result")
 
-_JOBS = "jobs"
-_GROWTH = 1 << 30  # [B] by which a worker may grow before a fresh one takes its place
-_ORPHANED = 1.0  # [s] after which a worker sees that its parent is gone
-_ONE_THREAD = dict.fromkeys(
+_START = (
+    "import json, sys; from pathlib import Path; path, folder, parent = json.loads(sys.argv[1]); "
+    "sys.path[:] = path; from hesr_model.support.worker import work; work(Path(folder), parent)"
+)
+_ENVIRONMENT = dict.fromkeys(
     (
         "OMP_NUM_THREADS",
         "OPENBLAS_NUM_THREADS",
@@ -45,11 +39,7 @@ _ONE_THREAD = dict.fromkeys(
     ),
     "1",
 )
-"""Environment of a worker: as many threads as processes, and sums that do not depend on them."""
-
-_folder = Path()
-_batch: tuple[int, Sequence[Callable[[], Any]]] = (-1, ())
-"""Of a worker: where jobs are, and those that it has read last, with their number."""
+"""One BLAS thread per worker: no more threads than cores, and reproducible sums."""
 
 
 @contextmanager
@@ -58,20 +48,18 @@ def results_of(
     workers: int | None = None,
     costs: Sequence[float] = (),
 ) -> Iterator[Iterator[Result]]:
-    """Run jobs, each in a process; yield the iterator of their results, in the order of the jobs.
+    """Run jobs in processes; yield the iterator of their results, in the order of the jobs.
 
-    The processes are fresh ones, or those of `one_pool`, with one BLAS thread each, and do not
-    import the calling script. When the block is left they are gone, or wait for the next one; where
-    it fails, also by Ctrl-C, they are stopped at once.
+    The processes are new, or those of `one_pool`. They do not import the calling script. At the end
+    of the block they end or wait for the next block; if the block fails, also by Ctrl-C, they are
+    killed at once.
 
     Parameters
     ----------
-    jobs : functions without arguments, with all that they hold; what the calling script has
-        defined is sent along.
-    workers : processes; one for each core where not given. With one there is none: a job is done
-        in this process when its result is asked for.
-    costs : of the jobs, roughly, in any unit; the dearest begin first, so that none is left alone
-        at the end.
+    jobs : functions without arguments; functions and classes of the calling script are pickled.
+    workers : number of processes, by default one per core. With one, the jobs run in this process
+        when their results are requested.
+    costs : relative costs of the jobs; the most expensive start first.
 
     Raises
     ------
@@ -82,42 +70,34 @@ def results_of(
     if count <= 1:
         yield (job() for job in jobs)
         return
-    shared = _sharing if workers is None else None
     with ExitStack() as cleanup:
-        cleanup.enter_context(warnings.catch_warnings())
-        # That a worker that has used much memory is replaced by a fresh one is no news.
-        warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
-        if shared is None:
+        if _sharing is None or workers is not None:
             pool = cleanup.enter_context(_Pool(count))
         else:
-            cleanup.push(shared.stopped_by)
-            pool = shared.pool()
-        with interrupts.deferred():  # submitting starts processes, which must not be half-started
-            futures = pool.submit(jobs, costs)
-        yield (_result(future.result) for future in futures)
+            cleanup.push(_sharing.stop_on_error)
+            pool = _sharing.pool()
+        futures = pool.submit(jobs, costs)
+        yield (_result(future) for future in futures)
 
 
 @contextmanager
 def one_pool(*modules: str, first: Sequence[Callable[[], object]] = ()) -> Iterator[None]:
-    """Let all blocks of `results_of` within share processes, but for those that name a number.
+    """Share processes among all blocks of `results_of` within that do not give `workers`.
 
-    They stay as long as this block, or until a block within fails; the next one has fresh ones.
+    After a block has failed the next one starts new processes.
 
     Parameters
     ----------
-    modules : what the processes import while this one gets its first jobs together, which is when
-        they start.
-    first : what some process does then, too; whether it succeeds or not, nobody waits for it.
+    modules : imported by the processes right away, while this process prepares its first jobs.
+    first : jobs that some process does then; their results and errors are dropped.
     """
     global _sharing
     if _sharing is not None:
         yield
         return
-    with _Shared() as shared:
-        _sharing = shared
+    with _SharedPool() as _sharing:
         if modules and (count := os.cpu_count() or 1) > 1:
-            with interrupts.deferred():
-                shared.pool().submit([partial(_imported, modules)] * count + list(first))
+            _sharing.pool().submit([partial(_import, modules)] * count + list(first))
         try:
             yield
         finally:
@@ -125,69 +105,112 @@ def one_pool(*modules: str, first: Sequence[Callable[[], object]] = ()) -> Itera
 
 
 def shared() -> bool:
-    """Whether blocks share processes here."""
+    """Return whether blocks share processes here."""
     return _sharing is not None
 
 
-class _Pool:
-    """Processes, and the folder from which they read their jobs; a context manager.
+_Task = tuple[int, int, Future[Answer]]
+"""Numbers of the batch and of the job in it, and the future of its answer."""
 
-    Parameters
-    ----------
-    count : of the processes.
-    """
+
+class _Pool:
+    """Processes with a folder for their jobs and temporary files; a context manager."""
 
     def __init__(self, count: int) -> None:
         self._count, self._batches = count, 0
+        self._tasks: SimpleQueue[_Task | None] = SimpleQueue()
+        self._children: list[ChildProcess] = []
+        self._threads: list[Thread] = []
+        self._mark = new_mark()
         self._cleanup = ExitStack()
 
     def __enter__(self) -> "_Pool":
-        """Make the folder, and get ready; processes start with the first jobs."""
-        from joblib.externals.loky import ProcessPoolExecutor
-
-        with ExitStack() as cleanup:
-            with interrupts.deferred():  # or there may be a folder of which nobody knows
-                self._folder = Path(
-                    cleanup.enter_context(tempfile.TemporaryDirectory(prefix="hesr-"))
-                )
-            if os.name == "posix":
-                # It serves semaphores, and lets Ctrl-C through again where its start was held back.
-                resource_tracker.ensure_running()
-            with interrupts.deferred():
-                self._pool = ProcessPoolExecutor(
-                    self._count,
-                    initializer=_start,
-                    initargs=(self._folder, os.getpid()),
-                    env=_environment(),
-                )
-                cleanup.push(partial(_shut_down, self._pool))
-            self._cleanup = cleanup.pop_all()
+        """Make the folder; the processes start with the first jobs."""
+        with interrupts.deferred():
+            folder = tempfile.TemporaryDirectory(prefix="hesr-")
+            self._folder = Path(self._cleanup.enter_context(folder))
         return self
 
-    def __exit__(self, *raised: Any) -> None:
-        """End the processes, at once where there is an error, and remove the folder."""
-        self._cleanup.__exit__(*raised)
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """End the processes, on an error at once and with all that they have started."""
+        with self._cleanup:
+            if kind is not None:
+                self._kill()
+            for _thread in self._threads:
+                self._tasks.put(None)
+            for thread in self._threads:
+                thread.join()
+            for child in self._children:
+                child.process.wait()
 
     def submit(
-        self, jobs: Sequence[Callable[[], Result]], costs: Sequence[float] = ()
-    ) -> "list[Future[tuple[Result, Counter[tuple[str, bool]]]]]":
-        """Let the processes do jobs, the dearest first."""
-        # Workers read the jobs from a file. A pipe is too short for them: where workers are
-        # stopped, nobody empties it, and who still writes into it never ends.
+        self, jobs: Sequence[Callable[[], object]], costs: Sequence[float] = ()
+    ) -> list[Future[Answer]]:
+        """Queue jobs, the most expensive first; return the futures of their answers."""
         self._batches += 1
-        (self._folder / f"{_JOBS}{self._batches}").write_bytes(cloudpickle.dumps(list(jobs)))
-        order = sorted(range(len(jobs)), key=lambda k: -costs[k] if costs else k)
-        futures = {k: self._pool.submit(_run, self._batches, k) for k in order}
-        return [futures[k] for k in range(len(jobs))]
+        (self._folder / f"{JOBS}{self._batches}").write_bytes(cloudpickle.dumps(list(jobs)))
+        with interrupts.deferred():
+            while len(self._children) < self._count:
+                self._start()
+        futures = [Future[Answer]() for _ in jobs]
+        for k in sorted(range(len(jobs)), key=lambda k: -costs[k] if costs else k):
+            self._tasks.put((self._batches, k, futures[k]))
+        return futures
+
+    def _start(self) -> None:
+        about = json.dumps([sys.path, str(self._folder), os.getpid()])
+        # The parent reports crashes; set PYTHONFAULTHANDLER for a traceback.
+        faults = {"PYTHONFAULTHANDLER": os.environ.get("PYTHONFAULTHANDLER", "")}
+        child = ChildProcess(
+            [sys.executable, "-c", _START, about],
+            None,
+            mark=self._mark,
+            environment=_ENVIRONMENT | faults,
+            start_new_session=False,  # a signal to the process group ends all
+            stdin=PIPE,
+            stdout=PIPE,
+        )
+        self._children.append(child)
+        self._threads.append(Thread(target=self._serve, args=(child,), daemon=True))
+        self._threads[-1].start()
+
+    def _serve(self, child: ChildProcess) -> None:
+        """Pass tasks to a process until there are no more."""
+        requests, answers = child.process.stdin, child.process.stdout
+        assert requests is not None
+        assert answers is not None
+        with requests, answers:
+            while (task := self._tasks.get()) is not None:
+                batch, k, future = task
+                try:
+                    os.write(requests.fileno(), f"{batch} {k}\n".encode())
+                    future.set_result(read_answer(answers))
+                except (EOFError, OSError):
+                    for other in self._children:
+                        other.process.kill()
+                    future.set_exception(
+                        WorkerError(
+                            "a worker process ended before its job was done, killed by another "
+                            "program or for lack of memory; run it again, with fewer processes if "
+                            "memory is short."
+                        )
+                    )
+                except Exception as error:  # the answer cannot be unpickled here
+                    future.set_exception(error)
+
+    def _kill(self) -> None:
+        for child in self._children:
+            child.process.kill()
+        end_marked(self._mark)
 
 
-class _Shared:
-    """A pool for many blocks, made when it is first wanted; a context manager."""
+class _SharedPool:
+    """A pool for many blocks, made when it is first needed; a context manager."""
 
     def __init__(self) -> None:
         self._pool: _Pool | None = None
 
-    def __enter__(self) -> "_Shared":
+    def __enter__(self) -> "_SharedPool":
         return self
 
     def __exit__(self, *raised: Any) -> None:
@@ -201,80 +224,23 @@ class _Shared:
             self._pool = _Pool(os.cpu_count() or 1).__enter__()
         return self._pool
 
-    def stopped_by(self, kind: type[BaseException] | None, *raised: Any) -> None:
-        """Stop the processes at once where a block has failed."""
+    def stop_on_error(self, kind: type[BaseException] | None, *raised: Any) -> None:
+        """Kill the processes if a block has failed."""
         if kind is not None:
             self.__exit__(kind, *raised)
 
 
-_sharing: _Shared | None = None
+_sharing: _SharedPool | None = None
 
 
-def _environment() -> Mapping[str, str]:
-    """Return what workers have in their environment beside what stands in that of the parent."""
-    # A crash is said by the parent, in a sentence; a stack of Python in C is for who asks for it.
-    return _ONE_THREAD | {"PYTHONFAULTHANDLER": os.environ.get("PYTHONFAULTHANDLER", "")}
-
-
-def _shut_down(pool: "ProcessPoolExecutor", error: object, *_: object) -> None:
-    """Let idle workers end; where there is an error, stop all with what they have started."""
-    if error is not None:
-        # Its thread drops the jobs that wait, and then looks for those whose numbers it still has.
-        with suppress(Empty):
-            while True:
-                pool._work_ids.get_nowait()
-    pool.shutdown(wait=True, kill_workers=error is not None)
-
-
-def _result(wait: Callable[[], "tuple[Result, Counter[tuple[str, bool]]]"]) -> Result:
-    try:
-        result, used = wait()
-    except BrokenProcessPool as error:
-        raise WorkerError(
-            "a worker process ended before its job was done, killed by another program or for "
-            "lack of memory; run it again, with fewer processes if memory is short."
-        ) from error
+def _result(future: "Future[Answer]") -> Any:
+    error, result, used = future.result()
     USED.update(used)
+    if error is not None:
+        raise error
     return result
 
 
-def _start(folder: Path, parent: int) -> None:
-    """Learn where jobs are, and leave to the parent what comes when a worker is stopped.
-
-    Signals to the whole group are answered once, by the parent, which kills its workers; those
-    then have no time to tidy, so that their temporary files stand where the parent removes them.
-    """
-    from joblib.externals.loky import process_executor
-
-    global _folder
-    collect_seldom()
-    # A fresh process imports for seconds what this one has: pictures, symbols and physics together
-    # are more than what is a leak to the pool, which has no option for it.
-    process_executor._MAX_MEMORY_LEAK_SIZE = _GROWTH
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    threading.Thread(target=_end_with, args=(parent, folder), daemon=True).start()
-    tempfile.tempdir = str(folder)
-    _folder = folder
-
-
-def _end_with(parent: int, folder: Path) -> None:
-    """End this process when its parent has been killed and can neither stop it nor tidy."""
-    while os.getppid() == parent:
-        time.sleep(_ORPHANED)
-    shutil.rmtree(folder, ignore_errors=True)
-    os._exit(1)
-
-
-def _imported(modules: Sequence[str]) -> None:
+def _import(modules: Sequence[str]) -> None:
     for name in modules:
         import_module(name)
-
-
-def _run(batch: int, k: int) -> tuple[Any, Counter[tuple[str, bool]]]:
-    """Do a job; return what it gives, and what it has used of the cache."""
-    global _batch
-    before = USED.copy()
-    if _batch[0] != batch:
-        _batch = batch, cloudpickle.loads((_folder / f"{_JOBS}{batch}").read_bytes())
-    return _batch[1][k](), USED - before

@@ -5,7 +5,7 @@ import os
 import signal
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from secrets import token_hex
@@ -27,13 +27,16 @@ class Ended:
     text: str
 
 
-class Started:
-    """A program that runs in a session of its own.
+class ChildProcess:
+    """A program that runs in its own session, unless `start_new_session` is false.
 
     Parameters
     ----------
     command : program and arguments.
-    folder : in which it runs.
+    folder : working directory; None for that of this process.
+    mark : name of an environment variable that identifies all descendants of the program, even
+        those that have left its session and lost their parent.
+    environment : further environment variables.
     more : further arguments of `subprocess.Popen`.
 
     Attributes
@@ -46,47 +49,61 @@ class Started:
         If it cannot be started.
     """
 
-    def __init__(self, command: Sequence[str], folder: Path, **more: Any) -> None:
-        # All that descends from the program has this in its environment, also what has left its
-        # session and lost its parent.
-        self._mark = f"HESR_PROCESS_{token_hex(8)}"
+    def __init__(
+        self,
+        command: Sequence[str],
+        folder: Path | None,
+        *,
+        mark: str = "",
+        environment: Mapping[str, str] | None = None,
+        start_new_session: bool = True,
+        **more: Any,
+    ) -> None:
+        self._mark = mark or new_mark()
         try:
             self.process = subprocess.Popen(
                 list(command),
                 cwd=folder,
-                env=os.environ | {self._mark: "1"},
-                start_new_session=True,
+                env=os.environ | {self._mark: "1"} | dict(environment or {}),
+                start_new_session=start_new_session,
                 **more,
             )
         except OSError as error:
             raise FailedError(f"it cannot be started ({error.strerror})") from error
 
     def end(self) -> None:
-        """End it, and all processes that it has started."""
-        # Once it has been waited for, its number may be that of another program.
+        """Kill the program, its session and all its descendants."""
+        # A process that has been waited for may have given its ID to another program.
         if self.process.poll() is None:
             if hasattr(os, "killpg"):
                 with contextlib.suppress(ProcessLookupError, PermissionError):
                     os.killpg(self.process.pid, signal.SIGKILL)
             self.process.kill()
             self.process.wait()
-        self._end_descendants()
+        end_marked(self._mark)
 
-    def _end_descendants(self) -> None:
-        import psutil  # slow to import
 
-        for _ in range(_ROUNDS):
-            found = [
-                other
-                for other in psutil.process_iter(["environ"])
-                if self._mark in (other.info["environ"] or ()) and other.pid != os.getpid()
-            ]
-            if not found:
-                return
-            for other in found:
-                with contextlib.suppress(psutil.Error):
-                    other.kill()
-            psutil.wait_procs(found, timeout=1.0)
+def new_mark() -> str:
+    """Return a new name for an environment variable that marks processes."""
+    return f"HESR_PROCESS_{token_hex(8)}"
+
+
+def end_marked(mark: str) -> None:
+    """Kill all processes, except this one, that have a mark in their environment."""
+    import psutil  # slow to import
+
+    for _ in range(_ROUNDS):
+        found = [
+            other
+            for other in psutil.process_iter(["environ"])
+            if mark in (other.info["environ"] or ()) and other.pid != os.getpid()
+        ]
+        if not found:
+            return
+        for other in found:
+            with contextlib.suppress(psutil.Error):
+                other.kill()
+        psutil.wait_procs(found, timeout=1.0)
 
 
 def run(command: Sequence[str], folder: Path, seconds: float) -> Ended:
@@ -98,7 +115,7 @@ def run(command: Sequence[str], folder: Path, seconds: float) -> Ended:
         If it cannot be started or takes too long.
     """
     with tempfile.TemporaryFile(dir=folder) as output:
-        started = Started(
+        child = ChildProcess(
             command,
             folder,
             stdin=subprocess.DEVNULL,
@@ -106,11 +123,11 @@ def run(command: Sequence[str], folder: Path, seconds: float) -> Ended:
             stderr=subprocess.STDOUT,
         )
         try:
-            code = started.process.wait(seconds)
+            code = child.process.wait(seconds)
         except subprocess.TimeoutExpired as error:
             raise FailedError(f"it gave no answer within {seconds:g} s") from error
         finally:
-            started.end()
+            child.end()
         output.seek(0)
         return Ended(code=code, text=output.read(_MOST_OUTPUT).decode("utf-8", "replace"))
 

@@ -68,8 +68,7 @@ ONLY_IN = {
     "typer": ("hesr/cli/*",),
     "click": ("hesr/cli/*",),
     "rich": ("hesr/cli/*", "cosim/report/tables/*"),
-    "joblib": ("hesr_model/support/parallel.py",),
-    "cloudpickle": ("hesr_model/support/parallel.py",),
+    "cloudpickle": ("hesr_model/support/parallel.py", "hesr_model/support/worker.py"),
     "imageio_ffmpeg": ("hesr/extras/view/video.py",),
 }
 

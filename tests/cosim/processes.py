@@ -61,23 +61,17 @@ def running(group: int) -> dict[int, str]:
 
 def workers(group: int) -> list[int]:
     """Numbers of the worker processes of a group."""
-    return [number for number, command in running(group).items() if "--process-name" in command]
-
-
-def _semaphores(creator: int) -> list[str]:
-    """Names of the semaphores in shared memory that a process has made for its workers."""
-    return [path.name for path in Path("/dev/shm").glob(f"sem.loky-{creator}-*")]
+    return [
+        number
+        for number, command in running(group).items()
+        if "hesr_model.support.worker" in command
+    ]
 
 
 def assert_nothing_left(group: int, folder: Path) -> None:
-    """Of a command that `started` has run in a folder: no process, temporary file or semaphore."""
+    """Check that a command that `started` ran has left no process and no temporary file."""
     assert_nothing_runs(group)
     assert not list((folder / "tmp").iterdir())
-    for _ in range(100):
-        if not (left := _semaphores(group)):
-            return
-        time.sleep(0.05)
-    raise AssertionError(left)
 
 
 def assert_nothing_runs(group: int) -> None:

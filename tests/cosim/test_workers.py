@@ -183,12 +183,11 @@ def test_the_dearest_jobs_begin_first_and_results_keep_their_order(tmp_path: Pat
 
 
 def test_a_worker_that_has_grown_stays_as_it_is_ready(tmp_path: Path) -> None:
-    """The pool itself takes 300 MB for a leak, and a fresh worker imports for seconds."""
+    """Imports alone may take 600 MB, and a new worker needs seconds for them."""
     text = JOBS + (
         "def grown(k):\n"
         "    import gc, builtins\n"
         "    builtins.kept = [getattr(builtins, 'kept', None), b'x' * (200 << 20)]\n"
-        "    time.sleep(1.2)  # after which the pool looks again\n"
         "    return os.getpid(), gc.get_threshold()[0]\n"
         "from functools import partial\n"
         "with results_of([partial(grown, k) for k in range(6)], 2) as results:\n"
@@ -196,6 +195,55 @@ def test_a_worker_that_has_grown_stays_as_it_is_ready(tmp_path: Path) -> None:
         "print(len({number for number, _ in found}), {often for _, often in found})\n"
     )
     assert output_of(text, tmp_path) == "2 {100000}\n"
+
+
+def test_a_worker_that_has_grown_too_much_starts_afresh(tmp_path: Path) -> None:
+    text = JOBS + (
+        "def grow():\n"
+        "    import builtins\n"
+        "    builtins.kept = b'x' * (1100 << 20)\n"
+        "    return os.getpid(), False\n"
+        "def small():\n"
+        "    import builtins\n"
+        "    time.sleep(0.2)\n"
+        "    return os.getpid(), hasattr(builtins, 'kept')\n"
+        "with results_of([grow] + [small] * 20, 2) as results:\n"
+        "    (grown, _), *later = results\n"
+        "print(grown in dict(later), any(kept for _, kept in later))\n"
+    )
+    assert output_of(text, tmp_path) == "True False\n"
+
+
+def test_a_job_may_print_and_read(tmp_path: Path) -> None:
+    """Neither disturbs the pipes on which workers get their jobs."""
+    text = JOBS + (
+        "def talk():\n"
+        "    os.write(1, b'by a library\\n')\n"
+        "    return sys.stdin.read(), Mine(3).k\n"
+        "with results_of([talk] * 3, 2) as results:\n"
+        "    print(list(results))\n"
+    )
+    with started(folder=tmp_path, program=script(tmp_path, text)) as process:
+        out, err = process.communicate(timeout=60)
+    assert (out, err) == (f"{[('', 3)] * 3}\n", "by a library\n" * 3)
+
+
+def test_an_error_of_a_job_keeps_its_place(tmp_path: Path) -> None:
+    text = JOBS + (
+        "class Odd(Exception):\n"
+        "    def __reduce__(self): raise TypeError\n"
+        "def fail(): raise ZeroDivisionError('of a job')\n"
+        "def fail_oddly(): raise Odd('of a job')\n"
+        "for job in (fail, fail_oddly):\n"
+        "    try:\n"
+        "        with results_of([job] * 2, 2) as results:\n"
+        "            list(results)\n"
+        "    except Exception as error:\n"
+        "        print(repr(error), 'in fail' in ''.join(getattr(error, '__notes__', '')))\n"
+    )
+    assert output_of(text, tmp_path) == (
+        "ZeroDivisionError('of a job') True\nRuntimeError(\"Odd('of a job')\") False\n"
+    )
 
 
 def test_a_killed_worker_is_one_sentence(tmp_path: Path) -> None:

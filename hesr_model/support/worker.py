@@ -1,0 +1,111 @@
+"""A worker process of `support.parallel`: reads requests on stdin, answers on stdout.
+
+A request is one line with the numbers of a batch and of a job in it. An answer is a line with its
+size in bytes and the pickled tuple (error or None, result, cache use).
+"""
+
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import cloudpickle
+
+from hesr_model.support.cache import USED
+from hesr_model.support.garbage import collect_seldom
+
+JOBS = "jobs"
+"""Prefix of the files with pickled jobs."""
+
+Answer = tuple[BaseException | None, Any, Counter[tuple[str, bool]]]
+
+_GROWTH = 1 << 30
+"""Memory growth after which a worker starts afresh [B]."""
+
+_ORPHANED = 1.0
+"""Period at which a worker looks for its parent [s]."""
+
+
+def work(folder: Path, parent: int) -> None:
+    """Answer requests until stdin closes.
+
+    Parameters
+    ----------
+    folder : holds the jobs and all temporary files of the worker; the parent removes it.
+    parent : process ID of the parent.
+    """
+    import psutil  # slow to import
+
+    # The parent alone answers signals to the process group, and kills its workers.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):  # `interrupts.deferred` had blocked it
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    threading.Thread(target=_end_with, args=(parent, folder), daemon=True).start()
+    collect_seldom()
+    tempfile.tempdir = str(folder)
+    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    with Path(os.devnull).open("rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
+    os.dup2(2, 1)  # jobs may print
+    process = psutil.Process()
+    first_size = process.memory_info().rss
+    loaded, jobs = "", list[Callable[[], Any]]()
+    for request in requests:
+        batch, k = request.decode().split()
+        if batch != loaded:
+            jobs, loaded = cloudpickle.loads((folder / f"{JOBS}{batch}").read_bytes()), batch
+        data = _answer(jobs, int(k))
+        answers.write(f"{len(data)}\n".encode() + data)
+        answers.flush()
+        if process.memory_info().rss > first_size + _GROWTH and os.name == "posix":
+            os.dup2(requests.fileno(), 0)
+            os.dup2(answers.fileno(), 1)
+            os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
+
+
+def _answer(jobs: Sequence[Callable[[], Any]], k: int) -> bytes:
+    before = USED.copy()
+    answer: Answer
+    try:
+        answer = None, jobs[k](), USED - before
+        return bytes(cloudpickle.dumps(answer))
+    except BaseException as error:
+        error.add_note("".join(traceback.format_exception(error)))
+        answer = error, None, USED - before
+    try:
+        return bytes(cloudpickle.dumps(answer))
+    except Exception:  # of a class that cannot be pickled
+        return bytes(cloudpickle.dumps((RuntimeError(repr(answer[0])), None, answer[2])))
+
+
+def read_answer(answers: IO[bytes]) -> Answer:
+    """Read one answer in the parent.
+
+    Raises
+    ------
+    EOFError
+        If the worker has ended.
+    """
+    size = answers.readline()
+    data = answers.read(int(size or 0))
+    if not size or len(data) < int(size):
+        raise EOFError
+    answer: Answer = cloudpickle.loads(data)
+    return answer
+
+
+def _end_with(parent: int, folder: Path) -> None:
+    """End this process, and remove the folder, when the parent has been killed."""
+    while os.getppid() == parent:
+        time.sleep(_ORPHANED)
+    shutil.rmtree(folder, ignore_errors=True)
+    os._exit(1)
