@@ -21,7 +21,7 @@ from hesr_model.errors import WorkerError
 from hesr_model.support import interrupts
 from hesr_model.support.cache import USED
 from hesr_model.support.process import ChildProcess, end_marked, new_mark
-from hesr_model.support.worker import JOBS, Answer, read_answer
+from hesr_model.support.worker import JOBS, JobAnswer, read_answer
 
 Result = TypeVar("Result")
 
@@ -109,7 +109,7 @@ def shared() -> bool:
     return _sharing is not None
 
 
-_Task = tuple[int, int, Future[Answer]]
+_Task = tuple[int, int, Future[JobAnswer]]
 """Numbers of the batch and of the job in it, and the future of its answer."""
 
 
@@ -145,14 +145,14 @@ class _Pool:
 
     def submit(
         self, jobs: Sequence[Callable[[], object]], costs: Sequence[float] = ()
-    ) -> list[Future[Answer]]:
+    ) -> list[Future[JobAnswer]]:
         """Queue jobs, the most expensive first; return the futures of their answers."""
         self._batches += 1
         (self._folder / f"{JOBS}{self._batches}").write_bytes(cloudpickle.dumps(list(jobs)))
         with interrupts.deferred():
             while len(self._children) < self._count:
                 self._start()
-        futures = [Future[Answer]() for _ in jobs]
+        futures = [Future[JobAnswer]() for _ in jobs]
         for k in sorted(range(len(jobs)), key=lambda k: -costs[k] if costs else k):
             self._tasks.put((self._batches, k, futures[k]))
         return futures
@@ -233,7 +233,7 @@ class _SharedPool:
 _sharing: _SharedPool | None = None
 
 
-def _result(future: "Future[Answer]") -> Any:
+def _result(future: "Future[JobAnswer]") -> Any:
     error, result, used = future.result()
     USED.update(used)
     if error is not None:

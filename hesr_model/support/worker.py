@@ -25,7 +25,7 @@ from hesr_model.support.garbage import collect_seldom
 JOBS = "jobs"
 """Prefix of the files with pickled jobs."""
 
-Answer = tuple[BaseException | None, Any, Counter[tuple[str, bool]]]
+JobAnswer = tuple[BaseException | None, Any, Counter[tuple[str, bool]]]
 
 _GROWTH = 1 << 30
 """Memory growth after which a worker starts afresh [B]."""
@@ -35,7 +35,7 @@ _ORPHANED = 1.0
 
 
 def work(folder: Path, parent: int) -> None:
-    """Answer requests until stdin closes.
+    """JobAnswer requests until stdin closes.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def work(folder: Path, parent: int) -> None:
 
 def _answer(jobs: Sequence[Callable[[], Any]], k: int) -> bytes:
     before = USED.copy()
-    answer: Answer
+    answer: JobAnswer
     try:
         answer = None, jobs[k](), USED - before
         return bytes(cloudpickle.dumps(answer))
@@ -87,7 +87,7 @@ def _answer(jobs: Sequence[Callable[[], Any]], k: int) -> bytes:
         return bytes(cloudpickle.dumps((RuntimeError(repr(answer[0])), None, answer[2])))
 
 
-def read_answer(answers: IO[bytes]) -> Answer:
+def read_answer(answers: IO[bytes]) -> JobAnswer:
     """Read one answer in the parent.
 
     Raises
@@ -99,7 +99,7 @@ def read_answer(answers: IO[bytes]) -> Answer:
     data = answers.read(int(size or 0))
     if not size or len(data) < int(size):
         raise EOFError
-    answer: Answer = cloudpickle.loads(data)
+    answer: JobAnswer = cloudpickle.loads(data)
     return answer
 
 

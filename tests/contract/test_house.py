@@ -35,7 +35,6 @@ KNOWN_DUPLICATES = {
     "Output",
     "Quantity",
     "Result",
-    "Robot",
     "Rows",
     "Run",
     "Samples",
@@ -72,7 +71,7 @@ KNOWN_PARTICIPLES = {
 }
 """Modules still named by a participle. Remove what is renamed."""
 
-KNOWN_PRIVATE = {"fmu_src.pages.mathml", "hesr_model.support.parallel"}
+KNOWN_PRIVATE = {"fmu_src.pages.mathml"}
 """Modules that still use private parts of other libraries. Remove what is mended."""
 
 
