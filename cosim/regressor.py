@@ -20,6 +20,7 @@ from hesr_model.logs.robot_log import RobotLog, parts_of
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import RobotLike, model_of
+from hesr_model.support import plugins
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import path_of
 
@@ -250,11 +251,9 @@ class FrictionRegressor:
         return export_fmu(model, fmu, platforms=platforms, body=body)
 
     def to_torch(self, path: str | PathLike[str]) -> Path:
-        """Write the fitted law as a module of PyTorch; see `hesr.extras.one_file.tensors`."""
-        from hesr.extras.one_file.tensors import export_torch
-
+        """Write the fitted law as a module of PyTorch, in the export format `torch`."""
         file = path_of(path, "a module")
-        export_torch(self._fitted(), file)
+        plugins.find("hesr.exports", "torch")(self._fitted(), file)
         return file
 
     def __sklearn_is_fitted__(self) -> bool:

@@ -5,9 +5,8 @@ Logs are checked as the command line checks them: what cannot be right raises, n
 what is odd is logged.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -31,6 +30,7 @@ from hesr_model.logs.robot_log import RobotLog
 from hesr_model.rigid_body.identification import Method, RigidBody
 from hesr_model.rigid_body.identification import identify as identify_body
 from hesr_model.robots.robot import RobotLike
+from hesr_model.support import plugins
 from hesr_model.support.files import models_folder, path_of
 
 if TYPE_CHECKING:
@@ -314,7 +314,7 @@ def laws() -> "Mapping[str, type[Estimator]]":
 def export(
     model: Model,
     output: AnyPath,
-    format: Literal["fmu", "drive", "mjcf", "modelica", "c", "torch", "jax", "ssv"] = "fmu",  # noqa: A002  # as --format
+    format: str = "fmu",  # noqa: A002  # as --format
     *,
     robot: RobotLike | None = None,
     rigid_body: Body | None = None,
@@ -338,8 +338,7 @@ def export(
     ExportError
         If the model cannot be written so.
     """
-    if format not in _WRITERS:
-        raise ConfigError(f"the format is '{format}'; allowed are {', '.join(_WRITERS)}.")
+    write = plugins.find("hesr.exports", format)
     path = path_of(output, "an output")
     if (robot is None) != (rigid_body is None):
         raise ConfigError("'robot' and 'rigid_body' go together; only one of them was given.")
@@ -347,27 +346,8 @@ def export(
         if format != "fmu":
             raise ConfigError(f"'rigid_body' is for the page of an FMU, the format is '{format}'.")
         options["body"] = page_body(robot, rigid_body)
-    writer(format)(model_given(model), path, **options)
+    write(model_given(model), path, **options)
     return path
-
-
-_WRITERS = {
-    "fmu": "fmu_src.friction.friction_fmu:export_fmu",
-    "drive": "fmu_src.drive.drive_fmu:export_drive",
-    "mjcf": "hesr.extras.mjcf.mjcf_file:export_mjcf_law",
-    "modelica": "hesr.extras.modelica.modelica_package:export_modelica",
-    "c": "hesr.extras.one_file.c_header:export_c",
-    "torch": "hesr.extras.one_file.tensors:export_torch",
-    "jax": "hesr.extras.one_file.tensors:export_jax",
-    "ssv": "cosim.systems.parameter_set:export_ssv",
-}
-
-
-def writer(format: str) -> Callable[..., Any]:  # noqa: A002  # as --format
-    """Return the function of a format of `export`."""
-    module, _, name = _WRITERS[format].partition(":")
-    function: Callable[..., Any] = getattr(import_module(module), name)
-    return function
 
 
 def simulate(system: AnyPath) -> "Result":

@@ -17,7 +17,6 @@ from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, error
 from fmu_src.run.fmu import Component
 from fmu_src.run.replay import require_finite
 from fmu_src.run.variables import model_description
-from hesr.extras.adaptive.component import ADAPT
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.model import FrictionModel
@@ -114,10 +113,9 @@ def judge(fmu: Path) -> FrictionModel:
                 f"{fmu}: --kind convention needs a friction FMU (velocity in, torque out), and "
                 f"this one has no {kind} '{name}'."
             )
-    if model.thermal or (ADAPT.name, "input") in has:
+    if model.thermal or ("adapt", "input") in has:
         raise SimulationError(
-            f"{fmu}: --kind convention needs a friction FMU that follows neither friction nor "
-            "temperature, and this one does."
+            f"{fmu}: --kind convention does not support adaptive or thermal FMUs."
         )
     return model
 

@@ -1,12 +1,10 @@
-"""Friction FMUs that move by steps: those that follow friction, and those that follow temperature.
+"""Friction FMUs with a discrete-time step: thermal ones, and adaptive ones of `hesr.extras`.
 
-`dq[i]`, `q[i]`, `tau_load[i]` -> `tau[i]` as of every friction FMU. One that follows temperature
-has the input `temperature[i]` beside them. An adaptive one has `tau_meas[i]`, `tau_rigid[i]`,
-`adapt` -> factors with standard deviations, alarms and health, too. What they remember of the last
-sample is state of the FMU.
+Inputs and outputs are those of every friction FMU and those of the joints' components, such as
+`temperature[i]`. Their memory of the previous sample is state of the FMU.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from fmu_src.equations.header import FRICTION, Joint, Needs, equations_header, indicators, own_size
@@ -20,9 +18,7 @@ from fmu_src.friction.friction_component import (
     start_mode,
 )
 from fmu_src.friction.variable_names import place
-from hesr.extras.adaptive.component import ADAPT
-from hesr.extras.adaptive.follow import adaptive_components
-from hesr_model.equations.component import Component, Parameter
+from hesr_model.equations.component import Component, Parameter, Quantity
 from hesr_model.equations.memory import Slow
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.thermal import TEMPERATURE
@@ -30,35 +26,34 @@ from hesr_model.friction.thermal_law import thermal_component
 from hesr_model.units import unit_of_joint
 
 
-def adaptive_equations(model: FrictionModel) -> tuple[Interface, str]:
-    """Return the variables of the adaptive FMU of a model, and its equations.h.
-
-    Raises
-    ------
-    HesrError
-        If the model does not say how well it fitted, its motors are coupled, or a law has nothing
-        that a level could scale.
-    """
-    return _equations(model, adaptive_components(model))
-
-
 def thermal_equations(model: FrictionModel) -> tuple[Interface, str]:
-    """Return the same of the FMU of a model that follows temperature.
+    """Return the variables of the thermal FMU of a model, and its equations.h.
 
     Raises
     ------
     HesrError
-        If a law has nothing that temperature could scale.
+        If temperature scales no part of a law.
     """
     rows = zip(model.laws, model.thermal, strict=True)
-    return _equations(model, tuple(thermal_component(law, thermal) for law, thermal in rows))
+    return discrete_equations(
+        model, tuple(thermal_component(law, thermal) for law, thermal in rows)
+    )
 
 
-def _equations(model: FrictionModel, components: tuple[Component, ...]) -> tuple[Interface, str]:
-    joints = [_joint(model, i, own) for i, own in enumerate(components, start=1)]
+def discrete_equations(
+    model: FrictionModel, components: Sequence[Component], switches: Sequence[Quantity] = ()
+) -> tuple[Interface, str]:
+    """Return the variables of the FMU of a model, and its equations.h.
+
+    Parameters
+    ----------
+    components : discrete-time equations of each joint.
+    switches : inputs of value 0 or 1 that all joints share; 1 at the start.
+    """
+    joints = [_joint(model, i, own, switches) for i, own in enumerate(components, start=1)]
     table = Interface(
         variables=(
-            *_signals(model, joints), start_mode(),
+            *_signals(model, joints, switches), start_mode(),
             *(scales(model) if components[0].shared else ()),
             *_own(model, components, joints),
         ),
@@ -72,17 +67,17 @@ def _equations(model: FrictionModel, components: tuple[Component, ...]) -> tuple
     )
 
 
-def _joint(model: FrictionModel, i: int, own: Component) -> Joint:
+def _joint(model: FrictionModel, i: int, own: Component, switches: Sequence[Quantity]) -> Joint:
     at = place(model.laws[i - 1], i)
     slow = tuple(m.name for m in own.memory if isinstance(m, Slow))
     names = {q.name: f"{q.name}[{i}]" for q in (*own.inputs, *own.shared, *own.outputs)}
     return Joint(
-        # Starts are no part of the equations: joints that differ in them alone share their C.
+        # Without starts in the equations, joints that differ only in starts share C code.
         component=replace(own, parameters=tuple(
             replace(p, start=0.0, description="", unit="1") if isinstance(p, Parameter)
             else replace(p, description="", unit="1") for p in own.parameters
         )),
-        names=names | {ADAPT.name: ADAPT.name},
+        names=names | {switch.name: switch.name for switch in switches},
         states=(*(f"{n}[{i}]" for n in slow), *at.states),
         derivatives=(*(f"der({n}[{i}])" for n in slow), *at.derivatives),
         starts=(*(f"{n}_start[{i}]" for n in slow), *at.starts),
@@ -90,26 +85,34 @@ def _joint(model: FrictionModel, i: int, own: Component) -> Joint:
     )  # fmt: skip
 
 
-def _signals(model: FrictionModel, joints: list[Joint]) -> Iterator[Variable]:
+def _signals(
+    model: FrictionModel, joints: list[Joint], switches: Sequence[Quantity]
+) -> Iterator[Variable]:
     own = joints[0].component
     for quantity in own.inputs:
-        if quantity == ADAPT:
-            yield Variable(name=ADAPT.name, role="input", unit="1", start=1.0, switch=True,
-                           description=ADAPT.description)  # fmt: skip
+        if quantity in switches:
+            yield Variable(
+                name=quantity.name,
+                role="input",
+                unit="1",
+                start=1.0,
+                switch=True,
+                description=quantity.description,
+            )
             continue
         for i, _ in enumerate(joints, start=1):
-            # A law is as it was fitted at the reference.
+            # The factors of temperature are 1 at the reference.
             start = model.thermal[i - 1].reference if quantity == TEMPERATURE else 0.0
             yield of_joint(model, quantity, i, "input", start=start)
     for quantity in own.outputs:
         for i, joint in enumerate(joints, start=1):
-            # Afterwards it is held: it moves by steps, not with what is set between them.
+            # Later it changes with steps only, not with inputs set between them.
             at_start = dependencies(joint, quantity.symbol, starting=True)
             yield of_joint(model, quantity, i, "output", initial_dependencies=at_start)
 
 
 def _own(
-    model: FrictionModel, components: tuple[Component, ...], joints: list[Joint]
+    model: FrictionModel, components: Sequence[Component], joints: list[Joint]
 ) -> Iterator[Variable]:
     rows = zip(model.laws, components, joints, model.slides, strict=True)
     for i, (law, component, joint, slides) in enumerate(rows, start=1):

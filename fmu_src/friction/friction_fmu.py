@@ -19,7 +19,7 @@ from fmu_src.export.package import (
     translation_unit,
     write_fmu,
 )
-from fmu_src.friction.discrete_fmu import adaptive_equations, thermal_equations
+from fmu_src.friction.discrete_fmu import thermal_equations
 from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_component import POWER, equations_to_c, interface
 from fmu_src.friction.reference import reference_files
@@ -53,16 +53,15 @@ def export_fmu(
     audit: ModelAudit | None = None,
     power: bool = False,
     band: bool = False,
-    adaptive: bool = False,
     body: PageBody | None = None,
     progress: Progress = silent,
     fmi: Version = 2,
 ) -> Path:
     """Write a friction model as an FMU of FMI 2.0, or 3.0, for co-simulation and model exchange.
 
-    Adaptive ones, and those of models that follow temperature, are for co-simulation only, and have
-    no pages. The same model gives the same bytes. The date in it is that of SOURCE_DATE_EPOCH, else
-    that of the model's provenance ("created"), else a fixed one.
+    FMUs of thermal models are for co-simulation only, and have no pages. The same model gives the
+    same bytes. The date is SOURCE_DATE_EPOCH, otherwise that of the model's provenance ("created"),
+    otherwise a fixed one.
 
     Parameters
     ----------
@@ -74,8 +73,6 @@ def export_fmu(
     power : whether the power that the friction takes is an output, too.
     band : whether `tau_lower[i]` and `tau_upper[i]`, between which measured friction lies, are
         outputs, too.
-    adaptive : whether the FMU follows friction, from measured torques; without the battery's table,
-        the power and the band.
     body : the rigid body of the robot, for the FMU's page: it then finds the friction in a log of
         measured torques itself.
     progress : told for how many platforms it is built.
@@ -96,9 +93,7 @@ def export_fmu(
         If the model has no band.
     """
     check_request(path, platforms)
-    if adaptive:
-        whole = adaptive_content(model)
-    elif model.thermal:
+    if model.thermal:
         whole = thermal_content(model, beside=bool(power or band or properties or body))
     else:
         whole = content(model, properties, audit, power=power, band=band, body=body)
@@ -169,22 +164,8 @@ def _component(
     if band:
         model.require_band()
     table = interface(model, more, band=band)
-    about = _about(model, "friction", "from their motion")
-    return _bare(model, about, table, equations_to_c(model, table, more, band=band))
-
-
-def adaptive_content(model: FrictionModel) -> Content:
-    """Return the FMU of a model that follows friction, before it is compiled.
-
-    Raises
-    ------
-    HesrError
-        If the model is none that can follow friction.
-    """
-    about = _about(model, "adaptive", "that follow what is measured")
-    table, header = adaptive_equations(model)
-    require_numbers(model)
-    return _bare(model, about, table, header)
+    about = about_model(model, "friction", "from their motion")
+    return bare_content(model, about, table, equations_to_c(model, table, more, band=band))
 
 
 def thermal_content(model: FrictionModel, *, beside: bool = False) -> Content:
@@ -197,23 +178,26 @@ def thermal_content(model: FrictionModel, *, beside: bool = False) -> Content:
     """
     if beside:
         raise ExportError(
-            f"friction model '{model.law}' follows temperature, and its FMU goes with none of "
-            "power, band, properties and rigid body; the model that 'hesr thermal' was given does."
+            f"friction model '{model.law}': a thermal FMU supports no power, band, properties or "
+            "rigid body; export the model without temperature."
         )
-    about = _about(model, "friction", "from their motion and temperature")
+    about = about_model(model, "friction", "from their motion and temperature")
     table, header = thermal_equations(model)
     require_numbers(model)
-    return _bare(model, about, table, header)
+    return bare_content(model, about, table, header)
 
 
-def _bare(model: FrictionModel, about: Description, table: Interface, header: str) -> Content:
-    # Measured torques find the start of the model that it carries.
+def bare_content(
+    model: FrictionModel, about: Description, table: Interface, header: str
+) -> Content:
+    """Return the FMU of a model without pages; it carries the model."""
     return Content(
         table=table, about=about, sources=equation_sources(header), members=embedding(model)
     )
 
 
-def _about(model: FrictionModel, kind: str, text: str) -> Description:
+def about_model(model: FrictionModel, kind: str, text: str) -> Description:
+    """Return the description of a friction FMU of a kind."""
     return description_of(
         model,
         name=f"{kind.capitalize()} of {model.robot} by {model.law}",

@@ -8,7 +8,7 @@ import typer
 
 from hesr.cli.console import shown_progress
 from hesr.cli.old_app import Output, Platforms, app
-from hesr.cli.writers import Format, Request, write_law, write_robot
+from hesr.cli.writers import FMUS, Format, Request, write_law, write_robot
 from hesr_model.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -32,7 +32,8 @@ def export(
         Format,
         typer.Option(
             "--format",
-            help="Of a friction model: fmu (velocity in, torque out), drive (an FMU with the "
+            help="Of a friction model: fmu (velocity in, torque out), adaptive (an FMU "
+            "that estimates friction from measured torques), drive (an FMU with the "
             "rotor: torque in, velocity out), mjcf (actuators for MuJoCo), modelica, c (one header "
             "without FMI), torch or jax (one batched, differentiable file), ssv (coefficients "
             "and their covariance as a parameter set of SSP).",
@@ -77,14 +78,6 @@ def export(
             "--band",
             help="FMU: between which torques measured friction lies as outputs, too; "
             "coefficients and their covariance beside it as NAME.ssv.",
-        ),
-    ] = False,
-    adaptive: Annotated[
-        bool,
-        typer.Option(
-            "--adaptive",
-            help="FMU: one that follows friction, from measured torques (ParFam-S, "
-            "LuGre); for co-simulation.",
         ),
     ] = False,
     fmi: Annotated[
@@ -143,7 +136,6 @@ def export(
             properties=properties,
             power=power,
             band=band,
-            adaptive=adaptive,
             fmi=_VERSIONS[fmi],
             robot=robot,
             rigid_body=rigid_body,
@@ -170,10 +162,9 @@ def _refuse_others(
         "--properties": (request.properties, (Format.FMU,)),
         "--power": (request.power, (Format.FMU,)),
         "--band": (request.band, (Format.FMU,)),
-        "--adaptive": (request.adaptive, (Format.FMU,)),
         "--rigid-body": (request.rigid_body is not None, (Format.FMU,)),
-        "--fmi": (request.fmi != 2, (Format.FMU, Format.DRIVE)),
-        "--platform": (platform is not None, (Format.FMU, Format.DRIVE)),
+        "--fmi": (request.fmi != 2, FMUS),
+        "--platform": (platform is not None, FMUS),
     }
     for option, (present, formats) in given.items():
         if present and of_robot and option != "--platform":
@@ -181,8 +172,3 @@ def _refuse_others(
         if present and kind not in formats:
             allowed = " or ".join(f"--format {f}" for f in formats)
             raise ConfigError(f"{option} needs {allowed}, but the format is '{kind}'.")
-    others = (request.power, request.properties, request.band, request.rigid_body is not None)
-    if request.adaptive and any(others):
-        raise ConfigError(
-            "--adaptive goes with none of --power, --band, --properties and --rigid-body."
-        )

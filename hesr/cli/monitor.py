@@ -34,7 +34,7 @@ def monitor(
     with working("following friction"):
         watched = commands.monitor(logs, law, rigid_body, robot, accept=accept or ())
         if page:
-            from cosim.report.monitor import write_monitor
+            from hesr.extras.adaptive.page import write_monitor
 
             write_monitor(page, watched)
     data = {

@@ -11,6 +11,7 @@ import typer
 
 from hesr.cli.numbers import numbers
 from hesr_model.errors import ConfigError
+from hesr_model.support import plugins
 from hesr_model.support.progress import Progress, Stages
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ class Format(StrEnum):
     """What a friction model can be written as."""
 
     FMU = "fmu"
+    ADAPTIVE = "adaptive"
     DRIVE = "drive"
     MJCF = "mjcf"
     MODELICA = "modelica"
@@ -31,6 +33,10 @@ class Format(StrEnum):
     TORCH = "torch"
     JAX = "jax"
     SSV = "ssv"
+
+
+FMUS = (Format.FMU, Format.ADAPTIVE, Format.DRIVE)
+"""Formats that are FMUs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +51,6 @@ class Request:
     properties: bool
     power: bool
     band: bool
-    adaptive: bool
     fmi: "Version"
     robot: Path | None
     rigid_body: Path | None
@@ -92,16 +97,17 @@ def write_law(model: str, kind: Format, request: Request) -> None:
     file = model_file(model)
 
     def write() -> None:
-        from cosim.workflow.commands import writer
         from hesr_model.friction.model import FrictionModel
 
         law = FrictionModel.read(file)
-        written = writer(kind)(law, request.output, **_options(law, kind, request))
+        written = plugins.find("hesr.exports", kind)(
+            law, request.output, **_options(law, kind, request)
+        )
         if kind is Format.MJCF:
             for line in written.lines():
                 typer.echo(line)
 
-    if kind in (Format.FMU, Format.DRIVE) and not request.properties:
+    if kind in FMUS and not request.properties:
         options = {
             "format": kind,
             "platforms": request.platforms,
@@ -109,7 +115,6 @@ def write_law(model: str, kind: Format, request: Request) -> None:
             "fmi": request.fmi,
             "power": request.power,
             "band": request.band,
-            "adaptive": request.adaptive,
             "body": request.body and {"cutoff": request.body.cutoff, **request.body.files},
         }
         exported(file, options, request.output, write)
@@ -126,7 +131,7 @@ def _options(model: "FrictionModel", kind: Format, request: Request) -> dict[str
     """Return what the function of a format is given besides the model and the file."""
     if kind is Format.MJCF:
         return {"project": request.project, "progress": request.building}
-    if kind not in (Format.FMU, Format.DRIVE):
+    if kind not in FMUS:
         return {}
     options: dict[str, Any] = {"platforms": request.platforms, "fmi": request.fmi}
     if kind is Format.DRIVE:
@@ -134,8 +139,8 @@ def _options(model: "FrictionModel", kind: Format, request: Request) -> dict[str
         options |= {name: _of_joints(name, text, joints) for name, text in request.motor.items()}
         if options["inertia"] is None:
             raise ConfigError("--format drive needs --inertia, the rotors' inertia in kg.m2.")
-    else:
-        options |= {name: getattr(request, name) for name in ("power", "band", "adaptive", "body")}
+    elif kind is Format.FMU:
+        options |= {name: getattr(request, name) for name in ("power", "band", "body")}
         options["properties"] = _properties(model, request) if request.properties else None
     return options | {"progress": request.building}
 

@@ -23,6 +23,10 @@ from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.scales import scaled_bound
 
+CHANGE = 0.1
+"""Smallest change of friction to detect, as a share."""
+CHANGE_OF_OFFSET = 0.5
+"""Smallest change of the offset to detect, in standard deviations of the unexplained torque."""
 _CLIPPED = 1.0 - 1e-9
 """Share of its bound at which a stop counts as clipped: rounding."""
 

@@ -103,6 +103,20 @@ def names(group: str) -> tuple[str, ...]:
     return tuple(load(group))
 
 
+def find(group: str, name: str) -> Any:
+    """Import and return the object of a plug-in.
+
+    Raises
+    ------
+    ConfigError
+        If there is none of this name, or it cannot be imported.
+    """
+    known = load(group)
+    if name not in known:
+        raise ConfigError(f"{GROUPS[group]} '{name}' is unknown; known are {', '.join(known)}.")
+    return known[name].load()
+
+
 def _exists(module: str) -> bool:
     try:
         return find_spec(module) is not None

@@ -7,8 +7,9 @@ from adaptive_models import lugre, model, stops
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from fmu_src.export.package import write_fmu
-from fmu_src.friction.friction_fmu import adaptive_content, export_bare
+from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run.fmu import Component
+from hesr.extras.adaptive.adaptive_fmu import adaptive_content
 
 STEP = 0.005
 

@@ -11,11 +11,11 @@ from small_fmus import LAGS, lag
 
 from cosim.report.inspection import write_inspection
 from cosim.report.markup import Section, table, write_sections
-from cosim.report.monitor import write_monitor
 from cosim.report.tables.scores import errors
 from cosim.study.scores import compare
 from fmu_src import export_fmu
 from hesr.extras.adaptive.monitor import watch
+from hesr.extras.adaptive.page import write_monitor
 from hesr.extras.leaderboard.board_file import CLASSES, KINDS
 from hesr.extras.leaderboard.leaderboard import Leaderboard, ScoredLog, ScoredRobot, Standing
 from hesr.extras.leaderboard.page import write_page

@@ -23,14 +23,10 @@ from sources import (
 )
 
 KNOWN_UPWARD = {
-    "cosim.regressor",
-    "cosim.report.monitor",
     "cosim.workflow.commands",
-    "fmu_src.check.convention",
-    "fmu_src.friction.discrete_fmu",
-    "fmu_src.pages.live.log_section",
     "hesr.cli.arena",
     "hesr.cli.fleet",
+    "hesr.cli.monitor",
     "hesr.cli.sweep",
     "hesr.cli.view",
 }

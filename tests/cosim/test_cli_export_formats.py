@@ -109,13 +109,15 @@ def test_properties_stand_in_the_pages_of_the_fmu(hesr, tmp_path):
         (["--fmi", "4", "-o", "F.fmu"], "--fmi is '4'; versions of FMI are 2 and 3."),
         (
             ["--fmi", "3", "--format", "modelica", "-o", "F.mo"],
-            "--fmi needs --format fmu or --format drive, but the format is 'modelica'.",
+            "--fmi needs --format fmu or --format adaptive or --format drive, but the format is "
+            "'modelica'.",
         ),
         (["--inertia", "3", "-o", "F.fmu"], "--inertia needs --format drive, but the format is "),
         (["--project", "-o", "F.fmu"], "--project needs --format mjcf, but the format is 'fmu'."),
         (
             ["--format", "mjcf", "--platform", "win64", "-o", "f.xml"],
-            "--platform needs --format fmu or --format drive, but the format is 'mjcf'.",
+            "--platform needs --format fmu or --format adaptive or --format drive, but the "
+            "format is 'mjcf'.",
         ),
         (
             ["--format", "modelica", "--properties", "-o", "F.mo"],
@@ -154,7 +156,7 @@ def test_the_body_in_the_page_of_an_fmu(hesr, study_run, tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["others.json"]
     for arguments, sentence in (
         (["--format", "drive"], "--rigid-body needs --format fmu, but the format is 'drive'."),
-        (["--adaptive"], "--adaptive goes with none of"),
+        (["--format", "adaptive"], "--rigid-body needs --format fmu, but the format is"),
     ):
         answer = hesr("export", TABLE_1, *given, *arguments, "-o", "F.fmu")
         assert answer.code == 2

@@ -32,7 +32,7 @@ OUTPUTS = ("tau", "level", "viscosity", "offset", "level_sd", "viscosity_sd", "o
 
 @pytest.fixture(scope="module")
 def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return export(MODEL, tmp_path_factory.mktemp("adaptive") / "Adaptive.fmu", adaptive=True)
+    return export(MODEL, tmp_path_factory.mktemp("adaptive") / "Adaptive.fmu", "adaptive")
 
 
 @pytest.fixture(scope="module")
@@ -212,5 +212,5 @@ def test_a_law_without_bounds_leaves_nothing(tmp_path: Path) -> None:
     values = {"F_c": 1.0, "F_s": 1.0, "v_s": 0.1, "sigma_2": 1.0, "tau_0": 0.0}
     law = FrictionLaw(name="stribeck", form=Stribeck.form({}), values=values)
     with pytest.raises(ExportError, match="has neither stops nor bristles"):
-        export(model(law), tmp_path / "Static.fmu", adaptive=True)
+        export(model(law), tmp_path / "Static.fmu", "adaptive")
     assert not list(tmp_path.iterdir())

@@ -21,6 +21,7 @@ from fmu_src.blocks.velocity import velocity
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
+from hesr.extras.adaptive.adaptive_fmu import export_adaptive
 from hesr_model.friction.band import Band
 from hesr_model.friction.thermal import Thermal
 from hesr_model.robots.transmission import Coupling
@@ -78,7 +79,8 @@ def export(loop, table1, make_law, make_model, tmp_path_factory):
             return export_bare(make_model(*bare, coupling=turned), path)
         if name in ("warm", "adaptive", "thermal"):
             known = followed if name == "adaptive" else replace(followed, thermal=(WARM,) * 2)
-            return export_fmu(known, path, adaptive=name != "thermal", fmi=fmi)
+            write = export_fmu if name == "thermal" else export_adaptive
+            return write(known, path, fmi=fmi)
         return write_fmu({"trajectory": trajectory, "velocity": velocity}[name](3), path, fmi=fmi)
 
     return write

@@ -126,7 +126,9 @@ def test_heat_is_state_and_begins_anew_after_a_reset(fmu: Path) -> None:
 def test_what_it_has_not_is_refused(more: str, tmp_path: Path) -> None:
     found = Properties(law="lugre", robot="arm", tau_load=0.0, joints=())
     options = {more: found if more == "properties" else True}
-    with pytest.raises(ExportError, match="follows temperature, and its FMU goes with none of"):
+    with pytest.raises(
+        ExportError, match="a thermal FMU supports no power, band, properties or rigid"
+    ):
         export(MODEL, tmp_path / "F.fmu", **options)
     assert not list(tmp_path.iterdir())
 
@@ -154,9 +156,9 @@ def test_forms_without_temperature_say_so(form: Any, name: str, tmp_path: Path) 
 def test_what_measures_an_fmu_against_its_law_needs_a_law_that_stays(
     fmu: Path, tmp_path: Path
 ) -> None:
-    adaptive = export(replace(MODEL, thermal=()), tmp_path / "Adaptive.fmu", adaptive=True)
+    adaptive = export(replace(MODEL, thermal=()), tmp_path / "Adaptive.fmu", "adaptive")
     for path in (fmu, adaptive):
-        with pytest.raises(SimulationError, match="follows neither friction nor temperature"):
+        with pytest.raises(SimulationError, match="does not support adaptive or thermal FMUs"):
             judge(path)
 
 

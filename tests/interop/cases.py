@@ -16,7 +16,8 @@ from fmu_src.blocks.trajectory import start_values, trajectory
 from fmu_src.blocks.velocity import velocity
 from fmu_src.drive.drive_fmu import content as drive
 from fmu_src.export.package import Version, write_fmu
-from fmu_src.friction.friction_fmu import adaptive_content, export_bare
+from fmu_src.friction.friction_fmu import export_bare
+from hesr.extras.adaptive.adaptive_fmu import adaptive_content, export_adaptive
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
@@ -66,7 +67,7 @@ def alone(folder: Path, closed: Together) -> list[Alone]:
         driven(friction, name="friction"),
         driven(friction, name="exact", start=EXACT),
         driven(export_fmu(lugre(), folder / "LuGre.fmu"), name="lugre"),
-        driven(export_fmu(followed(), folder / "Adaptive.fmu", adaptive=True), name="adaptive"),
+        driven(export_adaptive(followed(), folder / "Adaptive.fmu"), name="adaptive"),
         *(driven(used[name].fmu, name=name, start=used[name].start) for name in names),
     ]
 

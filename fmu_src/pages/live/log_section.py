@@ -1,10 +1,10 @@
-"""What a page needs to read a measured log and to say whether friction has drifted."""
+"""Section of a page that reads a measured log and detects drift of friction."""
 
 from typing import Any
 
 from fmu_src.pages.html import rendered
 from fmu_src.pages.live.body import PageBody
-from hesr.extras.adaptive.tuning import TUNING
+from hesr_model.friction.factors import CHANGE, CHANGE_OF_OFFSET
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.guess import vocabulary
 from hesr_model.logs.log_format import LogFormat
@@ -12,25 +12,25 @@ from hesr_model.units import OTHERS, SLIDING, TURNING
 
 _LOAD = ("load", "rigid", "gravity")
 _FRICTION = ("friction", "fric")
-"""Words of columns that no log of a robot has, but one that was worked on."""
+"""Words in the names of columns that exist only in processed logs."""
 
 
 def log_section(model: FrictionModel, body: PageBody | None = None, key: str = "live") -> str:
     """Return the section of a page that takes a log.
 
-    A live section of the same key, whose module and connectors it uses, must stand before it, and
-    `page.live_assets(log=True)` behind it. With a body it finds the rigid-body torque itself.
+    It uses the module and connectors of a live section of the same key before it, and needs
+    `page.live_assets(log=True)` after it. With a body it computes the rigid-body torque.
 
     Raises
     ------
     ExportError
-        If the body is of other joints than the model, or the compiler fails.
+        If body and model have different joints, or the compiler fails.
     """
     return rendered("log.html.j2", data=_data(model, body), key=key)
 
 
 def _data(model: FrictionModel, body: PageBody | None) -> dict[str, Any]:
-    # Where motors turn with several joints, ranges and errors are not those of joints.
+    # With coupled joints, ranges and errors are those of motors.
     own = model.coupling is None
     count = len(model.joints)
     trained = model.trained if own and model.trained else (None,) * count
@@ -42,8 +42,8 @@ def _data(model: FrictionModel, body: PageBody | None) -> dict[str, Any]:
         "units": {"t": OTHERS["t"], **_units(model)},
         "cutoff": body.cutoff if body else LogFormat().filter_cutoff,
         "body": body.data(model.joints) if body else None,
-        "change": TUNING.change,
-        "shift": TUNING.change_of_offset,
+        "change": CHANGE,
+        "shift": CHANGE_OF_OFFSET,
         "joints": [
             {
                 "name": name,
@@ -57,7 +57,7 @@ def _data(model: FrictionModel, body: PageBody | None) -> dict[str, Any]:
 
 
 def _units(model: FrictionModel) -> dict[str, dict[str, float]]:
-    """Return units by quantity, SI first; where joints of both kinds are, SI alone."""
+    """Return units by quantity, SI first; only SI if some joints turn and others slide."""
     kinds = [SLIDING if slides else TURNING for slides in set(model.slides)]
     if len(kinds) == 1:
         return {quantity: dict(units) for quantity, units in kinds[0].items()}

@@ -1,31 +1,32 @@
-"""The numbers of an adaptive law, chosen on training logs."""
+"""Settings of an adaptive law, chosen on training logs."""
 
 from dataclasses import dataclass
+
+from hesr_model.friction.factors import CHANGE, CHANGE_OF_OFFSET
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tuning:
-    """How quickly factors follow, how far they go, and when they stay.
+    """Speed, limits and gates of the adaptation, and thresholds of its alarms.
 
     Attributes
     ----------
-    correlation_time : of what a law does not explain [s].
-    forgetting_time : over which the filter looks back [s].
-    level_sd, viscosity_sd : standard deviations of the factors before anything is measured; none is
-        ever less certain.
-    offset_sd : the same of the offset, over the noise.
-    level, viscosity : between which factors stay.
-    offset : how large it becomes, over the noise.
-    offset_rate : how quickly it moves, over the noise [1/s].
+    correlation_time : correlation time of the unexplained torque [s].
+    forgetting_time : window over which the filter looks back [s].
+    level_sd, viscosity_sd : initial and largest standard deviations of the factors.
+    offset_sd : the same for the offset, relative to the noise.
+    level, viscosity : limits of the factors.
+    offset : limit of the offset, relative to the noise.
+    offset_rate : largest rate of the offset, relative to the noise [1/s].
     rest : share of the largest speed below which nothing is learned.
-    outlier : innovations over so many standard deviations are not learned from.
-    clipped : innovations count as no more than so many.
-    hold : for how long nothing is learned after an outlier [s].
-    carried : share of what factors had become that the next log starts from; how sure they are
-        starts anew, since a night lies between days.
-    change : smallest change of friction that is looked for, as a share.
-    change_of_offset : the same of the offset, over the noise.
-    alarm : log-likelihood ratio at which a change counts as found.
+    outlier : innovations above this number of standard deviations are not learned from.
+    clipped : innovations are limited to this number of standard deviations.
+    hold : time without learning after an outlier [s].
+    carried : share of the learned factors that the next log starts from; their standard deviations
+        start anew because days may lie between logs.
+    change : smallest change of friction to detect, as a share.
+    change_of_offset : the same for the offset, relative to the noise.
+    alarm : threshold of the log-likelihood ratio for a change.
     """
 
     correlation_time: float = 0.5
@@ -42,11 +43,11 @@ class Tuning:
     clipped: float = 3.0
     hold: float = 0.5
     carried: float = 0.25
-    change: float = 0.1
-    change_of_offset: float = 0.5
+    change: float = CHANGE
+    change_of_offset: float = CHANGE_OF_OFFSET
     alarm: float = 20.0
 
 
 TUNING = Tuning()
-"""As chosen on the training logs of the UR10e: of laws that were fitted to one or two of them and
-followed over those left out, in the order of their days, with the least harm to any joint."""
+"""Values chosen on the training logs of the UR10e: laws were fitted to one or two logs and followed
+over the others in the order of their days; no joint loses much."""

@@ -1,4 +1,4 @@
-"""The page of `hesr monitor`: factors over days of logs, alarms, and what they point to."""
+"""Page of `hesr monitor`: alarms with their likely causes, and factors over days of logs."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ def write_monitor(path: Path, watched: Watched) -> None:
     ArtifactError
         If it cannot be written.
     """
-    pictures = Pictures(folder=path.parent)  # its figures stand in the page only
+    pictures = Pictures(folder=path.parent)  # figures are embedded
     count = len(watched.alarms)
     said = f"{count} change{'s' if count != 1 else ''} found." if count else "No change was found."
     robot = watched.model.robot

@@ -1,0 +1,54 @@
+"""Adaptive friction FMUs: friction estimated from measured torques, for co-simulation only.
+
+Inputs in addition to those of a friction FMU: `tau_meas[i]`, `tau_rigid[i]`, `adapt`. Further
+outputs: factors with standard deviations, alarms and health.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from fmu_src.export.package import Content, Version, check_request, write_fmu
+from fmu_src.friction.discrete_fmu import discrete_equations
+from fmu_src.friction.friction_fmu import about_model, bare_content
+from fmu_src.friction.validity import require_numbers
+from hesr.extras.adaptive.component import ADAPT
+from hesr.extras.adaptive.follow import adaptive_components
+from hesr_model.friction.model import FrictionModel
+from hesr_model.support.progress import Progress, silent
+
+
+def export_adaptive(
+    model: FrictionModel,
+    path: Path,
+    *,
+    platforms: Sequence[str] = ("linux64",),
+    progress: Progress = silent,
+    fmi: Version = 2,
+) -> Path:
+    """Write a friction model as an adaptive FMU, without pages.
+
+    Parameters
+    ----------
+    model : one law for each joint, with stops or bristles.
+    path : the FMU to write, ending in .fmu.
+    platforms : names of `toolchain.TARGETS`, or "all".
+    progress : reports the number of platforms built.
+    fmi : version of FMI.
+
+    Raises
+    ------
+    HesrError
+        If the model lacks its training error, has coupled motors or a law without stops and
+        bristles; or `path` cannot be written.
+    """
+    check_request(path, platforms)
+    content = adaptive_content(model)
+    return write_fmu(content, path, platforms=platforms, progress=progress, fmi=fmi)
+
+
+def adaptive_content(model: FrictionModel) -> Content:
+    """Return the adaptive FMU of a model before it is compiled; errors are as above."""
+    about = about_model(model, "adaptive", "that follow what is measured")
+    table, header = discrete_equations(model, adaptive_components(model), (ADAPT,))
+    require_numbers(model)
+    return bare_content(model, about, table, header)
