@@ -10,7 +10,7 @@ from pathlib import Path
 
 from cosim.loop.excite import recordings
 from cosim.loop.motions import Motions
-from cosim.loop.truth_arm import twins_fmu, twins_plant
+from cosim.loop.twin import export_twin, twin_plant
 from cosim.study.scores import MEASURED_START, Errors
 from cosim.study.seeds import errors_on
 from cosim.study.study import Study
@@ -52,8 +52,8 @@ def _under(study: Study, path: Path, truth: str, laws: Sequence[str]) -> Errors:
         del law, error
 
     with scratch_folder() as folder:
-        plant, signals = twins_plant(twin, path, folder)
-        arm = twins_fmu(plant, signals, folder)
+        plant, signals = twin_plant(twin, path, folder)
+        arm = export_twin(plant, folder, signals)
         logs, truths = {}, {}
         for found in recordings(Motions.read(twin.motions), plant, fmu=arm):
             logs[found.log.name], truths[found.log.name] = found.log, found.truth.tau_f_true

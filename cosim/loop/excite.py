@@ -3,16 +3,14 @@
 import hashlib
 import logging
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from cosim.loop.motions import Motions, names_of
-from cosim.loop.twin import FmuArm
-from fmu_src.arm.plant import Arm, ArmOutput, Noise, Plant
-from fmu_src.run.fmu import Component
+from cosim.loop.twin import ArmRun, TwinArm, loaded_arm
+from fmu_src.arm.plant import Plant
 from hesr_model.errors import ConfigError
 from hesr_model.logs.noise import words
 from hesr_model.logs.robot_log import RobotLog
@@ -39,7 +37,7 @@ class Recording:
     """
 
     log: RobotLog
-    truth: ArmOutput
+    truth: ArmRun
     desired: Array
 
     @property
@@ -62,9 +60,9 @@ def excite(
     ----------
     motions : what to run.
     plant : the arm.
-    folder : where the logs go, as ``<name>.csv``; created if need be.
-    seed : of the noise, in place of the plant file's.
-    fmu : the arm as an FMU, which then gives the logs; the arm in Python where left out.
+    folder : receives the logs as ``<name>.csv``; created if it does not exist.
+    seed : seed of the noise; that of the plant by default.
+    fmu : FMU of the arm; made from its servo by default.
 
     Returns
     -------
@@ -93,21 +91,17 @@ def recordings(
     motions: Motions, plant: Plant, *, seed: int | None = None, fmu: Path | None = None
 ) -> Iterator[Recording]:
     """Run the arm along every motion, with the truth beside each log; see `excite`."""
-    noise = plant.noise if seed is None else plant.noise.model_copy(update={"seed": seed})
-    with ExitStack() as cleanup:
-        arm: Arm | FmuArm = Arm(plant)
-        if fmu is not None:
-            component = cleanup.enter_context(Component(fmu, name="arm"))
-            arm = FmuArm(component, plant, arm.limits)
+    noise_seed = plant.noise.seed if seed is None else seed
+    with loaded_arm(plant, fmu=fmu) as arm:
         for motion in motions.motions:
             forward = motion.trajectory()
             both = (forward, forward.time_reversed())
             for name, trajectory in zip(names_of(motion), both, strict=False):
-                yield record(arm, trajectory, noise, name=name, unlogged=motion.unlogged)
+                yield record(arm, trajectory, noise_seed, name=name, unlogged=motion.unlogged)
 
 
 def record(
-    arm: Arm | FmuArm, trajectory: Trajectory, noise: Noise, *, name: str, unlogged: float = 0.0
+    arm: TwinArm, trajectory: Trajectory, seed: int, *, name: str, unlogged: float = 0.0
 ) -> Recording:
     """Run the arm along one motion from rest and log it.
 
@@ -116,9 +110,8 @@ def record(
 
     Parameters
     ----------
-    noise : its seed is combined with `name`, so that every log has noise of its own, whatever other
-        logs are recorded beside it.
-    unlogged : time that is run before the log begins [s].
+    seed : combined with `name`, so that the noise of a log does not depend on other logs.
+    unlogged : time before the log begins [s].
 
     Raises
     ------
@@ -141,30 +134,13 @@ def record(
     desired = trajectory.sample(np.arange(count + 1) / rate)[0]
     _require_reachable(arm, desired, name)
     commands = np.diff(desired, axis=0) * rate
-    own = noise.model_copy(update={"seed": _seed_of_log(noise.seed, name)})
-    if isinstance(arm, FmuArm):
-        arm.seed = own.seed
-    output = arm.reset(desired[0])
-    outputs, measured = [], []
-    for command in commands:
-        outputs.append(output)
-        if isinstance(arm, FmuArm):
-            measured.append(arm.measured)
-        output = arm.step(command, 1 / rate)
-    kept = outputs[first:]
-    names = ("q", "dq", "tau_meas", "tau_f_true")
-    truth = ArmOutput(**{x: np.array([getattr(sample, x) for sample in kept]) for x in names})
-    if isinstance(arm, FmuArm):
-        q, tau = (np.array(values) for values in zip(*measured[first:], strict=True))
-    else:  # the arm in Python has no noise of its own
-        sample = np.arange(first, count)
-        q, tau = truth.q + own.encoder_error(sample), truth.tau_meas + own.torque_error(sample)
+    truth = arm.run(desired[0], commands, seed=_seed_of_log(seed, name), unlogged=first)
     log = RobotLog(
         name=name,
-        t=np.arange(len(kept)) / rate,
-        q=q,
-        dq=np.gradient(q, 1 / rate, axis=0),
-        tau=tau,
+        t=np.arange(count - first) / rate,
+        q=truth.q_noisy,
+        dq=np.gradient(truth.q_noisy, 1 / rate, axis=0),
+        tau=truth.tau_noisy,
     )
     return Recording(log=log, truth=truth, desired=desired[first:count])
 
@@ -186,7 +162,7 @@ def _seed_of_log(seed: int, name: str) -> int:
     return int(words(seed, stream, 0))
 
 
-def _require_reachable(arm: Arm | FmuArm, desired: Array, name: str) -> None:
+def _require_reachable(arm: TwinArm, desired: Array, name: str) -> None:
     joints = arm.plant.joints
     if desired.shape[1] != len(joints):
         raise ConfigError(

@@ -1,65 +1,148 @@
-"""The twin's arm as an FMU, behind the interface of the Python arm."""
+"""The digital twin's arm: its plant and signals as a study names them, and runs of its FMU."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu_src.arm.plant import ArmOutput, Plant
+from cosim.loop.closed_loop import ARM
+from cosim.study.study import Twin
+from fmu_src.arm.alternative_plants import write_truth
+from fmu_src.arm.native import export_mjcf
+from fmu_src.arm.parts import Signals
+from fmu_src.arm.plant import Plant, joint_limits, servo_signals
+from fmu_src.arm.table import SignalTable
 from fmu_src.run.fmu import Component
+from fmu_src.run.native import through
+from hesr_model.errors import ConfigError
 from hesr_model.support.arrays import Array
+from hesr_model.support.files import scratch_folder
 
-_TRUE = ("q_true", "dq_true", "tau_true", "tau_f_true")
-_MEASURED = ("q", "tau_meas")
+# Outputs of the FMU, by the fields of `ArmRun`.
+_OUTPUTS = {
+    "q": "q_true", "dq": "dq_true", "tau_meas": "tau_true", "tau_f_true": "tau_f_true",
+    "q_noisy": "q", "tau_noisy": "tau_meas",
+}  # fmt: skip
 
 
-class FmuArm:
-    """An arm under velocity command, run as an FMU.
-
-    It measures by itself: `measured` is what its noisy outputs say at the instant reached.
+def twin_plant(twin: Twin, study: Path, folder: Path) -> tuple[Plant, SignalTable | None]:
+    """Return a twin's arm with the friction that its study names, and its table of signals if any.
 
     Parameters
     ----------
-    component : FMU of the signals in models/uf850/arm.toml, loaded.
-    plant : joints, sample rate and noise.
-    limits : lowest and highest position (n, 2) [rad].
+    twin : of the study.
+    study : its file, for errors.
+    folder : receives the MJCF of an alternative plant.
+
+    Raises
+    ------
+    ConfigError
+        If a file is wrong, or the plant has no such truth.
+    """
+    plant = Plant.read(twin.plant)
+    signals = SignalTable.read(twin.signals) if twin.signals else None
+    if twin.truth is None or signals is None:
+        return plant, signals
+    if twin.truth not in plant.truths:
+        known = ", ".join(plant.truths) or "none"
+        raise ConfigError(
+            f"{study}: truth '{twin.truth}' is unknown; those of {twin.plant} are: {known}."
+        )
+    mjcf = folder / "arm.xml"
+    signals = write_truth(plant.truths[twin.truth], plant.model, plant.joints, signals, mjcf)
+    return plant.model_copy(update={"model": mjcf}), signals
+
+
+def export_twin(plant: Plant, folder: Path, signals: SignalTable | Signals | None = None) -> Path:
+    """Write the arm as an FMU in `folder`; its signals follow from the servo unless given."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return export_mjcf(plant.model, folder / ARM, table=signals or servo_signals(plant))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ArmRun:
+    """Motion and torques of an arm, (N, n) at N instants.
+
+    Attributes
+    ----------
+    q, dq : without noise [rad, rad/s].
+    tau_meas : torque of the servo with gravity compensation [N.m]: rigid body plus friction.
+    tau_f_true : friction torque [N.m], positive where it opposes positive velocity.
+    q_noisy, tau_noisy : position and torque as they are measured [rad, N.m].
     """
 
-    def __init__(self, component: Component, plant: Plant, limits: Array) -> None:
-        self.plant, self.limits = plant, limits
-        self.seed = plant.noise.seed
-        self.measured: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
-        """Position [rad] and torque [N.m] with their noise, (n,) each."""
+    q: Array
+    dq: Array
+    tau_meas: Array
+    tau_f_true: Array
+    q_noisy: Array
+    tau_noisy: Array
+
+
+class TwinArm:
+    """An arm under velocity command, run as an FMU.
+
+    Parameters
+    ----------
+    component : FMU with the signals of models/uf850/arm.toml, loaded.
+    plant : joints, sample rate and noise.
+    """
+
+    def __init__(self, component: Component, plant: Plant) -> None:
+        self.plant = plant
+        self.limits = joint_limits(plant)
+        """Lowest and highest position (n, 2) [rad]."""
         self._component = component
-        self._steps = 0
-        joints = range(1, len(plant.joints) + 1)
-        names = [f"{signal}[{i}]" for signal in (*_TRUE, *_MEASURED) for i in joints]
-        self._outputs = component.batch(names)
-        self._command = component.batch([f"dq_cmd[{i}]" for i in joints])
 
-    def reset(self, q0: ArrayLike) -> ArmOutput:
-        """Put the arm at rest at `q0` (n,) [rad]; see `fmu_src.arm.plant.Arm.reset`."""
-        component = self._component
-        if component.used:
-            component.reset()
-        halves = {"noise_seed[1]": self.seed & 0xFFFFFFFF, "noise_seed[2]": self.seed >> 32}
-        start = {f"q0[{i}]": float(q) for i, q in enumerate(np.asarray(q0), start=1)}
-        noise = {f"{name}[{i}]": sigma
-                 for name, sigmas in (("q_noise", self.plant.noise.encoder),
-                                      ("tau_meas_noise", self.plant.noise.torque))
-                 for i, sigma in enumerate(sigmas, start=1)}  # fmt: skip
-        component.initialise(start={**start, **noise, **halves})
-        self._steps = 0
-        return self._read()
+    def run(self, q0: ArrayLike, commands: Array, *, seed: int, unlogged: int = 0) -> ArmRun:
+        """Start at rest at `q0` (n,) [rad], hold each command for a sample, and log.
 
-    def step(self, dq_cmd: ArrayLike, dt: float) -> ArmOutput:
-        """Hold a velocity command dq_cmd (n,) [rad/s] for `dt` [s]; return what the arm does."""
-        self._command.values[:] = dq_cmd
-        self._command.write()
-        self._component.step(self._steps * dt, dt)
-        self._steps += 1
-        return self._read()
+        Parameters
+        ----------
+        q0 : start position; the servo's integral holds gravity and ripple there.
+        commands : (N, n) velocity commands [rad/s].
+        seed : seed of the measurement noise, 64 bit.
+        unlogged : number of samples before the log begins.
 
-    def _read(self) -> ArmOutput:
-        values = self._outputs.read().reshape(len(_TRUE) + len(_MEASURED), -1).copy()
-        q, dq, tau, friction, *measured = values
-        self.measured = (measured[0], measured[1])
-        return ArmOutput(q=q, dq=dq, tau_meas=tau, tau_f_true=friction)
+        Returns
+        -------
+        The arm at the instants at which the commands begin.
+        """
+        fmu, noise = self._component, self.plant.noise
+        if fmu.used:
+            fmu.reset()
+        vectors: dict[str, ArrayLike] = {
+            "q0": q0,
+            "q_noise": noise.encoder,
+            "tau_meas_noise": noise.torque,
+        }
+        start = {
+            f"{name}[{i}]": float(value)
+            for name, values in vectors.items()
+            for i, value in enumerate(np.asarray(values), start=1)
+        }
+        halves = {"noise_seed[1]": seed & 0xFFFFFFFF, "noise_seed[2]": seed >> 32}
+        fmu.initialise(start={**start, **halves})
+        joints = range(1, len(self.plant.joints) + 1)
+        inputs = fmu.batch([f"dq_cmd[{i}]" for i in joints])
+        outputs = fmu.batch([f"{name}[{i}]" for name in _OUTPUTS.values() for i in joints])
+        step = 1.0 / self.plant.sample_rate
+        times = step * np.arange(len(commands) - 1, dtype=float)
+        first = outputs.read().copy()
+        rows = through(fmu, inputs, outputs, times, np.full(len(times), step), commands[:-1])
+        values = np.vstack([first, rows])[unlogged:].reshape(-1, len(_OUTPUTS), len(joints))
+        return ArmRun(**{name: values[:, k] for k, name in enumerate(_OUTPUTS)})
+
+
+@contextmanager
+def loaded_arm(
+    plant: Plant, *, fmu: Path | None = None, signals: Signals | None = None
+) -> Iterator[TwinArm]:
+    """Load the arm's FMU, which is made of `signals` unless given, and free it in the end."""
+    with ExitStack() as cleanup:
+        if fmu is None:
+            fmu = export_twin(plant, cleanup.enter_context(scratch_folder()), signals)
+        yield TwinArm(cleanup.enter_context(Component(fmu, name="arm")), plant)

@@ -15,9 +15,10 @@ from scipy.special import stdtrit
 
 from cosim.loop.excite import record
 from cosim.loop.motions import FourierMotion, Motion, Motions, SweepMotion, names_of
+from cosim.loop.twin import loaded_arm
 from cosim.study.scores import ORACLE, REFERENCE, Errors, by_joint, predict_models
 from cosim.study.study import Study
-from fmu_src.arm.plant import Arm, Plant
+from fmu_src.arm.plant import Plant, servo_signals
 from hesr_model.errors import ConfigError
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.metrics import score
@@ -129,19 +130,16 @@ def one_draw(study: Study, seed: int, laws: Sequence[str]) -> Errors:
     assert study.twin is not None
     rng = np.random.default_rng(seed)
     plant = Plant.read(study.twin.plant)
-    noise = plant.noise.model_copy(update={"seed": int(rng.integers(2**31))})
-    arm = Arm(plant)
-    joints = len(plant.joints)
-    arm.scale_friction(
-        np.exp(rng.normal(0.0, LEVEL, joints)), np.exp(rng.normal(0.0, VISCOSITY, joints))
-    )
+    noise_seed, joints = int(rng.integers(2**31)), len(plant.joints)
+    levels, rates = (np.exp(rng.normal(0.0, sd, joints)) for sd in (LEVEL, VISCOSITY))
     logs, truths = {}, {}
-    for motion in Motions.read(study.twin.motions).motions:
-        own = _drawn(motion, arm.limits, rng)
-        both = (own.trajectory(), own.trajectory().time_reversed())
-        for name, trajectory in zip(names_of(own), both, strict=False):
-            found = record(arm, trajectory, noise, name=name, unlogged=own.unlogged)
-            logs[name], truths[name] = found.log, found.truth.tau_f_true
+    with loaded_arm(plant, signals=servo_signals(plant, levels, rates)) as arm:
+        for motion in Motions.read(study.twin.motions).motions:
+            own = _drawn(motion, arm.limits, rng)
+            both = (own.trajectory(), own.trajectory().time_reversed())
+            for name, trajectory in zip(names_of(own), both, strict=False):
+                found = record(arm, trajectory, noise_seed, name=name, unlogged=own.unlogged)
+                logs[name], truths[name] = found.log, found.truth.tau_f_true
     return errors_on(study, logs, truths, laws, partial(fit_models, seed=seed, workers=1))
 
 

@@ -143,12 +143,12 @@ class Job:
         # MuJoCo is loaded for a twin only.
         from cosim.loop.excite import excite
         from cosim.loop.motions import Motions
-        from cosim.loop.truth_arm import twins_fmu, twins_plant
+        from cosim.loop.twin import export_twin, twin_plant
 
         self.progress("running the arm", 0, 1)
         motions = self.study.twin.motions
-        plant, signals = twins_plant(self.study.twin, self.path, folder)
-        arm = twins_fmu(plant, signals, folder)
+        plant, signals = twin_plant(self.study.twin, self.path, folder)
+        arm = export_twin(plant, folder / "fmus", signals)
         made = excite(Motions.read(motions), plant, folder / "logs", fmu=arm)
         self.progress("running the arm", 1, 1)
         for name in names:
@@ -221,10 +221,10 @@ class Job:
         if self.study.tracking is None or self.study.twin is None:
             return None
         from cosim.loop.run import run_loop
-        from cosim.loop.truth_arm import twins_plant
+        from cosim.loop.twin import twin_plant
         from fmu_src.arm.truth import true_friction
 
-        plant, signals = twins_plant(self.study.twin, self.path, folder)
+        plant, signals = twin_plant(self.study.twin, self.path, folder)
         truth = true_friction(
             plant.model,
             plant.joints,

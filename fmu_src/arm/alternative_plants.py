@@ -18,11 +18,9 @@ from typing import Annotated, Any, Self
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-import mujoco
-import numpy as np
 from pydantic import Field, model_validator
 
-from fmu_src.arm.signals import compiled
+from fmu_src.arm.signals import compiled, passive_motors
 from fmu_src.arm.table import Losses, LossTable, NotNegative, OutputTable, Positive, SignalTable
 from hesr_model.errors import ConfigError
 from hesr_model.support.config import Config
@@ -48,7 +46,7 @@ class Yielding(Config):
     limit: tuple[Positive, ...]
 
 
-class Transmission(Config):
+class GearElasticity(Config):
     """What is between the rotors and the links, one entry per joint.
 
     Attributes
@@ -77,7 +75,7 @@ class Truth(Config):
 
     losses: Losses
     viscous: tuple[NotNegative, ...]
-    transmission: Transmission | None = None
+    transmission: GearElasticity | None = None
 
     @model_validator(mode="after")
     def _one_entry_per_joint(self) -> Self:
@@ -143,10 +141,7 @@ def write_truth(
 
 def _without_elements(root: Element, model: Any) -> set[str]:
     """Take the passive dcmotors out; return the names of the sensors that go with them."""
-    passive = (model.actuator_dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR) & (
-        np.asarray(model.actuator_ctrlnum) == 0
-    )
-    elements = {model.actuator(int(i)).name for i in np.flatnonzero(passive)}
+    elements = {model.actuator(i).name for i in passive_motors(model)}
     gone = set()
     for section in (*root.iterfind("actuator"), *root.iterfind("sensor")):
         for part in list(section):
@@ -163,7 +158,7 @@ def _link(joint: str) -> str:
 
 
 def _divided(
-    root: Element, joint: Element, known: Any, i: int, transmission: Transmission
+    root: Element, joint: Element, known: Any, i: int, transmission: GearElasticity
 ) -> Element:
     """Divide a joint into rotor and link; return the rotor's, which takes its name.
 

@@ -4,11 +4,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu_src.arm.parts import Loss
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 LEAST_LEVEL = 1e-9
 """A joint without any friction has none in MuJoCo's constraints."""

@@ -41,7 +41,7 @@ def export_mjcf(
     model: Path,
     path: Path,
     *,
-    table: Path | SignalTable | None = None,
+    table: Path | SignalTable | Signals | None = None,
     platforms: Sequence[str] = ("linux64",),
     progress: Progress = silent,
 ) -> Path:
@@ -51,8 +51,8 @@ def export_mjcf(
     ----------
     model : the MJCF.
     path : the FMU to write, ending in .fmu.
-    table : names of its signals, or a TOML file that holds them, see `fmu_src.arm.table`; every
-        control and every sensor where left out.
+    table : its signals, their names, or a TOML file with these, see `fmu_src.arm.table`; by
+        default every control and every sensor.
     platforms : names of `toolchain.TARGETS`, or "all"; MuJoCo for others than this machine's comes
         from the package registry.
     progress : told for how many of them it is built.
@@ -71,7 +71,7 @@ def export_mjcf(
         If `path` cannot be written.
     """
     wanted = check_request(path, platforms)
-    signals = signals_of(model, table)
+    signals = table if isinstance(table, Signals) else signals_of(model, table)
     content = arm(
         signals,
         name=model_name(signals.model, model),

@@ -1,27 +1,29 @@
-"""The arm as MuJoCo simulates it: rigid body, servo and true friction, all from one MJCF."""
+"""The arm of a digital twin: its MJCF, servo and measurement noise, and the signals of its FMU."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
 from fmu_src.arm.alternative_plants import Truth, TruthName
-from fmu_src.arm.signals import compiled
-from hesr_model.errors import ConfigError, SimulationError
-from hesr_model.logs.noise import standard_normal
+from fmu_src.arm.parts import Signals
+from fmu_src.arm.signals import compiled, named_signals, passive_motors
+from fmu_src.arm.table import InputTable, OutputTable, SignalTable, StartTable
+from hesr_model.errors import ConfigError
+from hesr_model.support.arrays import Array
 from hesr_model.support.config import Config, RelativePath
 
-Array = NDArray[np.float64]
-
-_TORQUE, _ENCODER = 0, 1
+_SENSORS = {
+    "q": mujoco.mjtSensor.mjSENS_JOINTPOS,
+    "dq": mujoco.mjtSensor.mjSENS_JOINTVEL,
+    "tau": mujoco.mjtSensor.mjSENS_JOINTACTFRC,
+}
 
 
 class Servo(Config):
-    """Which parts of the MJCF are the servo, one entry per joint.
+    """The parts of the MJCF that are the servo, one entry per joint.
 
     Attributes
     ----------
@@ -44,7 +46,7 @@ class Noise(Config):
     Attributes
     ----------
     seed
-        Of `hesr_model.logs.noise`.
+        Seed of `hesr_model.logs.noise`.
     torque, encoder
         Standard deviations per joint [N.m], [rad].
     """
@@ -60,22 +62,9 @@ class Noise(Config):
             raise ValueError("standard deviations must not be negative")
         return values
 
-    def torque_error(self, counter: ArrayLike) -> Array:
-        """Torque noise of samples number `counter` (N,), (N, n) [N.m]."""
-        return self._draw(_TORQUE, self.torque, counter)
-
-    def encoder_error(self, counter: ArrayLike) -> Array:
-        """Position noise of samples number `counter` (N,), (N, n) [rad]."""
-        return self._draw(_ENCODER, self.encoder, counter)
-
-    def _draw(self, quantity: int, sigma: Sequence[float], counter: ArrayLike) -> Array:
-        streams = 2 * np.arange(len(sigma)) + quantity
-        rows = np.atleast_1d(np.asarray(counter))[:, None]
-        return np.array(sigma) * standard_normal(self.seed, streams, rows)
-
 
 class Plant(Config):
-    """What the MJCF does not hold.
+    """Facts about the arm that the MJCF does not hold.
 
     Attributes
     ----------
@@ -84,9 +73,9 @@ class Plant(Config):
     joints
         From base to tip, in the order of every list here and of every output.
     sample_rate
-        Of logs and commands [Hz].
+        Rate of logs and commands [Hz].
     truths
-        Other frictions than that of the MJCF, of which a study may take one.
+        Alternatives to the friction of the MJCF, by name.
     """
 
     model: RelativePath
@@ -108,162 +97,117 @@ class Plant(Config):
         return table
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ArmOutput:
-    """What the arm does at one instant, without noise.
+def joint_limits(plant: Plant) -> Array:
+    """Return the lowest and highest position (n, 2) [rad] of each joint.
 
-    Attributes
-    ----------
-    q, dq
-        (n,) [rad, rad/s].
-    tau_meas
-        (n,) torque of the servo with gravity compensation [N.m]: rigid body plus friction.
-    tau_f_true
-        (n,) friction torque [N.m], positive where it opposes positive velocity.
+    Raises
+    ------
+    ConfigError
+        If the MJCF is missing, cannot be compiled or lacks a joint.
     """
+    model = compiled(plant.model)
+    for joint in plant.joints:
+        _require(model, "joint", joint, plant)
+    return np.array([model.joint(joint).range for joint in plant.joints])
 
-    q: Array
-    dq: Array
-    tau_meas: Array
-    tau_f_true: Array
 
+def servo_signals(
+    plant: Plant, coulomb: Array | float = 1.0, viscous: Array | float = 1.0
+) -> Signals:
+    """Return the signals of an arm without a table of its own: command, motion, torque, friction.
 
-class Arm:
-    """An arm under velocity command, stepped by MuJoCo.
+    Sensors are added to the compiled model. Friction is that of the passive dcmotors and the
+    damping of the joints; the measured torque is everything else that drives a joint, gravity
+    compensation included.
 
     Parameters
     ----------
-    plant
-        The MJCF and the names in it.
+    plant : the arm.
+    coulomb, viscous : factors, (n,) or for all joints, on Coulomb and static friction with its
+        stiffness, and on the viscous friction of the dcmotors.
 
     Raises
     ------
     ConfigError
         If the MJCF is missing or cannot be compiled, or lacks a part that `plant` names.
     """
+    joint_limits(plant)  # refuses files that MuJoCo's specification reader does not
+    spec = mujoco.MjSpec.from_file(str(plant.model))
+    for i, actuator in enumerate(spec.actuators):
+        actuator.name = actuator.name or f"/actuator{i}"
+        spec.add_sensor(
+            name=f"/{actuator.name}", type=mujoco.mjtSensor.mjSENS_ACTUATORFRC,
+            objtype=mujoco.mjtObj.mjOBJ_ACTUATOR, objname=actuator.name,
+        )  # fmt: skip
+    for joint in plant.joints:
+        spec.joint(joint).actgravcomp = True
+        for suffix, kind in _SENSORS.items():
+            spec.add_sensor(
+                name=f"/{joint}/{suffix}", type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                objname=joint,
+            )  # fmt: skip
+    model = spec.compile()
+    for sensor in plant.servo.torque:
+        _require(model, "sensor", sensor, plant)
+    elements = [passive_motors(model, joint) for joint in plant.joints]
+    levels, rates = (np.broadcast_to(x, len(elements)) for x in (coulomb, viscous))
+    for own, level, rate in zip(elements, levels, rates, strict=True):
+        model.actuator_dynprm[own, 5] *= level  # bristle stiffness
+        model.actuator_biasprm[np.ix_(own, (3, 4))] *= level
+        model.actuator_damping[own] *= rate
+    return named_signals(model, plant.model, _table(model, plant, elements))
 
-    def __init__(self, plant: Plant) -> None:
-        self.plant = plant
-        self._model = compiled(plant.model)
-        self._data = mujoco.MjData(self._model)
-        self.timestep = float(self._model.opt.timestep)
-        """Step of the simulation [s]; commands are held for a multiple of it."""
-        joints = [self._find("joint", name).id for name in plant.joints]
-        self._qpos = self._model.jnt_qposadr[joints]
-        self._dof = self._model.jnt_dofadr[joints]
-        self.limits: Array = self._model.jnt_range[joints]
-        """Lowest and highest position (n, 2) [rad]."""
-        controls = [
-            (self._model.actuator_ctrladr[self._find("actuator", name).id], joint)
-            for joint, names in enumerate(plant.servo.commanded)
-            for name in names
-        ]
-        self._control, self._commanded_joint = np.array(controls).reshape(-1, 2).T
-        integrals = [self._find("actuator", name).id for name in plant.servo.integral]
-        self._integral = self._model.actuator_actadr[integrals]
-        self._integral_gain = self._model.actuator_gainprm[integrals, 0]
-        sensors = [self._find("sensor", name).id for name in plant.servo.torque]
-        self._servo_torque = self._model.sensor_adr[sensors]
-        self.steps = 0
-        """Steps of `timestep` since the last reset."""
-        self.reset(np.zeros(len(plant.joints)))
 
-    def _find(self, kind: str, name: str) -> Any:
-        try:
-            return getattr(self._model, kind)(name)
-        except KeyError as error:
-            raise ConfigError(f"{self.plant.model}: has no {kind} '{name}'.") from error
+def _table(model: Any, plant: Plant, elements: Sequence[Sequence[int]]) -> SignalTable:
+    """Name the signals; `elements` are the friction actuators of each joint."""
+    friction = [[model.actuator(i).name for i in own] for own in elements]
+    damping = [
+        float(model.joint(joint).damping[0] + model.actuator_damping[own].sum())
+        for joint, own in zip(plant.joints, elements, strict=True)
+    ]
 
-    @property
-    def time(self) -> float:
-        """Time since the last reset [s], from the step counter."""
-        return self.steps * self.timestep
+    def joints(suffix: str) -> tuple[dict[str, float], ...]:
+        return tuple({f"/{joint}/{suffix}": 1.0} for joint in plant.joints)
 
-    def scale_friction(self, coulomb: ArrayLike, viscous: ArrayLike) -> None:
-        """Multiply Coulomb and static friction, with its stiffness, and viscous friction.
-
-        Of what the MJCF holds as passive dcmotor actuators, before a run is reset.
-
-        Parameters
-        ----------
-        coulomb, viscous
-            (n,) factors.
-        """
-        model = self._model
-        for name, level, rate in zip(
-            self.plant.joints, np.asarray(coulomb), np.asarray(viscous), strict=True
-        ):
-            joint = model.joint(name).id
-            passive = (
-                (model.actuator_dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR)
-                & (model.actuator_ctrlnum == 0)
-                & (model.actuator_trnid[:, 0] == joint)
+    forces = [{f"/{name}": -1.0 for name in own} for own in friction]
+    tau = tuple(one | own for one, own in zip(joints("tau"), forces, strict=True))
+    lost = tuple(
+        own | {f"/{joint}/dq": rate}
+        for joint, own, rate in zip(plant.joints, forces, damping, strict=True)
+    )
+    streams = range(2 * len(plant.joints))
+    noise = plant.noise
+    return SignalTable(
+        seed=noise.seed % 2**64,
+        step=1.0 / plant.sample_rate,
+        friction=tuple(name for own in friction for name in own),
+        inputs={"dq_cmd": InputTable(unit="rad/s", actuators=plant.servo.commanded)},
+        outputs={
+            "q": OutputTable(
+                unit="rad", sensors=joints("q"), noise=noise.encoder, streams=tuple(streams[1::2])
+            ),
+            "tau_meas": OutputTable(
+                unit="N.m", sensors=tau, noise=noise.torque, streams=tuple(streams[::2])
+            ),
+            "q_true": OutputTable(unit="rad", sensors=joints("q")),
+            "dq_true": OutputTable(unit="rad/s", sensors=joints("dq")),
+            "tau_true": OutputTable(unit="N.m", sensors=tau),
+            "tau_f_true": OutputTable(
+                unit="N.m",
+                sensors=lost,
+                scaled=tuple(f"/{joint}/dq" for joint in plant.joints),
+            ),
+        },
+        start={
+            "q0": StartTable(
+                unit="rad", joints=plant.joints, integrals=plant.servo.integral, hold=True
             )
-            for i in np.flatnonzero(passive):
-                model.actuator_dynprm[i, 5] *= level  # bristle stiffness
-                model.actuator_biasprm[i, 3:5] *= level  # Coulomb and static friction
-                model.actuator_damping[i] *= rate
+        },
+    )
 
-    def reset(self, q0: ArrayLike) -> ArmOutput:
-        """Put the arm at rest at `q0` (n,) [rad], in equilibrium, with bristles unloaded.
 
-        Gravity is compensated; what ripple there is at `q0`, the servo's integral holds.
-        """
-        mujoco.mj_resetData(self._model, self._data)
-        self._data.qpos[self._qpos] = q0
-        self._data.act[self._integral] = q0
-        self.steps = 0
-        self._data.act[self._integral] += self._output().tau_f_true / self._integral_gain
-        return self._output()
-
-    def step(self, dq_cmd: ArrayLike, dt: float) -> ArmOutput:
-        """Hold a velocity command for `dt` and return what the arm does at the end.
-
-        Parameters
-        ----------
-        dq_cmd
-            (n,) [rad/s]; the servo sees it after its latency.
-        dt
-            A positive integer multiple of `timestep` [s].
-
-        Raises
-        ------
-        SimulationError
-            If `dt` is no such multiple, or a command is not a finite number.
-        """
-        count = round(dt / self.timestep)
-        if count < 1 or abs(dt - count * self.timestep) > 1e-6 * self.timestep:
-            raise SimulationError(
-                f"{self.plant.model}: a step of {dt:g} s is asked for; a positive integer "
-                f"multiple of {self.timestep:g} s is needed."
-            )
-        command = np.asarray(dq_cmd, dtype=float)
-        if not np.isfinite(command).all():
-            raise SimulationError(
-                f"{self.plant.model}: the velocity command at {self.time:g} s is "
-                f"{command.tolist()}; finite numbers are needed."
-            )
-        data = self._data
-        data.ctrl[self._control] = command[self._commanded_joint]
-        mujoco.mj_step(self._model, data, nstep=count)
-        self.steps += count
-        return self._output()
-
-    def _output(self) -> ArmOutput:
-        """Read the instant that has been reached.
-
-        Commands act through the delay line only, so that evaluating the forces here depends on
-        the state alone and changes nothing of it.
-        """
-        data = self._data
-        mujoco.mj_forward(self._model, data)
-        dof = self._dof
-        tau_meas = data.sensordata[self._servo_torque] + data.qfrc_gravcomp[dof]
-        # Whatever else acts on a joint is friction.
-        passive = data.qfrc_actuator[dof] + data.qfrc_passive[dof] - tau_meas
-        return ArmOutput(
-            q=data.qpos[self._qpos],
-            dq=data.qvel[dof],
-            tau_meas=tau_meas,
-            tau_f_true=-passive,
-        )
+def _require(model: Any, kind: str, name: str, plant: Plant) -> None:
+    try:
+        getattr(model, kind)(name)
+    except KeyError as error:
+        raise ConfigError(f"{plant.model}: has no {kind} '{name}'.") from error

@@ -8,6 +8,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import mujoco
+import numpy as np
 
 from fmu_src.arm.default_signals import SINGLE, everything
 from fmu_src.arm.parts import Input, Loss, Output, Signals, Start
@@ -63,6 +64,21 @@ def _parts(element: ElementTree.Element) -> int:
     return 1 + copies * sum(map(_parts, element))
 
 
+def passive_motors(model: Any, joint: str | None = None) -> list[int]:
+    """Return the dcmotors without control, which act as friction; on one joint if it is named."""
+    passive = (model.actuator_dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR) & (
+        np.asarray(model.actuator_ctrlnum) == 0
+    )
+    if joint is not None:
+        passive &= model.actuator_trnid[:, 0] == model.joint(joint).id
+    return np.flatnonzero(passive).tolist()
+
+
+def named_signals(model: Any, file: Path, table: SignalTable) -> Signals:
+    """Return the signals of a compiled model that a table names; errors name `file`."""
+    return _Lookup(model, file).signals(table)
+
+
 def signals_of(path: Path, table: Path | SignalTable | None = None) -> Signals:
     """Return the signals of an MJCF: those of a table, or every control and every sensor.
 
@@ -79,9 +95,9 @@ def signals_of(path: Path, table: Path | SignalTable | None = None) -> Signals:
     """
     model = compiled(path)
     if isinstance(table, SignalTable):
-        return _Lookup(model, path).signals(table)
+        return named_signals(model, path, table)
     if table is not None:
-        return _Lookup(model, table).signals(read_toml(table, SignalTable))
+        return named_signals(model, table, read_toml(table, SignalTable))
     if not model.nsensor:
         raise ConfigError(f"{path}: has no sensor, so an FMU of it would have no output.")
     return everything(model)

@@ -7,15 +7,14 @@ from typing import Any, cast
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu_src.arm.losses import LossState
 from fmu_src.arm.parts import Signals
 from fmu_src.arm.variables import LATENCY, PAYLOAD, SCALE, SEED, noise_name, variables
 from hesr_model.errors import SimulationError
 from hesr_model.logs.noise import standard_normal
-
-Array = NDArray[np.float64]
+from hesr_model.support.arrays import Array
 
 LEAST_SCALE = 1e-9
 """Of friction that is switched off: MuJoCo has no bristles without stiffness, but their states."""

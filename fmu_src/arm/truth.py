@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-import numpy as np
 import sympy
 
-from fmu_src.arm.signals import compiled
+from fmu_src.arm.signals import compiled, passive_motors
 from fmu_src.arm.table import LossTable
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Relaxation
@@ -61,11 +60,6 @@ def true_friction(
     losses : of the joints.
     """
     model = compiled(mjcf)
-    elements: dict[str, list[int]] = {joint: [] for joint in joints}
-    for i in np.flatnonzero(model.actuator_dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR):
-        joint = model.joint(int(model.actuator_trnid[i, 0])).name
-        if model.actuator_ctrlnum[i] == 0 and joint in elements:
-            elements[joint].append(int(i))
     return FrictionModel(
         law="true_friction",
         robot=mjcf.stem,
@@ -73,7 +67,7 @@ def true_friction(
         laws=tuple(
             _of_losses(losses, i, float(model.joint(joint).damping[0]))
             if losses
-            else _law(model, elements[joint])
+            else _law(model, passive_motors(model, joint))
             for i, joint in enumerate(joints)
         ),
         sliding=tuple(

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from oracles.arm import encoder_error, torque_error
 
 from cosim.loop.motions import Motions, names_of
 from fmu_src.arm.plant import Plant
@@ -48,9 +49,9 @@ class Case:
         for k, log in enumerate(self.logs):
             noise = self.plant.noise.model_copy(update={"seed": 100 * seed + k})
             rows = np.arange(len(log.t))
-            q = log.q + noise.encoder_error(rows)
+            q = log.q + encoder_error(noise, rows)
             dq = np.gradient(q, log.t, axis=0)
-            yield replace(log, q=q, dq=dq, tau=log.tau + noise.torque_error(rows))
+            yield replace(log, q=q, dq=dq, tau=log.tau + torque_error(noise, rows))
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,9 @@ import pytest
 
 from cosim.loop.design import design
 from cosim.loop.excite import record
+from cosim.loop.twin import loaded_arm
 from cosim.report import figures
-from fmu_src.arm.plant import Arm, Plant
+from fmu_src.arm.plant import Plant
 from hesr_model.errors import ConfigError, FitError, RobotError
 from hesr_model.logs.tables import read_table
 from hesr_model.motions.excitation import ExcitationSettings, condition, random_motions
@@ -45,11 +46,12 @@ def designed(tmp_path_factory):
 def recorded(designed):
     """The second of two periods, forward and time-reversed, on the twin."""
     plant = Plant.read(FOLDER / "plant.toml")
-    arm, motion = Arm(plant), replace(designed.excitation.motion, periods=2)
-    return [
-        record(arm, trajectory, plant.noise, name=name, unlogged=motion.period)
-        for name, trajectory in (("forward", motion), ("backward", motion.time_reversed()))
-    ]
+    motion = replace(designed.excitation.motion, periods=2)
+    with loaded_arm(plant) as arm:
+        return [
+            record(arm, trajectory, 1, name=name, unlogged=motion.period)
+            for name, trajectory in (("forward", motion), ("backward", motion.time_reversed()))
+        ]
 
 
 def read(path):
@@ -128,7 +130,8 @@ def test_rigid_body_of_the_twin_is_identified(designed, recorded, model, method,
 def test_random_motions_keep_what_the_twin_can_do(model):
     plant = Plant.read(FOLDER / "plant.toml")
     motion = random_motions(model, ExcitationSettings(), 1, seed=3)[0]
-    record(Arm(plant), motion, plant.noise, name="random")
+    with loaded_arm(plant) as arm:
+        record(arm, motion, 1, name="random")
     assert condition(model, base_columns(model), motion) > 15.0
 
 

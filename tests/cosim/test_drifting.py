@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from closed_loop import GAINS, MOTION, UF850
+from oracles.arm import encoder_error
 from oracles.drifting_arm import DriftingArm
 from oracles.drifting_loop import (
     Drift,
@@ -152,7 +153,7 @@ def long_motion(seed: int) -> Fourier:
 
 def log_of(run: Drifted, rows: slice = slice(None), *, name: str = "loop") -> RobotLog:
     """What the twin's encoders and torque sensors have recorded."""
-    q = run.q + PLANT.noise.encoder_error(np.arange(len(run.t)))
+    q = run.q + encoder_error(PLANT.noise, np.arange(len(run.t)))
     return RobotLog(name=name, t=run.t[rows], q=q[rows], dq=None, tau=run.tau_meas[rows])
 
 

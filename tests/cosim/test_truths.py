@@ -7,7 +7,7 @@ import pytest
 from significance import against
 from small_study import hesr_here, uf850, write_study
 
-from cosim.loop.truth_arm import twins_plant
+from cosim.loop.twin import twin_plant
 from cosim.report.results import Results
 from cosim.report.tables.markdown import markdown
 from cosim.report.tables.scores import leading, other_truths
@@ -115,7 +115,7 @@ def test_an_unknown_truth_is_named_with_those_that_are_known(keys, tmp_path: Pat
     with pytest.raises(
         ConfigError, match=r"truth 'cheese' is unknown; those of .* are: strain_wave,"
     ):
-        twins_plant(twin, path, tmp_path)
+        twin_plant(twin, path, tmp_path)
 
 
 def test_seeds_are_not_drawn_for_another_truth(tmp_path: Path, capsys, monkeypatch):

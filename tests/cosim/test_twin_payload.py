@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from cosim.loop.excite import record
-from fmu_src.arm.plant import Arm, Plant
+from cosim.loop.twin import loaded_arm
+from fmu_src.arm.plant import Plant
 from hesr_model.errors import FitError
 from hesr_model.motions.trajectories import random_fourier
 from hesr_model.rigid_body.identification import identify
@@ -58,12 +59,13 @@ def logs(folders):
     both = []
     for folder in folders:
         plant = Plant.read(folder / "plant.toml")
-        both.append(
-            [
-                record(Arm(plant), run, plant.noise, name=f"{folder.parent.name}_{k}", unlogged=20)
-                for k, run in enumerate((motion, motion.time_reversed()))
-            ]
-        )
+        with loaded_arm(plant) as arm:
+            both.append(
+                [
+                    record(arm, run, 1, name=f"{folder.parent.name}_{k}", unlogged=20)
+                    for k, run in enumerate((motion, motion.time_reversed()))
+                ]
+            )
     return [[recording.log for recording in pair] for pair in both]
 
 
@@ -103,6 +105,7 @@ def test_a_log_without_payload_is_refused(models, logs, unloaded):
 
 def test_another_motion_without_payload_is_refused_too(folders, models, unloaded):
     plant = Plant.read(folders[0] / "plant.toml")
-    recording = record(Arm(plant), fourier(3, 1, [1.2, 1.0, 1.2]), plant.noise, name="other")
+    with loaded_arm(plant) as arm:
+        recording = record(arm, fourier(3, 1, [1.2, 1.0, 1.2]), 1, name="other")
     with pytest.raises(FitError, match=r"^log other: holds no payload"):
         identify_payload([recording.log], models[0], unloaded)

@@ -24,9 +24,10 @@ from mjcf_models import (
     started,
     steps,
 )
+from oracles.arm import Arm, encoder_error, torque_error
 
 from fmu_src.arm.native import export_mjcf
-from fmu_src.arm.plant import Arm, Plant
+from fmu_src.arm.plant import Plant
 from fmu_src.run.fmu import Component
 from hesr_model.errors import SimulationError
 from hesr_model.robots.robot import RobotDescription, RobotModel
@@ -90,8 +91,8 @@ def test_it_does_what_the_arm_in_python_does(fmu):
         "dq_true": [s.dq for s in states],
         "tau_true": tau,
         "tau_f_true": [s.tau_f_true for s in states],
-        "q": q + plant.noise.encoder_error(counter),
-        "tau_meas": tau + plant.noise.torque_error(counter),
+        "q": q + encoder_error(plant.noise, counter),
+        "tau_meas": tau + torque_error(plant.noise, counter),
     }
     for name, values in expected.items():
         np.testing.assert_allclose(found[name], values, rtol=0, atol=1e-9, err_msg=name)

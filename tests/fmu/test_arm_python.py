@@ -19,9 +19,10 @@ from mjcf_models import (
     names,
     run,
 )
+from oracles.arm import Arm
 
 from fmu_src.arm.native import export_mjcf
-from fmu_src.arm.plant import Arm, Plant
+from fmu_src.arm.plant import Plant
 from fmu_src.arm.python_fmu import export_python_arm
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.simulation import Simulation

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mjcf_models import HOME, OUTPUTS, STEP, UF850, Unpacked, assert_goes_on, run
 
-from fmu_src.arm.alternative_plants import Transmission, Truth, write_truth
+from fmu_src.arm.alternative_plants import GearElasticity, Truth, write_truth
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.signals import compiled, signals_of
@@ -315,7 +315,9 @@ def test_parts_that_do_not_go_together_are_named(tmp_path):
 def test_a_stiff_transmission_is_no_transmission(tmp_path):
     """Where nothing gives way, rotor and link go as one, as without a rotor."""
     losses = Losses(constant=(3.0, 3.0, 2.0))
-    stiff = Transmission(stiffness=(6e4, 6e4, 3e4), damping=(60.0, 60.0, 20.0), backlash=(0.0,) * 3)
+    stiff = GearElasticity(
+        stiffness=(6e4, 6e4, 3e4), damping=(60.0, 60.0, 20.0), backlash=(0.0,) * 3
+    )
     rows = []
     for name, gear in (("one", None), ("two", stiff)):
         truth = Truth(losses=losses, viscous=(10.0,) * 3, transmission=gear)

@@ -7,8 +7,9 @@ friction by its damping, as the factors of a friction law are; both may change a
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
+from oracles.arm import Arm
 
-from fmu_src.arm.plant import Arm, Plant
+from fmu_src.arm.plant import Plant
 
 _LEVELS = [3, 4]
 """Of Coulomb and static friction among MuJoCo's parameters of a bias."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from oracles.arm import encoder_error, torque_error
 from oracles.drifting_arm import DriftingArm
 
 from cosim.loop.closed_loop import Gains, Scheme, preview
@@ -211,7 +212,7 @@ def run_drifting(
     ahead = loop.desired(t + preview(SCHEME, loop.gains, step))
     arm = DriftingArm(loop.plant, LOAD)
     numbers = np.arange(count)
-    noise = loop.plant.noise.torque_error(numbers), loop.plant.noise.encoder_error(numbers)
+    noise = [error(loop.plant.noise, numbers) for error in (torque_error, encoder_error)]
     q, tau_meas, tau_true = (np.empty((count, n)) for _ in range(3))
     learned = {name: np.empty((count, n)) for name in (*_LEARNED, *_WATCHED)}
     so_far = Drifted(

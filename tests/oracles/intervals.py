@@ -14,12 +14,11 @@ from math import inf, prod
 
 import numpy as np
 import sympy
-from numpy.typing import NDArray
 
 from hesr_model.equations.functions import NUMPY
 from hesr_model.equations.memory import Element
+from hesr_model.support.arrays import Array
 
-Array = NDArray[np.float64]
 Interval = tuple[Array, Array]
 Box = Mapping[sympy.Symbol, tuple[float, float]]
 

@@ -7,9 +7,10 @@ the FMUs' C takes part. What does not depend on measurements is computed for the
 from dataclasses import dataclass
 
 import numpy as np
+from oracles.arm import Arm, encoder_error, torque_error
 
 from cosim.loop.closed_loop import Gains, Scheme, preview
-from fmu_src.arm.plant import Arm, Plant
+from fmu_src.arm.plant import Plant
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import Stepper, predict
 from hesr_model.motions.trajectories import Trajectory
@@ -82,7 +83,7 @@ def run_loop(loop: MonolithicLoop) -> LoopResult:
     t = loop.step * np.arange(count, dtype=float)
     q_d = _motion(loop, t)[0]
     noise = loop.plant.noise
-    encoder, torque = (e(np.arange(count)) for e in (noise.encoder_error, noise.torque_error))
+    encoder, torque = (e(noise, np.arange(count)) for e in (encoder_error, torque_error))
     desired = _Desired(loop, t)
     controller = _Controller(loop, q_d, desired)
     arm = Arm(loop.plant)

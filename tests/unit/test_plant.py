@@ -4,9 +4,10 @@ import mujoco
 import numpy as np
 import pinocchio
 import pytest
+from oracles.arm import Arm, encoder_error, torque_error
 from scipy.linalg import qr
 
-from fmu_src.arm.plant import Arm, Plant
+from fmu_src.arm.plant import Plant, servo_signals
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support.files import models_folder
 
@@ -386,7 +387,7 @@ def test_command_that_is_not_a_number_is_refused(arm):
 
 def test_noise_has_the_stated_deviation_and_is_independent(plant):
     counter = np.arange(50_000)
-    torque, encoder = plant.noise.torque_error(counter), plant.noise.encoder_error(counter)
+    torque, encoder = torque_error(plant.noise, counter), encoder_error(plant.noise, counter)
     np.testing.assert_allclose(torque.std(axis=0), plant.noise.torque, rtol=0.02)
     np.testing.assert_allclose(encoder.std(axis=0), plant.noise.encoder, rtol=0.02)
     together = np.corrcoef(np.hstack([torque, encoder]).T) - np.eye(6)
@@ -394,8 +395,8 @@ def test_noise_has_the_stated_deviation_and_is_independent(plant):
 
 
 def test_noise_of_a_sample_does_not_depend_on_its_neighbours(plant):
-    series = plant.noise.torque_error(np.arange(100))
-    np.testing.assert_allclose(plant.noise.torque_error(42)[0], series[42], rtol=1e-14)
+    series = torque_error(plant.noise, np.arange(100))
+    np.testing.assert_allclose(torque_error(plant.noise, 42)[0], series[42], rtol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -432,13 +433,13 @@ def test_part_that_the_model_lacks_is_named(plant, change, sentence):
     for key, value in change.items():
         data[key] = data[key] | value if isinstance(value, dict) else value
     with pytest.raises(ConfigError, match=sentence):
-        Arm(Plant.model_validate(data))
+        servo_signals(Plant.model_validate(data))
 
 
 def test_model_that_is_missing_or_broken_is_refused(plant, tmp_path):
     with pytest.raises(ConfigError, match="no such model file"):
-        Arm(plant.model_copy(update={"model": tmp_path / "none.xml"}))
+        servo_signals(plant.model_copy(update={"model": tmp_path / "none.xml"}))
     broken = tmp_path / "broken.xml"
     broken.write_text("<mujoco><worldbody>")
     with pytest.raises(ConfigError, match="cannot be compiled as an MJCF"):
-        Arm(plant.model_copy(update={"model": broken}))
+        servo_signals(plant.model_copy(update={"model": broken}))
