@@ -23,9 +23,13 @@ from hesr_model.support.files import scratch_folder
 
 # Outputs of the FMU, by the fields of `ArmRun`.
 _OUTPUTS = {
-    "q": "q_true", "dq": "dq_true", "tau_meas": "tau_true", "tau_f_true": "tau_f_true",
-    "q_noisy": "q", "tau_noisy": "tau_meas",
-}  # fmt: skip
+    "q": "q_true",
+    "dq": "dq_true",
+    "tau_meas": "tau_true",
+    "tau_f_true": "tau_f_true",
+    "q_noisy": "q",
+    "tau_noisy": "tau_meas",
+}
 
 
 def twin_plant(twin: Twin, study: Path, folder: Path) -> tuple[Plant, SignalTable | None]:

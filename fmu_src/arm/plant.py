@@ -136,16 +136,20 @@ def servo_signals(
     for i, actuator in enumerate(spec.actuators):
         actuator.name = actuator.name or f"/actuator{i}"
         spec.add_sensor(
-            name=f"/{actuator.name}", type=mujoco.mjtSensor.mjSENS_ACTUATORFRC,
-            objtype=mujoco.mjtObj.mjOBJ_ACTUATOR, objname=actuator.name,
-        )  # fmt: skip
+            name=f"/{actuator.name}",
+            type=mujoco.mjtSensor.mjSENS_ACTUATORFRC,
+            objtype=mujoco.mjtObj.mjOBJ_ACTUATOR,
+            objname=actuator.name,
+        )
     for joint in plant.joints:
         spec.joint(joint).actgravcomp = True
         for suffix, kind in _SENSORS.items():
             spec.add_sensor(
-                name=f"/{joint}/{suffix}", type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                name=f"/{joint}/{suffix}",
+                type=kind,
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
                 objname=joint,
-            )  # fmt: skip
+            )
     model = spec.compile()
     for sensor in plant.servo.torque:
         _require(model, "sensor", sensor, plant)

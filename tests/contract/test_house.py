@@ -45,7 +45,6 @@ KNOWN_DUPLICATES = {
     "Stepper",
     "Table",
     "Target",
-    "Transmission",
     "Unit",
     "Variable",
     "Verdict",
