@@ -11,7 +11,7 @@ Every command of `hesr` is one call, and every object one name::
 
 Objects   Robot, Log, RigidBody, FrictionModel, FrictionRegressor; HesrError, the base of all errors
 Commands  new, inspect, run, report, results, excite, identify, fit, evaluate, audit, properties,
-          arena, laws, export, check, replay, thermal, monitor, fleet, simulate,
+          arena, laws, export, check, replay, monitor, fleet, simulate,
           package
 
 Paths are text or paths. Logs, bodies, laws and comparisons show themselves as tables in a notebook;
@@ -33,11 +33,8 @@ if TYPE_CHECKING:
         evaluate,
         excite,
         export,
-        fit,
         fleet,
-        identify,
         inspect,
-        laws,
         monitor,
         new,
         package,
@@ -47,8 +44,9 @@ if TYPE_CHECKING:
         results,
         run,
         simulate,
-        thermal,
     )
+    from cosim.workflow.fit import fit, laws
+    from cosim.workflow.identify import identify
     from hesr_model.errors import HesrError
     from hesr_model.friction.model import FrictionModel
     from hesr_model.logs.robot_log import RobotLog as Log
@@ -83,7 +81,6 @@ if TYPE_CHECKING:
         "results",
         "run",
         "simulate",
-        "thermal",
     ]
 
 _COMMANDS = (
@@ -94,18 +91,19 @@ _COMMANDS = (
         "report",
         "results",
         "excite",
-        "identify",
-        "fit",
         "evaluate",
         "audit",
     ),
-    *("properties", "arena", "laws", "export", "replay", "thermal", "monitor"),
+    *("properties", "arena", "export", "replay", "monitor"),
     "fleet",
     "simulate",
     "package",
 )
 _HOMES = dict.fromkeys(_COMMANDS, "cosim.workflow.commands") | {
     "check": "cosim.workflow.check",
+    "fit": "cosim.workflow.fit",
+    "identify": "cosim.workflow.identify",
+    "laws": "cosim.workflow.fit",
     "FrictionModel": "hesr_model.friction.model",
     "FrictionRegressor": "cosim.regressor",
     "HesrError": "hesr_model.errors",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
     from hesr_model.findings import Finding
+    from hesr_model.support.files import PathArg
 
 MOST_LINES = 25
 """Largest number of lines of a summary."""
@@ -24,11 +25,13 @@ class Answer(ABC):
     format : name of the JSON format.
     findings : what the command found, errors first.
     files : files that the command wrote.
+    shows_tables : whether the tables are shown without `--verbose`, too.
     """
 
     format: str = "hesr-answer-1"
     findings: Sequence[Finding] = ()
     files: Sequence[Path] = ()
+    shows_tables: bool = False
 
     @abstractmethod
     def summary(self) -> str:
@@ -85,11 +88,13 @@ class Written(Answer):
     data : result as JSON data.
     """
 
+    format: str = "hesr-answer-1"
     lines: Sequence[str]
     shown: Sequence[ResultTable | str] = ()
     data: Any = None
     findings: Sequence[Finding] = ()
     files: Sequence[Path] = ()
+    shows_tables: bool = False
 
     def summary(self) -> str:
         """Return the lines, then the files."""
@@ -118,3 +123,17 @@ def shortened(lines: Iterable[str], files: Sequence[Path] = ()) -> str:
 def finding_lines(findings: Iterable[Finding]) -> list[str]:
     """Return one line per finding: severity, sentence and name of the check."""
     return [f"{f.severity}: {f.sentence} [{f.check}]" for f in findings]
+
+
+def health_of(provenance: Mapping[str, Any]) -> list[Finding]:
+    """Return the findings that the provenance of a result holds."""
+    from hesr_model.findings import Finding, errors_first
+    from hesr_model.support.typed_json import from_json
+
+    entries = provenance.get("health", ())
+    return errors_first(from_json(Finding, one, Path("provenance"), "a finding") for one in entries)
+
+
+def written_files(output: PathArg | None) -> list[Path]:
+    """Return the file that was written, if any, as a list."""
+    return [] if output is None else [Path(output)]

@@ -1,14 +1,16 @@
-"""What calls in Python are given: logs, robots, bodies and models, each itself or its file."""
+"""Arguments of workflow functions: text, paths and objects become logs, robots, bodies and laws."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from cosim.study.results import log_findings
-from fmu_src import model_file
-from hesr_model.errors import ConfigError, RobotError
+from fmu_src import BUILT_IN, model_file
+from hesr_model.errors import ArgumentError, ConfigError
 from hesr_model.findings import Finding
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health.examine import checked
@@ -16,34 +18,61 @@ from hesr_model.logs.robot_log import RobotLog, parts_of, require_different
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import RobotLike, RobotModel, model_of
-from hesr_model.support.files import PathArg as PathArg
-from hesr_model.support.files import path_of
-from hesr_model.support.progress import Progress, counted, silent
+from hesr_model.support.files import PathArg, path_of
+from hesr_model.support.progress import Progress, Stages, counted, silent
 
 if TYPE_CHECKING:
     from fmu_src.pages.live.body import PageBody
 
-AnyPath = str | PathLike[str]
-FmuArgs = AnyPath | Sequence[AnyPath]
-Log = RobotLog | AnyPath
-Body = RigidBody | AnyPath
-Model = FrictionModel | AnyPath
+RobotArg = RobotLike
+LogArg = RobotLog | PathArg
+Logs = LogArg | Sequence[LogArg]
+BodyArg = RigidBody | PathArg
+LawArg = FrictionModel | PathArg
+Laws = LawArg | Sequence[LawArg] | Mapping[str, LawArg]
+FmuArgs = PathArg | Sequence[PathArg]
+PerJoint = float | Sequence[float]
+"""One number for each joint, or one for all."""
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckedLogs:
+    """Logs that passed the checks, with their robot.
+
+    Attributes
+    ----------
+    logs : logs in the order of the arguments.
+    robot : robot of the logs.
+    findings : warnings of the checks, and accepted errors.
+    files : robot file, model file and log files, as far as known.
+    """
+
+    logs: list[RobotLog]
+    robot: RobotModel
+    findings: list[Finding]
+    files: list[Path]
+
+    def records(self, body: RigidBody) -> list[list[FrictionRecord]]:
+        """Return the friction in each part of the logs, [part][joint]."""
+        return [friction_records(part, self.robot, body) for part in parts_of(self.logs)]
 
 
 def logs_of(
-    logs: Log | Sequence[Log], robot: RobotLike | None, progress: Progress = silent
+    logs: Logs, robot: RobotArg | None = None, progress: Progress = silent
 ) -> list[RobotLog]:
-    """Return logs, those read that are given by their paths.
+    """Return logs; paths are read.
 
     Raises
     ------
-    RobotError
-        If a log is to be read and no robot is known.
+    ArgumentError
+        If a log is a path and its robot is unknown.
     """
     several = listed(logs)
-    known = robot if robot is not None else next(
-        (log.robot for log in several if isinstance(log, RobotLog) and log.robot), None
-    )  # fmt: skip
+    known = robot
+    if known is None:
+        known = next((g.robot for g in several if isinstance(g, RobotLog) and g.robot), None)
     read = []
     for log in counted(several, progress):
         if isinstance(log, RobotLog):
@@ -51,34 +80,61 @@ def logs_of(
             continue
         path = path_of(log, "a log")
         if known is None:
-            raise RobotError(f"{path}: to read this log its robot must be known; give 'robot'.")
+            raise ArgumentError(f"{path}: to read this log its robot must be known; give 'robot'.")
         read.append(RobotLog.read(path, known))
     return read
 
 
-def robot_of(robot: RobotLike | None, logs: Sequence[RobotLog]) -> RobotModel:
-    """Return the robot that is given, or that of the logs.
+def robot_of(robot: RobotArg | None, logs: Sequence[RobotLog]) -> RobotModel:
+    """Return the robot that is given, by default that of the logs.
 
     Raises
     ------
-    RobotError
+    ArgumentError
         If neither is known.
     """
     found = robot if robot is not None else next((log.robot for log in logs if log.robot), None)
     if found is None:
-        raise RobotError("the logs do not say of which robot they are; give 'robot'.")
+        raise ArgumentError("the logs do not say of which robot they are; give 'robot'.")
     return model_of(found)
 
 
-def body_of(body: Body | None, logs: Sequence[RobotLog], robot: RobotModel) -> RigidBody:
-    """Return the rigid body that is given, or that which the logs tell of."""
+def checked_logs(
+    logs: Logs, robot: RobotArg | None, accept: Sequence[str], progress: Stages = silent
+) -> CheckedLogs:
+    """Read logs and check them on their robot; warnings are logged.
+
+    Raises
+    ------
+    HealthError
+        Naming all errors of the logs that are not accepted.
+    """
+    if robot is not None:
+        robot = model_of(robot) if not isinstance(robot, str | PathLike) else robot
+    known = model_of(robot) if robot is not None else None
+    read = logs_of(logs, known, partial(progress, "reading logs"))
+    model = known or robot_of(None, read)
+    findings = examined(read, model, accept)
+    own = [Path(robot)] if isinstance(robot, str | PathLike) else []
+    paths = dict.fromkeys([*own, model.description.model, *(g.path for g in read if g.path)])
+    return CheckedLogs(logs=read, robot=model, findings=findings, files=list(paths))
+
+
+def examined(logs: Sequence[RobotLog], model: RobotModel, accept: Sequence[str]) -> list[Finding]:
+    """Check logs on their robot: refuse errors, log and return warnings."""
+    require_different(logs)
+    return log_findings(checked(logs, model, accept))
+
+
+def body_of(body: BodyArg | None, logs: Sequence[RobotLog], robot: RobotModel) -> RigidBody:
+    """Return the rigid body that is given, by default the one identified from the logs."""
     if body is None:
         return identify(logs, robot)
     return body if isinstance(body, RigidBody) else RigidBody.read(path_of(body, "a rigid body"))
 
 
-def page_body(robot: RobotLike, body: Body) -> "PageBody":
-    """Return a rigid body as the page of an FMU takes it.
+def page_body(robot: RobotArg, body: BodyArg) -> "PageBody":
+    """Return a rigid body in the form that the page of an FMU needs.
 
     Raises
     ------
@@ -91,45 +147,85 @@ def page_body(robot: RobotLike, body: Body) -> "PageBody":
     return PageBody.of(model, body_of(body, (), model))
 
 
-def listed(given: Any) -> list[Any]:
-    """Return what is given as a list, of one where it is none."""
-    several = isinstance(given, Iterable) and not isinstance(given, str | PathLike)
-    return list(given) if several else [given]
+def model_given(model: LawArg) -> FrictionModel:
+    """Return a friction model; a path or the name of a built-in model is read."""
+    if isinstance(model, FrictionModel):
+        return model
+    return FrictionModel.read(model_file(str(path_of(model, "a friction model"))))
 
 
-def records_of(
-    logs: Log | Sequence[Log],
-    robot: RobotLike | None,
-    rigid_body: Body | None,
-    accept: Sequence[str],
-    progress: Progress = silent,
-) -> tuple[list[list[FrictionRecord]], RobotModel, list[Finding]]:
-    """Return the friction in each log [log][joint], the robot, and what is odd in the logs."""
-    read = logs_of(logs, robot, progress)
-    model = robot_of(robot, read)
-    findings = examined(read, model, accept)
-    body = body_of(rigid_body, read, model)
-    return [friction_records(part, model, body) for part in parts_of(read)], model, findings
+@dataclass(frozen=True, kw_only=True)
+class NamedLaw:
+    """A law by name, with the FMU that carries it if the argument was one.
 
-
-def examined(logs: Sequence[RobotLog], model: RobotModel, accept: Sequence[str]) -> list[Finding]:
-    """Check logs on their robot; what cannot be right raises, what is odd is told and returned."""
-    require_different(logs)
-    return log_findings(checked(logs, model, accept))
-
-
-def telling_apart(namings: Sequence[Sequence[str]], what: str) -> Sequence[str]:
-    """Return the first of several ways to name things that gives each a name of its own.
-
-    Parameters
+    Attributes
     ----------
-    namings : (ways, things) names.
-    what : has been done with the things, for the error.
+    name : law of the model, else stem of the file, else its path; unique among all.
+    model : friction model; None for a foreign FMU.
+    fmu : path of the FMU; None for a model.
+    """
+
+    name: str
+    model: FrictionModel | None
+    fmu: Path | None
+
+
+def laws_of(laws: Laws) -> list[NamedLaw]:
+    """Return laws with unique names: by law, else by file name, else by path.
 
     Raises
     ------
     ConfigError
-        If none does, naming what is there twice.
+        If an argument is neither a model, nor an FMU, nor the name of a built-in model; if one is
+        given twice.
+    """
+    if isinstance(laws, Mapping):
+        return [NamedLaw(name=name, model=m, fmu=f) for name, (m, f) in
+                ((str(name), _law(law)) for name, law in laws.items())]  # fmt: skip
+    several = listed(laws)
+    read = [_law(law) for law in several]
+    paths = [law.law if isinstance(law, FrictionModel) else str(law) for law in several]
+    stems = [path if path in BUILT_IN else Path(path).stem for path in paths]
+    by_law = [
+        model.law if model and not fmu and path not in BUILT_IN else stem
+        for path, stem, (model, fmu) in zip(paths, stems, read, strict=True)
+    ]
+    names = telling_apart([by_law, stems, paths], "given")
+    return [
+        NamedLaw(name=name, model=model, fmu=fmu)
+        for name, (model, fmu) in zip(names, read, strict=True)
+    ]
+
+
+def _law(law: LawArg) -> tuple[FrictionModel | None, Path | None]:
+    if isinstance(law, FrictionModel):
+        return law, None
+    path = path_of(law, "a law")
+    suffix = path.suffix.lower()
+    if suffix == ".fmu":
+        from fmu_src.friction.embedded_model import embedded_model
+
+        return embedded_model(path), path
+    if str(path) not in BUILT_IN and suffix != ".json":
+        raise ConfigError(
+            f"'{path}' is neither a friction model (.json), nor an FMU (.fmu), nor one of "
+            f"{', '.join(BUILT_IN)}."
+        )
+    return model_given(path), None
+
+
+def telling_apart(namings: Sequence[Sequence[str]], what: str) -> Sequence[str]:
+    """Return the first of several ways to name things that gives unique names.
+
+    Parameters
+    ----------
+    namings : (ways, things) names.
+    what : past participle for the error, as "given".
+
+    Raises
+    ------
+    ConfigError
+        If none does, naming one that occurs twice.
     """
     for names in namings:
         if len(set(names)) == len(names):
@@ -137,30 +233,31 @@ def telling_apart(namings: Sequence[Sequence[str]], what: str) -> Sequence[str]:
     raise ConfigError(f"'{Counter(namings[-1]).most_common(1)[0][0]}' is {what} twice.")
 
 
-def model_given(model: Model) -> FrictionModel:
-    """Return a friction model, read where it is given by its file or built-in name."""
-    if isinstance(model, FrictionModel):
-        return model
-    return FrictionModel.read(model_file(str(path_of(model, "a friction model"))))
-
-
-def named(models: Any) -> dict[str, FrictionModel]:
-    """Return friction models by name: by their law, or as a mapping says.
+def per_joint(name: str, values: PerJoint | None, joints: int) -> tuple[float, ...] | None:
+    """Return one value per joint; a single one serves all.
 
     Raises
     ------
-    ConfigError
-        If two have the same law, or there is none.
+    ArgumentError
+        If the number of values fits neither.
     """
-    if isinstance(models, Mapping):
-        return {str(name): model_given(model) for name, model in models.items()}
-    read = [model_given(model) for model in listed(models)]
-    found = {model.law: model for model in read}
-    if len(found) != len(read) or not read:
-        raise ConfigError(
-            f"{len(read)} friction models have {len(found)} names; give a mapping that names each."
+    if values is None:
+        return None
+    several = tuple(values) if isinstance(values, Sequence) else (float(values),)
+    if len(several) == joints:
+        return several
+    if len(several) > 1:
+        raise ArgumentError(
+            f"'{name}': found {len(several)} values, but the model has {joints} joints; needed is "
+            "one for each, or one for all."
         )
-    return found
+    return several * joints
+
+
+def listed(given: Any) -> list[Any]:
+    """Return an iterable as a list, anything else as the only item of one."""
+    several = isinstance(given, Iterable) and not isinstance(given, str | PathLike)
+    return list(given) if several else [given]
 
 
 def paths_of(files: PathArg | Sequence[PathArg], what: str) -> list[Path]:

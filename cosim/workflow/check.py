@@ -14,10 +14,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cosim.report.tables.table import ResultTable
-    from cosim.workflow.arguments import FmuArgs, PathArg
+    from cosim.workflow.arguments import FmuArgs
     from fmu_src.check.convention import Convention
     from fmu_src.check.report import Report
     from hesr_model.findings import Finding
+    from hesr_model.support.files import PathArg
 
 Kind = Literal["static", "references", "hostile", "convention"]
 

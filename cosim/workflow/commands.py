@@ -6,32 +6,32 @@ what is odd is logged.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.workflow.arguments import (
-    AnyPath,
-    Body,
-    Log,
-    Model,
-    examined,
+    BodyArg as Body,
+)
+from cosim.workflow.arguments import (
+    LawArg as Model,
+)
+from cosim.workflow.arguments import (
+    LogArg as Log,
+)
+from cosim.workflow.arguments import (
+    body_of,
+    checked_logs,
+    laws_of,
     listed,
-    logs_of,
     model_given,
-    named,
     page_body,
-    records_of,
-    robot_of,
 )
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import RobotLog
-from hesr_model.rigid_body.identification import Method, RigidBody
-from hesr_model.rigid_body.identification import identify as identify_body
 from hesr_model.robots.robot import RobotLike
 from hesr_model.support import plugins
-from hesr_model.support.files import models_folder, path_of
+from hesr_model.support.files import PathArg, models_folder, path_of
 
 if TYPE_CHECKING:
     from cosim.loop.design import Design
@@ -42,14 +42,12 @@ if TYPE_CHECKING:
     from hesr.extras.adaptive.monitor import Watched
     from hesr.extras.fleet.result import Fleet
     from hesr.extras.leaderboard.leaderboard import Leaderboard
-    from hesr.extras.thermal.thermal_fit import ThermalFit
     from hesr_model.audit.audit import Audit
     from hesr_model.audit.properties import Properties
-    from hesr_model.fitting.estimator import Estimator
     from hesr_model.health.proposal import Proposal
 
 
-def new(folder: AnyPath, robot: AnyPath, joints: Sequence[str] = ()) -> "NewProject":
+def new(folder: PathArg, robot: PathArg, joints: Sequence[str] = ()) -> "NewProject":
     """Lay a folder to start from, for a robot's URDF or MJCF; see `cosim.study.starter.start`."""
     from cosim.study.starter import start
 
@@ -68,8 +66,8 @@ def inspect(logs: Log | Sequence[Log], robot: RobotLike | None = None) -> "Propo
 
 
 def run(
-    study: AnyPath | None = None,
-    output: AnyPath | None = None,
+    study: PathArg | None = None,
+    output: PathArg | None = None,
     *,
     platforms: Sequence[str] = ("linux64",),
     quick: bool = False,
@@ -87,7 +85,7 @@ def run(
     return run_study(path, folder, platforms=platforms, quick=quick, accepted=accept)
 
 
-def report(results: AnyPath, output: AnyPath | None = None) -> Path:
+def report(results: PathArg, output: PathArg | None = None) -> Path:
     """Write the report of a run anew and return its path."""
     from cosim.report.page import write_report
 
@@ -95,7 +93,7 @@ def report(results: AnyPath, output: AnyPath | None = None) -> Path:
     return write_report(path_of(results, "a folder"), page)
 
 
-def results(folders: AnyPath | Sequence[AnyPath], output: AnyPath) -> Path:
+def results(folders: PathArg | Sequence[PathArg], output: PathArg) -> Path:
     """Write the tables of one or several runs as a page of Markdown and return its path."""
     from cosim.report.digest import write_digest
 
@@ -104,61 +102,12 @@ def results(folders: AnyPath | Sequence[AnyPath], output: AnyPath) -> Path:
     )
 
 
-def excite(robot: AnyPath, output: AnyPath, settings: AnyPath | None = None) -> "Design":
+def excite(robot: PathArg, output: PathArg, settings: PathArg | None = None) -> "Design":
     """Design the motion that identifies a robot best; see `cosim.loop.design`."""
     from cosim.loop.design import design
 
     chosen = None if settings is None else path_of(settings, "a file of settings")
     return design(path_of(robot, "a robot"), path_of(output, "a motion"), chosen)
-
-
-def identify(
-    logs: Log | Sequence[Log],
-    robot: RobotLike | None = None,
-    *,
-    reversed_logs: Sequence[Log] = (),
-    method: Method = "stacked",
-    physical: bool = False,
-    accept: Sequence[str] = (),
-) -> RigidBody:
-    """Identify the rigid body of a robot from logs.
-
-    Parameters
-    ----------
-    logs : one or several.
-    robot : whose logs they are; that for which a log was read where not given.
-    reversed_logs : time-reversed counterparts of the logs.
-    method, physical : see `hesr_model.rigid_body.identification`.
-    accept : names of checks whose refusals are only logged.
-
-    Raises
-    ------
-    HesrError
-        If a log, the robot or the data do not allow it.
-    """
-    forward, backward = logs_of(logs, robot), logs_of(reversed_logs, robot)
-    model = robot_of(robot, forward)
-    examined([*forward, *backward], model, accept)
-    return identify_body(forward, model, method=method, reversed_logs=backward, physical=physical)
-
-
-def fit(
-    law: str,
-    logs: Log | Sequence[Log],
-    robot: RobotLike | None = None,
-    rigid_body: Body | None = None,
-    *,
-    seed: int = 0,
-    options: Mapping[str, Any] | None = None,
-    accept: Sequence[str] = (),
-) -> FrictionModel:
-    """Fit a friction law to logs; the rigid body is identified from them where not given."""
-    from hesr_model.fitting.fit import fit as fit_law
-
-    records, model, _ = records_of(logs, robot, rigid_body, accept)
-    fitted = fit_law(law, *records, seed=seed, options=options, robot=model.description.name)
-    owner = model.description.owner.known
-    return replace(fitted, provenance={**fitted.provenance, "owner": owner}) if owner else fitted
 
 
 def evaluate(
@@ -175,14 +124,14 @@ def evaluate(
     """
     from cosim.study.scores import by_joint, compare, input_classes, predict_models
 
-    models_by_name = named(models)
-    records = by_joint(records_of(logs, robot, rigid_body, accept)[0])
+    models_by_name = _named(models)
+    records = by_joint(_records(logs, robot, rigid_body, accept))
     predicted = predict_models(models_by_name, records)
     return compare(records, predicted, input_classes(models_by_name), models_by_name)
 
 
 def replay(
-    fmu: AnyPath,
+    fmu: PathArg,
     logs: Log | Sequence[Log],
     rigid_body: Body,
     robot: RobotLike | None = None,
@@ -193,29 +142,8 @@ def replay(
     from cosim.study.scores import by_joint, compare, predict_fmu
 
     file = path_of(fmu, "an FMU")
-    records = by_joint(records_of(logs, robot, rigid_body, accept)[0])
+    records = by_joint(_records(logs, robot, rigid_body, accept))
     return compare(records, {file.stem: predict_fmu(file, records)})
-
-
-def thermal(
-    logs: Log | Sequence[Log],
-    law: Model,
-    rigid_body: Body,
-    robot: RobotLike | None = None,
-    *,
-    accept: Sequence[str] = (),
-) -> "tuple[FrictionModel, tuple[ThermalFit, ...]]":
-    """Find what temperature does to a fitted law's friction; return it with that, and how sure.
-
-    Raises
-    ------
-    HesrError
-        If a log, the robot or the law do not allow it, or temperature tells nothing.
-    """
-    from hesr.extras.thermal.thermal_fit import fit_thermal
-
-    model = model_given(law)
-    return fit_thermal(model, records_of(logs, robot, rigid_body, accept)[0])
 
 
 def monitor(
@@ -236,10 +164,10 @@ def monitor(
     from hesr.extras.adaptive.monitor import watch
 
     model = model_given(law)
-    return watch(model, records_of(logs, robot, rigid_body, accept)[0])
+    return watch(model, _records(logs, robot, rigid_body, accept))
 
 
-def fleet(file: AnyPath, output: AnyPath | None = None, *, workers: int | None = None) -> "Fleet":
+def fleet(file: PathArg, output: PathArg | None = None, *, workers: int | None = None) -> "Fleet":
     """Look at all robots of a fleet; see `hesr.extras.fleet.run`.
 
     Results stand in ``results/NAME`` where no folder is given.
@@ -276,13 +204,13 @@ def properties(
     """Put friction models to the test of the property battery; `load` in N.m."""
     from cosim.properties.battery import Subject, run_battery
 
-    subjects = [Subject(name=name, model=model) for name, model in named(models).items()]
+    subjects = [Subject(name=name, model=model) for name, model in _named(models).items()]
     found = run_battery(subjects, load=load)
     return {subject.name: of_law for subject, of_law in zip(subjects, found, strict=True)}
 
 
 def arena(
-    file: AnyPath, entries: Sequence[AnyPath], output: AnyPath | None = None
+    file: PathArg, entries: Sequence[PathArg], output: PathArg | None = None
 ) -> "Leaderboard":
     """Score friction FMUs of anybody on the logs of an arena file; see `hesr.extras.leaderboard`.
 
@@ -304,16 +232,9 @@ def arena(
     return board
 
 
-def laws() -> "Mapping[str, type[Estimator]]":
-    """Return the laws that can be fitted, by name."""
-    from hesr_model.friction.registry import registry
-
-    return registry()
-
-
 def export(
     model: Model,
-    output: AnyPath,
+    output: PathArg,
     format: str = "fmu",  # noqa: A002  # as --format
     *,
     robot: RobotLike | None = None,
@@ -350,7 +271,7 @@ def export(
     return path
 
 
-def simulate(system: AnyPath) -> "Result":
+def simulate(system: PathArg) -> "Result":
     """Run a system of FMUs, of a TOML file or an SSP, and return the signals that it observes."""
     from cosim.systems.simulation import Master
     from cosim.systems.ssp_reader import opened_system
@@ -363,7 +284,7 @@ def simulate(system: AnyPath) -> "Result":
 
 
 def package(
-    system: AnyPath, output: AnyPath, *, container: bool = False, ssp: Literal["1.0", "2.0"] = "1.0"
+    system: PathArg, output: PathArg, *, container: bool = False, ssp: Literal["1.0", "2.0"] = "1.0"
 ) -> Path:
     """Write a system of FMUs as one file: an SSP, or one FMU."""
     from cosim.systems.container import write_container
@@ -379,3 +300,13 @@ def package(
         else:
             write_ssp(contents, written, version=ssp)
     return written
+
+
+def _records(logs: Any, robot: Any, rigid_body: Any, accept: Sequence[str]) -> Any:
+    read = checked_logs(logs, robot, accept)
+    return read.records(body_of(rigid_body, read.logs, read.robot))
+
+
+def _named(models: Any) -> dict[str, FrictionModel]:
+    found = {law.name: law.model for law in laws_of(models)}
+    return {name: model for name, model in found.items() if model}

@@ -56,8 +56,8 @@ class _Verbs(click.Group):
 
 
 OLD = {
-    *("new", "inspect", "constants", "run", "report", "results", "view", "excite", "identify"),
-    *("fit", "evaluate", "properties", "audit", "arena", "laws", "export", "replay", "thermal"),
+    *("new", "inspect", "constants", "run", "report", "results", "view", "excite"),
+    *("evaluate", "properties", "audit", "arena", "export", "replay"),
     *("monitor", "fleet", "simulate", "sweep", "package", "interop"),
 }
 
@@ -91,7 +91,7 @@ def workflow(verb: str) -> Function:
 
 def _more(function: Function) -> Sequence[inspect.Parameter]:
     """Return the options that a function takes as further keywords, if its module lists them."""
-    more = getattr(sys.modules[function.__module__], "further_options", None)
+    more = _module(function).get("further_options")
     return more() if more else ()
 
 
@@ -102,19 +102,25 @@ def _invoke(function: Function, given: dict[str, Any]) -> None:
     file = None if json_file is None else Path(json_file)
     with command_output(quiet=quiet, verbose=verbose, json_file=file):
         with answer_file(file) as wanted:
-            answer = _answer(function, given)
+            listing = given.pop("listing", False) and _module(function)["listing"]
+            answer = listing() if listing else _answer(function, given)
             if wanted:
                 from hesr_model.support.typed_json import write_json
 
                 write_json(wanted, answer.to_json())
-        click.echo(answer.summary())
-        if verbose:
+        if summary := answer.summary():
+            click.echo(summary)
+        if verbose or answer.shows_tables:
             from cosim.report.tables.terminal import show
 
             show(*answer.tables())
     from hesr_model.findings import reaching
 
     sys.exit(1 if reaching(answer.findings, fail_on) else 0)
+
+
+def _module(function: Function) -> dict[str, Any]:
+    return vars(sys.modules[function.__module__])
 
 
 def _answer(function: Function, given: dict[str, Any]) -> "Answer":
@@ -131,7 +137,7 @@ def _answer(function: Function, given: dict[str, Any]) -> "Answer":
             raise ConfigError(error.on_command_line()) from error
     if isinstance(result, Answer):
         return result
-    describe: Callable[..., Answer] = vars(sys.modules[function.__module__])["answer"]
+    describe: Callable[..., Answer] = _module(function)["answer"]
     return describe(result, given.get("output"))
 
 

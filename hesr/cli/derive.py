@@ -164,7 +164,9 @@ def command(
     shown = [
         _parameter(name, one, told.parameters.get(one.name, ""), function) for one in (*own, *more)
     ]
-    return click.Command(
+    if "listing" in vars(sys.modules[function.__module__]):
+        shown.append(click.Option(["--list", "listing"], is_flag=True, help="List what there is."))
+    return _Command(
         name,
         callback=lambda **given: invoke(function, _given(given)),
         params=[*shown, *_common()],
@@ -173,6 +175,16 @@ def command(
         epilog=_lines(told.examples),
         context_settings={"max_content_width": 80},
     )
+
+
+class _Command(click.Command):
+    """A command that needs no other parameter if it is to list what there is."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if "--list" in args and any(param.name == "listing" for param in self.params):
+            for param in self.params:
+                param.required = False
+        return super().parse_args(ctx, args)
 
 
 def _given(values: dict[str, Any]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from hesr.cli.console import Interrupted, answer, answer_file, shown_progress
+from hesr.cli.console import Interrupted, answer_file, shown_progress
 from hesr.cli.old_app import Accept, Folder, Json, Platforms, app
 
 _CACHED = {
@@ -157,20 +157,3 @@ def _going_on(kept: Path) -> Iterator[None]:
             f"{', '.join(finished)} are kept in {kept}: the same command goes on from there",
             interrupt,
         ) from interrupt
-
-
-@app.command()
-def laws(json_file: Json = None) -> None:
-    """List the laws that can be fitted.
-
-    Example: hesr laws --json laws.json
-    """
-    from cosim.report.tables.laws import laws as table
-    from cosim.report.tables.terminal import show
-    from hesr_model.friction.registry import registry
-
-    show(table())
-    answer(
-        json_file,
-        {name: {"title": law.title, "equation": law.as_text()} for name, law in registry().items()},
-    )

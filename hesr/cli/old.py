@@ -18,7 +18,6 @@ from hesr.cli import (  # noqa: F401  # each registers its commands
     simulate,
     steps,
     sweep,
-    thermal,
     view,
 )
 from hesr.cli.old_app import app  # goes with the last old verb

@@ -3,7 +3,7 @@
 import inspect
 import re
 from collections.abc import Callable, Iterable
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -226,13 +226,8 @@ def read_records(
 ) -> "tuple[Records, RobotModel, list[Finding]]":
     """Return the friction records [joint][log], the robot's model, and what is odd in the logs."""
     from cosim.study.scores import by_joint
-    from cosim.workflow.arguments import records_of
+    from cosim.workflow.arguments import checked_logs
     from hesr_model.rigid_body.identification import RigidBody
-    from hesr_model.robots.robot import RobotDescription, RobotModel
 
-    model = RobotModel(RobotDescription.read(robot))
-    body = RigidBody.read(rigid_body)
-    records, _, findings = records_of(
-        logs, model, body, accepted or (), partial(progress, "reading logs")
-    )
-    return by_joint(records), model, findings
+    read = checked_logs(logs, robot, accepted or (), progress)
+    return by_joint(read.records(RigidBody.read(rigid_body))), read.robot, read.findings

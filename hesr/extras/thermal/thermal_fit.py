@@ -128,6 +128,20 @@ def fit_thermal(
     return replace(model, thermal=tuple(f.thermal for f in found)), found
 
 
+def add_temperature(
+    model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]]
+) -> tuple[FrictionModel, list[str]]:
+    """Return a fitted law with its dependence on temperature, and a sentence for each joint."""
+    warm, found = fit_thermal(model, logs)
+    return warm, [
+        f"{one.joint}: Coulomb friction falls by {100 * one.thermal.coulomb:.2g} ± "
+        f"{200 * one.coulomb_error:.1g} % per {'K' if one.thermal.measured else 'W of friction'}, "
+        f"viscous by {100 * one.thermal.viscous:.2g} ± {200 * one.viscous_error:.1g} %; time "
+        f"constant {one.thermal.time_constant:.3g} s; error {one.rmse_fixed:.3g} -> {one.rmse:.3g}"
+        for one in found
+    ]
+
+
 def _of_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit:
     measured = [r.temperature for r in records if r.temperature is not None]
     if measured and len(measured) < len(records):

@@ -1,0 +1,281 @@
+"""Fit of friction laws, and the list of laws."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from cosim.workflow.answer import Answer, Written, health_of, written_files
+from hesr_model.errors import ArgumentError, HesrError
+from hesr_model.support.progress import Stages, silent
+
+if TYPE_CHECKING:
+    from cosim.report.tables.table import ResultTable
+    from cosim.workflow.arguments import BodyArg, CheckedLogs, LawArg, Logs, RobotArg
+    from hesr_model.fitting.estimator import Estimator
+    from hesr_model.friction.model import FrictionModel
+    from hesr_model.rigid_body.residual import FrictionRecord
+    from hesr_model.support.files import PathArg
+
+
+def laws() -> Mapping[str, type[Estimator]]:
+    """Return the laws that can be fitted, by name.
+
+    Returns
+    -------
+    mapping of str to type
+        Estimators, in the order of tables.
+
+    Examples
+    --------
+    >>> import hesr
+    >>> hesr.laws()["lugre"].title
+    'LuGre'
+    """
+    from hesr_model.friction.registry import registry
+
+    return registry()
+
+
+def fit(
+    logs: Logs,
+    *,
+    law: LawArg,
+    robot: RobotArg | None = None,
+    rigid_body: BodyArg | None = None,
+    seed: int = 0,
+    options: Mapping[str, Any] | None = None,
+    add: Sequence[str] = (),
+    output: PathArg | None = None,
+    accept: Sequence[str] = (),
+    progress: Stages = silent,
+) -> FrictionModel:
+    r"""Fit a friction law to the joints of a robot.
+
+    Parameters
+    ----------
+    logs : log or sequence of logs
+        CSV, Parquet or MATLAB files, ROS bags, or logs that were read.
+    law : str, path or law
+        Name of a law (--list shows them); with --add also a fitted law (.json).
+    robot : robot or path, optional
+        Robot file (.toml), URDF or MJCF; by default the robot of the logs.
+    rigid_body : body or path, optional
+        Result of 'hesr identify'; by default identified from the logs.
+    seed : int
+        Seed of the fit: same logs, same seed, same law.
+    options : mapping, optional
+        Options of the law, with values as in TOML; repeatable.
+    add : sequence of str, optional
+        Refinements of the fitted law, as temperature; repeatable.
+    output : path, optional
+        JSON file to write.
+    accept : sequence of str, optional
+        Names of checks whose errors do not refuse the logs; repeatable.
+    progress : callable, optional
+        Called with stage, steps done and steps in total.
+
+    Returns
+    -------
+    FrictionModel
+        Law of each joint with coefficients [SI units], their covariance and provenance.
+
+    Raises
+    ------
+    HesrError
+        If a log, the robot or the law do not allow the fit.
+
+    Examples
+    --------
+    On the command line::
+
+        $ hesr fit sweep.csv --robot robot.toml --rigid-body rigid_body.json \
+          --law parfam_h -o law.json --option 'search="paper"'
+        $ hesr fit cold.csv warm.csv --robot robot.toml --law law.json --add temperature \
+          -o warm.json
+
+    In Python:
+
+    >>> import hesr
+    >>> hesr.fit("sweep.csv", law="stribeck", robot="robot.toml", rigid_body="rigid_body.json")
+    FrictionModel('stribeck' of 'arm', 3 joints)
+    """
+    from cosim.workflow.arguments import body_of, checked_logs
+    from hesr_model.support.files import path_of
+    from hesr_model.support.plugins import load
+
+    refinements = load("hesr.refinements")
+    for name in add:
+        if name not in refinements:
+            raise ArgumentError(f"'add' is '{name}'; there are {', '.join(refinements)}.")
+    fitted = _fitted_law(law, add, options)
+    read = checked_logs(logs, robot, accept, progress)
+    body = body_of(rigid_body, read.logs, read.robot)
+    records = read.records(body)
+    if fitted is None:
+        model = _fit(str(law), records, read, rigid_body, seed, options or {}, progress)
+    else:
+        model = fitted
+    for name in add:
+        progress(f"fitting {name}", 0, 1)
+        model, sentences = refinements[name].load()(model, records)
+        model = replace(model, provenance={**model.provenance, name: sentences})
+    if output is not None:
+        model.write(path_of(output, "a friction model"))
+    return model
+
+
+def _fitted_law(
+    law: LawArg, add: Sequence[str], options: Mapping[str, Any] | None
+) -> FrictionModel | None:
+    """Return a law that is fitted already, None for the name of a law."""
+    from cosim.workflow.arguments import model_given
+    from hesr_model.friction.model import FrictionModel
+    from hesr_model.friction.registry import estimator
+
+    if not isinstance(law, FrictionModel) and not str(law).lower().endswith(".json"):
+        estimator(str(law))  # refuse an unknown law before the logs are read
+        return None
+    if not add or options:
+        raise ArgumentError(f"'law' is fitted already ({law}); give 'add', and no 'options'.")
+    return model_given(law)
+
+
+def _fit(
+    law: str,
+    records: list[list[FrictionRecord]],
+    read: CheckedLogs,
+    rigid_body: BodyArg | None,
+    seed: int,
+    options: Mapping[str, Any],
+    progress: Stages,
+) -> FrictionModel:
+    from pathlib import Path
+
+    from cosim.study.results import log_findings
+    from cosim.study.scores import by_joint
+    from hesr_model.fitting.fit import fit_models
+    from hesr_model.health.fit_checks import check_laws
+    from hesr_model.rigid_body.identification import RigidBody
+    from hesr_model.support.provenance import newest, provenance
+    from hesr_model.support.typed_json import to_json
+
+    logs = [log.path for log in read.logs if log.path]
+    files = list(read.files)
+    if rigid_body is not None and not isinstance(rigid_body, RigidBody):
+        files[len(files) - len(logs) : len(files) - len(logs)] = [Path(rigid_body)]
+    health = [to_json(finding) for finding in read.findings]
+    source = provenance(files=files, seed=seed, options=dict(options), health=health)
+    if logs:
+        source["created"] = newest(logs)
+    description = read.robot.description
+    if owner := description.owner.known:
+        source["owner"] = owner
+    joined = by_joint(records)
+    model = fit_models(
+        [law],
+        joined,
+        robot=description.name,
+        seed=seed,
+        options={law: dict(options)},
+        provenance=source,
+        progress=partial(progress, f"fitting {law}"),
+    )[law]
+    if found := log_findings(check_laws({law: model}, joined)):
+        health += [to_json(finding) for finding in found]
+        model = replace(model, provenance={**model.provenance, "health": health})
+    return model
+
+
+def answer(model: FrictionModel, output: PathArg | None) -> Answer:
+    """Return the answer of a fitted law: equations, errors and passivity of each joint."""
+    from hesr_model.support.plugins import names
+
+    joints = ", ".join(model.joints)
+    lines = [f"{model.law} for {joints}.", *_equations(model), *passivity_lines(model)]
+    for name in names("hesr.refinements"):
+        lines += model.provenance.get(name, ())
+    return Written(
+        format="hesr-friction-model-1",
+        lines=lines,
+        shown=[*_coefficients(model), *audit_tables(model.law, model)],
+        data=model.to_json(),
+        findings=health_of(model.provenance),
+        files=written_files(output),
+    )
+
+
+def _equations(model: FrictionModel) -> list[str]:
+    """Return the equation and training error of each joint."""
+    from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
+    from hesr_model.friction.equation import equations
+    from hesr_model.units import unit_of_joint
+
+    errors = model.training_rmse or (None,) * len(model.joints)
+    lines = []
+    for joint, law, slides, error in zip(
+        model.joints, model.laws, model.slides, errors, strict=True
+    ):
+        count = len(law.values)
+        text = f"{count} coefficients" if count > MOST_COEFFICIENTS else "; ".join(equations(law))
+        if error is not None:
+            text += f"  (RMSE {error:.3g} {unit_of_joint('N.m', slides=slides)})"
+        lines.append(f"{joint}: {text}")
+    return lines
+
+
+def _coefficients(model: FrictionModel) -> list[str]:
+    """Return the coefficients of each joint with their 95 % intervals."""
+    from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
+    from hesr_model.friction.equation import coefficient_lines
+
+    head = "95 % intervals (within and between logs; none at bounds or of chosen structures):"
+    return [
+        "\n".join([f"{joint}: {head}", *(f"  {line}" for line in coefficient_lines(law))])
+        for joint, law in zip(model.joints, model.laws, strict=True)
+        if len(law.values) <= MOST_COEFFICIENTS
+    ]
+
+
+def audit_tables(name: str, model: FrictionModel) -> list[ResultTable | str]:
+    """Return the audit of a fitted model; nothing for a model without trained ranges."""
+    from cosim.report.tables.laws import audit
+    from fmu_src.pages import datasheet
+
+    if not model.trained:
+        return []
+    try:
+        return [audit(name, datasheet.audits(model, model.trained), model.sliding)]
+    except HesrError as error:
+        return [f"{name}: {error}"]
+
+
+def passivity_lines(model: FrictionModel) -> list[str]:
+    """Return on which joints a fitted model is proven passive, refuted or open, in one line."""
+    from fmu_src.pages import datasheet
+
+    if not model.trained:
+        return []
+    by_verdict = defaultdict(list)
+    found = datasheet.certificates(model, model.trained)
+    for joint, certificate in zip(model.joints, found, strict=True):
+        by_verdict[certificate.verdict].append(joint)
+    listed = (f"{verdict} on {', '.join(joints)}" for verdict, joints in by_verdict.items())
+    return [f"Passivity: {'; '.join(listed)}."]
+
+
+def listing() -> Answer:
+    """Return the answer of `--list`: name, title and equation of each law."""
+    from cosim.report.tables.laws import laws as table
+
+    return Written(
+        lines=[],
+        shown=[table()],
+        shows_tables=True,
+        data={
+            name: {"title": law.title, "equation": law.as_text()} for name, law in laws().items()
+        },
+    )

@@ -1,0 +1,168 @@
+"""Identification of the rigid body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal
+
+from cosim.workflow.answer import Answer, Written, health_of, written_files
+from hesr_model.errors import ArgumentError
+from hesr_model.support.progress import Stages, silent
+
+if TYPE_CHECKING:
+    from cosim.workflow.arguments import BodyArg, LawArg, LogArg, Logs, RobotArg
+    from hesr_model.rigid_body.identification import RigidBody
+    from hesr_model.support.files import PathArg
+
+Method = Literal["stacked", "paper"]
+
+
+def identify(
+    logs: Logs,
+    *,
+    robot: RobotArg | None = None,
+    reversed_logs: Sequence[LogArg] = (),
+    method: Method = "stacked",
+    physical: bool = False,
+    friction: LawArg | None = None,
+    rigid_body: BodyArg | None = None,
+    payload: BodyArg | None = None,
+    output: PathArg | None = None,
+    accept: Sequence[str] = (),
+    progress: Stages = silent,
+) -> RigidBody:
+    """Identify the rigid body, or a payload, from logs.
+
+    Parameters
+    ----------
+    logs : log or sequence of logs
+        CSV, Parquet or MATLAB files, ROS bags, or logs that were read.
+    robot : robot or path, optional
+        Robot file (.toml), URDF or MJCF; by default the robot of the logs.
+    reversed_logs : sequence of logs, optional
+        Time-reversed counterparts of the logs; repeatable.
+    method : {"stacked", "paper"}
+        stacked (least squares with friction columns) or paper (average of forward and reverse).
+    physical : bool
+        Allow physically possible bodies only; pays off on short logs.
+    friction : law or path, optional
+        Law whose torque is subtracted first, to refine the body `rigid_body`.
+    rigid_body : body or path, optional
+        Rigid body that the law of `friction` was fitted with.
+    payload : body or path, optional
+        Rigid body without payload; identify the payload that the logs carry.
+    output : path, optional
+        JSON file to write.
+    accept : sequence of str, optional
+        Names of checks whose errors do not refuse the logs; repeatable.
+    progress : callable, optional
+        Called with stage, steps done and steps in total.
+
+    Returns
+    -------
+    RigidBody
+        Base parameters with standard errors [SI units], and their provenance.
+
+    Raises
+    ------
+    HesrError
+        If a log, the robot or the data do not allow the identification.
+
+    Source
+    ------
+    Equations 5 to 7 of the paper; `method` paper is its section II.
+
+    Examples
+    --------
+    On the command line::
+
+        $ hesr identify excitation.csv --robot robot.toml -o rigid_body.json
+
+    In Python:
+
+    >>> import hesr
+    >>> hesr.identify("excitation.csv", robot="robot.toml")
+    RigidBody('arm', 3 joints, 16 base parameters, condition number ...)
+    """
+    from cosim.study.results import log_findings
+    from cosim.workflow.arguments import body_of, checked_logs, listed, model_given
+    from hesr_model.health.fit_checks import check_body
+    from hesr_model.rigid_body.identification import identify as identify_body
+    from hesr_model.rigid_body.payload import identify_payload, loaded
+    from hesr_model.rigid_body.refinement import identify_again
+    from hesr_model.support.files import path_of
+    from hesr_model.support.provenance import provenance
+    from hesr_model.support.typed_json import to_json
+
+    if (friction is None) != (rigid_body is None):
+        raise ArgumentError("'friction' and 'rigid_body' go together; only one of them was given.")
+    if payload is not None and (physical or friction is not None or method != "stacked"):
+        raise ArgumentError(
+            "'payload' does not go with 'physical', 'friction' or 'method' paper; give it alone."
+        )
+    if physical and friction is not None:
+        raise ArgumentError("'physical' does not go with 'friction'; give one of them.")
+    forward_logs = listed(logs)
+    read = checked_logs([*forward_logs, *listed(reversed_logs)], robot, accept, progress)
+    forward, backward = read.logs[: len(forward_logs)], read.logs[len(forward_logs) :]
+    progress("identifying", 0, 1)
+    files = [*read.files, *_paths(payload, friction, rigid_body)]
+    more: dict[str, Any] = {}
+    if payload is not None:
+        without = body_of(payload, (), read.robot)
+        carried = identify_payload(read.logs, read.robot, without)
+        found = loaded(without, carried, read.robot)
+        more["payload"] = carried.to_dict()
+    elif friction is not None and rigid_body is not None:
+        law, body = model_given(friction), body_of(rigid_body, (), read.robot)
+        found = identify_again(forward, read.robot, body, law, reversed_logs=backward)
+    else:
+        found = identify_body(
+            forward, read.robot, method=method, reversed_logs=backward, physical=physical
+        )
+    if any(slides := [joint.prismatic for joint in read.robot.tree]):
+        more["sliding"] = slides
+    impossible = log_findings(check_body(found, read.robot))
+    health = [to_json(finding) for finding in (*read.findings, *impossible)]
+    found = replace(found, provenance=provenance(files=files, **more, health=health))
+    if output is not None:
+        found.write(path_of(output, "a rigid body"))
+    return found
+
+
+def _paths(*given: object) -> list[Any]:
+    """Return the arguments that are paths."""
+    from os import PathLike
+    from pathlib import Path
+
+    return [Path(one) for one in given if isinstance(one, str | PathLike)]
+
+
+def answer(body: RigidBody, output: PathArg | None) -> Answer:
+    """Return the answer of a rigid body: parameters and residuals, or the payload."""
+    from cosim.report.tables.laws import rigid_body
+    from hesr_model.support.typed_json import to_json
+
+    payload = body.provenance.get("payload")
+    line = (
+        _payload_line(body, payload)
+        if payload
+        else rigid_body(body, body.provenance.get("sliding", ()))
+    )
+    return Written(
+        format="hesr-rigid-body-1",
+        lines=[line],
+        data=to_json(body),
+        findings=health_of(body.provenance),
+        files=written_files(output),
+    )
+
+
+def _payload_line(body: RigidBody, payload: dict[str, Any]) -> str:
+    mass, *moments = list(payload["parameters"].values())[:4]
+    centre = ", ".join(f"{moment / mass:.4f}" for moment in moments)
+    return (
+        f"Payload of {mass:.4g} +- {payload['standard_errors'][0]:.2g} kg, centre of mass {centre} "
+        f"m in the frame of {body.joints[-1]}."
+    )
