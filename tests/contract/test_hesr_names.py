@@ -14,7 +14,7 @@ import hesr
 from hesr.cli.old_app import _ORDER as COMMANDS
 from hesr_model.support.lazy import lazy
 
-NOT_CALLS = {"view", "interop", "constants", "sweep"}
+NOT_CALLS = {"thermal", "view", "interop", "constants", "sweep"}
 """Commands that only show, or compare what is installed; the last two have no call yet."""
 
 
