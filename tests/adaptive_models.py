@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hesr.extras.adaptive.component import adaptive_component
 from hesr.extras.adaptive.tuning import Tuning
-from hesr_model.equations.over_log import recurrence
+from hesr_model.equations.recurrence import recurrence
 from hesr_model.equations.stepping import Steps
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel

@@ -14,11 +14,11 @@ from cosim.study.results import RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_to
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Errors
 from fmu_src.pages.datasheet import ModelAudit
 from hesr_model.audit.properties import Properties, read_properties
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import laws_of_paper
 from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.support.arrays import Array
 from hesr_model.support.typed_json import from_json, read_json
 from hesr_model.units import unit_of_joints
 

@@ -14,7 +14,6 @@ from pydantic import ConfigDict
 from cosim.study.sample_logs import is_sample
 from cosim.study.scores import Comparison, LogRecords, Predictions, inputs_of
 from cosim.study.study import Study, TimeBand
-from hesr_model.equations.over_log import Array
 from hesr_model.findings import Finding
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import RobotLog
@@ -22,6 +21,7 @@ from hesr_model.logs.tables import read_table, write_table
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
 from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
 

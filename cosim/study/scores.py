@@ -7,17 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import ArtifactError, ConfigError
-from hesr_model.friction.banded import predict_band
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.metrics import BandScore, score, score_band, time_band
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import first_states
+from hesr_model.friction.predict import first_states, predict_band
 from hesr_model.friction.records import record_start
 from hesr_model.friction.registry import laws_with
 from hesr_model.inference.paired_test import compare_errors, holm
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
+from hesr_model.support.arrays import Array
 from hesr_model.support.frames import pandas_frame
 from hesr_model.support.html import table
 from hesr_model.support.progress import Progress, counted, silent

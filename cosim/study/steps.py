@@ -24,7 +24,6 @@ from cosim.study.scores import (
     within,
 )
 from cosim.study.study import Part, Study
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import ConfigError, FitError, HesrError, LogError
 from hesr_model.fitting.day_offsets import with_own
 from hesr_model.fitting.fit import fit_models
@@ -39,6 +38,7 @@ from hesr_model.rigid_body.refinement import identify_again
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support import parallel
+from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Stages, counted
 from hesr_model.support.typed_json import to_json, write_json
 

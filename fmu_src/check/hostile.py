@@ -18,7 +18,7 @@ import numpy as np
 
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import Description, Kind, Variable, integer, real
-from hesr_model.equations.over_log import Array
+from hesr_model.support.arrays import Array
 from hesr_model.support.process import FailedError, run
 from hesr_model.support.text import plain, quoted
 

@@ -21,7 +21,7 @@ from fmu_src.friction.friction_component import (
     start_mode,
 )
 from hesr_model.errors import ExportError
-from hesr_model.friction.law import TORQUE
+from hesr_model.friction.inputs import TORQUE
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.transmission import Coupling
 from hesr_model.units import unit_of_joint

@@ -20,10 +20,10 @@ from hesr_model.equations.program import (
     Invariants,
     Jumps,
     Tangent,
-    beginning,
-    begun,
     change_of,
     derivatives,
+    initial_state,
+    initial_symbol,
     moved,
     readings,
     sampled,
@@ -243,12 +243,12 @@ class Functions:
     @property
     def _beginning(self) -> dict[sympy.Symbol, sympy.Expr]:
         component = self.component
-        own = beginning(component.memory, component.settling)
+        own = initial_state(component.memory, component.settling)
         return {symbol: e.xreplace(component.starts) for symbol, e in own.items()}
 
     def begin(self) -> str:
         """Put the states x, which are at their start values, where they begin."""
-        targets = {f"x[{i}]": begun(m) for i, m in enumerate(self.component.memory)}
+        targets = {f"x[{i}]": initial_symbol(m) for i, m in enumerate(self.component.memory)}
         own = self._beginning
         return self._written(False, own, targets, "begin(IN(k), IN(u), double *x)")
 
@@ -256,7 +256,9 @@ class Functions:
         """Put the change tx of the start values x where it begins, along dk and du."""
         own = self._beginning
         changes = Tangent(self._seeds).of(own)
-        targets = {f"tx[{i}]": change_of(begun(m)) for i, m in enumerate(self.component.memory)}
+        targets = {
+            f"tx[{i}]": change_of(initial_symbol(m)) for i, m in enumerate(self.component.memory)
+        }
         signature = "begin_tangent(IN(k), IN(u), IN(x), IN(dk), IN(du), double *tx)"
         return self._written(False, own | changes, targets, signature, seeds=True)
 

@@ -14,11 +14,17 @@ from fmu_src.friction.validity import discretisation_of
 from fmu_src.friction.variable_names import exposed, place
 from hesr_model.equations.component import Component, Equation, Quantity, Relaxation
 from hesr_model.equations.memory import Element
-from hesr_model.equations.program import beginning, begun, sources
-from hesr_model.friction.band import COVERAGE, GREATEST, LEAST, NUMBERS, start_values
-from hesr_model.friction.banded import band_equations
-from hesr_model.friction.inputs import DQ, INPUTS, QUANTITIES, TAU_LOAD
-from hesr_model.friction.law import MOVING, TORQUE, FrictionLaw
+from hesr_model.equations.program import initial_state, initial_symbol, sources
+from hesr_model.friction.band import (
+    COVERAGE,
+    GREATEST,
+    LEAST,
+    NUMBERS,
+    band_equations,
+    start_values,
+)
+from hesr_model.friction.inputs import DQ, INPUTS, MOVING, QUANTITIES, TAU_LOAD, TORQUE
+from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.scales import SCALES, VISCOUS, has_viscous, scaled
 from hesr_model.robots.transmission import Coupling
@@ -84,7 +90,11 @@ def component(law: FrictionLaw, more: Iterable[Equation] = (), *, band: bool = F
         own,
         parameters=law.form.coefficients,
         shared=(*SCALES, *((*NUMBERS, COVERAGE) if band else ())),
-        equations=(*own.equations, *more, *(band_equations(form) if band else ())),
+        equations=(
+            *own.equations,
+            *more,
+            *(band_equations(form.memory, form.output) if band else ()),
+        ),
     )
 
 
@@ -313,12 +323,12 @@ def dependencies(
     Parameters
     ----------
     joint : the joint.
-    symbol : what is asked for; where a state begins (`program.begun`) is made of start values.
+    symbol : what is asked for; where a state begins (`program.initial_symbol`) is made of start values.
     inputs : variables of which an input is made, where it is none itself.
     starting : before the first step.
     """
     own = joint.component
-    beginnings = beginning(own.memory, own.settling)
+    beginnings = initial_state(own.memory, own.settling)
     used = (
         sources(beginnings, symbol)
         if symbol in beginnings
@@ -357,7 +367,7 @@ def law_variables(
             description=f"friction state {element.name} of joint {joint}",
             unit=element.unit,
             nominal=nominal(law, element) if element.name in known else 1.0,
-            initial_dependencies=(START_MODE, *dependencies(own, begun(element), inputs)),
+            initial_dependencies=(START_MODE, *dependencies(own, initial_symbol(element), inputs)),
         )
     for element, state, derivative in elements:
         yield Variable(

@@ -12,11 +12,11 @@ import numpy as np
 from fmu_src.friction.settings import CONTINUOUS, SHOWN, Motion, torques
 from fmu_src.run.recorded import WAYS, options, table
 from fmu_src.run.reference_manifest import Experiment, manifest_files
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.support.arrays import Array
 from hesr_model.units import unit_of_joint
 
 UNKNOWN_SPEED = 1.2

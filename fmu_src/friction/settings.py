@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.logs.phases import near_reversals
 from hesr_model.robots.transmission import Coupling
+from hesr_model.support.arrays import Array
 
 SETTINGS: Mapping[str, str] = {
     "hold": "inputs of the step's beginning, held",

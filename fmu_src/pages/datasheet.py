@@ -11,13 +11,13 @@ from hesr_model.audit.audit import REACH, Audit, audit
 from hesr_model.audit.certificate import Certificate, certify
 from hesr_model.audit.cycles import ENCODER
 from hesr_model.equations.functions import lowered
-from hesr_model.equations.over_log import Array
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import numbers
 from hesr_model.friction.trained_range import Range, TrainedRange
+from hesr_model.support.arrays import Array
 from hesr_model.units import unit_of_joint, unit_of_joints
 
 RK4, EULER = 2.785, 2.0

@@ -11,11 +11,11 @@ from fmu_src.pages.datasheet import figure
 from fmu_src.pages.friction_page import title
 from fmu_src.pages.html import rendered
 from fmu_src.pages.mathml import equations
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
+from hesr_model.support.arrays import Array
 
 _CRAWL, _LONG = 1e-9, 1e12
 """Speed [rad/s] at which and time [s] after which only what a law keeps at rest is left."""

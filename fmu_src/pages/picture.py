@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu_src.friction.reference import reference_motion
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
+from hesr_model.support.arrays import Array
 from hesr_model.units import unit_of_joints
 
 if TYPE_CHECKING:

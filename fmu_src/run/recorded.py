@@ -13,7 +13,7 @@ import numpy as np
 
 from fmu_src.run.recording import Recording2, Recording3
 from fmu_src.run.reference_manifest import Experiment, manifest_files
-from hesr_model.equations.over_log import Array
+from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
 
 ROWS = 100

@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike
 from fmu_src.run.fmu import Component
 from fmu_src.run.native import through
 from hesr_model.errors import SimulationError
-from hesr_model.friction.inputs import INPUTS
-from hesr_model.friction.law import TORQUE
+from hesr_model.friction.inputs import INPUTS, TORQUE
 from hesr_model.friction.thermal import TEMPERATURE, THERMOMETER
 from hesr_model.support.arrays import Array
 

@@ -1,57 +1,38 @@
-"""Memory and expressions over whole logs in C (`rows.c`), as quick as the processor's vectors are.
+"""Memory and expressions over whole logs, run by `rows.c` with the processor's vectors.
 
-There is one binary for all equations, compiled once for a user. `over_log.py` is the same in NumPy:
-the oracle, and what remains where there is no compiler, where an expression has something in it
-that `rows.c` does not know, or where numbers are outside of what it takes.
+One binary serves all equations; it is compiled once per user.
 """
 
-import logging
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from ctypes import CDLL
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import sympy
 from numpy.typing import NDArray
 
 from hesr_model.equations.memory import Element
-from hesr_model.equations.operations import Graph, UnsupportedError, fixed_nodes
-from hesr_model.equations.operations import program_of as program
-from hesr_model.equations.program import beginning, begun
-from hesr_model.equations.rows import BLOCK, Array, OutsideError, Run, library
-
-_log = logging.getLogger(__name__)
-
-_only_numpy = False
-
-
-@contextmanager
-def in_numpy() -> Iterator[None]:
-    """Run everything in NumPy for a while, as where there is no compiler."""
-    global _only_numpy
-    before, _only_numpy = _only_numpy, True
-    try:
-        yield
-    finally:
-        _only_numpy = before
+from hesr_model.equations.operations import Graph, fixed_nodes, program_of
+from hesr_model.equations.program import initial_state, initial_symbol
+from hesr_model.equations.rows import BLOCK, ProgramRun
+from hesr_model.support.arrays import Array
 
 
 class Kernel:
-    """Expressions of states and inputs, as programs for `rows.c`.
+    """Expressions of states and inputs as programs for `rows.c`.
 
     Parameters
     ----------
     memory : elements.
-    numbers : symbols of what is the same for all rows.
-    inputs : symbols of what differs from row to row, besides `dt`.
-    wanted : expressions; of states and their derivatives as they are at the end of a step.
-    settling : as in `StatesOverLog`.
-    once : whether rows are run over once: then what inputs alone decide is not computed before.
+    numbers : symbols of values that are the same for all rows.
+    inputs : symbols of values that differ between rows, without `dt`.
+    wanted : expressions; states and their derivatives are those at the end of a step.
+    settling : share of the steady state in the initial state, see `Component.settling`.
+    names : expressions of intermediate values by their symbols, each using only earlier ones.
+    once : True if the rows are run only once; subexpressions of inputs alone are then not cached.
 
     Raises
     ------
-    UnsupportedError
-        If `rows.c` does not know a part of an expression.
+    ArtifactError
+        If an expression contains a function that `rows.c` does not have.
     """
 
     def __init__(
@@ -62,74 +43,76 @@ class Kernel:
         wanted: Sequence[sympy.Expr],
         settling: sympy.Expr = sympy.S.Zero,
         *,
+        names: Mapping[sympy.Symbol, sympy.Expr] | None = None,
         once: bool = False,
     ) -> None:
-        self.memory, self.numbers, self.inputs = tuple(memory), tuple(numbers), tuple(inputs)
+        self.memory = tuple(memory)
         graph = Graph(numbers, inputs)
         graph.move(self.memory)
+        graph.assign(names or {})
         results = [graph.of(e) for e in wanted]
         self.known = [] if once else fixed_nodes(graph, results)
-        self.fixed = program(graph, self.known)
-        self.main = program(graph, results, self.known)
-        starts = tuple(m.state for m in self.memory)
-        graph = Graph((*numbers, *starts), inputs)
-        graph.assign(beginning(self.memory, settling))
-        self.first = program(graph, [graph.of(begun(m)) for m in self.memory])
+        self.fixed = program_of(graph, self.known)
+        self.main = program_of(graph, results, self.known)
+        graph = Graph((*numbers, *(m.state for m in self.memory)), inputs)
+        graph.assign(initial_state(self.memory, settling))
+        self.first = program_of(graph, [graph.of(initial_symbol(m)) for m in self.memory])
         self.row_by_row = any(m.state in sympy.Tuple(*m.parts).free_symbols for m in self.memory)
 
     def over(
         self,
         inputs: Sequence[Array],
         dt: Array,
-        firsts: Sequence[int] | NDArray[np.int64],
+        firsts: Sequence[int] | NDArray[np.int64] = (0,),
         *,
         euler: bool = False,
         start: Sequence[float] = (),
         target: Array | None = None,
         found: Array | None = None,
-    ) -> "Rows | None":
-        """Return the kernel on rows, None where only NumPy is to be had; see `Rows`."""
-        loaded = None if _only_numpy else library()
-        if loaded is None:
-            return None
-        try:
-            return Rows(
-                loaded, self, inputs, dt, firsts,
-                euler=euler, start=start, target=target, found=found,
-            )  # fmt: skip
-        except OutsideError:
-            return None
+    ) -> "KernelRun":
+        """Return the kernel bound to rows; see `KernelRun` for parameters and errors."""
+        return KernelRun(
+            self, inputs, dt, firsts, euler=euler, start=start, target=target, found=found
+        )
+
+    def at(self, numbers: Iterable[float], *inputs: float) -> tuple[float, ...]:
+        """Return the results of a kernel without memory for one row of inputs."""
+        row = self.over([np.array([u]) for u in inputs], np.zeros(1))
+        return tuple(row.at(np.array(list(numbers)))[0].tolist())
 
 
 def _whole(values: Array, rows: int) -> Array:
     return np.ascontiguousarray(np.broadcast_to(values, (rows,)), dtype=np.float64)
 
 
-def _in_numbers(values: Array) -> Array:
-    """Return an array of floats; a column of a table stays where it is."""
+def _in_doubles(values: Array) -> Array:
+    """Return an array of doubles; columns of a table are not copied."""
     found = np.asarray(values, dtype=np.float64)
     return found if found.strides[0] % 8 == 0 else np.ascontiguousarray(found)
 
 
-class Rows:
-    """A kernel on the rows of logs.
+class KernelRun:
+    """A kernel bound to the rows of logs.
 
     Parameters
     ----------
-    loaded : the library.
     kernel : the expressions.
-    inputs : (N,) of each input.
+    inputs : (N,) values of each input.
     dt : (N,) step that ends at each row [s].
-    firsts : rows at which records begin, in rising order, 0 before all.
-    euler : whether relaxations move by Euler's step.
-    start : of each state at rest, 0 where not given.
-    target : (N,) what results are fitted to.
-    found : (N, K) for the results; one of its own where not given.
+    firsts : first row of each record, increasing from 0.
+    euler : True if relaxations move by Euler's step.
+    start : value of each state at rest; 0 by default.
+    target : (N,) values that the results are fitted to.
+    found : (N, K) array for the results; a new one by default.
+
+    Raises
+    ------
+    ExportError
+        If `rows.c` cannot be compiled.
     """
 
     def __init__(
         self,
-        loaded: CDLL,
         kernel: Kernel,
         inputs: Sequence[Array],
         dt: Array,
@@ -140,37 +123,36 @@ class Rows:
         target: Array | None = None,
         found: Array | None = None,
     ) -> None:
-        # Of the same length, all of them: C does not ask.
-        arrays = [_in_numbers(np.broadcast_to(a, np.shape(dt))) for a in (dt, *inputs)]
+        # C does not check lengths, so all arrays are broadcast to one.
+        arrays = [_in_doubles(np.broadcast_to(a, np.shape(dt))) for a in (dt, *inputs)]
         firsts, self._states = np.asarray(firsts, dtype=np.int64), len(kernel.memory)
         self._start = np.array(start or (0.0,) * self._states)
         if kernel.known:
-            fixed = Run(loaded, kernel.fixed, arrays, firsts)
+            fixed = ProgramRun(kernel.fixed, arrays, firsts)
             fixed(np.zeros(0))
             arrays += list(fixed.found.T)
         if kernel.memory:
             at_firsts = [a[firsts] for a in arrays]
-            self._first = Run(loaded, kernel.first, at_firsts, np.arange(len(firsts)))
-        self._run = Run(
-            loaded, kernel.main, arrays, firsts, states=self._states, euler=euler,
+            self._first = ProgramRun(kernel.first, at_firsts, np.arange(len(firsts)))
+        self._run = ProgramRun(
+            kernel.main,
+            arrays,
+            firsts,
+            states=self._states,
+            euler=euler,
             block=1 if kernel.row_by_row else BLOCK,
             target=None if target is None else _whole(target, len(arrays[0])),
             found=found,
-        )  # fmt: skip
+        )
 
-    def begin(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> None:
-        """Put the states where they begin for the first rows.
+    def begin(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
+        """Set the initial states of all records and return them, (m, records).
 
         Parameters
         ----------
-        numbers : those of the kernel, in their units.
-        start : of each state, from which it begins, (m,) or (m, records); where not given, at rest.
-        settled : whether states begin at that start itself, wherever their inputs would have them.
-
-        Raises
-        ------
-        OutsideError
-            If a number is outside of what can be had here.
+        numbers : values of the kernel's numbers, in their units.
+        start : value of each state at rest, (m,) or (m, records); `start` of the run by default.
+        settled : True if `start` itself is the initial state, whatever the first inputs are.
         """
         if settled and start is not None:
             self._run.starts[:] = start if start.ndim > 1 else start[:, None]
@@ -178,51 +160,57 @@ class Rows:
             at_rest = self._start if start is None else start
             self._first(np.concatenate([numbers, at_rest]))
             self._run.starts[:] = self._first.found.T
+        return self._run.starts
 
     def at(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
-        """Return the (N, K) results for numbers, which stand there until the next call.
+        """Return the (N, K) results for numbers, valid until the next call.
 
-        Parameters and errors are those of `begin`.
+        Parameters are those of `begin`.
+
+        Raises
+        ------
+        SimulationError
+            If Euler's step is unstable.
         """
         self.begin(numbers, start, settled=settled)
         self._run(numbers)
         return self._run.found
 
     def on(self, numbers: Array, first: int, stop: int) -> None:
-        """Put the results of rows into `found`, after `begin` and after those before them.
+        """Write the results of some rows into `found`, after `begin` and all earlier rows.
 
         Parameters
         ----------
-        numbers : those of the kernel, in their units.
+        numbers : values of the kernel's numbers, in their units.
         first, stop : rows.
 
         Raises
         ------
-        OutsideError
-            If a number is outside of what can be had here.
+        SimulationError
+            If Euler's step is unstable.
         """
         self._run.on(numbers, first, stop)
 
     def solved(
         self, numbers: Array, *, non_negative: int, weights: Array | None = None, keep: bool = False
     ) -> tuple[Array, float] | None:
-        """Return the (K,) factors of the results that fit the target best, and the squares left.
+        """Solve for the factors of the results that fit the target best.
 
         Parameters
         ----------
-        numbers : those of the kernel, in their units.
-        non_negative : how many factors, from the first, must not be negative.
-        weights : (N,) of the rows.
-        keep : whether the results shall stand in `found`.
+        numbers : values of the kernel's numbers, in their units.
+        non_negative : number of leading factors that must not be negative.
+        weights : (N,) weights of the rows.
+        keep : True if the results are written into `found`.
 
         Returns
         -------
-        None where the factors are hardly determined.
+        (K,) factors and the sum of squared residuals, or None if the factors are ill-conditioned.
 
         Raises
         ------
-        OutsideError
-            If a number is outside of what can be had here.
+        SimulationError
+            If Euler's step is unstable.
         """
         self.begin(numbers)
         by = None if weights is None else _whole(weights, len(self._run.found))
@@ -232,20 +220,3 @@ class Rows:
     def found(self) -> Array:
         """(N, K) results of the last call."""
         return self._run.found
-
-
-def kernel_of(
-    memory: Sequence[Element],
-    numbers: Sequence[sympy.Symbol],
-    inputs: Sequence[sympy.Symbol],
-    wanted: Sequence[sympy.Expr],
-    settling: sympy.Expr,
-    *,
-    once: bool = False,
-) -> Kernel | None:
-    """Return the kernel of expressions, None where they have something in them that C has not."""
-    try:
-        return Kernel(memory, numbers, inputs, wanted, settling, once=once)
-    except UnsupportedError as reason:
-        _log.info("a law is run over logs in NumPy (%s).", reason)
-        return None

@@ -8,7 +8,7 @@ NumPy, derivatives, Modelica) has them alike.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Self, TypeAlias
+from typing import Literal, Self, TypeAlias
 
 import sympy
 
@@ -25,6 +25,9 @@ from hesr_model.equations.functions import (
 
 DT = sympy.Symbol("dt", real=True)
 """Length of the step that ends now [s]."""
+
+Discretisation: TypeAlias = Literal["exact", "euler"]
+"""How relaxations move over a step: exactly for held inputs, or by explicit Euler (eq. 10)."""
 
 EULER = sympy.Symbol("euler", real=True)
 """1 where relaxations move by Euler's step (eq. 10), 0 where exactly."""

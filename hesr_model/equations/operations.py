@@ -1,10 +1,10 @@
-"""Equations as lists of operations on registers, which `rows.c` runs over blocks of rows.
+"""Equations as lists of operations on registers, run by `rows.c` over blocks of rows.
 
-An expression becomes a graph whose equal parts are one node. What is the same for all rows is
-computed once for a run; what inputs alone decide, once for a log.
+An expression becomes a graph in which equal parts are one node. Values that are the same for all
+rows are computed once per run, values that depend on inputs alone once per log.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -14,32 +14,29 @@ import numpy as np
 import sympy
 from numpy.typing import NDArray
 
-from hesr_model.equations.memory import DT, Element, Relaxation
-from hesr_model.equations.over_log import groups_of
+from hesr_model.equations.memory import DT, Element, Relaxation, Stop
+from hesr_model.errors import ArtifactError
 
 NAMES = (
-    "ADD", "SUBTRACT", "MULTIPLY", "DIVIDE", "NEGATE", "ROOT", "EXP", "TANH", "SIN", "COS",
-    "CARDINAL_SINE", "SGN", "ABSOLUTE", "POSITIVE", "LARGER", "CLIP", "EXCEEDS", "OVER", "CARRIED",
-    "RELAX", "STOP", "STOP_BESIDE", "ADD_SAME", "MULTIPLY_SAME",
-)  # fmt: skip
-"""The operations of `rows.c`, in the order of their numbers there."""
+    *("ADD", "SUBTRACT", "MULTIPLY", "DIVIDE", "NEGATE", "ROOT", "POWER", "EXP"),
+    *("LOG", "TANH", "SIN", "COS", "CARDINAL_SINE", "SGN", "ABSOLUTE", "POSITIVE", "LARGER"),
+    *("CLIP", "EXCEEDS", "OVER", "CARRIED", "RELAX", "STOP", "STOP_BESIDE", "ADD_SAME"),
+    "MULTIPLY_SAME",
+)
+"""Operations of `rows.c`, in the order of their numbers there."""
 STOPS = 4
-"""Stops that move at once, as in `rows.c`."""
+"""Number of stops moved together, as in `rows.c`."""
 
 _FUNCTIONS: Mapping[Any, str] = {sympy.exp: "EXP"} | {
-    name.lower(): name for name in NAMES[NAMES.index("TANH") : NAMES.index("CARRIED")]
+    name.lower(): name for name in NAMES[NAMES.index("LOG") : NAMES.index("CARRIED")]
 }
 _MOVES = ("CARRIED", "RELAX", "STOP", "STOP_BESIDE")
 _MOST_FACTORS = 8
-"""Largest whole power that is written as a product."""
+"""Largest integer power written as a product."""
 
 
-class UnsupportedError(Exception):
-    """An expression has something in it that `rows.c` does not know."""
-
-
-class Kind(IntEnum):
-    """What a node depends on."""
+class Dependence(IntEnum):
+    """Values on which a node depends."""
 
     LITERAL, NUMBERS, INPUTS, ROWS = range(4)
 
@@ -50,25 +47,25 @@ class Node:
 
     Attributes
     ----------
-    operation : name of what makes it; empty for what is given.
+    operation : name of the operation; empty for literals, numbers and inputs.
     operands : nodes.
-    detail : number of the state, the literal, or the number of what is given.
-    kind : what it depends on.
+    detail : number of the state, the literal, or the index of the number or input.
+    dependence : values on which the node depends.
     """
 
     operation: str
     operands: "tuple[int, ...]"
     detail: Any
-    kind: Kind
+    dependence: Dependence
 
 
 class Graph:
-    """Nodes of several expressions, each after those that it uses.
+    """Nodes of several expressions, each after its operands.
 
     Parameters
     ----------
-    numbers : symbols of what is the same for all rows.
-    inputs : symbols of what differs from row to row, after `dt`.
+    numbers : symbols of values that are the same for all rows.
+    inputs : symbols of values that differ between rows, without `dt`.
     """
 
     def __init__(self, numbers: Sequence[sympy.Symbol], inputs: Sequence[sympy.Symbol]) -> None:
@@ -76,40 +73,39 @@ class Graph:
         self.nodes: list[Node] = []
         self._places: dict[tuple[Any, ...], int] = {}
         self._of: dict[sympy.Basic, int] = {}
-        for kind, symbols in ((Kind.NUMBERS, numbers), (Kind.INPUTS, self.inputs)):
+        for dependence, symbols in (
+            (Dependence.NUMBERS, numbers),
+            (Dependence.INPUTS, self.inputs),
+        ):
             for i, symbol in enumerate(symbols):
-                self._of[symbol] = self._node("", (), i, kind)
-
-    def define(self, symbol: sympy.Symbol, node: int) -> None:
-        """Let a symbol stand for a node."""
-        self._of[symbol] = node
+                self._of[symbol] = self._node("", (), i, dependence)
 
     def assign(self, assignments: Mapping[sympy.Symbol, sympy.Expr]) -> None:
-        """Let symbols stand for their expressions, which use those before them."""
+        """Define symbols by expressions, which may use earlier symbols."""
         for symbol, expression in assignments.items():
             self._of[symbol] = self.of(expression)
 
     def move(self, memory: Sequence[Element]) -> None:
-        """Let the states of elements, and their derivatives, stand for those after a step."""
-        for i, end in groups_of(memory):
+        """Define states and derivatives of elements by their values after a step."""
+        for i, end in _groups(memory):
             group = memory[i:end]
             for k in range(0, len(group), STOPS):
                 self._move_together(group[k : k + STOPS], i + k)
 
     def _move_together(self, group: Sequence[Element], first: int) -> None:
-        """Move elements that do not read one another: one, or stops."""
+        """Move one element, or stops that do not read one another."""
         (element, *_), states = group, [m.state for m in group]
         sees_itself = element.state in sympy.Tuple(*element.parts).free_symbols
         if sees_itself:
-            self._of[element.state] = self._node("CARRIED", (), first, Kind.ROWS)
+            self._of[element.state] = self._node("CARRIED", (), first, Dependence.ROWS)
         parts = [tuple(map(self.of, m.parts)) for m in group]
-        if sees_itself:  # forget what was made of the state before it moved
+        if sees_itself:  # drop nodes of the state before the step
             self._of = {e: k for e, k in self._of.items() if element.state not in e.free_symbols}
         kind = "RELAX" if isinstance(element, Relaxation) else "STOP"
-        leader = self._of[states[0]] = self._node(kind, parts[0], first, Kind.ROWS)
+        leader = self._of[states[0]] = self._node(kind, parts[0], first, Dependence.ROWS)
         for i in range(1, len(group)):
             own = (*parts[i], leader)
-            self._of[states[i]] = self._node("STOP_BESIDE", own, first + i, Kind.ROWS)
+            self._of[states[i]] = self._node("STOP_BESIDE", own, first + i, Dependence.ROWS)
         for m in group:
             self._of[m.derivative] = self.of(m.continuous())
 
@@ -118,8 +114,8 @@ class Graph:
 
         Raises
         ------
-        UnsupportedError
-            If there is no operation for a part of it.
+        ArtifactError
+            If the expression contains a function without an operation.
         """
         if expression not in self._of:
             self._of[expression] = self._made(expression)
@@ -136,7 +132,10 @@ class Graph:
             return self._power(e)
         name = _FUNCTIONS.get(e.func, _FUNCTIONS.get(e.func.__name__))
         if name is None:
-            raise UnsupportedError(str(e))
+            raise ArtifactError(
+                f"equations: '{e}' uses the function '{e.func.__name__}', which cannot be run over "
+                f"logs; use {', '.join(sorted(map(str, _FUNCTIONS)))} and powers."
+            )
         return self._operation(name, *map(self.of, e.args))
 
     def _sum(self, e: sympy.Add) -> int:
@@ -146,7 +145,7 @@ class Graph:
         if not plus:
             return self._operation("NEGATE", self._folded("ADD", minus))
         found = self._folded("ADD", plus)
-        for node in self._by_kind(minus):
+        for node in self._by_dependence(minus):
             found = self._operation("SUBTRACT", found, node)
         return found
 
@@ -163,8 +162,8 @@ class Graph:
             else:
                 above.append(self.of(factor))
         one = self._literal(1.0)
-        # What is the same for all rows divides once; a product takes a fifth of a quotient's time.
-        same = [node for node in below if self.nodes[node].kind <= Kind.NUMBERS]
+        # Divide once by values that are the same for all rows: products are five times as fast.
+        same = [node for node in below if self.nodes[node].dependence <= Dependence.NUMBERS]
         differs = [node for node in below if node not in same]
         if same:
             above.append(self._operation("DIVIDE", one, self._folded("MULTIPLY", same)))
@@ -176,61 +175,63 @@ class Graph:
     def _power(self, e: sympy.Pow) -> int:
         if e.base is sympy.E:
             return self._operation("EXP", self.of(e.exp))
-        if not e.exp.is_Rational:
-            raise UnsupportedError(str(e))
-        if e.exp < 0:
+        if e.exp.is_Rational and e.exp < 0:
             return self._operation("DIVIDE", self._literal(1.0), self.of(e.base**-e.exp))
         base = self.of(e.base)
         if e.exp == sympy.Rational(1, 2):
             return self._operation("ROOT", base)
         if not e.exp.is_Integer or e.exp > _MOST_FACTORS:
-            raise UnsupportedError(str(e))
+            return self._operation("POWER", base, self.of(e.exp))
         found = base
         for _ in range(int(e.exp) - 1):
             found = self._operation("MULTIPLY", found, base)
         return found
 
-    def _by_kind(self, nodes: Iterable[int]) -> list[int]:
-        """Return nodes so that what is known for all rows goes together."""
-        return sorted(nodes, key=lambda node: self.nodes[node].kind)
+    def _by_dependence(self, nodes: Iterable[int]) -> list[int]:
+        """Sort nodes so that values of all rows are combined first."""
+        return sorted(nodes, key=lambda node: self.nodes[node].dependence)
 
     def _folded(self, name: str, nodes: Iterable[int]) -> int:
-        first, *others = self._by_kind(nodes)
+        first, *others = self._by_dependence(nodes)
         for node in others:
             first = self._operation(name, first, node)
         return first
 
     def _literal(self, value: float) -> int:
-        return self._node("", (), value, Kind.LITERAL)
+        return self._node("", (), value, Dependence.LITERAL)
 
     def _operation(self, name: str, *operands: int) -> int:
-        kinds = {self.nodes[node].kind for node in operands}
-        mixed = {Kind.NUMBERS, Kind.INPUTS} <= kinds
-        kind = Kind.ROWS if mixed else max(*kinds, Kind.NUMBERS)
-        return self._node(name, operands, None, kind)
+        of = {self.nodes[node].dependence for node in operands}
+        mixed = {Dependence.NUMBERS, Dependence.INPUTS} <= of
+        return self._node(
+            name, operands, None, Dependence.ROWS if mixed else max(*of, Dependence.NUMBERS)
+        )
 
-    def _node(self, name: str, operands: tuple[int, ...], detail: Any, kind: Kind) -> int:
-        # Literals by their text: 0.0 and -0.0 are equal numbers.
-        key = (name, operands, repr(detail) if kind is Kind.LITERAL else detail, kind)
+    def _node(
+        self, name: str, operands: tuple[int, ...], detail: Any, dependence: Dependence
+    ) -> int:
+        # Literals are compared as text because 0.0 == -0.0.
+        text = repr(detail) if dependence is Dependence.LITERAL else detail
+        key = (name, operands, text, dependence)
         if key not in self._places:
             self._places[key] = len(self.nodes)
-            self.nodes.append(Node(name, operands, detail, kind))
+            self.nodes.append(Node(name, operands, detail, dependence))
         return self._places[key]
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """What `rows.c` runs; registers are numbered as there: inputs, uniform ones, others.
+    """Program for `rows.c`; registers hold inputs first, then uniform values, then the others.
 
     Attributes
     ----------
-    inputs : of the first registers: numbers of inputs, `dt` first; those behind are known nodes.
-    given : (G,) literals of the next ones, 0 where a number stands in.
-    numbers : (2, M) places among `given`, and the numbers that stand in there.
-    operations : (K, 5) number, result and three operands of each, uniform ones first.
-    uniform : how many of the operations are the same for all rows.
-    uniform_count : registers that are the same for all rows.
-    registers : of all kinds.
+    inputs : index of the input of each first register, `dt` first; higher ones are known nodes.
+    given : (G,) literals of the next registers, 0 in place of numbers.
+    numbers : (2, M) positions in `given` and the index of the number for each.
+    operations : (K, 5) operation, result and three operands, uniform operations first.
+    uniform : number of operations that are the same for all rows.
+    uniform_count : number of registers that are the same for all rows.
+    registers : total number of registers.
     results : (R,) register of each result.
     """
 
@@ -245,14 +246,29 @@ class Program:
 
     @cached_property
     def addresses(self) -> tuple[int, int]:
-        """Where operations and results stand."""
+        """Addresses of operations and results."""
         return int(self.operations.ctypes.data), int(self.results.ctypes.data)
 
 
+def _groups(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
+    """Yield start and end of elements that move together: one relaxation, or independent stops."""
+    i = 0
+    while i < len(memory):
+        end, states = i + 1, {memory[i].state}
+        while end < len(memory) and all(isinstance(memory[k], Stop) for k in (i, end)):
+            states.add(memory[end].state)
+            read = sympy.Tuple(*(part for m in memory[i : end + 1] for part in m.parts))
+            if states & read.free_symbols:
+                break
+            end += 1
+        yield i, end
+        i = end
+
+
 def fixed_nodes(graph: Graph, results: Sequence[int]) -> list[int]:
-    """Return the nodes that inputs alone decide and others use, or which are results."""
+    """Return nodes that depend on inputs alone and are results or operands of other nodes."""
     nodes = graph.nodes
-    fixed = [node.kind is Kind.INPUTS and bool(node.operation) for node in nodes]
+    fixed = [node.dependence is Dependence.INPUTS and bool(node.operation) for node in nodes]
     seen, waiting, found = set[int](), list(results), set[int]()
     while waiting:
         k = waiting.pop()
@@ -271,25 +287,33 @@ def program_of(graph: Graph, results: Sequence[int], known: Sequence[int] = ()) 
 
     Parameters
     ----------
-    graph : with the nodes.
+    graph : the nodes.
     results : nodes.
-    known : nodes that are inputs of the program, as they were computed before.
+    known : nodes computed earlier, inputs of the program.
     """
     nodes = graph.nodes
     order = _in_order(nodes, results, set(known))
     numbered = {k: len(graph.inputs) + i for i, k in enumerate(known)}
     numbered |= {
-        k: nodes[k].detail for k in order if nodes[k].kind is Kind.INPUTS and not nodes[k].operation
+        k: nodes[k].detail
+        for k in order
+        if nodes[k].dependence is Dependence.INPUTS and not nodes[k].operation
     }
     inputs = [k for k in order if k in numbered]
     given = [k for k in order if not nodes[k].operation and k not in numbered]
-    uniform = [k for k in order if nodes[k].operation and nodes[k].kind <= Kind.NUMBERS]
-    # The step comes first, whether or not an expression reads it: states move by it.
+    uniform = [k for k in order if nodes[k].operation and nodes[k].dependence <= Dependence.NUMBERS]
+    # The step always comes first: states move by it.
     places = {k: 1 + i for i, k in enumerate((*inputs, *given, *uniform))}
     rest = [k for k in order if k not in places]
     registers = _allocate(nodes, rest, set(results), places, 1 + len(places))
-    literals = [nodes[k].detail if nodes[k].kind is Kind.LITERAL else 0.0 for k in given]
-    numbers = [(i, nodes[k].detail) for i, k in enumerate(given) if nodes[k].kind is Kind.NUMBERS]
+    literals = [
+        nodes[k].detail if nodes[k].dependence is Dependence.LITERAL else 0.0 for k in given
+    ]
+    numbers = [
+        (i, nodes[k].detail)
+        for i, k in enumerate(given)
+        if nodes[k].dependence is Dependence.NUMBERS
+    ]
     operations = [_encoded(nodes, k, places) for k in (*uniform, *rest)]
     return Program(
         inputs=(0, *(numbered[k] for k in inputs)),
@@ -304,9 +328,9 @@ def program_of(graph: Graph, results: Sequence[int], known: Sequence[int] = ()) 
 
 
 def _in_order(nodes: Sequence[Node], results: Sequence[int], known: set[int]) -> list[int]:
-    """Return what results rest on, each after its operands, those of one result together.
+    """Return the nodes needed for results, each after its operands, grouped by result.
 
-    States move in the order of their numbers, whatever asks for them first.
+    States move in the order of their numbers.
     """
     done: dict[int, None] = {}
 
@@ -327,7 +351,7 @@ def _in_order(nodes: Sequence[Node], results: Sequence[int], known: set[int]) ->
             waiting += () if k in known else nodes[k].operands
     moves = sorted(k for k in needed if nodes[k].operation in _MOVES)
     for k in moves:
-        # Those that move beside it do so at once, so what they need comes before.
+        # Stops of one group move together, so the operands of all of them come first.
         for other in moves:
             if nodes[other].operation == "STOP_BESIDE" and nodes[other].operands[2] == k:
                 for operand in nodes[other].operands[:2]:
@@ -341,11 +365,11 @@ def _in_order(nodes: Sequence[Node], results: Sequence[int], known: set[int]) ->
 def _allocate(
     nodes: Sequence[Node], rest: Sequence[int], kept: set[int], places: dict[int, int], first: int
 ) -> int:
-    """Put nodes into registers that are used again once nobody needs what they hold."""
+    """Assign registers, reusing each one after the last use of its node."""
     last = {operand: i for i, k in enumerate(rest) for operand in nodes[k].operands}
     own, free, count = set(rest), list[int](), first
     for i, k in enumerate(rest):
-        # Before those of its operands are free: a result is never one of its own operands.
+        # Before operands are freed: a result must not overwrite its own operands.
         if free:
             places[k] = free.pop()
         else:
@@ -360,10 +384,10 @@ def _encoded(
     nodes: Sequence[Node], k: int, places: Mapping[int, int]
 ) -> tuple[int, int, int, int, int]:
     name, operands = nodes[k].operation, list(nodes[k].operands)
-    if name in ("ADD", "MULTIPLY") and nodes[k].kind is Kind.ROWS:
-        # By what is the same for all rows, which then is read once.
-        operands.sort(key=lambda o: -nodes[o].kind)
-        name += "_SAME" if nodes[operands[1]].kind <= Kind.NUMBERS else ""
+    if name in ("ADD", "MULTIPLY") and nodes[k].dependence is Dependence.ROWS:
+        # The uniform operand comes second; it is read once.
+        operands.sort(key=lambda o: -nodes[o].dependence)
+        name += "_SAME" if nodes[operands[1]].dependence <= Dependence.NUMBERS else ""
     registers = [places[o] for o in operands] + [0, 0, 0]
     if name in _MOVES:
         registers[2] = nodes[k].detail

@@ -37,13 +37,15 @@ _SEARCH = 60
 """Steps by which a state whose own rate sees it is settled: some thirty for a factor of 1e9."""
 
 
-def begun(element: Element) -> sympy.Symbol:
+def initial_symbol(element: Element) -> sympy.Symbol:
     """Return the symbol of a state where it begins; its own symbol is its start value there."""
     return sympy.Symbol(f"{element.name}_begun", real=True)
 
 
-def beginning(memory: Iterable[Element], settling: sympy.Expr) -> dict[sympy.Symbol, sympy.Expr]:
-    """Return where the states begin for the first inputs, by their `begun` symbols, and the way.
+def initial_state(
+    memory: Iterable[Element], settling: sympy.Expr
+) -> dict[sympy.Symbol, sympy.Expr]:
+    """Return where the states begin for the first inputs, by their `initial_symbol`s, and the way.
 
     A share (`Component.settling`) of the way from the start value to the steady state, each with
     those before it where they begin.
@@ -59,8 +61,8 @@ def beginning(memory: Iterable[Element], settling: sympy.Expr) -> dict[sympy.Sym
             found[nearer] = settled.xreplace({element.state: x})
             x = nearer
         end = x if element.seeks else settled
-        found[begun(element)] = element.state + settling * (end - element.state)
-        seen[element.state] = begun(element)
+        found[initial_symbol(element)] = element.state + settling * (end - element.state)
+        seen[element.state] = initial_symbol(element)
     return found
 
 

@@ -4,12 +4,11 @@
  * block, small enough that all of them stay in the fastest cache. So there is one binary for all
  * equations, and nothing is compiled when a search tries another form. `operations.py` makes the
  * programs; the operations' numbers are defined where this is compiled. */
-#define WITHOUT_LIBRARY
 #include "law_math.h"
 
 enum { BLOCK = 128, LANES = 8, STOPS = 4 };
 
-enum { DONE, UNSTABLE, TOO_LARGE };
+enum { DONE, UNSTABLE };
 
 typedef struct {
     int32_t operation, result, a, b, c;
@@ -27,6 +26,7 @@ typedef struct {
     int64_t uniform_count; /* these, and what the uniform operations make of them */
     int64_t registers;     /* of all kinds */
     double euler;
+    double unstable;             /* rate dt of the Euler step that was refused */
     const int64_t *firsts;       /* (first_count) rows, in rising order, at which records begin, */
     int64_t first_count, coming; /* and how many of them are behind the block */
     const double *start;         /* (states, first_count) where each state begins there */
@@ -49,7 +49,7 @@ typedef struct {
 
 #define INLINE static inline __attribute__((always_inline))
 
-/* Whether sines of all numbers can be had. */
+/* True if `even_sin` reduces all angles exactly. */
 INLINE bool small_angles(const double *restrict x, int64_t n) {
     double outside = 0.0;
     for (int64_t i = 0; i < n; i++) {
@@ -74,6 +74,7 @@ INLINE int relax(program *p, int64_t state, int64_t at, int64_t n, double *restr
             a[i] = 1.0 - z;
             c[i] = drive[i] * dt[i];
             if (z >= 1.0) {
+                p->unstable = z;
                 return UNSTABLE;
             }
         }
@@ -183,21 +184,25 @@ INLINE int operate(program *p, const operation *o, int64_t at, int64_t n) {
         EACH(even_exp(a[i]));
     case TANH:
         EACH(even_tanh(a[i]));
+    case LOG:
+        EACH(log(a[i]));
+    case POWER:
+        EACH(pow(a[i], b[i]));
     case SIN:
         if (!small_angles(a, n)) {
-            return TOO_LARGE;
+            EACH(sine(a[i]));
         }
         EACH(even_sin(a[i]));
     case COS:
         if (!small_angles(a, n)) {
-            return TOO_LARGE;
+            EACH(cosine(a[i]));
         }
         EACH(even_cos(a[i]));
     case CARDINAL_SINE:
         if (!small_angles(a, n)) {
-            return TOO_LARGE;
+            EACH(cardinal_sine(a[i]));
         }
-        EACH(cardinal(a[i], even_sin(a[i])));
+        EACH(even_cardinal_sine(a[i]));
     case SGN:
         EACH(sgn(a[i]));
     case ABSOLUTE:
@@ -227,8 +232,6 @@ INLINE int operate(program *p, const operation *o, int64_t at, int64_t n) {
     }
     case STOP_BESIDE: /* has moved with the one before */
         break;
-    default:
-        return TOO_LARGE;
     }
     return DONE;
 }

@@ -1,12 +1,10 @@
-"""Programs of `operations.py` on arrays: the library that `rows.c` is, and one run of it."""
+"""Programs of `operations.py` on arrays: the compiled `rows.c` and one run of a program."""
 
 import ctypes
-import logging
 import platform
 import sys
 import tempfile
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from itertools import accumulate
 from pathlib import Path
@@ -15,16 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hesr_model.equations.operations import NAMES, Program
-from hesr_model.errors import ExportError
+from hesr_model.errors import ExportError, SimulationError
+from hesr_model.support.arrays import Array
 from hesr_model.support.compiler import compile_c
 
-Array = NDArray[np.float64]
-
-_log = logging.getLogger(__name__)
 BLOCK, _LANES = 128, 8  # as in rows.c
-
-RUNS: Counter[str] = Counter()
-"""How many runs over rows were in C and how many in NumPy, for whoever asks what was used."""
 
 HOSTS = {
     ("linux", "x86_64"): ("x86_64-linux-gnu.2.17", ".so"),
@@ -33,10 +26,22 @@ HOSTS = {
     ("darwin", "arm64"): ("aarch64-macos.11.0", ".dylib"),
     ("win32", "AMD64"): ("x86_64-windows-gnu", ".dll"),
 }
-"""The compiler's name of a machine, and how its libraries end."""
+"""Compiler target and library suffix of each machine."""
 _FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
           "-Wall", "-Wextra", "-Werror", "-shared", "-nostdlib", "-g0", "-s")  # fmt: skip
-_LAST = {".dll": ("-Wl,--no-entry", "-lcompiler_rt")}
+_LIBRARIES: Mapping[str, tuple[str, ...]] = {
+    ".so": ("-lm",),
+    ".dylib": ("-lc",),
+    # Building the C library of Windows takes minutes; its headers and the system's own are enough.
+    ".dll": (
+        "-Wl,--no-entry",
+        "-D_UCRT=",
+        "-isystem",
+        "{compiler}/lib/libc/include/any-windows-any",
+        "-lapi-ms-win-crt-math-l1-1-0",
+        "-lcompiler_rt",
+    ),
+}
 _SOURCES = ("rows.c", "law_math.h")
 
 
@@ -48,7 +53,7 @@ class _Program(ctypes.Structure):
         ("input_count", ctypes.c_int64),
         ("given", ctypes.c_void_p),
         *((name, ctypes.c_int64) for name in ("given_count", "uniform_count", "registers")),
-        ("euler", ctypes.c_double),
+        *((name, ctypes.c_double) for name in ("euler", "unstable")),
         ("firsts", ctypes.c_void_p),
         *((name, ctypes.c_int64) for name in ("first_count", "coming")),
         *((name, ctypes.c_void_p) for name in ("start", "carried")),
@@ -63,12 +68,8 @@ class _Program(ctypes.Structure):
     )
 
 
-class OutsideError(Exception):
-    """Numbers are outside of what `rows.c` takes; NumPy goes on."""
-
-
 def built(folder: Path, host: tuple[str, str]) -> Path:
-    """Compile `rows.c` in a folder for a machine, and return the library.
+    """Compile `rows.c` in a folder for a machine and return the library.
 
     Raises
     ------
@@ -82,57 +83,65 @@ def built(folder: Path, host: tuple[str, str]) -> Path:
     position = () if suffix == ".dll" else ("-fPIC",)
     file = Path(folder, f"rows{suffix}")
     flags = ("-target", triple, *_FLAGS, *position, *numbers)
-    compile_c(Path(folder, "rows.c"), flags, file, _LAST.get(suffix, ()))
+    compile_c(Path(folder, "rows.c"), flags, file, _LIBRARIES[suffix])
     return file
 
 
 @cache
-def library() -> ctypes.CDLL | None:
-    """Return the compiled `rows.c`, None where it cannot be had."""
+def library() -> ctypes.CDLL:
+    """Return the compiled `rows.c`.
+
+    Raises
+    ------
+    ExportError
+        If this machine is not supported or the compiler fails.
+    """
     host = sys.platform, platform.machine()
     if host not in HOSTS:
-        return None
+        raise ExportError(
+            f"laws cannot be run on {' '.join(host)}; supported are "
+            f"{', '.join(map(' '.join, HOSTS))}."
+        )
     try:
         with tempfile.TemporaryDirectory(prefix="hesr-", ignore_cleanup_errors=True) as folder:
             found = ctypes.CDLL(str(built(Path(folder), host)))
     except (ExportError, ImportError, OSError) as error:
-        _log.info("laws are run over logs in NumPy (%s).", error)
-        return None
+        raise ExportError(
+            "laws cannot be run without the C compiler of the package 'ziglang': "
+            f"{str(error).rstrip('.')}; reinstall it."
+        ) from error
     found.solve.restype = ctypes.c_bool
     return found
 
 
 @cache
 def vectors() -> int:
-    """Return how wide vectors are on this machine, as `rows.c` numbers them."""
-    found = library()
-    return 0 if found is None else int(found.widest())
+    """Return the widest vectors of this machine, as numbered in `rows.c`."""
+    return int(library().widest())
 
 
-class Run:
-    """A program on arrays, with all that it works on.
+class ProgramRun:
+    """A program bound to arrays.
 
     Parameters
     ----------
-    loaded : the library.
     own : the program.
     arrays : (N,) inputs by their numbers.
-    firsts : rows at which records begin.
-    states : how many there are.
-    euler : whether relaxations move by Euler's step.
-    block : rows of a block.
-    target : (N,) what results are fitted to.
-    found : (N, K) for the results.
+    firsts : first row of each record.
+    states : number of states.
+    euler : True if relaxations move by Euler's step.
+    block : rows per block.
+    target : (N,) values that the results are fitted to.
+    found : (N, K) array for the results.
 
     Attributes
     ----------
-    found : the results of the last call that kept them.
-    starts : (states, firsts) where states begin.
+    found : results of the last call that kept them.
+    starts : (states, firsts) initial states.
     """
 
     def __init__(
         self,
-        loaded: ctypes.CDLL,
         own: Program,
         arrays: Sequence[Array],
         firsts: NDArray[np.int64],
@@ -144,7 +153,7 @@ class Run:
         found: Array | None = None,
     ) -> None:
         self._rows = len(arrays[0])
-        self._run, self._solve = loaded["run"], loaded["solve"]
+        self._run, self._solve = library()["run"], library()["solve"]
         rows, count = self._rows, len(own.results)
         self.found = np.empty((count, rows)).T if found is None else found
         used = [arrays[i] for i in own.inputs]
@@ -163,7 +172,7 @@ class Run:
             "places": own.registers,
             "columns": count + 4,
         }
-        # All in one piece, since to ask for addresses takes long.
+        # One allocation, because each look-up of an address is slow.
         starts = list(accumulate(sizes.values(), initial=0))
         room = np.zeros(starts[-1])
         part = {
@@ -179,7 +188,7 @@ class Run:
         self.starts, self.gram = part["start"].reshape(states, len(firsts)), part["gram"]
         self._given, self._numbers = part["given"], own.numbers
         self._x, self._squares = part["x"], ctypes.c_double()
-        self._at, self._held = at, (own, used, firsts, target)  # as addresses of them are in use
+        self._at, self._held = at, (own, used, firsts, target)  # keep alive: C uses their addresses
         operations, results = own.addresses
         self._program = _Program(
             operations=operations, uniform=own.uniform, count=len(own.operations),
@@ -195,23 +204,17 @@ class Run:
         self._reference = ctypes.byref(self._program)
 
     def __call__(self, numbers: Array) -> None:
-        """Put the results for numbers into `found`.
-
-        Raises
-        ------
-        OutsideError
-            If a number is outside of what `rows.c` takes.
-        """
+        """Write the results for numbers into `found`; errors as for `KernelRun.at`."""
         self.on(numbers, 0, self._rows)
 
     def on(self, numbers: Array, first: int, stop: int) -> None:
-        """Put those of some rows into `found`, after those before them; raises the same."""
+        """See `KernelRun.on`."""
         self._started(numbers, (first, stop), weights=None, gram=False, keep=True)
 
     def solved(
         self, numbers: Array, non_negative: int, weights: Array | None, *, keep: bool
     ) -> tuple[Array, float] | None:
-        """See `compiled.Rows`."""
+        """See `KernelRun.solved`."""
         self._started(numbers, (0, self._rows), weights, gram=True, keep=keep)
         at = self._at
         determined = self._solve(
@@ -232,8 +235,10 @@ class Run:
         own.gram = self._at["gram"] if gram else None
         own.out = self._at["out"] if keep else None
         if self._run(self._reference, vectors()):
-            raise OutsideError
-        RUNS["C"] += 1
+            raise SimulationError(
+                f"Euler needs 0 <= rate * step < 1, found {own.unstable:.3g}; take a smaller step "
+                "or the 'exact' discretisation."
+            )
 
 
 def _address(array: NDArray[np.generic]) -> int:

@@ -13,16 +13,16 @@ import sympy
 from hesr_model.equations.component import Component, previous
 from hesr_model.equations.functions import NUMPY, SCALAR
 from hesr_model.equations.memory import DT, EULER
-from hesr_model.equations.over_log import Array
 from hesr_model.equations.program import (
     Assignments,
-    beginning,
-    begun,
+    initial_state,
+    initial_symbol,
     moved,
     readings,
     sampled,
     straight_line,
 )
+from hesr_model.support.arrays import Array
 
 
 class Steps:
@@ -47,11 +47,11 @@ class Steps:
         remembered = [e.symbol for e in component.remembered]
         before = [previous(e.name) for e in component.remembered]
         starts = component.starts
-        begins = beginning(component.memory, component.settling)
+        begins = initial_state(component.memory, component.settling)
         self._settle = _function(
             (given, states),
             {symbol: e.xreplace(starts) for symbol, e in begins.items()},
-            ([begun(m) for m in component.memory],),
+            ([initial_symbol(m) for m in component.memory],),
             lanes=lanes,
         )
         self._start = _function(
@@ -70,7 +70,7 @@ class Steps:
 
     def run(
         self, values: Mapping[str, float], start: Sequence[float], inputs: Sequence[str]
-    ) -> "Run":
+    ) -> "ComponentRun":
         """Return a run that has not begun.
 
         Parameters
@@ -79,7 +79,9 @@ class Steps:
         start : of each state.
         inputs : names of those that are handed over with each step, in this order.
         """
-        return Run(self._settle, self._start, self._step, self.component, values, start, inputs)
+        return ComponentRun(
+            self._settle, self._start, self._step, self.component, values, start, inputs
+        )
 
     def over(
         self, t: Array, columns: Mapping[str, Array], values: Mapping[str, float],
@@ -106,7 +108,7 @@ class Steps:
         return np.array(found).T
 
 
-class Run:
+class ComponentRun:
     """A component on its way; all that it remembers stands in `states` and `remembered`."""
 
     def __init__(

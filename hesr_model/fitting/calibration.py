@@ -17,7 +17,8 @@ from dataclasses import replace
 import numpy as np
 
 from hesr_model.friction.band import LEVEL, Band, shapes
-from hesr_model.friction.law import MOVING, FrictionLaw
+from hesr_model.friction.inputs import MOVING
+from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
 from hesr_model.inference.covariance import blocks_of_time
 from hesr_model.rigid_body.residual import FrictionRecord

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from hesr_model.equations.functions import lowered
-from hesr_model.equations.over_log import recurrence
+from hesr_model.equations.recurrence import recurrence
 from hesr_model.errors import FitError
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import SETTLING

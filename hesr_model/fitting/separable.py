@@ -6,20 +6,16 @@ coefficients the linear ones follow by least squares (variable projection, Golub
 """
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 import sympy
 from scipy.optimize import differential_evolution
 from scipy.optimize import least_squares as minimise_squares
 
-from hesr_model.equations.kernel import Kernel, Rows, kernel_of
-from hesr_model.equations.memory import Element
-from hesr_model.equations.over_log import Discretisation, StatesOverLog
-from hesr_model.equations.rows import RUNS, OutsideError
+from hesr_model.equations.kernel import Kernel, KernelRun
+from hesr_model.equations.memory import Discretisation
 from hesr_model.fitting.samples import (
     Samples,
     in_one_piece,
@@ -27,7 +23,6 @@ from hesr_model.fitting.samples import (
 )
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import LawForm
-from hesr_model.friction.predict import over_log
 from hesr_model.support.arrays import Array, Mask
 from hesr_model.support.progress import step
 
@@ -88,7 +83,7 @@ class Separable:
         self.form = form
         self.space = space
         self.samples = samples
-        self._equations = _equations(form, space)
+        self._kernel = _kernel(form, space)
         limits = np.array([limits for _, limits in space.bounds]).reshape(-1, 2)
         self._logarithmic = limits[:, 0] > 0.0
         self.bounds = np.where(
@@ -112,58 +107,35 @@ class Separable:
 
     def columns(self, point: Array) -> Array:
         """Return the (N, len(linear)) columns of the torque at a point [N.m per unit of each]."""
-        if self._rows is not None:
-            with suppress(OutsideError):
-                return self._rows.at(self.numbers(point)).copy(order="F")
-        return self._in_numpy(point)
+        return self._run.at(self.numbers(point)).copy(order="F")
 
     @cached_property
-    def _rows(self) -> Rows | None:
-        s, kernel = self.samples, self._equations.kernel
-        inputs, euler = (s.dq, s.q, s.tau_load), self.discretisation == "euler"
-        if kernel is None:
-            return None
-        return kernel.over(
-            inputs, s.dt, np.flatnonzero(s.begins), euler=euler, start=self.start, target=s.tau
+    def _run(self) -> KernelRun:
+        s, euler = self.samples, self.discretisation == "euler"
+        return self._kernel.over(
+            (s.dq, s.q, s.tau_load),
+            s.dt,
+            np.flatnonzero(s.begins),
+            euler=euler,
+            start=self.start,
+            target=s.tau,
         )
-
-    def _in_numpy(self, point: Array) -> Array:
-        RUNS["NumPy"] += 1
-        s, (memory, columns_of) = self.samples, self._equations.lowered
-        inputs, numbers = (s.dq, s.q, s.tau_load), self.numbers(point)
-        values = (*numbers, *inputs)
-        start = np.repeat(np.array(self.start)[:, None], len(s.dq), axis=1)
-        firsts = (u[s.begins] for u in inputs)
-        begun = memory.beginning((*numbers, *firsts), list(start[:, s.begins]))
-        for of_state, first in zip(start, begun, strict=True):
-            of_state[s.begins] = first
-        states = memory(values, s.dt, s.begins, list(start), self.discretisation)
-        columns = np.empty((len(s.dq), len(self.space.linear)), order="F")
-        for i, column in enumerate(columns_of(*values, *states, s.dt)):
-            columns[:, i] = column
-        return columns
 
     def solve(self, point: Array) -> tuple[Array, float]:
         """Return (len(linear),) unknowns at a point and the sum of squared residuals [N^2.m^2]."""
         own = self.space.non_negative
-        if self._rows is not None:
-            with suppress(OutsideError):
-                found = self._rows.solved(self.numbers(point), non_negative=own)
-                if found is not None:
-                    return found
+        found = self._run.solved(self.numbers(point), non_negative=own)
+        if found is not None:
+            return found
         return non_negative_least_squares(self.columns(point), self.samples.tau, non_negative=own)
 
     def _residual(self, point: Array, weights: Array | None) -> Array:
-        """Return the (N,) residual of all rows, its unknowns solved for by their weights."""
+        """Return the (N,) residual of all rows; `weights` count in solving for the unknowns."""
         own, tau = self.space.non_negative, self.samples.tau
-        if self._rows is not None:
-            with suppress(OutsideError):
-                found = self._rows.solved(
-                    self.numbers(point), non_negative=own, weights=weights, keep=True
-                )
-                if found is not None:
-                    return np.asarray(self._rows.found @ found[0] - tau)
-        columns, w = self.columns(point), np.ones_like(tau) if weights is None else weights
+        found = self._run.solved(self.numbers(point), non_negative=own, weights=weights, keep=True)
+        if found is not None:
+            return np.asarray(self._run.found @ found[0] - tau)
+        columns, w = self._run.found, np.ones_like(tau) if weights is None else weights
         x, _ = non_negative_least_squares(w[:, None] * columns, w * tau, non_negative=own)
         return np.asarray(columns @ x - tau)
 
@@ -240,29 +212,9 @@ def left_out_cost(columns: Array, tau: Array, folds: Sequence[Mask]) -> float:
     return total / len(tau)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Equations:
-    """Memory and columns of a form, and what runs them over rows."""
-
-    memory: tuple[Element, ...]
-    columns: tuple[sympy.Expr, ...]
-    searched: tuple[sympy.Symbol, ...]
-    settling: sympy.Expr
-
-    @cached_property
-    def kernel(self) -> Kernel | None:
-        """The same in C, where that can be had."""
-        return kernel_of(self.memory, self.searched, INPUTS, self.columns, self.settling)
-
-    @cached_property
-    def lowered(self) -> tuple[StatesOverLog, Any]:
-        """States and columns in NumPy."""
-        return over_log(self.memory, (*self.searched, *INPUTS), self.columns, self.settling)
-
-
 @lru_cache(maxsize=64)
-def _equations(form: LawForm, space: SearchSpace) -> _Equations:
-    """Return the states and the columns of a form."""
+def _kernel(form: LawForm, space: SearchSpace) -> Kernel:
+    """Return the columns of a form: derivatives of its torque by the linear unknowns."""
     replaced = {sympy.Symbol(name, real=True): e for name, e in space.values}
     searched = tuple(sympy.Symbol(name, real=True) for name in space.names)
     linear = tuple(sympy.Symbol(name, real=True) for name in space.linear)
@@ -276,6 +228,4 @@ def _equations(form: LawForm, space: SearchSpace) -> _Equations:
     mixed = set(linear) & set().union(*(e.free_symbols for e in (*parts, *columns)))
     if mixed or rest != 0:
         raise ValueError(f"not linear in {sorted(map(str, mixed)) or 'an offset'}: {output}")
-    return _Equations(
-        memory=memory, columns=columns, searched=searched, settling=form.component.settling
-    )
+    return Kernel(memory, searched, INPUTS, columns, form.component.settling)

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hesr_model.errors import SimulationError
-from hesr_model.forward.stepping import LawSteps
 from hesr_model.forward.windows import Windows
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.stepper import LawStepper
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support.arrays import Array
 
@@ -82,7 +82,7 @@ class Simulator:
         found = np.empty_like(windows.q)
         found[:, 0] = q
         own = [None] * len(x) if values is None else values
-        laws = [LawSteps(law, one) for law, one in zip(self.friction.laws, own, strict=True)]
+        laws = [LawStepper(law, one) for law, one in zip(self.friction.laws, own, strict=True)]
         steps = np.diff(windows.t, axis=1)
         with np.errstate(all="ignore"):  # what diverges is seen in the result
             for k, dt in enumerate(steps.T):
@@ -120,7 +120,7 @@ class Simulator:
         return coupling.forward, coupling.torque(load)
 
     def _implicit(
-        self, laws: Sequence[LawSteps], h: Array, q: Array, v: Array, x: list[Array], tau: Array,
+        self, laws: Sequence[LawStepper], h: Array, q: Array, v: Array, x: list[Array], tau: Array,
         inverse: Array, load: Array,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Do one inner step; states `x` are moved in place."""
@@ -145,7 +145,7 @@ class Simulator:
         return q + h[:, None] * v, v
 
     def _explicit(
-        self, laws: Sequence[LawSteps], h: Array, q: Array, v: Array, x: list[Array], tau: Array,
+        self, laws: Sequence[LawStepper], h: Array, q: Array, v: Array, x: list[Array], tau: Array,
         inverse: Array, load: Array,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Do one step as MuJoCo's Euler does: all forces and rates are those before it."""
@@ -173,7 +173,7 @@ def position_errors(found: Array, windows: Windows) -> tuple[float | None, ...]:
 
 
 def _root(
-    law: LawSteps,
+    law: LawStepper,
     h: Array,
     q: Array,
     load: Array,

@@ -1,23 +1,46 @@
-"""The numbers of a band around a law's torque: half-widths at 95 %, by what widens it."""
+"""The band of a law: torques between which measured friction lies, with a given probability.
 
-from collections.abc import Mapping
+    w   = s(v, load) (ln(1 - coverage) / ln(1 - 0.95))^tail
+    s^2 = floor^2 + slow^2 / (1 + (v/v_slow)^2) + rest^2 r + (fast v)^2 + (share load)^2
+    r   = (1 - min((v/v_rest)^2, 1))^2, 1 at rest and 0 in motion
+
+In motion tau - w and tau + w bound friction. At rest friction is any torque that holds the joint,
+so the band spans both break-away torques, those of the law creeping at `MOVING`, and the floor
+beyond them because of noise. If the calibration logs contain rests, their width is used instead.
+
+The numbers are half-widths at 95 %, from `fitting.calibration`. Other probabilities follow from a
+Weibull tail of the standardised error, whose exponent is 0.65 for a normal distribution.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from math import isfinite
 from typing import Any
 
 import numpy as np
+import sympy
 
-from hesr_model.equations.component import Parameter, Quantity
+from hesr_model.equations.component import Equation, Parameter, Quantity
+from hesr_model.equations.functions import clip, larger
+from hesr_model.equations.memory import Element
+from hesr_model.equations.program import initial_state, initial_symbol
 from hesr_model.errors import ArtifactError
+from hesr_model.friction.inputs import DQ, MOVING, TAU_LOAD, TORQUE
 
 LEVEL = 0.95
-"""Probability to which the numbers of a band belong."""
+"""Probability of the band for which its numbers are stored."""
 
 REST = 0.005
-"""v_rest, below which a joint counts as resting, smoothly [rad/s, m/s]."""
+"""v_rest, the speed [rad/s, m/s] at which the width of rest has faded out."""
 
 LEAST, GREATEST = 0.5, 0.999
-"""Probabilities that a band has; others count as the nearest of these."""
+"""Limits of the probability; other values are clipped to them."""
+
+LOWER, UPPER = "tau_lower", "tau_upper"
+"""Names of the outputs."""
+
+_TINY = sympy.Float(1e-24)
+"""Added under the root [(N.m)^2], so that its derivative stays finite if all numbers are 0."""
 
 COVERAGE = Parameter(
     name="coverage",
@@ -41,12 +64,12 @@ NUMBERS = (
     _number("tail", "1", "exponent of the error's tail, 0.65 for a normal distribution"),
     _number("envelope", "1", "1 where the band at rest reaches to both break-away torques, else 0"),
 )
-"""What of a band is a number of each joint, in the order of the fields of `Band`."""
+"""Numbers of the band of each joint, in the order of the fields of `Band`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """The numbers of one joint's band; see `banded`.
+    """Numbers of one joint's band; see the module.
 
     Attributes
     ----------
@@ -55,7 +78,7 @@ class Band:
     fast : [N.m.s/rad].
     load : [1].
     tail : exponent.
-    envelope : 1 where the band at rest is the break-away envelope, 0 where rests were seen.
+    envelope : 1 if the band at rest spans the break-away torques, 0 if rests were measured.
 
     Raises
     ------
@@ -90,15 +113,15 @@ class Band:
 def shapes(
     dq: Any, tau_load: Any, slow_speed: Any, *, most: Any = np.minimum
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """Return what floor^2, slow^2, rest^2, fast^2 and load^2 are multiplied with in s^2.
+    """Return the factors of floor^2, slow^2, rest^2, fast^2 and load^2 in s^2.
 
-    Of arrays or of expressions.
+    Arguments and results are arrays or expressions.
 
     Parameters
     ----------
     dq, tau_load : velocity [rad/s] and load [N.m].
-    slow_speed : [rad/s].
-    most : the smaller of two.
+    slow_speed : speed v_slow [rad/s].
+    most : minimum of two arguments.
     """
     resting = (1 - most((dq / REST) ** 2, 1)) ** 2
     return 1 + 0 * dq, 1 / (1 + (dq / slow_speed) ** 2), resting, dq**2, tau_load**2
@@ -107,3 +130,63 @@ def shapes(
 def start_values(band: Band) -> Mapping[str, float]:
     """Return the numbers of a band by the names of `NUMBERS`."""
     return dict(zip((q.name for q in NUMBERS), band.values, strict=True))
+
+
+def band_equations(memory: Sequence[Element], output: sympy.Expr) -> tuple[Equation, ...]:
+    """Return the equations of the band of a law: two outputs after their intermediate values.
+
+    They read the torque by its name, `NUMBERS` and `COVERAGE`.
+
+    Parameters
+    ----------
+    memory, output : memory and torque of the law.
+    """
+    floor, slow, slow_speed, rest, fast, load, tail, envelope = (q.symbol for q in NUMBERS)
+    parts = shapes(DQ, TAU_LOAD, slow_speed, most=lambda a, b: clip(a, b))
+    sizes = (floor, slow, rest, fast, load)
+    variance = sympy.Add(*(size**2 * part for size, part in zip(sizes, parts, strict=True)))
+    middle, reach = (GREATEST + LEAST) / 2, (GREATEST - LEAST) / 2
+    wanted = middle + clip(COVERAGE.symbol - middle, reach)
+    tailed = Equation(
+        name="band_factor",
+        expression=sympy.exp(tail * sympy.log(sympy.log(1 - wanted) / float(np.log(1 - LEVEL)))),
+    )
+    half = Equation(name="band", expression=sympy.sqrt(variance + _TINY) * tailed.symbol)
+    torque, resting = sympy.Symbol(TORQUE, real=True), envelope * parts[2]
+    ahead, behind = (sympy.Symbol(name, real=True) for name in ("ahead", "behind"))
+
+    def side(name: str, sign: int, text: str) -> Equation:
+        edge = torque + sign * half.symbol
+        furthest = sign * (larger(sign * ahead, sign * behind) + floor * tailed.symbol)
+        return Equation(
+            name=name,
+            unit="N.m",
+            description=f"{text} end of the band of the measured friction {{effort}} of {{joint}}",
+            expression=edge + resting * (furthest - edge),
+            output=True,
+        )
+
+    return (
+        tailed,
+        half,
+        *_creeping(memory, output, "ahead", MOVING),
+        *_creeping(memory, output, "behind", -MOVING),
+        side(LOWER, -1, "lower"),
+        side(UPPER, 1, "upper"),
+    )
+
+
+def _creeping(
+    memory: Sequence[Element], output: sympy.Expr, name: str, speed: float
+) -> Iterator[Equation]:
+    """Yield the steady torque of a law at a creep speed, after its intermediate values."""
+    at = {DQ: sympy.Float(speed)}
+    memory = [m.subs(at) for m in memory]
+    lines = initial_state(memory, sympy.S.One)
+    own = {symbol: sympy.Symbol(f"{name}_{symbol.name}", real=True) for symbol in lines}
+    at |= {m.state: sympy.S.Zero for m in memory}  # start of iterations
+    for symbol, expression in lines.items():
+        yield Equation(name=own[symbol].name, expression=expression.xreplace(own | at))
+    at |= {m.state: own[initial_symbol(m)] for m in memory}
+    at |= {m.derivative: sympy.S.Zero for m in memory}
+    yield Equation(name=name, expression=output.xreplace(at))

@@ -1,4 +1,4 @@
-"""The inputs of friction laws."""
+"""Signals of friction laws: inputs, output and the speed that counts as motion."""
 
 from hesr_model.equations.component import Quantity
 
@@ -15,13 +15,19 @@ DQ = _VELOCITY.symbol
 Q = _POSITION.symbol
 """Joint position [rad]."""
 TAU_LOAD = _LOAD.symbol
-"""Load torque on the joint [N.m]: the rigid-body torque of the motion."""
+"""Load on the joint [N.m]: rigid-body torque of the motion."""
 
 QUANTITIES = (_VELOCITY, _POSITION, _LOAD)
-"""What a law may use, in the order in which every lowering passes it."""
+"""Inputs available to laws, in the order used everywhere."""
 
 INPUTS = tuple(quantity.symbol for quantity in QUANTITIES)
-"""Their symbols."""
+"""Symbols of the inputs."""
 
 INPUT_UNITS = {quantity.name: quantity.unit for quantity in QUANTITIES}
-"""Of a joint that turns; `units.unit_of_joint` has those of one that slides."""
+"""Units for a revolute joint; see `units.unit_of_joint` for a prismatic one."""
+
+TORQUE = "tau"
+"""Name of a law's output."""
+
+MOVING = 0.02
+"""Speed [rad/s, m/s] from which a law starts in its steady state."""

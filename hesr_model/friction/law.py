@@ -26,20 +26,12 @@ from hesr_model.equations.component import (
     elements_of,
 )
 from hesr_model.equations.functions import absolute, clip
-from hesr_model.equations.memory import Element
-from hesr_model.equations.over_log import Discretisation
+from hesr_model.equations.memory import Discretisation, Element
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.band import Band
-from hesr_model.friction.inputs import DQ, QUANTITIES
+from hesr_model.friction.inputs import DQ, MOVING, QUANTITIES, TORQUE
 from hesr_model.inference.covariance import Covariance
 from hesr_model.units import unit_of_joint
-
-TORQUE = "tau"
-"""Name of a law's output."""
-
-MOVING = 0.02
-"""Speed [rad/s, m/s] from which on a joint is in motion when a law begins, and its states settled.
-"""
 
 _SPEED = clip(absolute(DQ) / sympy.Float(MOVING), 1)
 SETTLING = _SPEED**2 * (3 - 2 * _SPEED)

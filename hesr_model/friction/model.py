@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike
 
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.band import LEVEL
-from hesr_model.friction.banded import predict_band
 from hesr_model.friction.equation import equations
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model_file import MODEL_FORMAT, JointEntry, ModelFile
-from hesr_model.friction.predict import predict_joints
+from hesr_model.friction.predict import predict_band, predict_joints
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.thermal import Thermal
 from hesr_model.friction.trained_range import TrainedRange

@@ -1,79 +1,87 @@
-"""Run a law: over a whole log at once, or one step at a time.
+"""Run a law over a log.
 
-The convention is that of the FMU: sample k is set, the states go from t[k-1] to t[k] with the
-inputs of sample k held, and the torque of sample k is read. At the first sample the states are
-where they begin: in the steady state of its inputs where these are motion, at the law's start at
-rest.
+The convention is that of the FMU: the inputs of sample k are held while the states move from t[k-1]
+to t[k]; then the torque of sample k is read. At the first sample the states are in the steady state
+of its inputs in motion, and at the law's start at rest.
 """
 
 from collections.abc import Sequence
-from contextlib import suppress
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import sympy
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 
-from hesr_model.equations.functions import lowered
-from hesr_model.equations.kernel import Kernel, Rows, kernel_of
-from hesr_model.equations.memory import DT, Element, Stop
-from hesr_model.equations.over_log import StatesOverLog
-from hesr_model.equations.rows import RUNS, OutsideError
-from hesr_model.friction.inputs import INPUTS
+from hesr_model.equations.functions import positive
+from hesr_model.equations.kernel import Kernel, KernelRun
+from hesr_model.equations.memory import Stop
+from hesr_model.errors import ArtifactError
+from hesr_model.friction.band import COVERAGE, LEVEL, LOWER, NUMBERS, UPPER, band_equations
+from hesr_model.friction.inputs import INPUTS, TORQUE
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.support.arrays import Array
 
 _PIECE = 2048
-"""Rows that are run for all joints before the next ones."""
+"""Rows run for all joints before the next ones."""
 
 
 @lru_cache(maxsize=256)
-def _kernel(form: LawForm) -> Kernel | None:
-    """Return the torque in C, where that can be had."""
-    symbols = tuple(c.symbol for c in form.coefficients)
+def _torque(form: LawForm) -> Kernel:
+    symbols, settling = _symbols(form), form.component.settling
+    return Kernel(form.memory, symbols, INPUTS, (form.output,), settling, once=True)
+
+
+@lru_cache(maxsize=64)
+def _states(form: LawForm) -> Kernel:
+    states = tuple(m.state for m in form.memory)
     settling = form.component.settling
-    return kernel_of(form.memory, symbols, INPUTS, (form.output,), settling, once=True)
+    return Kernel(form.memory, _symbols(form), INPUTS, states, settling, once=True)
 
 
-@lru_cache(maxsize=256)
-def _functions(form: LawForm) -> tuple[StatesOverLog, Any]:
-    arguments = (*(c.symbol for c in form.coefficients), *INPUTS)
-    return over_log(form.memory, arguments, (form.output,), form.component.settling)
+@lru_cache(maxsize=64)
+def _reading(form: LawForm) -> Kernel:
+    """Return the torque for inputs and states of each row; derivatives follow from both."""
+    states = tuple(m.state for m in form.memory)
+    torque = form.output.xreplace({m.derivative: m.continuous() for m in form.memory})
+    return Kernel((), _symbols(form), (*INPUTS, *states), (torque,), once=True)
 
 
-def over_log(
-    memory: Sequence[Element], arguments: Sequence[sympy.Symbol], outputs: Sequence[sympy.Expr],
-    settling: sympy.Expr,
-) -> tuple[StatesOverLog, Any]:  # fmt: skip
-    """Return what runs memory over logs, and outputs of arguments, states, derivatives and DT."""
-    states = tuple(s for m in memory for s in (m.state, m.derivative))
-    read = set().union(*(e.free_symbols for e in outputs))
-    found = StatesOverLog(memory, arguments, read, settling)
-    return found, lowered((*arguments, *states, DT), outputs)
+@lru_cache(maxsize=64)
+def _parts(form: LawForm) -> Kernel:
+    """Return drive and rate, or rate and bound, of each element for inputs and states."""
+    parts = [part for m in form.memory for part in (m.parts[0], positive(m.parts[1]))]
+    states = tuple(m.state for m in form.memory)
+    return Kernel((), _symbols(form), (*INPUTS, *states), parts, once=True)
 
 
-def numbers(law: FrictionLaw) -> tuple[np.float64, ...]:
-    """Return the values of a law's coefficients, in their order and units, for lowered functions.
+@lru_cache(maxsize=64)
+def _band(form: LawForm) -> Kernel:
+    names = {e.symbol: e.expression for e in band_equations(form.memory, form.output)}
+    numbers = (*_symbols(form), *(q.symbol for q in (*NUMBERS, COVERAGE)))
+    ends = [sympy.Symbol(name, real=True) for name in (LOWER, UPPER)]
+    inputs = (*INPUTS, sympy.Symbol(TORQUE, real=True))
+    return Kernel((), numbers, inputs, ends, names=names, once=True)
 
-    As NumPy's numbers: a division by one that is 0 gives inf or nan, as it does in C and among
-    arrays, where Python's own would end the program.
-    """
-    return tuple(np.float64(value) for value in law.values.values())
+
+def _symbols(form: LawForm) -> tuple[sympy.Symbol, ...]:
+    return tuple(c.symbol for c in form.coefficients)
+
+
+def numbers(law: FrictionLaw) -> Array:
+    """Return the (C,) coefficients of a law, in their order and units."""
+    return np.array(list(law.values.values()))
 
 
 def first_states(
     law: FrictionLaw, dq: float, q: float = 0.0, tau_load: float = 0.0
 ) -> tuple[float, ...]:
-    """Return where the states begin for the first inputs [rad/s, rad, N.m].
+    """Return the initial states for the first inputs [rad/s, rad, N.m].
 
-    In the steady state from `law.MOVING` on, faded in from the law's start at rest.
+    They are steady from `MOVING` on and fade into the law's start at rest.
     """
-    if not law.form.memory:
-        return ()
-    memory, _ = _functions(law.form)
-    return tuple(map(float, memory.beginning((*numbers(law), dq, q, tau_load), law.start)))
+    run = _torque(law.form).over([np.array([u]) for u in (dq, q, tau_load)], np.zeros(1))
+    return tuple(run.begin(numbers(law), np.array(law.start))[:, 0].tolist())
 
 
 def predict(
@@ -93,11 +101,11 @@ def predict(
     law : the law of one joint.
     t : (N,) time [s], increasing.
     dq : (N,) joint velocity [rad/s].
-    q : (N,) joint position [rad]; zero where not given.
-    tau_load : (N,) load torque [N.m]; zero where not given.
-    start : values of the states at t[0]; `first_states` of the first row where not given.
-    shown : (N,) of `dq`, `q` and `tau_load` at which the torque is read, the states being where the
-        others have taken them; those themselves where not given.
+    q : (N,) joint position [rad]; zero by default.
+    tau_load : (N,) load torque [N.m]; zero by default.
+    start : states at t[0]; `first_states` of the first row by default.
+    shown : (N,) `dq`, `q` and `tau_load` for reading the torque, if other than those that move the
+        states.
 
     Returns
     -------
@@ -110,49 +118,75 @@ def predict(
     """
     dt, inputs = _arrays(t, (dq, q, tau_load))
     if shown is None:
-        found = np.empty_like(dt)
-        with suppress(OutsideError):
-            rows = _begun(law, dt, inputs, start, found)
-            if rows is not None:
-                rows.on(np.array(numbers(law)), 0, len(dt))
-                return found
-        return _in_numpy(law, dt, inputs, start)
-    output, values, states = _states(law, dt, inputs, start)
-    values = (*numbers(law), *shown)
-    every = np.ones(dt.shape, dtype=bool)  # so that states stay and derivatives follow
-    states = _functions(law.form)[0](values, dt, every, states[::2], law.discretisation)
-    return np.array(np.broadcast_to(output(*values, *states, dt)[0], dt.shape))
+        return _run(_torque(law.form), law, dt, inputs, start)[:, 0]
+    states = _run(_states(law.form), law, dt, inputs, start)
+    read = _reading(law.form).over([*shown, *states.T], dt)
+    return read.at(numbers(law))[:, 0]
 
 
 def predict_joints(
     laws: Sequence[FrictionLaw], *, t: Array, dq: Array, q: Array, tau_load: Array
 ) -> Array:
-    """Return the (N, n) torques of the laws of n joints over a log; arguments (N, n), as above."""
+    """Return the (N, n) torques of the laws of n joints over a log.
+
+    Arguments are (N, n); units and errors are those of `predict`.
+    """
     dt, inputs = _arrays(t, (dq, q, tau_load))
     found = np.empty(dq.shape)
-    in_c: dict[int, tuple[Rows, Array]] = {}
-    for k, law in enumerate(laws):
-        with suppress(OutsideError):
-            rows = _begun(law, dt, [u[:, k] for u in inputs], None, found[:, k])
-            if rows is not None:
-                in_c[k] = rows, np.array(numbers(law))
-    # All joints together, a piece of the log after the other, as long as it stays in a cache.
+    runs = [
+        _started(_torque(law.form), law, dt, [u[:, k] for u in inputs], None, found[:, k : k + 1])
+        for k, law in enumerate(laws)
+    ]
+    values = [numbers(law) for law in laws]
+    # All joints piece by piece, while a piece is in the processor's cache.
     for first in range(0, len(dt), _PIECE):
-        for k, (rows, values) in list(in_c.items()):
-            try:
-                rows.on(values, first, min(first + _PIECE, len(dt)))
-            except OutsideError:
-                del in_c[k]
-    for k in set(range(len(laws))) - in_c.keys():
-        found[:, k] = _in_numpy(laws[k], dt, [u[:, k] for u in inputs], None)
+        for run, own in zip(runs, values, strict=True):
+            run.on(own, first, min(first + _PIECE, len(dt)))
     return found
 
 
 def states_over(law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Array) -> Array:
-    """Return the states of a law over a log, (m, N) in their units; arguments as of `predict`."""
+    """Return the (m, N) states of a law over a log; arguments and errors as for `predict`."""
     dt, inputs = _arrays(t, (dq, q, tau_load))
-    _, _, states = _states(law, dt, inputs, None)
-    return np.array(states[::2]).reshape(len(law.form.memory), len(dt))
+    return _run(_states(law.form), law, dt, inputs, None).T
+
+
+def predict_band(
+    law: FrictionLaw,
+    *,
+    t: ArrayLike,
+    dq: ArrayLike,
+    q: ArrayLike | None = None,
+    tau_load: ArrayLike | None = None,
+    coverage: float = LEVEL,
+    torque: Array,
+) -> tuple[Array, Array]:
+    """Return the band of the measured friction of a joint over a log.
+
+    Parameters
+    ----------
+    law : the law of one joint, with a band.
+    t, dq, q, tau_load : (N,) as for `predict`.
+    coverage : share of the rows within the band, from 0.5 to 0.999.
+    torque : (N,) predicted torque [N.m].
+
+    Returns
+    -------
+    Lower and upper end, (N,) each [N.m].
+
+    Raises
+    ------
+    ArtifactError
+        If the law has no band.
+    """
+    if law.band is None:
+        raise ArtifactError(
+            f"law '{law.name}' has no band; laws that are fitted with this version have one."
+        )
+    dt, inputs = _arrays(t, (dq, q, tau_load))
+    given = np.concatenate([numbers(law), law.band.values, [coverage]])
+    lower, upper = _band(law.form).over([*inputs, torque], dt).at(given).T
+    return lower, upper
 
 
 def _arrays(t: ArrayLike, given: tuple[ArrayLike | None, ...]) -> tuple[Array, list[Array]]:
@@ -163,56 +197,41 @@ def _arrays(t: ArrayLike, given: tuple[ArrayLike | None, ...]) -> tuple[Array, l
     return np.diff(time, prepend=time[0]), inputs
 
 
-def _begun(
+def _started(
+    kernel: Kernel,
     law: FrictionLaw,
     dt: Array,
     inputs: Sequence[Array],
     start: tuple[float, ...] | None,
-    found: Array,
-) -> Rows | None:
-    """Return the law's rows in C where they begin, to be run into an array; None for NumPy."""
-    kernel, euler = _kernel(law.form), law.discretisation == "euler"
-    rows = kernel.over(inputs, dt, [0], euler=euler, found=found[:, None]) if kernel else None
-    if rows is not None:
-        at_rest = np.array(law.start if start is None else start, dtype=float)
-        rows.begin(np.array(numbers(law)), at_rest, settled=start is not None)
-    return rows
+    found: Array | None = None,
+) -> KernelRun:
+    run = kernel.over(inputs, dt, euler=law.discretisation == "euler", found=found)
+    at_rest = np.array(law.start if start is None else start, dtype=float)
+    run.begin(numbers(law), at_rest, settled=start is not None)
+    return run
 
 
-def _in_numpy(
-    law: FrictionLaw, dt: Array, inputs: Sequence[Array], start: tuple[float, ...] | None
+def _run(
+    kernel: Kernel,
+    law: FrictionLaw,
+    dt: Array,
+    inputs: Sequence[Array],
+    start: tuple[float, ...] | None,
 ) -> Array:
-    """Return the torque as `predict` does."""
-    RUNS["NumPy"] += 1
-    output, values, states = _states(law, dt, inputs, start)
-    return np.array(np.broadcast_to(output(*values, *states, dt)[0], dt.shape))
-
-
-def _states(
-    law: FrictionLaw, dt: Array, inputs: Sequence[Array], start: tuple[float, ...] | None
-) -> tuple[Any, tuple[Any, ...], list[Array]]:
-    """Return the output's function, what it reads besides states, and states and derivatives."""
-    memory, output = _functions(law.form)
-    values = (*numbers(law), *inputs)
-    states = memory(
-        values,
-        dt,
-        np.arange(len(dt)) == 0,
-        first_states(law, *(float(u[0]) for u in inputs)) if start is None else start,
-        law.discretisation,
-    )
-    return output, values, states
+    run = _started(kernel, law, dt, inputs, start)
+    run.on(numbers(law), 0, len(dt))
+    return run.found
 
 
 def estimated_start(
     law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Array, tau: Array
 ) -> tuple[float, ...]:
-    """Return the start of the state that explains the first torques of a log best.
+    """Return the start of the states that explains the first `law.start_samples` torques best.
 
-    Of `law.start_samples` rows; the state is searched between the limits that it can reach in the
-    log; stops share one number, the share of their bounds at which they are. A law without such
-    samples, whose memory is otherwise not one relaxation, or one whose parts see its state, keeps
-    its own start.
+    A relaxation is searched within the limits that it can reach in the log; stops share one number,
+    their deflection as a share of their bounds. The law's own start is returned if it has no such
+    samples, or if its memory is neither stops nor one relaxation whose parts are independent of
+    its state.
 
     Parameters
     ----------
@@ -240,10 +259,11 @@ def estimated_start(
         return deflected(float(found.x))
     if not law.start_samples or len(law.form.memory) != 1 or not law.form.relaxations:
         return law.start
-    parts = _functions(law.form)[0].parts((*numbers(law), dq, q, tau_load), t.shape)
-    if not parts:
+    [element] = law.form.memory
+    if element.state in sympy.Tuple(*element.parts).free_symbols:
         return law.start
-    b, r = parts[0]
+    read = _parts(law.form).over([dq, q, tau_load, np.zeros_like(t)], np.zeros_like(t))
+    b, r = read.at(numbers(law)).T
     moving = r > 1e-9 * max(float(r.max()), 1e-300)
     limit = float(np.max(np.abs(b[moving] / r[moving]), initial=0.0))
     grid = np.linspace(-limit, limit, 41)
@@ -256,49 +276,9 @@ def estimated_start(
 
 
 def _bounds(law: FrictionLaw, *inputs: float) -> list[float | None]:
-    """Return the bound of each stop where a log starts, None for what is no stop."""
-    bounds = iter(_bounds_of(law.form)(*numbers(law), *inputs, *law.start))
-    return [max(float(next(bounds)), 0.0) if isinstance(m, Stop) else None for m in law.form.memory]
-
-
-@lru_cache(maxsize=256)
-def _bounds_of(form: LawForm) -> Any:
-    """Return the bounds of all stops as a function of coefficients, inputs and states."""
-    arguments = (*(c.symbol for c in form.coefficients), *INPUTS, *(m.state for m in form.memory))
-    return lowered(arguments, [m.bound for m in form.memory if isinstance(m, Stop)])
-
-
-class Stepper:
-    """A law run one step at a time, as a controller or a co-simulation master would.
-
-    Parameters
-    ----------
-    law : the law of one joint.
-    start : values of the states; `first_states` of the inputs of the first step where not given.
-
-    Attributes
-    ----------
-    x : values of the states; empty before the first step where none were given.
-    """
-
-    def __init__(self, law: FrictionLaw, start: Sequence[float] | None = None) -> None:
-        self._law = law
-        self._memory, self._output = _functions(law.form)
-        self._values = numbers(law)
-        self.x = list(start or ())
-
-    def step(self, dt: float, dq: float, q: float = 0.0, tau_load: float = 0.0) -> float:
-        """Hold the inputs over dt [s], advance the states and return the torque at the end [N.m].
-
-        dt = 0 reads the torque without moving the states, as after initialisation.
-        """
-        if not self.x:
-            self.x = list(first_states(self._law, dq, q, tau_load))
-        values = (*self._values, dq, q, tau_load)
-        # A log of two rows: where the states are, and where a step takes them.
-        rows = self._memory(
-            values, np.array([0.0, dt]), np.array([True, False]), self.x, self._law.discretisation
-        )
-        states = [float(row[1]) for row in rows]
-        self.x = states[::2]
-        return float(self._output(*values, *states, dt)[0])
+    """Return the bound of each stop at the start of a log, None for other elements."""
+    parts = _parts(law.form).at(law.values.values(), *inputs, *law.start)
+    return [
+        bound if isinstance(m, Stop) else None
+        for m, bound in zip(law.form.memory, parts[1::2], strict=True)
+    ]

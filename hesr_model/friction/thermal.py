@@ -18,7 +18,7 @@ import sympy
 from hesr_model.equations.component import Parameter, Quantity
 from hesr_model.equations.functions import absolute, clip, larger
 from hesr_model.equations.memory import Slow
-from hesr_model.equations.over_log import recurrence
+from hesr_model.equations.recurrence import recurrence
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ
 from hesr_model.support.arrays import Array

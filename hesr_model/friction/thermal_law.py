@@ -19,7 +19,8 @@ from hesr_model.equations.component import Component, previous
 from hesr_model.equations.functions import larger
 from hesr_model.equations.stepping import Steps
 from hesr_model.friction.factors import parts
-from hesr_model.friction.law import TORQUE, FrictionLaw
+from hesr_model.friction.inputs import TORQUE
+from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.scales import COULOMB, LEAST, SCALES, VISCOUS
 from hesr_model.friction.thermal import (
     TEMPERATURE,

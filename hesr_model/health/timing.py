@@ -8,10 +8,13 @@ knows. Both tests are therefore of a body of any parameters, beside friction wit
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+import sympy
 
-from hesr_model.equations.over_log import clipped
+from hesr_model.equations.kernel import Kernel
+from hesr_model.equations.memory import Stop
 from hesr_model.findings import Finding
 from hesr_model.health.evidence import Motionwise, rubbing
 from hesr_model.inference.correlation import correlation_length
@@ -80,10 +83,21 @@ class Rows:
 
 def _rubs(u: Array, v: Array) -> Array:
     """Friction of many shapes (N, K) along a position u (N,) [rad; m] with velocity v."""
-    way = np.diff(u, prepend=u[0]) / _WIDTHS[:, None]
-    begins = np.arange(len(u)) == 0
-    stops = clipped(way, np.ones_like(way), begins, np.sign(np.full(len(way), v[0])))
-    return np.column_stack([*stops, rubbing(v), v, v * np.abs(v), np.ones_like(v)])
+    stops = _stops().over([np.diff(u, prepend=u[0])], np.ones_like(u))
+    start = np.full(len(_WIDTHS), np.sign(v[0]))
+    held = stops.at(np.zeros(0), start, settled=True)
+    return np.column_stack([held, rubbing(v), v, v * np.abs(v), np.ones_like(v)])
+
+
+@cache
+def _stops() -> Kernel:
+    """Return Prandtl stops of several break-away deflections, moved by displacements."""
+    displacement = sympy.Symbol("displacement", real=True)
+    stops = [
+        Stop(name=f"stop_{k}", unit="1", velocity=displacement, deflection=width, bound=1)
+        for k, width in enumerate(_WIDTHS.tolist())
+    ]
+    return Kernel(stops, (), (displacement,), [stop.state for stop in stops], once=True)
 
 
 def check_clocks(

@@ -1,17 +1,19 @@
 """Table I as a PythonFMU slave that runs the package's own Python law."""
 
+import numpy as np
 from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
 
 from fmu_src import model_file
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import Stepper
+from hesr_model.friction.stepper import LawStepper
 
 
 class PythonFriction(Fmi2Slave):
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
         model = FrictionModel.read(model_file("uf850-table1"))
-        self.laws = [Stepper(law) for law in model.laws]
+        self.laws = [LawStepper(law) for law in model.laws]
+        self.states = [np.array(law.start)[:, None] for law in model.laws]
         self.dq, self.tau = [0.0] * 3, [0.0] * 3
         for i, _ in enumerate(model.laws, start=1):
             self.register_variable(
@@ -33,5 +35,7 @@ class PythonFriction(Fmi2Slave):
             )
 
     def do_step(self, current_time, step_size):
-        self.tau = [law.step(step_size, v) for law, v in zip(self.laws, self.dq, strict=True)]
+        zero, dt = np.zeros(1), np.array([step_size])
+        for i, (law, v, x) in enumerate(zip(self.laws, self.dq, self.states, strict=True)):
+            [self.tau[i]], self.states[i] = law(dt, np.array([v]), zero, zero, x)
         return True

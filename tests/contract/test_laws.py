@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracles.stepper import Stepper
 from registry_models import everyday
 from threadpoolctl import threadpool_limits
 
@@ -24,13 +25,13 @@ from hesr_model.equations.kernel import in_numpy
 from hesr_model.equations.rows import RUNS
 from hesr_model.errors import ArtifactError, HesrError
 from hesr_model.fitting.fit import fit_joint
-from hesr_model.forward.stepping import LawSteps
-from hesr_model.friction.inputs import INPUTS
-from hesr_model.friction.law import MOVING, FrictionLaw
+from hesr_model.friction.inputs import INPUTS, MOVING
+from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import Stepper, predict
+from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import registry
+from hesr_model.friction.stepper import LawStepper
 from hesr_model.rigid_body.residual import FrictionRecord
 
 EXACT_ENOUGH = 1e-12
@@ -168,9 +169,9 @@ def test_steps_of_many_motions_in_c_are_those_in_numpy(law: FrictionLaw) -> None
     x = 1e-3 * rng.normal(size=(len(law.form.memory), motions))
     others = np.outer(list(law.values.values()), np.linspace(0.9, 1.1, motions))
     for values in (None, others):
-        found = LawSteps(law, values)(dt, *inputs, x)
+        found = LawStepper(law, values)(dt, *inputs, x)
         with in_numpy():
-            expected = LawSteps(law, values)(dt, *inputs, x)
+            expected = LawStepper(law, values)(dt, *inputs, x)
         for own, right in zip(found, expected, strict=True):
             largest = np.abs(right).max(initial=0.0)
             np.testing.assert_allclose(own, right, rtol=0, atol=1e-13 * largest)

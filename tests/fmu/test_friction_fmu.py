@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from oracles.stepper import Stepper
 
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run.fmu import Component
 from fmu_src.run.replay import replay
-from hesr_model.friction.predict import Stepper, predict
+from hesr_model.friction.predict import predict
 from hesr_model.friction.scales import scaled
 
 EXACT_ENOUGH = 1e-12

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import sympy
 from adaptive_models import SPEED, lugre, motion, stops
+from hesr_model.equations.over_log import clipped, recurrence
 from mpmath import mp, mpf
 from oracles.intervals import reach
 from unchanged import Unchanged
@@ -15,7 +16,6 @@ from hesr.extras.adaptive.tuning import TUNING, Tuning
 from hesr_model.equations import functions
 from hesr_model.equations.memory import Relaxation
 from hesr_model.equations.operations import Graph, UnsupportedError
-from hesr_model.equations.over_log import clipped, recurrence
 from hesr_model.equations.stepping import Steps
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.thermal import Thermal

@@ -12,9 +12,9 @@ from unchanged import Unchanged
 from hesr_model.errors import FitError
 from hesr_model.forward import output_error
 from hesr_model.forward.simulation import Simulator, position_errors
-from hesr_model.forward.stepping import LawSteps
 from hesr_model.forward.windows import whole, windows_of
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.stepper import LawStepper
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body import physical, torque_constants
@@ -271,7 +271,7 @@ def test_steps_of_many_motions(how: str, unchanged: Unchanged) -> None:
     rng = np.random.default_rng(0)
     dt, dq, q, load = np.full(6, 1e-3), *rng.normal(size=(3, 6))
     x = 0.001 * rng.normal(size=(1, 6))
-    alone, after = LawSteps(of)(dt, dq, q, load, x)
+    alone, after = LawStepper(of)(dt, dq, q, load, x)
     values = np.repeat(np.array(list(of.values.values()))[:, None], 6, axis=1) * (1 + 0.1 * dq)
-    each, states = LawSteps(of, values)(dt, dq, q, load, x)
+    each, states = LawStepper(of, values)(dt, dq, q, load, x)
     unchanged({"alone": alone, "after": after, "each": each, "states": states})

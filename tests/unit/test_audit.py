@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sympy
+from oracles.stepper import Stepper
 
 from hesr_model.audit import audit as module
 from hesr_model.audit import cycles
@@ -18,7 +19,6 @@ from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import Stepper
 from hesr_model.friction.trained_range import TrainedRange, outside
 from hesr_model.laws.lugre import LuGre
 from hesr_model.laws.stribeck import Stribeck

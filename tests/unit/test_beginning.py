@@ -5,12 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 import sympy
+from oracles.stepper import Stepper
 
 from hesr_model.equations.functions import absolute, over
 from hesr_model.equations.memory import Element, Relaxation, Stop
-from hesr_model.friction.inputs import DQ, TAU_LOAD
-from hesr_model.friction.law import MOVING, Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.predict import Stepper, first_states, predict
+from hesr_model.friction.inputs import DQ, MOVING, TAU_LOAD
+from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
+from hesr_model.friction.predict import first_states, predict
 
 A = Coefficient(name="a", unit="1/rad", description="")
 Z = sympy.Symbol("z", real=True)

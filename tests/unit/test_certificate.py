@@ -6,16 +6,17 @@ from math import inf
 import numpy as np
 import pytest
 import sympy
+from hesr_model.equations.over_log import StatesOverLog
+from oracles.stepper import Stepper
 
 from hesr_model.audit.attack import attack
 from hesr_model.audit.certificate import Certificate, certify, storage
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Relaxation, Stop
-from hesr_model.equations.over_log import StatesOverLog
 from hesr_model.friction.inputs import DQ, INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import Stepper, predict
+from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import registry
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support.files import models_folder

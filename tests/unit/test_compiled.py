@@ -8,6 +8,7 @@ import mpmath
 import numpy as np
 import pytest
 import sympy
+from hesr_model.equations.over_log import Discretisation, StatesOverLog
 from joint_data import law, training
 
 from hesr_model.equations import rows as rows_module
@@ -24,7 +25,6 @@ from hesr_model.equations.functions import (
 )
 from hesr_model.equations.kernel import Rows, in_numpy, kernel_of
 from hesr_model.equations.memory import Element, Relaxation, Stop
-from hesr_model.equations.over_log import Discretisation, StatesOverLog
 from hesr_model.equations.rows import RUNS, OutsideError
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.fitting.samples import Samples, non_negative_least_squares

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 import sympy
+from hesr_model.equations.over_log import Discretisation, StatesOverLog, clipped
 from hypothesis import given
 from hypothesis import strategies as st
+from oracles.stepper import Stepper
 from scipy.integrate import solve_ivp
 
 from fmu_src.blocks.controller import controller_equations
@@ -12,13 +14,12 @@ from fmu_src.blocks.velocity import velocity_equations
 from hesr_model.equations.component import Component, Equation, Quantity, previous
 from hesr_model.equations.functions import NUMPY, absolute, clip, exceeds, larger, lowered, positive
 from hesr_model.equations.memory import DT, Relaxation, Stop
-from hesr_model.equations.over_log import Discretisation, StatesOverLog, clipped
 from hesr_model.equations.program import Tangent, change_of, readings
 from hesr_model.equations.stepping import Steps
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import FrictionLaw, LawForm
-from hesr_model.friction.predict import Stepper, predict
+from hesr_model.friction.predict import predict
 
 X, Y = sympy.symbols("x y", real=True)
 STEPS = st.lists(st.tuples(st.floats(-2, 2), st.floats(0, 1.5)), min_size=1, max_size=70)

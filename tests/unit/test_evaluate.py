@@ -4,17 +4,18 @@ import mpmath
 import numpy as np
 import pytest
 import sympy
+from hesr_model.equations.over_log import recurrence, step_coefficients
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.stepper import Stepper
 from scipy.integrate import solve_ivp
 
 from hesr_model.equations.functions import NUMPY, absolute, sgn
 from hesr_model.equations.memory import Relaxation
-from hesr_model.equations.over_log import recurrence, step_coefficients
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.predict import Stepper, estimated_start, predict
+from hesr_model.friction.predict import estimated_start, predict
 
 A, B, C, D = (Coefficient(name=n, unit="1", description=n) for n in "abcd")
 a, b, c, d = (k.symbol for k in (A, B, C, D))

@@ -14,12 +14,12 @@ from fmu_src.arm.truth import true_friction
 from hesr_model.errors import SimulationError
 from hesr_model.fitting.fit import fit
 from hesr_model.forward.simulation import Simulator, inner_steps, position_errors
-from hesr_model.forward.stepping import LawSteps
 from hesr_model.forward.windows import joined, whole, windows_of
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import registry
+from hesr_model.friction.stepper import LawStepper
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
@@ -117,7 +117,7 @@ def test_steps_are_those_of_a_law_over_a_log(registry_models: dict[str, Friction
     for name, model in registry_models.items():
         law = model.laws[0]
         expected = predict(law, t=t, dq=dq, q=q, tau_load=load)
-        steps, x = LawSteps(law), np.array(law.start)[:, None].repeat(2, axis=1)
+        steps, x = LawStepper(law), np.array(law.start)[:, None].repeat(2, axis=1)
         for k in range(60):
             dt = np.full(2, t[k] - t[k - 1] if k else 0.0)
             inputs = (np.full(2, column[k]) for column in (dq, q, load))

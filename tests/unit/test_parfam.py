@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from hesr_model.errors import ArtifactError, FitError, HesrError
 from hesr_model.fitting.fit import fit_joint, fit_models
 from hesr_model.fitting.samples import Samples
-from hesr_model.friction.law import MOVING
+from hesr_model.friction.inputs import MOVING
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.trained_range import TrainedRange

@@ -7,10 +7,10 @@ import numpy as np
 from cosim.report.figures.plots import Sheet, sheets
 from cosim.report.markup import Pictures, Section, joined, paragraph
 from cosim.report.results import Results
-from hesr_model.equations.over_log import Array
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import papers_law
+from hesr_model.support.arrays import Array
 
 _FREQUENCY = 0.25  # [Hz], of the paper's sine
 _ROWS = 801  # of a period

@@ -9,8 +9,8 @@ from cosim.report.figures.style import MEASURED, SOFT, Stroke, strokes
 from cosim.report.results import Results
 from cosim.report.tables.table import title
 from cosim.study.results import SavedLog
-from hesr_model.equations.over_log import Array
-from hesr_model.friction.banded import predict_band
+from hesr_model.friction.predict import predict_band
+from hesr_model.support.arrays import Array
 
 _EDGE = Stroke(colour=SOFT, width=0.6, dash=(1.5, 1.5))
 

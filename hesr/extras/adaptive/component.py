@@ -34,8 +34,8 @@ from hesr_model.equations.component import (
 from hesr_model.equations.functions import absolute, clip, exceeds, larger, positive
 from hesr_model.equations.memory import DT
 from hesr_model.friction.factors import parts
-from hesr_model.friction.inputs import DQ
-from hesr_model.friction.law import TORQUE, FrictionLaw
+from hesr_model.friction.inputs import DQ, TORQUE
+from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.thermal import TEMPERATURE, Thermal, thermal_parameters, warmth
 
 MEASURED = Quantity(name="tau_meas", unit="N.m", description="measured {effort} of {joint}")

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hesr_model.equations.over_log import Discretisation
+from hesr_model.equations.memory import Discretisation
 from hesr_model.fitting.estimator import Estimator, register
 from hesr_model.fitting.samples import Samples
 from hesr_model.friction.law import FrictionLaw, LawForm

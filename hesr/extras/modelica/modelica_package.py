@@ -19,8 +19,8 @@ from hesr_model.audit.audit import Audit
 from hesr_model.equations.functions import sgn
 from hesr_model.equations.memory import DT
 from hesr_model.errors import ExportError
-from hesr_model.friction.inputs import INPUTS, TAU_LOAD
-from hesr_model.friction.law import MOVING, FrictionLaw, LawForm
+from hesr_model.friction.inputs import INPUTS, MOVING, TAU_LOAD
+from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import written_whole
 

@@ -15,7 +15,7 @@ from sympy.printing.precedence import PRECEDENCE
 from fmu_src.equations.printer import LanguagePrinter
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import DT, Relaxation
-from hesr_model.equations.program import Jumps, beginning, begun
+from hesr_model.equations.program import Jumps, initial_state, initial_symbol
 from hesr_model.errors import ExportError
 from hesr_model.friction.law import SETTLING, LawForm
 
@@ -133,10 +133,10 @@ def _beginning(form: LawForm) -> dict[str, sympy.Expr]:
     """Return where each state begins, of inputs, start values and the states before it."""
     if any(m.seeks for m in form.memory):
         return {}
-    found = beginning(form.memory, SETTLING)
+    found = initial_state(form.memory, SETTLING)
     names = {m.state: sympy.Symbol(start_of(m.name), real=True) for m in form.memory}
-    names |= {begun(m): m.state for m in form.memory}
-    return {m.name: found[begun(m)].xreplace(names) for m in form.memory}
+    names |= {initial_symbol(m): m.state for m in form.memory}
+    return {m.name: found[initial_symbol(m)].xreplace(names) for m in form.memory}
 
 
 def start_of(state: str) -> str:

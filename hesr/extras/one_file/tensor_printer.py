@@ -15,8 +15,8 @@ from hesr_model.equations.component import Component
 from hesr_model.equations.memory import DT, EULER
 from hesr_model.equations.program import (
     Assignments,
-    beginning,
-    begun,
+    initial_state,
+    initial_symbol,
     moved,
     sampled,
     straight_line,
@@ -115,8 +115,8 @@ def begin_function(form: LawForm, name: str) -> str:
     ExportError
         If an expression has a function that there is none of for tensors.
     """
-    program = beginning(form.memory, form.component.settling)
-    return _function(form, name, program, (), (), [begun(m) for m in form.memory])
+    program = initial_state(form.memory, form.component.settling)
+    return _function(form, name, program, (), (), [initial_symbol(m) for m in form.memory])
 
 
 def _function(

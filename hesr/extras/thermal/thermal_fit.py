@@ -15,13 +15,14 @@ import numpy as np
 import sympy
 from scipy.optimize import least_squares, minimize_scalar
 
+from hesr_model.equations.kernel import Kernel
 from hesr_model.errors import FitError
 from hesr_model.friction.factors import parts
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import numbers, over_log
+from hesr_model.friction.predict import numbers
 from hesr_model.friction.thermal import Thermal
 from hesr_model.inference.covariance import blocks_of_time, covariance, left_out
 from hesr_model.rigid_body.residual import FrictionRecord
@@ -61,21 +62,16 @@ class Factored:
         own = parts(law, level)
         output = own.hysteresis + viscosity * own.viscous + own.rest
         self._law = law
-        arguments = (*(c.symbol for c in law.form.coefficients), *INPUTS, level, viscosity)
-        settling = law.form.component.settling
-        self._memory, self._output = over_log(own.memory, arguments, (output,), settling)
+        symbols, settling = (c.symbol for c in law.form.coefficients), law.form.component.settling
+        inputs = (*INPUTS, level, viscosity)
+        self._kernel = Kernel(own.memory, tuple(symbols), inputs, (output,), settling, once=True)
 
     def torque(self, record: FrictionRecord, level: Array, viscosity: Array) -> Array:
-        """Return the torque (N,) [N.m] over a record, factors (N,) beside its rows."""
+        """Return the torque (N,) [N.m] over a record for factors (N,) of its rows."""
         law, dt = self._law, np.diff(record.t, prepend=record.t[0])
-        values = (*numbers(law), record.dq, record.q, record.tau_load, level, viscosity)
-        first = [float(np.atleast_1d(np.asarray(v))[0]) for v in values]
-        states = self._memory(
-            values, dt, np.arange(len(dt)) == 0, self._memory.beginning(first, law.start),
-            law.discretisation,
-        )  # fmt: skip
-        found = self._output(*values, *states, dt)[0]
-        return np.array(np.broadcast_to(found, dt.shape))
+        inputs = (record.dq, record.q, record.tau_load, level, viscosity)
+        run = self._kernel.over(inputs, dt, euler=law.discretisation == "euler")
+        return run.at(numbers(law), np.array(law.start))[:, 0]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ import sympy
 from scipy.cluster.vq import kmeans2
 from scipy.spatial.distance import cdist
 
-from hesr_model.equations.over_log import Discretisation
+from hesr_model.equations.memory import Discretisation
 from hesr_model.fitting.estimator import Estimator, register
 from hesr_model.fitting.samples import Samples
 from hesr_model.friction.inputs import DQ

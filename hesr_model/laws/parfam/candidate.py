@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hesr_model.equations.over_log import Discretisation
+from hesr_model.equations.memory import Discretisation
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.laws.parfam import family
 from hesr_model.support.arrays import Array

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from hesr_model.equations.over_log import Discretisation
+from hesr_model.equations.memory import Discretisation
 from hesr_model.errors import FitError
 from hesr_model.fitting.estimator import Estimator, register
 from hesr_model.fitting.samples import Samples

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hesr_model.equations.over_log import Discretisation
+from hesr_model.equations.memory import Discretisation
 from hesr_model.fitting.samples import Samples
 from hesr_model.support.arrays import Array
 

@@ -8,7 +8,7 @@ import numpy as np
 import sympy
 
 from hesr_model.audit.audit import explodes
-from hesr_model.equations.over_log import Discretisation
+from hesr_model.equations.memory import Discretisation
 from hesr_model.fitting.samples import Samples
 from hesr_model.fitting.separable import SearchSpace, Separable
 from hesr_model.friction.law import FrictionLaw

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 import scipy.linalg
 from drive_runs import Run, drive, reversals
+from hesr_model.equations.over_log import step_coefficients
+from oracles.stepper import Stepper
 from scipy.optimize import brentq
 
 from fmu_src.run.fmu import Component
 from hesr_model.equations.functions import lowered
-from hesr_model.equations.over_log import step_coefficients
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw, LawForm
-from hesr_model.friction.predict import Stepper
 
 AGREEMENT = 1e-9
 LOAD = 3.0  # [N.m]

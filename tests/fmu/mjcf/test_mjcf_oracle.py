@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import sympy
 from mujoco_joints import Joints, reference
+from oracles.stepper import Stepper
 
 from fmu_src import export_fmu
 from fmu_src.arm.truth import true_friction
@@ -17,7 +18,7 @@ from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.predict import Stepper, predict
+from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import estimator
 from hesr_model.laws.dahl import DEFLECTIONS
 from hesr_model.support.files import models_folder

@@ -14,7 +14,7 @@ from scipy.linalg.lapack import dtbtrs
 
 from hesr_model.equations.functions import NUMPY, SCALAR, lowered, lowered_program, positive
 from hesr_model.equations.memory import DT, EULER, Element, Stop
-from hesr_model.equations.program import beginning, begun
+from hesr_model.equations.program import initial_state, initial_symbol
 from hesr_model.errors import SimulationError
 
 Array = NDArray[np.float64]
@@ -39,9 +39,9 @@ class StatesOverLog:
         read: Collection[sympy.Symbol],
         settling: sympy.Expr = sympy.S.Zero,
     ) -> None:
-        lines = beginning(memory, settling)
+        lines = initial_state(memory, settling)
         self._beginning = lowered_program((*arguments, *(m.state for m in memory)), lines)
-        self._begun = [list(lines).index(begun(m)) for m in memory]
+        self._begun = [list(lines).index(initial_symbol(m)) for m in memory]
         self._memory = tuple(memory)
         states = {m.state for m in memory}
         self._alone = [

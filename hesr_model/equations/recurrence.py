@@ -1,0 +1,28 @@
+"""First-order recurrences over whole logs."""
+
+import numpy as np
+from scipy.linalg.lapack import dtbtrs
+
+from hesr_model.support.arrays import Array
+
+
+def recurrence(a: Array, c: Array, start: float) -> Array:
+    """Solve x[0] = start, x[k] = a[k] x[k-1] + c[k] without a Python loop.
+
+    Parameters
+    ----------
+    a, c : (N,) factors and increments; those of k = 0 are not used.
+    start : value at k = 0.
+
+    Returns
+    -------
+    (N,) solution of a unit lower bidiagonal system, by LAPACK's banded substitution.
+    """
+    bands = np.empty((2, len(a)), order="F")
+    bands[0] = 1.0
+    bands[1, :-1] = -a[1:]
+    bands[1, -1] = 0.0
+    right = np.array(c, dtype=float)
+    right[0] = start
+    solution, _ = dtbtrs(bands, right[:, None], uplo="L", diag="U")
+    return np.asarray(solution[:, 0])
