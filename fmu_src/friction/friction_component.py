@@ -323,7 +323,7 @@ def dependencies(
     Parameters
     ----------
     joint : the joint.
-    symbol : what is asked for; where a state begins (`program.initial_symbol`) is made of start values.
+    symbol : symbol of a variable; initial states (`initial_symbol`) depend on start values.
     inputs : variables of which an input is made, where it is none itself.
     starting : before the first step.
     """

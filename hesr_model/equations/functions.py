@@ -267,17 +267,3 @@ def lowered(arguments: Sequence[sympy.Symbol], expressions: Sequence[sympy.Expr]
     return sympy.lambdify(
         list(arguments), list(expressions), modules=[dict(NUMPY), "numpy"], cse=True
     )
-
-
-def lowered_program(
-    arguments: Sequence[sympy.Symbol], program: Mapping[sympy.Symbol, sympy.Expr]
-) -> Any:
-    """Return a NumPy function of `arguments` that returns what a program assigns, in its order.
-
-    Its lines are kept as they are, so that one which many others use is computed once.
-    """
-    lines = list(program.items())
-    return sympy.lambdify(
-        list(arguments), list(program), modules=[dict(NUMPY), "numpy"],
-        cse=lambda targets: (lines, targets),
-    )  # fmt: skip

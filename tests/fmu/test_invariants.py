@@ -5,10 +5,10 @@ import ctypes
 import numpy as np
 import pytest
 import sympy
+from oracles.over_log import lowered_program
 
 from fmu_src.friction.friction_component import component
 from fmu_src.friction.friction_fmu import export_bare
-from hesr_model.equations.functions import lowered_program
 from hesr_model.equations.memory import DT, EULER
 from hesr_model.equations.program import Invariants, sampled
 

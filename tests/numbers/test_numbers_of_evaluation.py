@@ -1,4 +1,4 @@
-"""Laws over logs, in C and in NumPy, from rest and from starts that the first torques tell."""
+"""Laws over logs, from rest and from starts estimated from the first torques."""
 
 from collections.abc import Callable
 
@@ -45,13 +45,8 @@ LAWS: dict[str, Callable[[], FrictionLaw]] = {
 
 
 @pytest.mark.parametrize("name", LAWS)
-@pytest.mark.parametrize("in_numpy", [False, True])
-def test_a_law_over_a_log(
-    name: str, in_numpy: bool, monkeypatch: pytest.MonkeyPatch, unchanged: Unchanged
-) -> None:
+def test_a_law_over_a_log(name: str, unchanged: Unchanged) -> None:
     of, found = LAWS[name](), {}
-    if in_numpy:
-        monkeypatch.setattr(evaluate, "_kernel", lambda _: None)
     for rest in (False, True):
         way = path(3, seconds=4.0, from_rest=rest)
         given = {"t": way.t, "dq": way.dq, "q": way.q, "tau_load": way.load}
@@ -88,13 +83,8 @@ def test_a_start_that_the_first_torques_tell(name: str, unchanged: Unchanged) ->
 
 
 @pytest.mark.parametrize("state", ["paper", "generalised", "bristle"])
-@pytest.mark.parametrize("in_numpy", [False, True])
 @pytest.mark.parametrize("how", ["exact", "euler"])
-def test_columns_of_logs_from_rest(
-    state: str, in_numpy: bool, how: str, monkeypatch: pytest.MonkeyPatch, unchanged: Unchanged
-) -> None:
-    if in_numpy:
-        monkeypatch.setattr(separable.Separable, "_rows", None)
+def test_columns_of_logs_from_rest(state: str, how: str, unchanged: Unchanged) -> None:
     of = LAWS["with load"]()
     records = [along(of, path(k, seconds=3.0, from_rest=k > 0), log=str(k)) for k in range(2)]
     samples = Samples.of(records, coefficients=6)

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from oracles.arm import Arm, encoder_error, torque_error
+from oracles.stepper import Stepper
 
 from cosim.loop.closed_loop import Gains, Scheme, preview
 from fmu_src.arm.plant import Plant
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import Stepper, predict
+from hesr_model.friction.predict import predict
 from hesr_model.motions.trajectories import Trajectory
 from hesr_model.robots.robot import RobotModel
 from hesr_model.support.arrays import Array

@@ -1,24 +1,26 @@
-"""The states of a component over whole logs at once, in NumPy.
+"""Laws over logs in NumPy: the oracle of `rows.c`.
 
-Relaxations compose to relaxations and clips to clips, so a log runs without a Python loop; only a
-relaxation whose rate sees its own state goes row by row, by a scalar function without NumPy.
+Relaxations compose to relaxations, so a log runs without a Python loop; only a relaxation whose
+rate depends on its own state goes row by row, by a scalar function without NumPy.
 """
 
-from collections.abc import Collection, Iterator, Sequence
-from typing import Any, Literal
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import sympy
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtbtrs
 
-from hesr_model.equations.functions import NUMPY, SCALAR, lowered, lowered_program, positive
-from hesr_model.equations.memory import DT, EULER, Element, Stop
+from hesr_model.equations.functions import NUMPY, SCALAR, lowered, positive
+from hesr_model.equations.memory import DT, EULER, Discretisation, Element, Stop
 from hesr_model.equations.program import initial_state, initial_symbol
+from hesr_model.equations.recurrence import recurrence
 from hesr_model.errors import SimulationError
-
-Array = NDArray[np.float64]
-Discretisation = Literal["exact", "euler"]
+from hesr_model.fitting.separable import Separable
+from hesr_model.friction.inputs import INPUTS
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.predict import numbers
+from hesr_model.support.arrays import Array
 
 
 class StatesOverLog:
@@ -185,24 +187,6 @@ class StatesOverLog:
         return found
 
 
-def groups_of(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
-    """Yield first and last but one of what moves together: one relaxation, or stops in a row.
-
-    None of the stops reads its own state or that of another one.
-    """
-    i = 0
-    while i < len(memory):
-        end, states = i + 1, {memory[i].state}
-        while end < len(memory) and all(isinstance(memory[k], Stop) for k in (i, end)):
-            states.add(memory[end].state)
-            read = sympy.Tuple(*(part for m in memory[i : end + 1] for part in m.parts))
-            if states & read.free_symbols:
-                break
-            end += 1
-        yield i, end
-        i = end
-
-
 def _scalar_step(arguments: Sequence[sympy.Symbol], element: Element) -> Any:
     """Return a function of arguments, dt, euler and state: the state after, and rate times dt."""
     first, second = element.parts
@@ -256,78 +240,112 @@ def step_coefficients(
     return 1.0 - z, b * dt
 
 
-def recurrence(a: Array, c: Array, start: float) -> Array:
-    """Solve x[0] = start, x[k] = a[k] x[k-1] + c[k] for a whole log without a Python loop.
-
-    Parameters
-    ----------
-    a, c : (N,) factors and increments; those of k = 0 are not used.
-    start : value at k = 0.
-
-    Returns
-    -------
-    (N,) array: a unit lower bidiagonal system, solved by LAPACK's banded substitution.
-    """
-    bands = np.empty((2, len(a)), order="F")
-    bands[0] = 1.0
-    bands[1, :-1] = -a[1:]
-    bands[1, -1] = 0.0
-    right = np.array(c, dtype=float)
-    right[0] = start
-    solution, _ = dtbtrs(bands, right[:, None], uplo="L", diag="U")
-    return np.asarray(solution[:, 0])
-
-
 def clipped(way: Array, bound: Array, begins: NDArray[np.bool_], start: Array) -> Array:
-    """Solve x[k] = clip(x[k-1] + way[k], -bound[k], bound[k]), x = start where a record begins.
+    """Solve x[k] = clip(x[k-1] + way[k], -bound[k], bound[k]), all (E, N), from `start`."""
+    at = np.broadcast_to(np.asarray(start, dtype=float).reshape(len(way), -1), way.shape)
+    x, found = at[:, 0], np.empty_like(way)
+    for k in range(way.shape[1]):
+        moved = np.minimum(np.maximum(x + way[:, k], -bound[:, k]), bound[:, k])
+        found[:, k] = x = at[:, k] if begins[k] else moved
+    return found
 
-    Parameters
-    ----------
-    way, bound : (E, N) of each step of each element; bounds are not negative.
-    begins : (N,) True where a record begins, as the first row does.
-    start : (E,) values there, or (E, N) of which those of these rows count.
 
-    Returns
-    -------
-    (E, N) array. Clips compose to clips, so rows go in blocks, all blocks at once.
+def groups_of(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
+    """Yield start and end of elements that move together: one relaxation, or independent stops."""
+    i = 0
+    while i < len(memory):
+        end, states = i + 1, {memory[i].state}
+        while end < len(memory) and all(isinstance(memory[k], Stop) for k in (i, end)):
+            states.add(memory[end].state)
+            read = sympy.Tuple(*(part for m in memory[i : end + 1] for part in m.parts))
+            if states & read.free_symbols:
+                break
+            end += 1
+        yield i, end
+        i = end
+
+
+def lowered_program(
+    arguments: Sequence[sympy.Symbol], program: Mapping[sympy.Symbol, sympy.Expr]
+) -> Any:
+    """Return a NumPy function of `arguments` for the assignments of a program, in its order."""
+    lines = list(program.items())
+    return sympy.lambdify(
+        list(arguments),
+        list(program),
+        modules=[dict(NUMPY), "numpy"],
+        cse=lambda targets: (lines, targets),
+    )
+
+
+def over_rows(
+    memory: Sequence[Element],
+    outputs: Sequence[sympy.Expr],
+    symbols: Sequence[sympy.Symbol],
+    values: Sequence[Any],
+    dt: Array,
+    begins: NDArray[np.bool_],
+    start: Sequence[Any],
+    discretisation: Discretisation = "exact",
+    settling: sympy.Expr | None = None,
+) -> list[Array]:
+    """Return outputs of symbols, states, derivatives and DT over rows, (N,) each.
+
+    Records start in `start`, or where `settling` takes them from there.
     """
-    at = np.asarray(start, dtype=float).reshape(len(way), -1)
-    low, high = np.where(begins, at, -bound), np.where(begins, at, bound)
-    return _clips(np.where(begins, 0.0, way), low, high, np.zeros(len(way)))
+    states = tuple(s for m in memory for s in (m.state, m.derivative))
+    read = set().union(*(e.free_symbols for e in outputs))
+    own = StatesOverLog(memory, symbols, read, settling or sympy.S.Zero)
+    at = [np.broadcast_to(x, dt.shape).copy() for x in start]
+    if settling is not None and memory:
+        firsts = [v[begins] if np.ndim(v) else v for v in values]
+        for of_state, first in zip(at, own.beginning(firsts, [x[begins] for x in at]), strict=True):
+            of_state[begins] = first
+    found = own(values, dt, begins, at, discretisation)
+    columns = lowered((*symbols, *states, DT), outputs)(*values, *found, dt)
+    return [np.array(np.broadcast_to(column, dt.shape)) for column in columns]
 
 
-_BLOCK = 24
+def predicted(law: FrictionLaw, t: Array, dq: Array, q: Array, tau_load: Array) -> Array:
+    """Return the torque of a law over a log, as `predict` does."""
+    form = law.form
+    symbols = (*(c.symbol for c in form.coefficients), *INPUTS)
+    values = (*numbers(law), dq, q, tau_load)
+    dt, begins = np.diff(t, prepend=t[0]), np.arange(len(t)) == 0
+    [torque] = over_rows(
+        form.memory, (form.output,), symbols, values, dt, begins, law.start, law.discretisation,
+        form.component.settling,
+    )  # fmt: skip
+    return torque
 
 
-def _clips(shift: Array, low: Array, high: Array, x: Array) -> Array:
-    """Return x[k] = clip(x[k-1] + shift[k], low[k], high[k]), all (E, N), from x (E,) on.
+def stepped(
+    law: FrictionLaw, values: Array, dt: Array, inputs: Sequence[Array], x: Array
+) -> tuple[Array, Array]:
+    """Return torque (W,) and states (m, W) after one step of W motions, as `LawStepper` does."""
+    form, motions = law.form, len(dt)
+    symbols = (*(c.symbol for c in form.coefficients), *INPUTS)
+    rows = [np.repeat(np.broadcast_to(v, motions), 2) for v in (*values, *inputs)]
+    outputs = (form.output, *(m.state for m in form.memory))
+    begins = np.arange(2 * motions) % 2 == 0
+    found = over_rows(
+        form.memory, outputs, symbols, rows, np.repeat(dt, 2), begins, np.repeat(x, 2, axis=1),
+        law.discretisation,
+    )  # fmt: skip
+    torque, *states = (column[1::2] for column in found)
+    return torque, np.array(states).reshape(len(x), motions)
 
-    After x -> clip(x + a, l, u) the map x -> clip(x + b, m, v) gives
-    clip(x + a + b, clip(l + b, m, v), clip(u + b, m, v)); so what a block does is one such map.
-    """
-    elements, rows = shift.shape
-    if rows <= 2 * _BLOCK:
-        found = np.empty_like(shift)
-        for k in range(rows):
-            x = np.minimum(np.maximum(x + shift[:, k], low[:, k]), high[:, k])
-            found[:, k] = x
-        return found
-    blocks = -(-rows // _BLOCK)
 
-    def in_blocks(values: Array, beyond: float) -> Array:
-        whole = np.full((elements, blocks * _BLOCK), beyond)
-        whole[:, :rows] = values
-        return np.ascontiguousarray(whole.reshape(elements, blocks, _BLOCK).transpose(2, 0, 1))
-
-    a, lower, upper = in_blocks(shift, 0.0), in_blocks(low, -np.inf), in_blocks(high, np.inf)
-    total, least, most = a[0], lower[0], upper[0]
-    for k in range(1, _BLOCK):
-        least, most = (np.minimum(np.maximum(e + a[k], lower[k]), upper[k]) for e in (least, most))
-        total = total + a[k]
-    ends = _clips(total, least, most, x)
-    now = np.concatenate([x[:, None], ends[:, :-1]], axis=1)
-    found = np.empty_like(a)
-    for k in range(_BLOCK):
-        np.minimum(np.maximum(now + a[k], lower[k]), upper[k], out=found[k])
-        now = found[k]
-    return found.transpose(1, 2, 0).reshape(elements, -1)[:, :rows]
+def columns(problem: Separable, point: Array) -> Array:
+    """Return the columns of a least-squares problem at a point, (N, K)."""
+    s, form = problem.samples, problem.form
+    replaced = {sympy.Symbol(name, real=True): e for name, e in problem.space.values}
+    memory = [m.subs(replaced) for m in form.memory]
+    output = sympy.expand_mul(form.output.xreplace(replaced))
+    wanted = [output.diff(sympy.Symbol(name, real=True)) for name in problem.space.linear]
+    symbols = (*(sympy.Symbol(name, real=True) for name in problem.space.names), *INPUTS)
+    values = (*problem.numbers(point), s.dq, s.q, s.tau_load)
+    return np.column_stack(over_rows(
+        memory, wanted, symbols, values, s.dt, s.begins, problem.start, problem.discretisation,
+        form.component.settling,
+    ))  # fmt: skip

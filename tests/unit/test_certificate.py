@@ -6,7 +6,7 @@ from math import inf
 import numpy as np
 import pytest
 import sympy
-from hesr_model.equations.over_log import StatesOverLog
+from oracles.over_log import StatesOverLog
 from oracles.stepper import Stepper
 
 from hesr_model.audit.attack import attack

@@ -4,14 +4,15 @@ import mpmath
 import numpy as np
 import pytest
 import sympy
-from hesr_model.equations.over_log import recurrence, step_coefficients
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.over_log import step_coefficients
 from oracles.stepper import Stepper
 from scipy.integrate import solve_ivp
 
 from hesr_model.equations.functions import NUMPY, absolute, sgn
 from hesr_model.equations.memory import Relaxation
+from hesr_model.equations.recurrence import recurrence
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm

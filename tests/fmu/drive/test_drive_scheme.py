@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 from drive_runs import Run, drive, reversals
-from hesr_model.equations.over_log import step_coefficients
+from oracles.over_log import step_coefficients
 from oracles.stepper import Stepper
 from scipy.optimize import brentq
 
