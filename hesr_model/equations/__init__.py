@@ -1,1 +1,1 @@
-"""Components as equations: named expressions with memory, from which everything is lowered."""
+"""Components as equations: named expressions with memory, lowered to every target."""

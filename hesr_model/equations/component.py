@@ -1,12 +1,12 @@
 """A component: named equations over signals, parameters, names before them and memory.
 
-    name = expression            output or not, of inputs, parameters, states, names and `dt`
-    previous(name)               its value at the last sample, with a start expression of its own
-    Relaxation, Stop             memory with a sampled and a continuous meaning
+    name = expression            function of inputs, parameters, states, names and `dt`
+    previous(name)               value at the last sample, with its own start expression
+    Relaxation, Stop             memory with a sampled and a continuous form
 
-It is written once. C, NumPy over whole logs, a Python step, directional derivatives, dependencies,
-Modelica, LaTeX and pages are lowered from it. A component describes one joint; an FMU has as many
-of them as joints, and parameters that they share.
+It is written once and lowered to C, programs over logs, a Python step, directional derivatives,
+dependencies, Modelica, LaTeX and pages. A component describes one joint; an FMU has one per joint
+and parameters shared by all.
 """
 
 from collections import Counter
@@ -33,13 +33,13 @@ class Quantity:
 
     @property
     def symbol(self) -> sympy.Symbol:
-        """SymPy symbol under which expressions use it."""
+        """SymPy symbol for expressions."""
         return sympy.Symbol(self.name, real=True)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter(Quantity):
-    """A number that a user sets: its start value, and whether it may change while it runs."""
+    """A number set by the user: its start value, and whether it may change during a run."""
 
     start: float = 0.0
     tunable: bool = True
@@ -47,15 +47,15 @@ class Parameter(Quantity):
 
 @dataclass(frozen=True, kw_only=True)
 class Choice(Parameter):
-    """A parameter that is one of named choices, numbered from 1."""
+    """A parameter with named values, numbered from 1."""
 
     unit: str = "1"
     tunable: bool = False
     items: tuple[tuple[str, str], ...]
-    """Name and description of each."""
+    """Name and description of each value."""
 
     def case(self, cases: Mapping[str, sympy.Expr]) -> sympy.Expr:
-        """Return the expression of the choice that is made; 0 for one that is not among `cases`."""
+        """Return the expression of the current value; 0 for values without a case."""
         numbers = {name: k for k, (name, _) in enumerate(self.items, start=1)}
         return sympy.Piecewise(
             *((e, sympy.Eq(self.symbol, numbers[name])) for name, e in cases.items()), (0, True)
@@ -68,10 +68,9 @@ class Equation(Quantity):
 
     Attributes
     ----------
-    expression : of inputs, parameters, states with their derivatives, names and previous ones.
-    output : whether others see it.
-    start : of previous(name) at the first sample, of the same and of names; None where nothing asks
-        for the previous value.
+    expression : function of inputs, parameters, states, derivatives, names and previous values.
+    output : True if it is visible outside the component.
+    start : previous(name) at the first sample, with the same symbols; None if it is not used.
     """
 
     unit: str = "1"
@@ -83,13 +82,13 @@ class Equation(Quantity):
 
 @dataclass(frozen=True, kw_only=True)
 class Requirement:
-    """What a parameter must be when a run begins: `condition` holds, or `text` says what it must.
+    """A condition on a parameter at the start of a run.
 
     Attributes
     ----------
-    name : of the parameter.
-    condition : of parameters, true where all is well.
-    text : goes on after "it must", as "be positive".
+    name : name of the parameter.
+    condition : expression of parameters that must be true.
+    text : continuation of "it must", such as "be positive".
     """
 
     name: str
@@ -109,22 +108,21 @@ class Component:
     Attributes
     ----------
     inputs : signals.
-    parameters : of the joint.
-    shared : parameters of all joints together.
-    memory : states, in the order in which they move; what they read may be previous values, too.
-    equations : in any order that has no circle.
-    sample_time : name of the parameter at whose multiples it ticks [s], between which all holds;
-        empty where every step is a sample.
-    requirements : on parameters.
-    reversing : inputs at whose change of sign a solver does well to stop where a magnitude bends.
-    settling : share, from 0 to 1, of the way from the states' own start to the steady state of the
-        first inputs at which they begin; of inputs and parameters.
+    parameters : parameters of the joint.
+    shared : parameters of all joints.
+    memory : states, in the order in which they move; they may also read previous values.
+    equations : equations in any order, without a circle.
+    sample_time : name of the parameter with the sample period [s]; all values hold in between.
+        Empty if every step is a sample.
+    requirements : conditions on parameters.
+    reversing : inputs whose sign changes are events for a solver because a magnitude bends there.
+    settling : initial state as a share, 0 to 1, of the way from the states' own start to the steady
+        state of the first inputs; a function of inputs and parameters.
 
     Raises
     ------
     ArtifactError
-        If an expression uses a symbol that is nothing of the component's, two things have one name,
-        or equations go in a circle.
+        If an expression uses an unknown symbol, a name is used twice, or equations form a circle.
     """
 
     inputs: tuple[Quantity, ...] = ()
@@ -144,7 +142,7 @@ class Component:
         names = Counter([*given, *states, *named])
         if twice := [symbol for symbol, count in names.items() if count > 1]:
             raise ArtifactError(
-                f"equations: '{twice[0]}' stands twice among its inputs, coefficients, states and "
+                f"equations: '{twice[0]}' is used twice among inputs, coefficients, states and "
                 "names."
             )
         before = {previous(e.name) for e in self.equations if e.start is not None}
@@ -159,7 +157,7 @@ class Component:
             parts = (equation.expression, *(() if equation.start is None else (equation.start,)))
             _require_known(set().union(*(e.free_symbols for e in parts)) - known, equation.name)
         _require_known(self.settling.free_symbols - set(given), "settling")
-        self.ordered  # noqa: B018 - raises where equations go in a circle
+        self.ordered  # noqa: B018 - raises if equations form a circle
 
     @property
     def given(self) -> tuple[Quantity, ...]:
@@ -168,7 +166,7 @@ class Component:
 
     @cached_property
     def ordered(self) -> tuple[Equation, ...]:
-        """The equations, each after those that it uses."""
+        """Equations, each after those it uses."""
         by_symbol = {e.symbol: e for e in self.equations}
         return tuple(
             by_symbol[s] for s in in_order({s: e.expression for s, e in by_symbol.items()})
@@ -176,22 +174,22 @@ class Component:
 
     @property
     def outputs(self) -> tuple[Equation, ...]:
-        """The equations that others see, in the order in which they were given."""
+        """Visible equations, in the order given."""
         return tuple(e for e in self.equations if e.output)
 
     @property
     def remembered(self) -> tuple[Equation, ...]:
-        """The equations whose previous value counts."""
+        """Equations whose previous value is used."""
         return tuple(e for e in self.equations if e.start is not None)
 
     @property
     def starts(self) -> Mapping[sympy.Symbol, sympy.Expr]:
-        """What each previous value is before the first step."""
+        """Previous values before the first step."""
         return {previous(e.name): e.start for e in self.equations if e.start is not None}
 
     @cached_property
     def starting(self) -> Mapping[sympy.Symbol, sympy.Expr]:
-        """Each equation, in order, as before the first step: previous values are starts, dt 0."""
+        """Equations before the first step, in order: previous values are starts, dt is 0."""
         found = {
             e.symbol: e.expression.xreplace(self.starts).xreplace({DT: sympy.Integer(0)})
             for e in self.equations
@@ -200,21 +198,21 @@ class Component:
 
     @cached_property
     def sampled_memory(self) -> bool:
-        """Whether memory reads previous values: it moves exactly, and by whole steps only."""
+        """True if memory reads previous values; it then moves exactly and by whole steps only."""
         read = sympy.Tuple(*(part for m in self.memory for part in m.parts)).free_symbols
         return any(previous(e.name) in read for e in self.remembered)
 
     @cached_property
     def holds(self) -> bool:
-        """Whether outputs move by steps only, as what is made of a step's length and the past."""
+        """True if outputs change by steps only, since they depend on `dt` and previous values."""
         timed = any(DT in e.expression.free_symbols for e in self.equations)
         return timed and bool(self.remembered)
 
     def sources(self, expression: sympy.Expr, *, starting: bool = False) -> frozenset[sympy.Symbol]:
-        """Return the inputs, parameters and states of which an expression is made, via names.
+        """Return the inputs, parameters and states that an expression depends on.
 
-        A state's derivative stands for what its element reads, and before the first step
-        (`starting`) a previous value for its start.
+        A derivative depends on the symbols of its element; before the first step (`starting`) a
+        previous value depends on those of its start.
         """
         into = {e.symbol: e.expression for e in self.equations}
         into |= self.starts if starting else {}
@@ -229,19 +227,19 @@ class Component:
 
 
 def in_order(expressions: Mapping[sympy.Symbol, sympy.Expr]) -> Iterator[sympy.Symbol]:
-    """Yield the symbols of named expressions, each after those that its own expression uses.
+    """Yield the symbols of named expressions, each after those its expression uses.
 
     Raises
     ------
     ArtifactError
-        If they go in a circle.
+        If they form a circle.
     """
     done: set[sympy.Symbol] = set()
 
     def visit(symbol: sympy.Symbol, path: tuple[sympy.Symbol, ...]) -> Iterator[sympy.Symbol]:
         if symbol in path:
             raise ArtifactError(
-                f"equations: '{symbol}' depends on itself, by way of "
+                f"equations: '{symbol}' depends on itself through "
                 f"{', '.join(map(str, path[path.index(symbol) :]))}; use previous()."
             )
         if symbol in done:

@@ -1,8 +1,8 @@
-"""Functions from which equations are written, beside SymPy's own.
+"""Functions for equations in addition to those of SymPy.
 
-SymPy's `sign` differentiates to a Dirac impulse, its `Abs` to a complex expression and its `Max` to
-a step with a value in between; equations of machines need the derivative almost everywhere of a
-real argument, so these functions are defined here, each with its NumPy counterpart.
+SymPy differentiates `sign` to a Dirac impulse, `Abs` to a complex expression and `Max` to a step
+with a value in between. Equations of machines need derivatives almost everywhere for real
+arguments, so these functions are defined here, each with its NumPy counterpart.
 """
 
 import math
@@ -14,11 +14,11 @@ import sympy
 from sympy.printing.latex import LatexPrinter
 
 _SERIES_BELOW = 1e-3
-"""Below this the series of `share` is exact to double precision and the quotient is not."""
+"""Argument below which the series of `share` is exact to double precision, unlike the quotient."""
 
 
 class _Real(sympy.Function):  # type: ignore[misc] # SymPy is not typed
-    """A function of real arguments, kept as it is until numbers are put in."""
+    """A function of real arguments that is evaluated for numbers only."""
 
     latex_form: ClassVar[str]
 
@@ -70,7 +70,7 @@ class absolute(_Real):  # noqa: N801
 
 
 class positive(_Real):  # noqa: N801
-    """The positive part max(x, 0), also of what is not a number: the guard of rates and bounds."""
+    """Positive part max(x, 0), 0 for NaN: the guard of rates and bounds."""
 
     nargs = 1
     latex_form = r"\max\left({}, 0\right)"
@@ -82,32 +82,32 @@ class positive(_Real):  # noqa: N801
 
 
 class larger(_Real):  # noqa: N801
-    """The larger of two numbers."""
+    """Maximum of two numbers."""
 
     nargs = 2
     latex_form = r"\max\left({}, {}\right)"
 
     def fdiff(self, argindex: int = 1) -> sympy.Expr:
-        """Return the derivative by either."""
+        """Return the derivative by each argument."""
         above = exceeds(*self.args)
         return above if argindex == 1 else 1 - above
 
 
 class clip(_Real):  # noqa: N801
-    """x between -b and b, for b >= 0."""
+    """x clipped to -b and b, for b >= 0."""
 
     nargs = 2
     latex_form = r"\operatorname{{clip}}\left({}, \pm {}\right)"
 
     def fdiff(self, argindex: int = 1) -> sympy.Expr:
-        """Return the derivative by x: 1 inside; by b: the side on which it is clipped."""
+        """Return the derivative by x: 1 inside; by b: the side of the clipping."""
         x, b = self.args
         inside = exceeds(b, absolute(x))
         return inside if argindex == 1 else (1 - inside) * sgn(x)
 
 
 class exceeds(_Real):  # noqa: N801
-    """1 where the first number is larger than the second, else 0; with derivative 0."""
+    """1 if a > b, else 0; with derivative 0."""
 
     nargs = 2
     latex_form = r"\left[{} > {}\right]"
@@ -119,7 +119,7 @@ class exceeds(_Real):  # noqa: N801
 
 
 class over(_Real):  # noqa: N801
-    """a / b for b > 0, else what the third argument is."""
+    """a / b for b > 0, else the third argument."""
 
     nargs = 3
     latex_form = r"\left({0}\right) / \left({1}\right)"
@@ -133,9 +133,9 @@ class over(_Real):  # noqa: N801
 
 
 class decay(_Real):  # noqa: N801
-    """By how much a state falls over a step, exp(-z) - 1 for z = rate * dt; -z by Euler's step."""
+    """Relative change of a state over a step, exp(-z) - 1 for z = rate * dt; -z by Euler."""
 
-    nargs = 2  # z, whether by Euler
+    nargs = 2  # z, 1 for Euler
     latex_form = r"\left(e^{{-{0}}} - 1\right)"
 
     def fdiff(self, argindex: int = 1) -> sympy.Expr:
@@ -145,9 +145,9 @@ class decay(_Real):  # noqa: N801
 
 
 class share(_Real):  # noqa: N801
-    """(1 - exp(-z)) / z, continued by 1 at 0; the second argument is `decay`, the third as there.
+    """(1 - exp(-z)) / z, continued by 1 at 0; arguments are z, `decay` and 1 for Euler.
 
-    The derivative by z is the whole one, since the second argument is a function of the first.
+    The derivative by z is the total one, since `decay` is a function of z.
     """
 
     nargs = 3
@@ -159,14 +159,14 @@ class share(_Real):  # noqa: N801
 
 
 class share_slope(_Real):  # noqa: N801
-    """Derivative of `share` by z; it is not differentiated again."""
+    """Derivative of `share` by z, without derivatives of its own."""
 
     nargs = 3
     latex_form = r"\varphi'\left({}\right)"
 
 
 class cardinal_sine(_Real):  # noqa: N801
-    """sin(x) / x, continued by 1 at 0: what a wave's mean over a step is of its middle value."""
+    """sin(x) / x, continued by 1 at 0: mean of a wave over a step relative to its middle value."""
 
     nargs = 1
     latex_form = r"\operatorname{{sinc}}{power}\left({}\right)"
@@ -178,7 +178,7 @@ class cardinal_sine(_Real):  # noqa: N801
 
 
 class cardinal_slope(_Real):  # noqa: N801
-    """Derivative of `cardinal_sine`; it is not differentiated again."""
+    """Derivative of `cardinal_sine`, without derivatives of its own."""
 
     nargs = 1
     latex_form = r"\operatorname{{sinc}}'\left({}\right)"
@@ -199,7 +199,7 @@ def _cardinal_slope(x: Any) -> Any:
 
 def _share(z: Any, e: Any, euler: Any) -> Any:
     small = np.abs(z) < _SERIES_BELOW
-    if euler is False and not np.any(small):  # as in most rows of most logs
+    if euler is False and not np.any(small):  # most rows of most logs
         return -e / z
     series = 1.0 - z / 2.0 * (1.0 - z / 3.0 * (1.0 - z / 4.0 * (1.0 - z / 5.0)))
     return np.where(euler, 1.0, np.where(small, series, -e / np.where(small, 1.0, z)))
@@ -220,7 +220,7 @@ def _over(a: Any, b: Any, otherwise: Any) -> Any:
 NUMPY: Mapping[str, Callable[..., Any]] = {
     "sgn": np.sign,
     "absolute": np.abs,
-    # Not np.maximum, which hands on what is not a number.
+    # Not np.maximum, which passes NaN on.
     "positive": lambda x: np.where(np.greater(x, 0.0), x, 0.0),
     "larger": np.maximum,
     "clip": lambda x, b: np.minimum(np.maximum(x, -b), b),
@@ -232,7 +232,7 @@ NUMPY: Mapping[str, Callable[..., Any]] = {
     "cardinal_sine": _cardinal_sine,
     "cardinal_slope": _cardinal_slope,
 }
-"""By name what the functions above are on arrays."""
+"""NumPy functions by name."""
 
 
 def _share_of_one(z: float, e: float, euler: float) -> float:
@@ -259,11 +259,11 @@ SCALAR: Mapping[str, Callable[..., float]] = {
     "share": _share_of_one,
     "cardinal_sine": _sine_of_one,
 }
-"""The same on one number, a hundred times as quick there."""
+"""Functions of one number by name, a hundred times as fast as NumPy."""
 
 
 def lowered(arguments: Sequence[sympy.Symbol], expressions: Sequence[sympy.Expr]) -> Any:
-    """Return a NumPy function of `arguments` that returns the list of `expressions`."""
+    """Return a NumPy function of `arguments` for the list of `expressions`."""
     return sympy.lambdify(
         list(arguments), list(expressions), modules=[dict(NUMPY), "numpy"], cse=True
     )

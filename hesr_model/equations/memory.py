@@ -1,9 +1,8 @@
-"""What a component remembers: relaxations and stops, each sampled, continuous and settled.
+"""Memory of a component: relaxations and stops, each sampled, continuous and settled.
 
-Sampled, an element moves by steps of any length over which its inputs are held; continuous, it is a
-state of model exchange; settled, it is where inputs that are held for good take it. All three are
-expressions, so whatever is lowered from a component (C,
-NumPy, derivatives, Modelica) has them alike.
+The sampled form moves a state by a step of any length with held inputs. The continuous form is for
+model exchange. The settled form is the limit for inputs held forever. All three are expressions,
+so every target lowered from a component has the same.
 """
 
 from collections.abc import Mapping
@@ -24,20 +23,19 @@ from hesr_model.equations.functions import (
 )
 
 DT = sympy.Symbol("dt", real=True)
-"""Length of the step that ends now [s]."""
+"""Length of the current step [s]."""
 
 Discretisation: TypeAlias = Literal["exact", "euler"]
 """How relaxations move over a step: exactly for held inputs, or by explicit Euler (eq. 10)."""
 
 EULER = sympy.Symbol("euler", real=True)
-"""1 where relaxations move by Euler's step (eq. 10), 0 where exactly."""
+"""1 if relaxations move by Euler's step (eq. 10), 0 if exactly."""
 
 FIRST_STEP = sympy.Rational(1, 1000)
-"""Step [s] by which a state leaves a place where its own rate is 0, on its way to where it settles.
-"""
+"""Step [s] of the search for the settled state from a point where the rate is 0."""
 
 RELEASE = sympy.Float(0.005)
-"""T of a continuous stop [s]: how fast it lets go where its bound shrinks."""
+"""T [s], time constant of a continuous stop following a shrinking bound."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +44,7 @@ class _Element:
     unit: str
 
     def __post_init__(self) -> None:
-        for f in fields(self):  # numbers may be written as Python's
+        for f in fields(self):  # accept Python numbers
             if f.name not in ("name", "unit"):
                 object.__setattr__(self, f.name, sympy.S.Zero + getattr(self, f.name))
 
@@ -64,7 +62,7 @@ class _Element:
 
     @property
     def derivative(self) -> sympy.Symbol:
-        """Symbol of the continuous x', taken after the state was updated (as in eq. 10)."""
+        """Symbol of the continuous x', evaluated after the state was updated (as in eq. 10)."""
         return sympy.Symbol(f"d{self.name}", real=True)
 
 
@@ -72,8 +70,7 @@ class _Element:
 class Relaxation(_Element):
     """One state x' = drive - rate x; a negative rate counts as 0.
 
-    Drive and rate may use states named before this one, the rate also its own, which is frozen
-    over a step.
+    Drive and rate may use earlier states; the rate may also use x, which is frozen over a step.
     """
 
     drive: sympy.Expr
@@ -81,14 +78,14 @@ class Relaxation(_Element):
 
     @property
     def parts(self) -> tuple[sympy.Expr, sympy.Expr]:
-        """Drive and rate, of which inputs and states are read."""
+        """Drive and rate."""
         return self.drive, self.rate
 
     def sampled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
-        """Return x at the end of a step; exact for a drive and a rate that are held over it.
+        """Return x at the end of a step; exact for held drive and rate.
 
-        x+ = x exp(-z) + drive dt (1 - exp(-z)) / z with z = rate dt; `first` and `second` stand
-        for drive and guarded rate.
+        x+ = x exp(-z) + drive dt (1 - exp(-z)) / z with z = rate dt; `first` and `second` are drive
+        and guarded rate.
         """
         z = second * DT
         e = decay(z, EULER)
@@ -100,14 +97,14 @@ class Relaxation(_Element):
 
     @property
     def seeks(self) -> bool:
-        """Whether `settled` is one step of an iteration, since the rate sees the state."""
+        """True if `settled` is one step of an iteration because the rate depends on the state."""
         return self.state in self.rate.free_symbols
 
     def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
-        """Return drive / rate, at which x' = 0; without a rate x itself, which settles nowhere.
+        """Return drive / rate, the zero of x'; x itself if the rate is 0.
 
-        Where the rate sees x, half the way there from x: as with Heron's square root a few of such
-        steps find x even where whole ones would overshoot for ever.
+        If the rate depends on x, return the point halfway there, as in Heron's square root: some
+        such steps converge even if whole steps would oscillate.
         """
         if not self.seeks:
             return over(first, second, self.state)
@@ -115,14 +112,14 @@ class Relaxation(_Element):
 
 
 class Slow(Relaxation):
-    """A relaxation over minutes or hours: it begins at its start, not where it settles."""
+    """A relaxation over minutes or hours, whose initial state is its start."""
 
     @property
     def seeks(self) -> bool:
-        """Whether `settled` is one step of an iteration: never."""
+        """False: `settled` is exact."""
         return False
 
-    def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:  # noqa: ARG002 - as of every element
+    def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:  # noqa: ARG002 - signature of every element
         """Return x itself."""
         return self.state
 
@@ -133,10 +130,9 @@ class Stop(_Element):
 
     Attributes
     ----------
-    velocity : v, what moves it.
-    deflection : w > 0, the way from 0 to 1.
-    bound : s; a negative one counts as 0. Any expression of inputs, parameters and states named
-        before this one.
+    velocity : v, velocity that moves the stop.
+    deflection : w > 0, displacement that moves x from 0 to 1.
+    bound : s, an expression of inputs, parameters and earlier states; negative values count as 0.
     """
 
     velocity: sympy.Expr
@@ -145,7 +141,7 @@ class Stop(_Element):
 
     @property
     def parts(self) -> tuple[sympy.Expr, sympy.Expr]:
-        """Rate at which it moves, and bound, of which inputs and states are read."""
+        """Rate v / w and bound."""
         return self.velocity / self.deflection, self.bound
 
     def sampled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
@@ -154,11 +150,11 @@ class Stop(_Element):
 
     @property
     def seeks(self) -> bool:
-        """Whether `settled` is one step of an iteration: never."""
+        """False: `settled` is exact."""
         return False
 
     def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
-        """Return the bound on the side to which it moves; x itself between both where it rests."""
+        """Return the bound in the direction of motion; x within the bounds at rest."""
         return sgn(first) * second + (1 - absolute(sgn(first))) * clip(self.state, second)
 
     def continuous(self) -> sympy.Expr:
@@ -166,7 +162,7 @@ class Stop(_Element):
 
         With e = w x, d = max(.01 w s, 1e-3 w), b = max(w s - d, 0) and m = max(w s, d),
         e' = v - abs(v)/d (e - clip(e, -b, b)) - (e - clip(e, -m, m))/T: the second term bounds the
-        way, the last one lets go where a bound shrinks at rest. Everything is divided by w here.
+        deflection, the last one follows a bound that shrinks at rest. All is divided by w here.
         """
         s = positive(self.bound)
         d = larger(s / 100, sympy.Rational(1, 1000))

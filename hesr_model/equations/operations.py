@@ -1,7 +1,7 @@
 """Equations as lists of operations on registers, run by `rows.c` over blocks of rows.
 
-An expression becomes a graph in which equal parts are one node. Values that are the same for all
-rows are computed once per run, values that depend on inputs alone once per log.
+An expression becomes a graph whose equal parts are one node. Values that are the same for all rows
+are computed once per run, values that depend on inputs alone once per log.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -19,7 +19,20 @@ from hesr_model.errors import ArtifactError
 
 NAMES = (
     *("ADD", "SUBTRACT", "MULTIPLY", "DIVIDE", "NEGATE", "ROOT", "POWER", "EXP"),
-    *("LOG", "TANH", "SIN", "COS", "CARDINAL_SINE", "SGN", "ABSOLUTE", "POSITIVE", "LARGER"),
+    *(
+        "LOG",
+        "SINH",
+        "COSH",
+        "ATAN",
+        "TANH",
+        "SIN",
+        "COS",
+        "CARDINAL_SINE",
+        "SGN",
+        "ABSOLUTE",
+        "POSITIVE",
+        "LARGER",
+    ),
     *("CLIP", "EXCEEDS", "OVER", "CARRIED", "RELAX", "STOP", "STOP_BESIDE", "ADD_SAME"),
     "MULTIPLY_SAME",
 )
@@ -36,7 +49,7 @@ _MOST_FACTORS = 8
 
 
 class Dependence(IntEnum):
-    """Values on which a node depends."""
+    """Values that a node depends on."""
 
     LITERAL, NUMBERS, INPUTS, ROWS = range(4)
 
@@ -50,7 +63,7 @@ class Node:
     operation : name of the operation; empty for literals, numbers and inputs.
     operands : nodes.
     detail : number of the state, the literal, or the index of the number or input.
-    dependence : values on which the node depends.
+    dependence : values that the node depends on.
     """
 
     operation: str
@@ -131,6 +144,8 @@ class Graph:
         if e.is_Pow:
             return self._power(e)
         name = _FUNCTIONS.get(e.func, _FUNCTIONS.get(e.func.__name__))
+        if name is None and e.is_number:
+            return self._literal(float(e))
         if name is None:
             raise ArtifactError(
                 f"equations: '{e}' uses the function '{e.func.__name__}', which cannot be run over "

@@ -1,7 +1,7 @@
-"""A component as straight-line programs: what a step does, what is read, and how both change.
+"""Straight-line programs of a component: step, readings and their directional derivatives.
 
-A program is a list of assignments in the order in which they are made. Everything that runs a
-component prints one of these; derivatives are those of the same assignments, one after the other.
+A program is an ordered list of assignments. All code that runs a component is printed from one;
+derivatives are taken assignment by assignment.
 """
 
 from collections.abc import Iterable, Mapping
@@ -18,12 +18,12 @@ Assignments = Mapping[sympy.Symbol, sympy.Expr]
 
 
 def moved(element: Element) -> sympy.Symbol:
-    """Return the symbol of a state at the end of a step, where it also stands at its beginning."""
+    """Return the symbol of a state at the end of a step."""
     return sympy.Symbol(f"{element.name}_moved", real=True)
 
 
 def step(memory: Iterable[Element]) -> dict[sympy.Symbol, sympy.Expr]:
-    """Return the states after a step by their `moved` symbols; a later one sees those before it."""
+    """Return the states after a step by `moved` symbol; each uses the moved earlier ones."""
     after: dict[sympy.Symbol, sympy.Expr] = {}
     seen: dict[sympy.Symbol, sympy.Expr] = {}
     for element in memory:
@@ -34,21 +34,21 @@ def step(memory: Iterable[Element]) -> dict[sympy.Symbol, sympy.Expr]:
 
 
 _SEARCH = 60
-"""Steps by which a state whose own rate sees it is settled: some thirty for a factor of 1e9."""
+"""Steps of the search for the settled state; about thirty bridge a factor of 1e9."""
 
 
 def initial_symbol(element: Element) -> sympy.Symbol:
-    """Return the symbol of a state where it begins; its own symbol is its start value there."""
+    """Return the symbol of an initial state; the state's own symbol is its start value."""
     return sympy.Symbol(f"{element.name}_begun", real=True)
 
 
 def initial_state(
     memory: Iterable[Element], settling: sympy.Expr
 ) -> dict[sympy.Symbol, sympy.Expr]:
-    """Return where the states begin for the first inputs, by their `initial_symbol`s, and the way.
+    """Return the initial states for the first inputs by `initial_symbol`, and intermediate values.
 
-    A share (`Component.settling`) of the way from the start value to the steady state, each with
-    those before it where they begin.
+    Each is a share (`Component.settling`) of the way from the start value to the steady state,
+    computed with the earlier initial states.
     """
     found: dict[sympy.Symbol, sympy.Expr] = {}
     seen: dict[sympy.Symbol, sympy.Expr] = {}
@@ -81,18 +81,18 @@ def readings(component: Component, *, starting: bool = False) -> dict[sympy.Symb
 
 @dataclass(frozen=True)
 class Tangent:
-    """Derivatives along a direction: for each symbol the symbol of its own change, the seed."""
+    """Derivatives along a direction, given by a seed for each symbol."""
 
     seeds: Mapping[sympy.Symbol, sympy.Expr] = field(default_factory=dict)
 
     def of(self, assignments: Assignments) -> dict[sympy.Symbol, sympy.Expr]:
-        """Return the change of each assigned symbol, by a symbol `d_...` for it."""
+        """Return the change of each assigned symbol by its symbol `d_...`."""
         known = dict(self.seeds)
         changes: dict[sympy.Symbol, sympy.Expr] = {}
         for symbol, expression in assignments.items():
             used = sorted(expression.free_symbols & known.keys(), key=sympy.default_sort_key)
             change = sympy.Add(*(expression.diff(s) * known[s] for s in used))
-            # What does not change needs no name, and nothing that follows has to ask.
+            # Constant symbols get no name, so later derivatives skip them.
             if change == 0:
                 continue
             name = change_of(symbol)
@@ -102,26 +102,25 @@ class Tangent:
 
 
 def change_of(symbol: sympy.Symbol) -> sympy.Symbol:
-    """Return the symbol of a symbol's change along a direction."""
+    """Return the symbol of the change of a symbol along a direction."""
     return sympy.Symbol(f"d_{symbol.name}", real=True)
 
 
 @dataclass(frozen=True)
 class Jumps:
-    """Where a solver has to stop: signs at whose changes a component jumps, held between events.
+    """Events of a solver: sign changes that make a component jump; signs are held in between.
 
-    A magnitude bends and does not jump, so it follows its argument and no sign is held for it; a
-    solver is still asked to stop where one of a reversing input bends. Signs of states alone stay
-    as they are, since a solver does not integrate what only the output depends on.
+    A magnitude bends but does not jump, so its sign is not held; bends of reversing inputs are
+    still events. Signs of states alone are not held, since only outputs depend on them.
     """
 
     component: Component
     every: bool = False
-    """Whether all magnitudes count, for tools that hold their signs as well."""
+    """True if all magnitudes are events, for tools that also hold their signs."""
 
     @cached_property
     def expressions(self) -> tuple[sympy.Expr, ...]:
-        """Arguments of the signs and magnitudes, of inputs and parameters alone."""
+        """Arguments of signs and magnitudes that depend on inputs and parameters alone."""
         own = self.component
         given, inputs = {q.symbol for q in own.given}, {q.symbol for q in own.inputs}
         parts = [e.expression for e in own.equations]
@@ -135,19 +134,19 @@ class Jumps:
 
     @cached_property
     def signs(self) -> tuple[sympy.Symbol, ...]:
-        """A symbol for each sign."""
+        """Symbol of each sign."""
         return tuple(
             sympy.Symbol(f"s_{i}", real=True) for i, _ in enumerate(self.expressions, start=1)
         )
 
     def held(self, assignments: Assignments) -> dict[sympy.Symbol, sympy.Expr]:
-        """Return assignments with the held signs in place of the expressions'."""
+        """Return assignments with signs replaced by held ones."""
         swap = {sgn(e): s for e, s in zip(self.expressions, self.signs, strict=True)}
         return {symbol: e.xreplace(swap) for symbol, e in assignments.items()}
 
 
 def sources(assignments: Assignments, wanted: sympy.Symbol) -> frozenset[sympy.Symbol]:
-    """Return of which symbols that are not assigned themselves a wanted one is made."""
+    """Return the unassigned symbols that a wanted one depends on."""
     own = needed(assignments, [wanted])
     used = set[sympy.Symbol]().union(*(e.free_symbols for e in own.values()))
     return frozenset(used - assignments.keys())
@@ -156,7 +155,7 @@ def sources(assignments: Assignments, wanted: sympy.Symbol) -> frozenset[sympy.S
 def needed(
     assignments: Assignments, wanted: Iterable[sympy.Symbol]
 ) -> dict[sympy.Symbol, sympy.Expr]:
-    """Return the assignments on which the wanted ones rest, in order."""
+    """Return the assignments that the wanted symbols depend on, in order."""
     keep: set[sympy.Symbol] = set()
     waiting = set(wanted) & assignments.keys()
     while waiting:
@@ -170,12 +169,12 @@ def needed(
 def straight_line(
     assignments: Assignments, wanted: Iterable[sympy.Symbol]
 ) -> tuple[dict[sympy.Symbol, sympy.Expr], dict[sympy.Symbol, str]]:
-    """Return what the wanted symbols rest on, common subexpressions shared, ready to be printed.
+    """Return the assignments needed for the wanted symbols, with common subexpressions shared.
 
     Returns
     -------
-    The assignments in order, and short names `a_0`, `a_1`, .. for those that were given; shared
-    subexpressions are called `t0`, `t1`, ..
+    Assignments in order, and short names `a_0`, `a_1`, .. of the given ones; shared subexpressions
+    are called `t0`, `t1`, ..
     """
     own = needed(assignments, wanted)
     shared, results = sympy.cse(
@@ -187,7 +186,7 @@ def straight_line(
 
 
 def sampled(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
-    """Return what a step assigns: states by their `moved` symbols, then readings of these."""
+    """Return the assignments of a step: `moved` states, then readings."""
     after = {m.state: moved(m) for m in component.memory}
     own = step(component.memory)
     return own | {s: e.xreplace(after) for s, e in readings(component).items()}
@@ -195,14 +194,14 @@ def sampled(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
 
 @dataclass(frozen=True, kw_only=True)
 class Invariants:
-    """A straight line, apart from what of it need not be computed at every step.
+    """A straight-line program split into a fixed part and a part computed at every step.
 
     Attributes
     ----------
-    once : what is made of fixed symbols alone, in order.
-    kept : symbols of these that the rest needs.
+    once : assignments that depend on fixed symbols alone, in order.
+    kept : their symbols used by the rest.
     moving : the rest.
-    names : short names of symbols that a program assigns.
+    names : short names of assigned symbols.
     """
 
     once: Assignments
@@ -214,7 +213,7 @@ class Invariants:
     def of(
         cls, program: Assignments, wanted: Iterable[sympy.Symbol], fixed: Iterable[sympy.Symbol]
     ) -> "Invariants":
-        """Separate a program; fixed factors and terms are gathered, and rounded as such."""
+        """Split a program; fixed factors and terms are combined, and rounded as such."""
         wanted = tuple(wanted)
         lines, names = straight_line(program, wanted)
         once: dict[sympy.Symbol, sympy.Expr] = {}
@@ -229,7 +228,7 @@ class Invariants:
             return parts[part]
 
         def separated(expression: sympy.Expr) -> sympy.Expr:
-            """Return an expression with symbols for its parts that are fixed."""
+            """Return an expression with its fixed parts replaced by symbols."""
             if expression.is_Atom:
                 return expression
             if expression.free_symbols and expression.free_symbols <= known:

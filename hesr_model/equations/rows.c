@@ -1,9 +1,9 @@
 /* Equations over rows of a log: operations on blocks of rows, and the memory of a component.
  *
- * A program is a list of operations on registers, of which each holds a number for every row of a
- * block, small enough that all of them stay in the fastest cache. So there is one binary for all
- * equations, and nothing is compiled when a search tries another form. `operations.py` makes the
- * programs; the operations' numbers are defined where this is compiled. */
+ * A program is a list of operations on registers. A register holds one number per row of a block,
+ * and blocks are small enough for the first-level cache. One binary serves all equations, so a
+ * search over forms compiles nothing. `operations.py` makes the programs; the compiler's flags
+ * define the operations' numbers. */
 #include "law_math.h"
 
 enum { BLOCK = 128, LANES = 8, STOPS = 4 };
@@ -16,33 +16,33 @@ typedef struct {
 
 typedef struct {
     const operation *operations;
-    int64_t uniform;             /* operations that are the same for all rows, */
-    int64_t count;               /* and all of them */
-    const double *const *inputs; /* (rows) each: the first registers, dt before all */
-    const int64_t *strides;      /* of each, in numbers */
+    int64_t uniform;             /* number of operations that are the same for all rows */
+    int64_t count;               /* number of all operations */
+    const double *const *inputs; /* (rows) each: the first registers, dt first */
+    const int64_t *strides;      /* of each input, in doubles */
     int64_t input_count;
-    const double *given; /* numbers that are the same for all rows: the next ones */
+    const double *given; /* values that are the same for all rows: the next registers */
     int64_t given_count;
-    int64_t uniform_count; /* these, and what the uniform operations make of them */
-    int64_t registers;     /* of all kinds */
+    int64_t uniform_count; /* number of given values and results of uniform operations */
+    int64_t registers;     /* number of all registers */
     double euler;
-    double unstable;             /* rate dt of the Euler step that was refused */
-    const int64_t *firsts;       /* (first_count) rows, in rising order, at which records begin, */
-    int64_t first_count, coming; /* and how many of them are behind the block */
-    const double *start;         /* (states, first_count) where each state begins there */
-    double *carried;             /* each state */
-    int64_t first, stop;         /* rows; those before were run before */
+    double unstable;             /* rate dt of the refused Euler step */
+    const int64_t *firsts;       /* (first_count) first rows of records, increasing */
+    int64_t first_count, coming; /* their number, and the first one not before the block */
+    const double *start;         /* (states, first_count) initial states of records */
+    double *carried;             /* current value of each state */
+    int64_t first, stop;         /* rows to run; earlier ones are done */
     int64_t block;
-    double **places; /* (registers) */
-    double *work;    /* BLOCK for each register and for each result, and 10 BLOCK */
+    double **places; /* (registers) addresses */
+    double *work;    /* BLOCK per register and result, and 10 BLOCK */
     const int32_t *results;
     int64_t result_count;
-    double *const *out;    /* (rows) of each result, or NULL */
-    int64_t out_stride;    /* of each, in numbers */
-    const double *target;  /* (rows) beside the results in the normal equations */
-    const double *weights; /* (rows) of the normal equations, or NULL */
+    double *const *out;    /* (rows) for each result, or NULL */
+    int64_t out_stride;    /* of each result, in doubles */
+    const double *target;  /* (rows) last column of the normal equations */
+    const double *weights; /* (rows) weights of the normal equations, or NULL */
     double *gram;          /* (results + 1)^2, upper triangle, or NULL */
-    double *lanes;         /* (lane_count) sums that it is made of */
+    double *lanes;         /* (lane_count) partial sums of the products */
     int64_t lane_count;
     const double **columns; /* (results + 4) */
 } program;
@@ -90,7 +90,8 @@ INLINE int relax(program *p, int64_t state, int64_t at, int64_t n, double *restr
         a[i] = 0.0;
         c[i] = p->start[state * p->first_count + f];
     }
-    /* Two steps are one step with a factor and an increment of their own: half as long a chain. */
+    /* Two steps combine to one with its own factor and increment, which halves the dependency
+     * chain. */
     double *restrict factor = c + BLOCK, *restrict increment = factor + BLOCK / 2;
     for (int64_t i = 0; i < n / 2; i++) {
         factor[i] = a[2 * i + 1] * a[2 * i];
@@ -110,7 +111,7 @@ INLINE int relax(program *p, int64_t state, int64_t at, int64_t n, double *restr
     return DONE;
 }
 
-/* x+ = clip(x + rate dt, bound) of up to STOPS states, none of which waits for another one. */
+/* x+ = clip(x + rate dt, bound) for up to STOPS independent states. */
 INLINE void stops(program *p, const operation *o, int64_t count, int64_t at, int64_t n) {
     double *scratch = p->work + (p->registers + p->result_count + 1) * BLOCK;
     double *unused = scratch + 2 * STOPS * BLOCK, *x[STOPS], now[STOPS];
@@ -186,6 +187,12 @@ INLINE int operate(program *p, const operation *o, int64_t at, int64_t n) {
         EACH(even_tanh(a[i]));
     case LOG:
         EACH(log(a[i]));
+    case SINH:
+        EACH(sinh(a[i]));
+    case COSH:
+        EACH(cosh(a[i]));
+    case ATAN:
+        EACH(atan(a[i]));
     case POWER:
         EACH(pow(a[i], b[i]));
     case SIN:
@@ -230,7 +237,7 @@ INLINE int operate(program *p, const operation *o, int64_t at, int64_t n) {
         stops(p, o, count, at, n);
         break;
     }
-    case STOP_BESIDE: /* has moved with the one before */
+    case STOP_BESIDE: /* moved with the first stop of its group */
         break;
     }
     return DONE;
@@ -244,8 +251,8 @@ INLINE vector eight(const double *from) {
     return found;
 }
 
-/* Add to the lanes of four sums, one after the other, the products of a column with four others.
- * Lanes are the same whatever vectors a machine has, and so are their sums. */
+/* Add the products of a column with four others to the lanes of four sums. The number of lanes does
+ * not depend on the machine's vectors, so sums are the same everywhere. */
 INLINE void add_products(double *sums, const double *a, const double *const *b, int64_t n) {
     vector s0 = eight(sums), s1 = eight(sums + LANES);
     vector s2 = eight(sums + 2 * LANES), s3 = eight(sums + 3 * LANES);
@@ -280,7 +287,7 @@ INLINE double total(const double *lanes) {
     return found[0];
 }
 
-/* Add a block to the lanes of the normal equations, whose last column is the target. */
+/* Add a block to the lanes of the normal equations; the target is the last column. */
 INLINE void add_normal(program *p, int64_t at, int64_t n) {
     const int64_t count = p->result_count + 1;
     for (int64_t i = 0; i < count; i++) {
@@ -295,7 +302,7 @@ INLINE void add_normal(program *p, int64_t at, int64_t n) {
         }
         p->columns[i] = column;
     }
-    for (int64_t i = 1; i < 4; i++) { /* they come in fours, of which the last may go unused */
+    for (int64_t i = 1; i < 4; i++) { /* pad to groups of four */
         p->columns[count - 1 + i] = p->columns[count - 1];
     }
     double *sums = p->lanes;
@@ -318,7 +325,7 @@ INLINE void finish_normal(program *p) {
     }
 }
 
-/* What is the same for all rows. */
+/* Compute the values that are the same for all rows. */
 INLINE int prepare(program *p) {
     p->coming = 0;
     for (int64_t i = 0; i < p->registers; i++) {
@@ -399,10 +406,10 @@ INLINE int all_rows(program *p) {
 
 enum { PLAIN, WIDE, WIDEST };
 
-/* Which vectors this machine has; asking takes as long as thousands of rows where it is virtual. */
+/* Return the widest vectors of this machine; slow on virtual machines. */
 SHOWN int widest(void);
 
-/* Run a program over all rows by such vectors; returns how it ended. The numbers are the same. */
+/* Run a program over rows and return its outcome; numbers do not depend on `vectors`. */
 SHOWN int run(program *p, int vectors);
 
 #if defined(__x86_64__)
@@ -421,7 +428,7 @@ int widest(void) {
     if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & (1u << 27))) {
         return PLAIN;
     }
-    __asm__("xgetbv" : "=a"(low), "=d"(high) : "c"(0)); /* what the system saves */
+    __asm__("xgetbv" : "=a"(low), "=d"(high) : "c"(0)); /* registers saved by the system */
     if ((low & 0x06) != 0x06 || !__get_cpuid_count(7, 0, &a, &b, &c, &d)) {
         return PLAIN;
     }
@@ -447,9 +454,9 @@ int run(program *p, int vectors) {
 }
 #endif
 
-/* Solve the normal equations of (n + 1, n + 1) products whose last column is the target's, where
- * the first unknowns must not be negative: negative ones become zero one by one, the worst first.
- * `work` has room for n^2 + 3 n numbers. Returns false where the unknowns are hardly determined. */
+/* Solve the normal equations of (n + 1, n + 1) products with the target in the last column. The
+ * first unknowns must not be negative: negative ones become zero one by one, the worst first.
+ * `work` holds n^2 + 3 n numbers. Return false if the unknowns are ill-conditioned. */
 SHOWN bool solve(const double *gram, int64_t n, int64_t non_negative, double *work, double *x,
                  double *cost);
 
@@ -470,7 +477,7 @@ bool solve(const double *gram, int64_t n, int64_t non_negative, double *work, do
             const int64_t row = (int64_t)of[i];
             double sum = gram[row * (n + 1) + n] / scale[row];
             for (int64_t j = 0; j <= i; j++) {
-                const int64_t column = (int64_t)of[j]; /* in rising order: the upper triangle */
+                const int64_t column = (int64_t)of[j]; /* increasing: the upper triangle */
                 double entry = gram[column * (n + 1) + row] / (scale[row] * scale[column]);
                 for (int64_t k = 0; k < j; k++) {
                     entry -= factor[i * n + k] * factor[j * n + k];

@@ -1,7 +1,7 @@
-"""A component run one step at a time, in Python.
+"""Components with previous values, run one step at a time in Python.
 
-The order is that of `c/equations.c`: before the first step previous values are the starts; a step
-moves the memory, then everything is read, and what was read is the previous value of the next step.
+The order is that of `c/equations.c`: before the first step previous values are their starts; a step
+moves the memory, then evaluates the equations, whose values are the previous ones of the next step.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,8 +31,8 @@ class Steps:
     Parameters
     ----------
     component : the equations; relaxations move exactly.
-    observed : names of equations to be returned by each step; the outputs where not given.
-    lanes : whether every number is an array of runs that go side by side.
+    observed : names of the equations returned by each step; the outputs by default.
+    lanes : True if every number is an array of parallel runs.
     """
 
     def __init__(
@@ -71,13 +71,13 @@ class Steps:
     def run(
         self, values: Mapping[str, float], start: Sequence[float], inputs: Sequence[str]
     ) -> "ComponentRun":
-        """Return a run that has not begun.
+        """Return a run before its first step.
 
         Parameters
         ----------
-        values : of parameters and of inputs that stay as they are, by name.
-        start : of each state.
-        inputs : names of those that are handed over with each step, in this order.
+        values : values of parameters and constant inputs by name.
+        start : start value of each state.
+        inputs : names of the inputs passed to each step, in this order.
         """
         return ComponentRun(
             self._settle, self._start, self._step, self.component, values, start, inputs
@@ -87,15 +87,15 @@ class Steps:
         self, t: Array, columns: Mapping[str, Array], values: Mapping[str, float],
         start: Sequence[float], *, settled: bool = True,
     ) -> Array:  # fmt: skip
-        """Return what is observed at each row of a log, (observed, N).
+        """Return the observed equations at each row of a log, (observed, N).
 
         Parameters
         ----------
-        t : (N,) [s], increasing.
-        columns : (N,) each, by the input's name; what is no input of the component is left out.
+        t : (N,) time [s], increasing.
+        columns : (N,) values by input; names that are not inputs are ignored.
         values : as for `run`.
-        start : of each state.
-        settled : whether states begin where the first row takes them.
+        start : start value of each state.
+        settled : True if initial states follow from the first row.
         """
         used = {q.name: columns[q.name] for q in self.component.inputs if q.name in columns}
         run = self.run(values, start, list(used))
@@ -109,7 +109,7 @@ class Steps:
 
 
 class ComponentRun:
-    """A component on its way; all that it remembers stands in `states` and `remembered`."""
+    """A running component; its memory is in `states` and `remembered`."""
 
     def __init__(
         self, settle: Any, start: Any, step: Any, component: Component, values: Mapping[str, float],
@@ -124,22 +124,22 @@ class ComponentRun:
 
     def _set(self, inputs: Sequence[float]) -> None:
         for place, value in zip(self._places, inputs, strict=True):
-            # NumPy's numbers are slow, and no plain ones.
+            # Scalars of NumPy are slow.
             self._given[place] = value if isinstance(value, np.ndarray) else float(value)
 
     def settle(self, *inputs: float) -> None:
-        """Put the states, which are at their start, where the first inputs let them begin."""
+        """Set the initial states for the first inputs."""
         self._set(inputs)
         [self.states] = self._settle(self._given, self.states)
 
     def begin(self, *inputs: float) -> Sequence[float]:
-        """Return what is observed before the first step."""
+        """Return the observed equations before the first step."""
         self._set(inputs)
         seen, self.remembered = self._start(self._given, self.states)
         return seen  # type: ignore[no-any-return]
 
     def step(self, dt: float, *inputs: float) -> Sequence[float]:
-        """Hold the inputs over dt [s] and return what is observed at its end."""
+        """Hold the inputs over dt [s] and return the observed equations at its end."""
         self._set(inputs)
         seen, self.remembered, self.states = self._step(
             self._given, self.states, self.remembered, (float(dt),)
@@ -154,9 +154,9 @@ def _function(
     *,
     lanes: bool,
 ) -> Any:
-    """Return a Python function of numbers, or of arrays of them, that runs a program.
+    """Return a Python function of numbers or arrays that runs a program.
 
-    Targets and arguments are in groups.
+    Arguments and targets are grouped.
     """
     lines, names = straight_line(program, [symbol for group in targets for symbol in group])
     short = {symbol: sympy.Symbol(name) for symbol, name in names.items()}

@@ -41,7 +41,7 @@ def test_laws_that_fmi_cannot_name(make_model, tmp_path, name, unit, reason):
 
 def test_states_that_are_named_as_the_output():
     state = Relaxation(name="tau", unit="1", drive=DQ, rate=sympy.Integer(1))
-    with pytest.raises(ArtifactError, match=r"^friction law: 'tau' stands twice among"):
+    with pytest.raises(ArtifactError, match=r"^friction law: 'tau' is used twice among"):
         LawForm(coefficients=(), memory=(state,), output=state.state)
 
 

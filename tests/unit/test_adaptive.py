@@ -10,7 +10,7 @@ from hesr.extras.adaptive.component import adaptive_component
 from hesr.extras.adaptive.follow import Followed, Follower, adaptive_components
 from hesr.extras.adaptive.tuning import TUNING
 from hesr_model.audit.certificate import certify, least_viscosity, storage
-from hesr_model.equations.stepping import Run, Steps
+from hesr_model.equations.stepping import ComponentRun, Steps
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
@@ -64,7 +64,7 @@ def test_a_fit_that_is_right_stays(law) -> None:
     assert set(found.outputs["drift"]) == set(found.outputs["shift"]) == {0.0}
 
 
-def at_work(law: FrictionLaw) -> tuple[Run, tuple[str, ...], tuple[str, ...]]:
+def at_work(law: FrictionLaw) -> tuple[ComponentRun, tuple[str, ...], tuple[str, ...]]:
     """A run that has adapted for half a minute, and the names of what it returns and remembers."""
     component = adaptive_component(law, TUNING, noise=NOISE, speed=SPEED)
     steps = Steps(component)
@@ -81,7 +81,7 @@ def at_work(law: FrictionLaw) -> tuple[Run, tuple[str, ...], tuple[str, ...]]:
 KEPT = ("level", "viscosity", "offset", *(f"P_{i}{j}" for i in range(3) for j in range(i, 3)))
 
 
-def kept(run: Run, names: tuple[str, ...]) -> list[float]:
+def kept(run: ComponentRun, names: tuple[str, ...]) -> list[float]:
     return [run.remembered[names.index(name)] for name in KEPT]
 
 

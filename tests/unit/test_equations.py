@@ -213,7 +213,7 @@ def test_equations_come_in_order_and_not_in_circles() -> None:
         "a",
     ]
     circle = (Equation(name="x", expression=Y), Equation(name="y", expression=X))
-    with pytest.raises(ArtifactError, match=r"'x' depends on itself, by way of x, y; use previous"):
+    with pytest.raises(ArtifactError, match=r"'x' depends on itself through x, y; use previous"):
         Component(equations=circle)
 
 

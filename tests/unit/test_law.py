@@ -92,7 +92,7 @@ def test_a_symbol_that_nobody_defines_is_refused(
 def test_two_things_of_one_name_are_refused(
     coefficients: tuple[Coefficient, ...], relaxations: tuple[Relaxation, ...], name: str
 ) -> None:
-    with pytest.raises(ArtifactError, match=f"^friction law: '{name}' stands twice among"):
+    with pytest.raises(ArtifactError, match=f"^friction law: '{name}' is used twice among"):
         LawForm(coefficients=coefficients, memory=relaxations, output=X.state)
 
 

@@ -303,7 +303,7 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
         ),
         (
             lambda d: first(d)["structure"].update(linear=["h", "h"]),
-            "friction law: 'c_h' stands twice among its inputs, coefficients, states and names.",
+            "friction law: 'c_h' is used twice among inputs, coefficients, states and names.",
         ),
         (
             lambda d: first(d)["structure"].update(depth=2),
