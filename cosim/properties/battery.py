@@ -35,9 +35,9 @@ from hesr_model.audit.audit import loads_of
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import (
     Figure,
-    Finding,
     JointProperties,
     Properties,
+    PropertyResult,
     read_properties,
     write_properties,
 )
@@ -50,7 +50,7 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Progress, counted, silent
 
 _SAMPLE_TIME = 5e-3  # [s] of FMUs that do not say theirs
-_DRIVEN: Mapping[str, Callable[[DriveBench, Scale], list[Finding]]] = {
+_DRIVEN: Mapping[str, Callable[[DriveBench, Scale], list[PropertyResult]]] = {
     "breakaway": breakaway,
     "stick_slip": stick_slip,
     "dither": dither,
@@ -173,7 +173,7 @@ def _collected(
     speed: Array,
     scale: Scale | None,
     inertia: Array | None,
-    found: Mapping[str, list[Finding]],
+    found: Mapping[str, list[PropertyResult]],
 ) -> Properties:
     """Return all findings by joint; sizes are zero where nothing could be measured."""
     model = subject.model
@@ -205,7 +205,7 @@ def _moved(
     model: FrictionModel | None,
     seen: list[TrainedRange],
     inertia: Array | None,
-) -> dict[str, list[Finding]]:
+) -> dict[str, list[PropertyResult]]:
     """Do all that needs a friction FMU only, and say why the rest is not done."""
     n = bench.joints
     laws = model.laws if model else (None,) * n
@@ -214,7 +214,7 @@ def _moved(
         (scale.load,) if law is None else loads_of(law, one)
         for law, one in zip(laws, seen, strict=True)
     ]
-    not_run = Finding(verdict="not run", reason=_NO_INERTIA if model else _NO_MODEL)
+    not_run = PropertyResult(verdict="not run", reason=_NO_INERTIA if model else _NO_MODEL)
     found = {key: [not_run] * n for key in (*_DRIVEN, _DRIVE)}
     found["presliding"] = _tried(partial(presliding, bench, scale), n)
     found["memory"] = _tried(partial(memory, bench, scale, states), n)
@@ -224,7 +224,7 @@ def _moved(
     found["chatter"] = _tried(partial(chatter, bench, scale, seen), n)
     found["work"] = _tried(partial(work, bench, seen, loads), n)
     found["coupling"] = (
-        [Finding(verdict="not run", reason=_NO_INERTIA)] * n
+        [PropertyResult(verdict="not run", reason=_NO_INERTIA)] * n
         if inertia is None
         else _tried(partial(coupling, bench, scale, inertia), n)
     )
@@ -240,7 +240,7 @@ def _peaks(seen: list[TrainedRange], scale: Scale) -> Array:
     return np.where(trained != 0.0, trained, scale.load + scale.level)
 
 
-def _tried(experiment: Callable[[], list[Finding]], joints: int) -> list[Finding]:
+def _tried(experiment: Callable[[], list[PropertyResult]], joints: int) -> list[PropertyResult]:
     """Run an experiment; an FMU that gives up in it has not the property, on any of its joints."""
     try:
         return experiment()
@@ -248,11 +248,11 @@ def _tried(experiment: Callable[[], list[Finding]], joints: int) -> list[Finding
         return [_given_up(error)] * joints
 
 
-def _given_up(error: SimulationError) -> Finding:
-    return Finding(verdict="fail", reason=f"The FMU gives up: {error}")
+def _given_up(error: SimulationError) -> PropertyResult:
+    return PropertyResult(verdict="fail", reason=f"The FMU gives up: {error}")
 
 
-def _finite(found: Finding) -> Finding:
+def _finite(found: PropertyResult) -> PropertyResult:
     """Return a finding whose figures are numbers or none."""
     figures = (
         f if f.value is None or isfinite(f.value) else Figure(name=f.name, value=None, unit=f.unit)

@@ -6,7 +6,7 @@ from cosim.properties.bench import DriveBench
 from cosim.properties.findings import curve, judged, plot
 from cosim.properties.scale import Scale
 from hesr_model.audit.expectations import FALLS, HELD
-from hesr_model.audit.properties import Finding
+from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
 
 RAMPS = (10.0, 3.0, 1.0, 0.3)
@@ -25,7 +25,7 @@ _PUT_ON, _SETTLING = 1.0, 1.0  # [s] of a load
 _PER_PERIOD = 20  # steps of the dither
 
 
-def breakaway(bench: DriveBench, scale: Scale) -> list[Finding]:
+def breakaway(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     """Raise the torque from rest at several rates until the joints slide."""
     peaks, ways = [], []
     for seconds in RAMPS:
@@ -67,7 +67,7 @@ def _ramp(bench: DriveBench, scale: Scale, seconds: float) -> tuple[Array, Array
     return peak, way
 
 
-def _broken(peaks: Array, ways: Array, level: float) -> Finding:
+def _broken(peaks: Array, ways: Array, level: float) -> PropertyResult:
     if np.isnan(peaks).any():
         return judged(
             ("fall of the break-away torque", None, "1"),
@@ -96,7 +96,7 @@ def _broken(peaks: Array, ways: Array, level: float) -> Finding:
     )
 
 
-def hold(bench: DriveBench, scale: Scale) -> list[Finding]:
+def hold(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     """Bear a constant load for a minute; laws that use the load are told it."""
     load = LOAD * scale.level
     bench.start(load=load, torque=scale.offset)
@@ -106,7 +106,7 @@ def hold(bench: DriveBench, scale: Scale) -> list[Finding]:
     return _drifting(np.concatenate([[0.0], np.cumsum(dt[1:])]), q)
 
 
-def dither(bench: DriveBench, scale: Scale) -> list[Finding]:
+def dither(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     """Bear a constant load and a small one to and fro for a minute."""
     load = LOAD * scale.bears
     bench.start(load=scale.load, torque=scale.offset)
@@ -129,7 +129,7 @@ def _put_on(bench: DriveBench, scale: Scale, load: Array) -> None:
     bench.step(_SETTLING)
 
 
-def _drifting(t: Array, q: Array) -> list[Finding]:
+def _drifting(t: Array, q: Array) -> list[PropertyResult]:
     """Judge how far the joints move from the first row to the last, (K, n) [rad]."""
     found = []
     for of_joint in q.T:

@@ -6,7 +6,7 @@ from cosim.properties.bench import FrictionBench
 from cosim.properties.findings import curve, figures, plot
 from cosim.properties.scale import SLIDING, Scale
 from hesr_model.audit.expectations import STEP
-from hesr_model.audit.properties import Finding
+from hesr_model.audit.properties import PropertyResult
 from hesr_model.errors import SimulationError
 from hesr_model.support.arrays import Array
 
@@ -22,7 +22,7 @@ _SMALL = 1e-6  # [rad/s] to either side of rest
 _TURNS = 8  # sign changes from step to step, one after the other, that a true stop may have
 
 
-def coupling(bench: FrictionBench, scale: Scale, inertia: Array) -> list[Finding]:
+def coupling(bench: FrictionBench, scale: Scale, inertia: Array) -> list[PropertyResult]:
     """Let each joint slide to a stop under its friction, coupled explicitly at many steps.
 
     Parameters
@@ -119,7 +119,7 @@ def _judged(
     predicted: float | None,
     slope: float,
     shown: Array,
-) -> Finding:
+) -> PropertyResult:
     measured = figures(
         ("largest step without chatter", None if driven else largest, "s"),
         ("2 J / slope at rest", predicted, "s"),
@@ -129,7 +129,7 @@ def _judged(
     t = STEP * np.arange(end, dtype=float)
     drawn = plot("time", "velocity", curve("at 1 ms", t, np.nan_to_num(shown[:end]), most=200))
     if driven:
-        return Finding(
+        return PropertyResult(
             verdict="not applicable",
             figures=measured,
             reason="Whatever the step, the joint does not come to a stop: the law drives it.",
@@ -141,7 +141,7 @@ def _judged(
         reason = "Coupled explicitly at 1 ms it chatters."
     else:
         reason = "No chatter up to the largest step tried." if largest == MOST else ""
-    return Finding(
+    return PropertyResult(
         verdict="pass" if largest is not None and largest >= STEP else "fail",
         figures=measured,
         reason=reason,

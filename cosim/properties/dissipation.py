@@ -6,7 +6,7 @@ from cosim.properties.bench import DriveBench
 from cosim.properties.findings import curve, judged, plot
 from cosim.properties.scale import Scale
 from hesr_model.audit.expectations import PASSIVE
-from hesr_model.audit.properties import Finding
+from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
 
 AMPLITUDES = (0.02, 0.5, 2.0)
@@ -21,7 +21,9 @@ _CYCLES, _MEASURED = 10, 4
 _SPRING = 20.0  # deflections by which the friction level stretches the spring
 
 
-def dissipation(bench: DriveBench, scale: Scale, peaks: Array, loaded: Array) -> list[Finding]:
+def dissipation(
+    bench: DriveBench, scale: Scale, peaks: Array, loaded: Array
+) -> list[PropertyResult]:
     """Push joints that springs hold to and fro, and sum up the work of their friction.
 
     Parameters
@@ -59,7 +61,7 @@ def dissipation(bench: DriveBench, scale: Scale, peaks: Array, loaded: Array) ->
     return [_given(float(worst[j]), float(at[j]), *shown[j]) for j in range(bench.joints)]
 
 
-def _given(given: float, share: float, q: Array, tau: Array) -> Finding:
+def _given(given: float, share: float, q: Array, tau: Array) -> PropertyResult:
     said = f"Under a torque of {share:g} levels it gives {given:.3g} J a cycle."
     return judged(
         ("most energy given in a cycle", max(0.0, given), "J"),

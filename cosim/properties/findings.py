@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hesr_model.audit.properties import Curve, Figure, Finding, Plot
+from hesr_model.audit.properties import Curve, Figure, Plot, PropertyResult
 from hesr_model.support.arrays import Array
 
 _UNITS = {
@@ -48,9 +48,9 @@ def figures(*measured: tuple[str, float | None, str]) -> tuple[Figure, ...]:
 
 def judged(
     *measured: tuple[str, float | None, str], wrong: Sequence[str], plot: Plot | None = None
-) -> Finding:
+) -> PropertyResult:
     """Return a finding that passes where nothing is wrong; what is, is said in sentences."""
-    return Finding(
+    return PropertyResult(
         verdict="fail" if wrong else "pass",
         figures=figures(*measured),
         reason=" ".join(wrong),

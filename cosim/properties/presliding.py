@@ -11,7 +11,7 @@ from cosim.properties.bench import FrictionBench
 from cosim.properties.findings import curve, judged, plot
 from cosim.properties.scale import Scale
 from hesr_model.audit.expectations import CLOSED, INNER, RATE, SMOOTH
-from hesr_model.audit.properties import Finding
+from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
 
 PERIOD, SLOW_PERIOD = 4.0, 40.0
@@ -42,7 +42,7 @@ _AT_ONCE = 0.99  # of the height; more is no loop in position
 _LITTLE = 1e-9  # [N.m]; a loop of less height is none
 
 
-def presliding(bench: FrictionBench, scale: Scale) -> list[Finding]:
+def presliding(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
     """Move the joints to and fro by their deflection, fast and ten times slower."""
     fast, slow = (_loop(bench, scale, period, scale.load) for period in (PERIOD, SLOW_PERIOD))
     return [
@@ -51,7 +51,9 @@ def presliding(bench: FrictionBench, scale: Scale) -> list[Finding]:
     ]
 
 
-def memory(bench: FrictionBench, scale: Scale, states: Sequence[int | None]) -> list[Finding]:
+def memory(
+    bench: FrictionBench, scale: Scale, states: Sequence[int | None]
+) -> list[PropertyResult]:
     """Turn back on the rising branch of the slow loop, return, and go on.
 
     Slowly, so that what a law keeps for a time only is forgotten on the way.
@@ -77,7 +79,7 @@ def memory(bench: FrictionBench, scale: Scale, states: Sequence[int | None]) -> 
 
 def nested(
     bench: FrictionBench, scale: Scale, states: Sequence[int | None], peaks: Array
-) -> list[Finding]:
+) -> list[PropertyResult]:
     """Turn back twice, one loop inside the other, while the load rises and returns on each way.
 
     Parameters
@@ -150,7 +152,7 @@ def _area(tau: Array, amplitude: float) -> float:
     return float(np.trapezoid(np.append(tau, tau[0]), np.append(x, x[0])))
 
 
-def _slid(fast: Array, slow: Array, amplitude: float) -> Finding:
+def _slid(fast: Array, slow: Array, amplitude: float) -> PropertyResult:
     half = len(_BRANCH)
     height = float(np.ptp(fast))
     area, slow_area = (_area(tau, amplitude) for tau in (fast, slow))
@@ -201,7 +203,7 @@ def _remembered(
     *,
     innermost: float = 0.0,
     loaded: float = 0.0,
-) -> Finding:
+) -> PropertyResult:
     """Judge inner loops and how they go on after that by the outer loop, whose end rises.
 
     `way` (K,) is where the torque `inner` (K,) was, in amplitudes down from the turning point.

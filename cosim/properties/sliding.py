@@ -16,7 +16,7 @@ from hesr_model.audit.cycles import (
     encoder_noise,
 )
 from hesr_model.audit.expectations import PASSIVE, QUIET, WIDTH
-from hesr_model.audit.properties import Finding
+from hesr_model.audit.properties import PropertyResult
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support.arrays import Array
 
@@ -29,7 +29,7 @@ _ANGLES, _PHASES, _LOADED_TURNS = (1e-5, 1e-4, 1e-3), (0.5 * np.pi, 1.5 * np.pi)
 _SHOWN = 400  # rows of the noisy rest that are drawn
 
 
-def lag(bench: FrictionBench, scale: Scale) -> list[Finding]:
+def lag(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
     """Slide one way, faster and slower in turn, once a second and once in fifty."""
     phase = 2.0 * np.pi / _ROWS * (np.arange(_ROWS * _TURNS) + 0.5)
     middle, half = 0.5 * (_FASTEST + _SLOWEST), 0.5 * (_FASTEST - _SLOWEST)
@@ -57,7 +57,7 @@ def _widest(tau: Array) -> tuple[float, int]:
     return (width if abs(width) > _ROUNDING else 0.0), row
 
 
-def _lagging(dq: Array, fast: Array, slow: Array, level: float) -> Finding:
+def _lagging(dq: Array, fast: Array, slow: Array, level: float) -> PropertyResult:
     (width, row), (slow_width, _) = _widest(fast), _widest(slow)
     accelerating = slice(0, _ROWS // 2)
     mean = 0.5 * (slow + slow[::-1])[accelerating]
@@ -83,7 +83,9 @@ def _lagging(dq: Array, fast: Array, slow: Array, level: float) -> Finding:
     )
 
 
-def chatter(bench: FrictionBench, scale: Scale, trained: list[TrainedRange]) -> list[Finding]:
+def chatter(
+    bench: FrictionBench, scale: Scale, trained: list[TrainedRange]
+) -> list[PropertyResult]:
     """Rest under encoder noise, at the law's own sample time and discretisation."""
     noise = [encoder_noise(seen) for seen in trained]
     dq, q = (np.column_stack([of_joint[part] for of_joint in noise]) for part in (0, 1))
@@ -108,7 +110,7 @@ def chatter(bench: FrictionBench, scale: Scale, trained: list[TrainedRange]) -> 
 
 def work(
     bench: FrictionBench, trained: list[TrainedRange], loads: list[tuple[float, ...]]
-) -> list[Finding]:
+) -> list[PropertyResult]:
     """Run closed cycles of the audit's amplitudes and frequencies, and sum up their work.
 
     Parameters
@@ -168,7 +170,7 @@ def _run(bench: FrictionBench, motions: list[ClosedMotions], load: Array, sample
     return np.concatenate([first, tau]).reshape(*motions[0].dq.shape, -1)
 
 
-def _worked(found: list[Cycle]) -> Finding:
+def _worked(found: list[Cycle]) -> PropertyResult:
     worst = min(found, key=lambda c: c.work)
     given = max(0.0, -worst.work)
     share = min(found, key=lambda c: c.share)

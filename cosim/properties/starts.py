@@ -6,7 +6,7 @@ from cosim.properties.bench import FrictionBench
 from cosim.properties.findings import curve, judged, plot
 from cosim.properties.scale import Scale
 from hesr_model.audit.expectations import BEGINS
-from hesr_model.audit.properties import Finding
+from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
 
 SHARES = np.geomspace(0.05, 1.0, 5)
@@ -15,7 +15,7 @@ _LAST = 1e-3  # [s] of the step at whose end the steady torque is read, as short
 _NO_FRICTION = 1e-6  # [N.m]
 
 
-def start(bench: FrictionBench, scale: Scale) -> list[Finding]:
+def start(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
     """Begin in motion at several speeds both ways, and slide on for as long as it takes."""
     dt = np.array([bench.forever, _LAST])
     ends = []
@@ -30,7 +30,7 @@ def start(bench: FrictionBench, scale: Scale) -> list[Finding]:
     ]
 
 
-def _begun(speeds: Array, first: Array, steady: Array) -> Finding:
+def _begun(speeds: Array, first: Array, steady: Array) -> PropertyResult:
     """Judge (S, 2) first and steady torques at speeds (S,), ahead and back."""
     # Relative to friction, half the difference of both ways: an offset could hide or inflate it.
     friction = np.maximum(0.5 * np.abs(steady[:, 0] - steady[:, 1]), _NO_FRICTION)

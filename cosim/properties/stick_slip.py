@@ -6,7 +6,7 @@ from cosim.properties.bench import DriveBench
 from cosim.properties.findings import curve, figures, plot
 from cosim.properties.scale import CREEP, Scale
 from hesr_model.audit.expectations import WEAKENING
-from hesr_model.audit.properties import Finding
+from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
 
 STRETCH = 0.2
@@ -19,7 +19,7 @@ _STICKS, _SLIPS = 0.1, 1.5  # of the pulling speed
 _LASTS = 0.8  # amplitude of the last quarter over that of the quarter before
 
 
-def stick_slip(bench: DriveBench, scale: Scale) -> list[Finding]:
+def stick_slip(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     """Pull the joints by springs, at the speed where their steady curve falls most steeply."""
     stiffness = scale.level / STRETCH
     pulls, falls = zip(*(_weakest(scale, j) for j in range(bench.joints)), strict=True)
@@ -53,7 +53,7 @@ def _weakest(scale: Scale, joint: int) -> tuple[float, float]:
 
 def _pulled(
     t: Array, stretch: Array, dq: Array, pull: float, falls: float, drives: bool
-) -> Finding:
+) -> PropertyResult:
     half, quarter = len(t) // 2, 3 * len(t) // 4
     before, last = (float(np.ptp(part)) for part in (stretch[half:quarter], stretch[quarter:]))
     slow, fast = float(np.min(dq[half:])), float(np.max(dq[half:]))
@@ -72,7 +72,7 @@ def _pulled(
         why = f"its steady curve falls by {falls:.1%} of the level"
     else:
         right, why = True, f"its steady curve falls by {falls:.1%} only, where either may be"
-    return Finding(
+    return PropertyResult(
         verdict="pass" if right else "fail",
         figures=figures(
             ("amplitude of the limit cycle", 0.5 * last if cycles else 0.0, "rad"),

@@ -9,10 +9,10 @@ from hesr_model.audit.expectations import EXPECTATIONS, Expectation
 from hesr_model.audit.properties import (
     MARKS,
     Figure,
-    Finding,
     JointProperties,
     Plot,
     Properties,
+    PropertyResult,
 )
 from hesr_model.units import unit_of_joint, unit_of_joints
 
@@ -75,7 +75,7 @@ def _property(
     }
 
 
-def _cell(found: Finding, expectation: Expectation) -> str:
+def _cell(found: PropertyResult, expectation: Expectation) -> str:
     value = found.figures[0].value if found.figures else None
     if value is None:
         return MARKS[found.verdict]

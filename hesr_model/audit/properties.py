@@ -58,7 +58,7 @@ class Plot:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class PropertyResult:
     """What one experiment found on one joint.
 
     Attributes
@@ -74,7 +74,7 @@ class Finding:
     reason: str = ""
     plot: Plot | None = None
 
-    def at_joint(self, *, slides: bool) -> "Finding":
+    def at_joint(self, *, slides: bool) -> "PropertyResult":
         """Return the finding with the units of its joint, from that at one that turns."""
         figures = (replace(f, unit=unit_of_joint(f.unit, slides=slides)) for f in self.figures)
         plot = self.plot
@@ -85,10 +85,12 @@ class Finding:
 
 
 _NEWER = ("nested", "start", "drive")  # than the first files
-_NOT_KNOWN = Finding(verdict="not run", reason="Not run: the file is older than this experiment.")
+_NOT_KNOWN = PropertyResult(
+    verdict="not run", reason="Not run: the file is older than this experiment."
+)
 
 
-def _every(findings: Mapping[str, Finding]) -> Mapping[str, Finding]:
+def _every(findings: Mapping[str, PropertyResult]) -> Mapping[str, PropertyResult]:
     known = dict.fromkeys(_NEWER, _NOT_KNOWN) | dict(findings)
     if missing := EXPECTATIONS.keys() - known.keys():
         raise ValueError(f"'{min(missing)}' is missing")
@@ -115,7 +117,7 @@ class JointProperties:
     level: float
     deflection: float
     inertia: float | None
-    findings: Annotated[Mapping[str, Finding], AfterValidator(_every)]
+    findings: Annotated[Mapping[str, PropertyResult], AfterValidator(_every)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.estimator import Estimator
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import SearchSpace, Separable
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.laws import ripple
@@ -90,7 +90,7 @@ class OneForm(Described):
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Search the non-linear coefficients (seeded by `rng`) and solve the linear ones."""
         form = self.core({})
-        samples = Samples.of(records, coefficients=len(form.coefficients))
+        samples = JointRows.of(records, coefficients=len(form.coefficients))
         problem = Separable(form, self.space(), samples)
         point = problem.polish(problem.search(rng))
         return self.finish({}, problem, point)

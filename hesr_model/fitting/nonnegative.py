@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.optimize import nnls
 
-from hesr_model.fitting.samples import in_one_piece
+from hesr_model.fitting.joint_rows import in_one_piece
 from hesr_model.support.arrays import Array, Mask
 
 _RIDGE = 1e-9  # of each column's own square: columns may be each other's sums

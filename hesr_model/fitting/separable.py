@@ -16,8 +16,8 @@ from scipy.optimize import least_squares as minimise_squares
 
 from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Discretisation
-from hesr_model.fitting.samples import (
-    Samples,
+from hesr_model.fitting.joint_rows import (
+    JointRows,
     in_one_piece,
     non_negative_least_squares,
 )
@@ -74,7 +74,7 @@ class Separable:
         self,
         form: LawForm,
         space: SearchSpace,
-        samples: Samples,
+        samples: JointRows,
         discretisation: Discretisation = "exact",
         start: Sequence[float] = (),
     ) -> None:

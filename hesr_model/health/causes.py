@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from hesr_model.findings import Finding
-from hesr_model.fitting.samples import non_negative_least_squares
+from hesr_model.fitting.joint_rows import non_negative_least_squares
 from hesr_model.health.evidence import Motionwise, Torques, rubbing
 from hesr_model.health.mistakes import Mistake, Rows, mistakes, torques_of
 from hesr_model.robots.robot import RobotModel

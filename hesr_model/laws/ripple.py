@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from hesr_model.errors import ArtifactError
-from hesr_model.fitting.samples import Samples, least_squares
+from hesr_model.fitting.joint_rows import JointRows, least_squares
 from hesr_model.fitting.separable import SearchSpace, left_out_cost
 from hesr_model.friction.inputs import DQ, Q
 from hesr_model.friction.law import Coefficient, LawForm
@@ -111,7 +111,7 @@ class Ripple:
             linear=(*space.linear, *self.names),
         )
 
-    def columns(self, samples: Samples, times: Times) -> Array:
+    def columns(self, samples: JointRows, times: Times) -> Array:
         """Return the (N, 2 orders) waves, cosines and sines without unit."""
         lag, smoothing = times
         angle = self.gear_ratio * (samples.q - lag * samples.dq)
@@ -127,7 +127,7 @@ class Ripple:
 
 
 def select(
-    base: Array, samples: Samples, gear_ratio: float, folds: Sequence[Mask]
+    base: Array, samples: JointRows, gear_ratio: float, folds: Sequence[Mask]
 ) -> tuple[Ripple, Times] | None:
     """Return the ripple and its lag and smoothing that predict left-out logs best, or None.
 
@@ -171,7 +171,7 @@ def select(
 
 
 def _ranking(
-    samples: Samples, residual: Array, chosen: Ripple, candidates: Sequence[Times]
+    samples: JointRows, residual: Array, chosen: Ripple, candidates: Sequence[Times]
 ) -> list[tuple[int, Times]]:
     """Return orders and times, those that explain most of the residual first."""
     explained = []
@@ -200,7 +200,7 @@ def _ranking(
 
 
 def _weights(
-    samples: Samples, gear_ratio: float, order: int, candidates: Sequence[Times]
+    samples: JointRows, gear_ratio: float, order: int, candidates: Sequence[Times]
 ) -> tuple[list[float], Array, Array]:
     """Return the smoothings of candidates, what each leaves of an order's waves, and the square."""
     smoothings = list(dict.fromkeys(smoothing for _, smoothing in candidates))

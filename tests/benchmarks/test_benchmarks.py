@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from fmu_src import model_file
 from fmu_src.equations.c_functions import Functions
 from hesr_model.fitting.fit import fit_joint
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.registry import estimator
@@ -62,7 +62,7 @@ def data() -> FrictionRecord:
 
 @pytest.fixture(scope="module")
 def features(data: FrictionRecord) -> HysteresisFeatures:
-    samples = Samples.of([data], coefficients=11)
+    samples = JointRows.of([data], coefficients=11)
     return HysteresisFeatures(samples=samples, discretisation="exact")
 
 

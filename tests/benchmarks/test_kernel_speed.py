@@ -22,7 +22,7 @@ from fmu_src.run.native import through
 from hesr.extras.one_file.c_header import export_c
 from hesr_model.fitting.declarative import OneForm
 from hesr_model.fitting.fit import fit_joint
-from hesr_model.fitting.samples import Samples, non_negative_least_squares
+from hesr_model.fitting.joint_rows import JointRows, non_negative_least_squares
 from hesr_model.fitting.separable import Separable
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -165,7 +165,7 @@ def test_a_log_at_once_against_step_by_step(
 def test_an_evaluation_of_a_fit(law: str, joint: Sequence[FrictionRecord], tell: Tell) -> None:
     entry = registry()[law]
     assert issubclass(entry, OneForm)
-    samples = Samples.of(joint, coefficients=3)
+    samples = JointRows.of(joint, coefficients=3)
     problem = Separable(entry.core({}), entry().space(), samples)
     point, own = problem.bounds.mean(axis=1), problem.space.non_negative
 

@@ -15,7 +15,7 @@ from oracles.arm import encoder_error, torque_error
 
 from cosim.loop.motions import Motions, names_of
 from fmu_src.arm.plant import Plant
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import Separable
 from hesr_model.fitting.uncertainty import with_pooled_errors, with_standard_errors
 from hesr_model.friction.law import FrictionLaw
@@ -85,7 +85,7 @@ def fitted(case: Case, log: RobotLog, body: RigidBody) -> list[FrictionLaw]:
     """Laws of the true form from the sweep, searched from the truth on."""
     laws, space = [], LuGre().space()
     for record, true in zip(friction_records(log, case.model, body), case.laws, strict=True):
-        problem = Separable(true.form, space, Samples.of([record], coefficients=7))
+        problem = Separable(true.form, space, JointRows.of([record], coefficients=7))
         point = problem.polish(problem.point(SEARCHED))
         law = replace(true, values=problem.values(point, problem.solve(point)[0]))
         laws.append(with_standard_errors(law, [record], space))

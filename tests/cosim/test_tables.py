@@ -16,7 +16,7 @@ from cosim.report.tables.table import ResultTable, TableRow, number
 from cosim.report.tables.terminal import Drawn
 from cosim.study.scores import Comparison, LawScores, Ratio, Ratios
 from hesr_model.audit.expectations import EXPECTATIONS
-from hesr_model.audit.properties import Figure, Finding, JointProperties, Properties
+from hesr_model.audit.properties import Figure, JointProperties, Properties, PropertyResult
 from hesr_model.friction.metrics import BandScore
 
 LONG = "a variant of the extended law without ripple and without an estimated start"
@@ -120,7 +120,7 @@ def findings(joints: int, keys: list[str]) -> Properties:
                 deflection=1e-3,
                 inertia=None,
                 findings={
-                    key: Finding(
+                    key: PropertyResult(
                         verdict="pass" if (k + place) % 3 else "fail",
                         figures=(Figure(name="x", value=float(rng.uniform(1.0, 9.0)), unit="1"),),
                     )
@@ -154,7 +154,7 @@ def test_thirteen_experiments_stand_in_two_blocks(monkeypatch: pytest.MonkeyPatc
 
 def test_what_is_not_to_be_had_for_any_joint_stands_once_on_a_page() -> None:
     found = findings(3, list(EXPECTATIONS))
-    none = Finding(verdict="not applicable", reason="No states.")
+    none = PropertyResult(verdict="not applicable", reason="No states.")
     joints = tuple(replace(j, findings={**j.findings, "hold": none}) for j in found.joints)
     table = properties.properties({"x": replace(found, joints=joints)})
     assert page(table).count(">n/a<") == 1

@@ -8,7 +8,7 @@ from joint_data import along, law, path
 from pytest_regressions.num_regression import NumericRegressionFixture
 from unchanged import Unchanged, leaves
 
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.logs.signals import Motion
@@ -43,7 +43,9 @@ def records() -> list[FrictionRecord]:
 @pytest.fixture(scope="session")
 def exact(records: list[FrictionRecord]) -> HysteresisFeatures:
     """Features of these, of the exact discretisation."""
-    return HysteresisFeatures(samples=Samples.of(records, coefficients=11), discretisation="exact")
+    return HysteresisFeatures(
+        samples=JointRows.of(records, coefficients=11), discretisation="exact"
+    )
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.program import Jumps
 from hesr_model.fitting import calibration, uncertainty
 from hesr_model.fitting.declarative import OneForm
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction import metrics
 from hesr_model.friction.inputs import DQ, Q
 from hesr_model.friction.law import Coefficient, LawForm
@@ -80,15 +80,15 @@ def test_what_is_expected_of_laws(unchanged: Unchanged) -> None:
 
 
 @pytest.fixture(scope="module")
-def samples(records: list[FrictionRecord]) -> Samples:
-    made = Samples.of(records, coefficients=5)
+def samples(records: list[FrictionRecord]) -> JointRows:
+    made = JointRows.of(records, coefficients=5)
     turn = 101.0 * (made.q - 0.0032 * made.dq)
     small = 1.0 / (1.0 + (2 * 101.0 * 0.0015 * made.dq) ** 2)
     tau = made.tau + 2.0 * np.cos(2.0 * turn) * small + 1.2 * np.sin(5.0 * turn)
     return replace(made, tau=tau)
 
 
-def test_ripple_of_a_motor(samples: Samples, unchanged: Unchanged) -> None:
+def test_ripple_of_a_motor(samples: JointRows, unchanged: Unchanged) -> None:
     base = np.stack([np.sign(samples.dq), samples.dq, np.ones_like(samples.dq)], axis=1)
     chosen = ripple.select(base, samples, 101.0, samples.folds)
     assert chosen is not None
@@ -107,7 +107,7 @@ def test_ripple_of_a_motor(samples: Samples, unchanged: Unchanged) -> None:
 
 def test_no_ripple_where_there_is_none(records: list[FrictionRecord]) -> None:
     rng = np.random.default_rng(0)
-    made = Samples.of(records, coefficients=5)
+    made = JointRows.of(records, coefficients=5)
     made = replace(made, tau=np.sign(made.dq) + rng.normal(size=len(made.dq)))
     base = np.stack([np.sign(made.dq), np.ones_like(made.dq)], axis=1)
     assert ripple.select(base, made, 101.0, made.folds) is None

@@ -8,7 +8,7 @@ from joint_data import along, law, path
 from unchanged import Unchanged
 
 from hesr_model.fitting import separable
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction import predict as evaluate
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import estimated_start, predict, predict_joints, states_over
@@ -87,7 +87,7 @@ def test_a_start_that_the_first_torques_tell(name: str, unchanged: Unchanged) ->
 def test_columns_of_logs_from_rest(state: str, how: str, unchanged: Unchanged) -> None:
     of = LAWS["with load"]()
     records = [along(of, path(k, seconds=3.0, from_rest=k > 0), log=str(k)) for k in range(2)]
-    samples = Samples.of(records, coefficients=6)
+    samples = JointRows.of(records, coefficients=6)
     structure = {"linear": ["1", "dq", "h", "dh"], "units": [], "state": state}
     problem = trial.pose(structure, samples, how)
     low, high = problem.bounds.T
@@ -109,7 +109,7 @@ def test_a_search_draws_what_it_is_told_to(
     records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem = trial.pose(
-        {"linear": ["1", "dq", "h"], "units": []}, Samples.of(records, coefficients=5)
+        {"linear": ["1", "dq", "h"], "units": []}, JointRows.of(records, coefficients=5)
     )
     told: list[tuple[int, int]] = []
     monkeypatch.setattr(separable, "step", lambda done, of: told.append((done, of)))
@@ -130,10 +130,10 @@ def test_a_search_draws_what_it_is_told_to(
 def test_ripple_has_to_gain_and_to_pay(
     records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    samples = Samples.of(records, coefficients=5)
+    samples = JointRows.of(records, coefficients=5)
     tau = np.sign(samples.dq) + samples.dq + 3.0 * np.cos(101.0 * samples.q)
     tau += 0.5 * np.random.default_rng(0).normal(size=len(tau))
-    samples = Samples(**(vars(samples) | {"tau": tau}))
+    samples = JointRows(**(vars(samples) | {"tau": tau}))
     base = np.stack([np.sign(samples.dq), samples.dq, np.ones_like(tau)], axis=1)
     ones = np.ones_like(tau)
     assert waves.select(base, samples, ones, 101.0).frequencies[:1] == (101,)

@@ -7,8 +7,8 @@ import pytest
 from unchanged import Unchanged
 
 from hesr.extras.laws import mlp
+from hesr_model.fitting.joint_rows import JointRows, non_negative_least_squares
 from hesr_model.fitting.nonnegative import Normal, blocks_of, pays, signed_least_squares
-from hesr_model.fitting.samples import Samples, non_negative_least_squares
 from hesr_model.fitting.separable import left_out_cost
 from hesr_model.laws.networks import rbf
 from hesr_model.laws.networks.inputs import Inputs, candidates
@@ -44,14 +44,14 @@ def rippled(record: FrictionRecord) -> FrictionRecord:
 
 
 @pytest.fixture(scope="module")
-def samples(records: list[FrictionRecord]) -> Samples:
-    return Samples.of([rippled(r) for r in records], coefficients=20)
+def samples(records: list[FrictionRecord]) -> JointRows:
+    return JointRows.of([rippled(r) for r in records], coefficients=20)
 
 
 # --- stops ------------------------------------------------------------------------------------
 
 
-def test_columns_of_all_terms(samples: Samples, unchanged: Unchanged) -> None:
+def test_columns_of_all_terms(samples: JointRows, unchanged: Unchanged) -> None:
     columns = terms.columns(WHOLE, NUMBERS, samples)
     moved = samples.q * np.where(samples.record == 0, 0.01, 1.0)
     unchanged(
@@ -65,13 +65,13 @@ def test_columns_of_all_terms(samples: Samples, unchanged: Unchanged) -> None:
     )  # fmt: skip
 
 
-def test_unloaded_joints_have_a_scale(samples: Samples) -> None:
+def test_unloaded_joints_have_a_scale(samples: JointRows) -> None:
     found = terms.fixed(replace(samples, tau_load=np.zeros_like(samples.tau)))
     assert found["load_scale"] == 1.0
 
 
 @pytest.mark.parametrize("load", [False, True])
-def test_the_search_of_stops(load: bool, samples: Samples, unchanged: Unchanged) -> None:
+def test_the_search_of_stops(load: bool, samples: JointRows, unchanged: Unchanged) -> None:
     baseline = dictionary(samples, load=load)
     best = search(baseline, load=load)
     structure, columns = best.active()
@@ -86,7 +86,7 @@ def test_the_search_of_stops(load: bool, samples: Samples, unchanged: Unchanged)
     unchanged(found, rtol=1e-3, atol=1e-6)
 
 
-def test_ripple_beside_columns(samples: Samples, unchanged: Unchanged) -> None:
+def test_ripple_beside_columns(samples: JointRows, unchanged: Unchanged) -> None:
     base = np.stack([np.sign(samples.dq), samples.dq, np.ones_like(samples.dq)], axis=1)
     weights = terms.weights(samples)
     problem = waves._Problem(base=base, samples=samples, weights=weights)
@@ -140,7 +140,7 @@ def test_ripple_that_is_bounded(unchanged: Unchanged) -> None:
 # --- least squares ----------------------------------------------------------------------------
 
 
-def test_least_squares_with_signs(samples: Samples, unchanged: Unchanged) -> None:
+def test_least_squares_with_signs(samples: JointRows, unchanged: Unchanged) -> None:
     rng = np.random.default_rng(3)
     a = rng.normal(size=(len(samples.tau), 6)) * np.geomspace(1e-3, 1e3, 6)
     y = a @ [3.0, -2.0, 0.5, -1.0, 1.0, -1.0]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from unchanged import Unchanged
 
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.parfam import calibrate, evolve, paper, refine
 from hesr_model.laws.parfam.calibrate import Cell
@@ -61,11 +61,11 @@ def test_slow_loops_and_loops_in_fast_samples(unchanged: Unchanged) -> None:
         flat = np.zeros_like(t)
         record = FrictionRecord(log="one", joint="j1", t=t, dq=dq, q=flat, tau_load=flat, tau=flat)
         features = HysteresisFeatures(
-            samples=Samples.of([record], coefficients=3), discretisation="exact"
+            samples=JointRows.of([record], coefficients=3), discretisation="exact"
         )
         h = features.columns(4.0, 30.0)[:, 2]
         record = replace(record, tau=7.0 * h + 0.5 * dq + 0.3)
-        features = replace(features, samples=Samples.of([record], coefficients=3))
+        features = replace(features, samples=JointRows.of([record], coefficients=3))
         courses = calibrate._courses(features)
         found[name] = {
             "guess": calibrate.geometric(features),

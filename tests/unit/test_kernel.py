@@ -27,7 +27,7 @@ from hesr_model.equations.functions import (
 from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Discretisation, Element, Relaxation, Stop
 from hesr_model.errors import ArtifactError, ExportError, SimulationError
-from hesr_model.fitting.samples import Samples, non_negative_least_squares
+from hesr_model.fitting.joint_rows import JointRows, non_negative_least_squares
 from hesr_model.fitting.separable import Separable
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
@@ -336,13 +336,13 @@ def test_an_unsupported_machine_is_refused(
 
 
 @pytest.fixture(scope="module")
-def samples() -> Samples:
+def samples() -> JointRows:
     made = law("lugre", {}, sigma_0=3e3, sigma_1=20.0, sigma_2=6.0, F_c=9.0, F_s=12.0, v_s=0.1,
                tau_0=0.4)  # fmt: skip
-    return Samples.of(training(made, noise=0.1), coefficients=3)
+    return JointRows.of(training(made, noise=0.1), coefficients=3)
 
 
-def test_factors_are_those_of_least_squares(samples: Samples) -> None:
+def test_factors_are_those_of_least_squares(samples: JointRows) -> None:
     """With none, some and all of them kept from being negative."""
     problem = Separable(LuGreLoad.core({}), LuGreLoad().space(), samples)
     point = problem.point({"deflection": 3e-3, "ratio": 0.7, "v_s": 0.2})
@@ -358,7 +358,7 @@ def test_factors_are_those_of_least_squares(samples: Samples) -> None:
     assert held, "no factor was at its bound"
 
 
-def test_rows_count_by_their_weights(samples: Samples) -> None:
+def test_rows_count_by_their_weights(samples: JointRows) -> None:
     problem = Separable(LuGre.core({}), LuGre().space(), samples)
     point = problem.point({"deflection": 3e-3, "ratio": 1.4, "v_s": 0.1})
     weights = (samples.record == 0).astype(float)
@@ -380,7 +380,7 @@ def test_factors_that_rows_hardly_determine_are_not_solved_for(rng: np.random.Ge
     assert nothing.solved(np.ones(1), non_negative=0) is None
 
 
-def test_a_search_ends_where_one_in_numpy_does(samples: Samples) -> None:
+def test_a_search_ends_where_one_in_numpy_does(samples: JointRows) -> None:
     class InNumPy(Separable):
         def columns(self, point: np.ndarray) -> np.ndarray:
             return over_log.columns(self, point)
@@ -402,7 +402,7 @@ def test_a_search_ends_where_one_in_numpy_does(samples: Samples) -> None:
     np.testing.assert_allclose(found(Separable), found(InNumPy), rtol=1e-5)
 
 
-def test_ripple_at_large_angles_is_what_it_is_in_numpy(samples: Samples) -> None:
+def test_ripple_at_large_angles_is_what_it_is_in_numpy(samples: JointRows) -> None:
     waves = Ripple(gear_ratio=1e7, orders=(1,))
     plain = Separable(LuGre.core({}), LuGre().space(), samples)
     form, space = waves.extend(plain.form), waves.extend_space(plain.space)

@@ -10,7 +10,7 @@ from hesr.extras.laws import mlp
 from hesr.extras.laws.mlp import MlpH
 from hesr_model.errors import ArtifactError, FitError
 from hesr_model.fitting.fit import fit_joint
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.predict import predict
@@ -49,7 +49,7 @@ def records() -> list[FrictionRecord]:
 
 @pytest.fixture(scope="module")
 def features(records: list[FrictionRecord]) -> HysteresisFeatures:
-    samples = Samples.of(records, coefficients=3)
+    samples = JointRows.of(records, coefficients=3)
     return HysteresisFeatures(samples=samples, discretisation="exact")
 
 
@@ -67,7 +67,7 @@ def law_with(form_of: type[RbfnnH] | type[MlpH], structure: dict[str, int]) -> F
 
 def columns_of(law: FrictionLaw, data: FrictionRecord) -> np.ndarray:
     features = HysteresisFeatures(
-        samples=Samples.of([data], coefficients=3), discretisation=law.discretisation
+        samples=JointRows.of([data], coefficients=3), discretisation=law.discretisation
     )
     return features.columns(law.values["alpha"], law.values["beta"])
 

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from hesr_model.errors import ArtifactError, FitError, HesrError
 from hesr_model.fitting.fit import fit_joint, fit_models
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.inputs import MOVING
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
@@ -55,7 +55,7 @@ def record(rows: int = 600, seed: int = 0, noise: float = 0.05, log: str = "run"
 
 
 def features_of(*records: FrictionRecord, how: str = "exact") -> HysteresisFeatures:
-    return HysteresisFeatures(samples=Samples.of(records, coefficients=3), discretisation=how)
+    return HysteresisFeatures(samples=JointRows.of(records, coefficients=3), discretisation=how)
 
 
 @pytest.fixture(scope="module", params=["exact", "euler"])

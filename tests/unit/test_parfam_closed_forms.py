@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.inference.correlation import correlation_length
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
 from hesr_model.laws.parfam import calibrate, evolve, refine, trial
@@ -20,7 +20,9 @@ ALPHA, BETA = 12.0, 25.0
 def features_of(t: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> HysteresisFeatures:
     zero = np.zeros_like(t)
     record = FrictionRecord(log="run", joint="j1", t=t, dq=dq, q=zero, tau_load=zero, tau=tau)
-    return HysteresisFeatures(samples=Samples.of([record], coefficients=3), discretisation="exact")
+    return HysteresisFeatures(
+        samples=JointRows.of([record], coefficients=3), discretisation="exact"
+    )
 
 
 def linear(c: list[float]) -> Candidate:

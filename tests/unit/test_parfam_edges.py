@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from joint_data import along, law, path
 
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.networks.inputs import Inputs
 from hesr_model.laws.parfam import calibrate, estimator, evolve, paper, refine, velocity
@@ -30,7 +30,9 @@ def records() -> list[FrictionRecord]:
 
 @pytest.fixture(scope="module")
 def features(records: list[FrictionRecord]) -> HysteresisFeatures:
-    return HysteresisFeatures(samples=Samples.of(records, coefficients=11), discretisation="exact")
+    return HysteresisFeatures(
+        samples=JointRows.of(records, coefficients=11), discretisation="exact"
+    )
 
 
 def candidate(**more: Any) -> Candidate:

@@ -7,8 +7,8 @@ import pytest
 
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.fit import fit_joint
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.nonnegative import Normal, blocks_of, pays, signed_least_squares
-from hesr_model.fitting.samples import Samples
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.predict import predict
@@ -93,7 +93,7 @@ def test_velocity_alone_is_not_enough_where_the_load_counts(plain: list[Friction
 def test_the_search_is_no_worse_than_the_dictionary(
     plain: list[FrictionRecord], load: bool
 ) -> None:
-    baseline = dictionary(Samples.of(plain, coefficients=20), load=load)
+    baseline = dictionary(JointRows.of(plain, coefficients=20), load=load)
     found = search(baseline, load=load)
     assert found.cost <= baseline.cost
     assert ("load" in found.bounds) == load

@@ -14,10 +14,10 @@ from hesr_model.audit.properties import (
     FORMAT,
     Curve,
     Figure,
-    Finding,
     JointProperties,
     Plot,
     Properties,
+    PropertyResult,
     read_properties,
     write_properties,
 )
@@ -28,10 +28,10 @@ Change = Callable[[dict[str, Any]], None]
 PLOT = Plot(x="x [m]", y="y [N]", curves=(Curve(label="one", x=(0.0, 0.1), y=(1.0, -2.5)),))
 
 
-def found(**changes: Finding) -> Properties:
+def found(**changes: PropertyResult) -> Properties:
     """Findings on one joint: everything passes but what is given."""
     figure = Figure(name="miss", value=0.1 + 0.2, unit="1")
-    passed = Finding(verdict="pass", figures=(figure,), plot=PLOT)
+    passed = PropertyResult(verdict="pass", figures=(figure,), plot=PLOT)
     joint = JointProperties(
         joint="elbow",
         speed=1.2,
@@ -82,8 +82,8 @@ def test_the_bound_that_decides_is_the_one_that_is_said(key: str, bound: str) ->
 
 def test_findings_come_back_from_their_file_digit_by_digit(tmp_path: Path) -> None:
     file = tmp_path / "properties.json"
-    failed = Finding(verdict="fail", figures=(Figure(name="miss", value=None, unit="1"),))
-    some = found(memory=failed, hold=Finding(verdict="not run", reason="No inertia."))
+    failed = PropertyResult(verdict="fail", figures=(Figure(name="miss", value=None, unit="1"),))
+    some = found(memory=failed, hold=PropertyResult(verdict="not run", reason="No inertia."))
     other = replace(found(), law="dahl")
     write_properties(file, {"a": some, "b": other})
     assert read_properties(file) == {"a": some, "b": other}

@@ -5,7 +5,7 @@ import pytest
 from joint_data import GEAR_RATIO, along, error_on, law, path, training, unseen
 
 from hesr_model.errors import ArtifactError
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import Separable
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
@@ -32,11 +32,11 @@ def rippling(*orders: int) -> FrictionLaw:
     return law("lugre_load_ripple", structure, **CORE, **waves, lag=LAG, smoothing=SMOOTHING)
 
 
-def samples_of(truth: FrictionLaw, noise: float = NOISE) -> Samples:
-    return Samples.of(training(truth, noise=noise, gear_ratio=GEAR_RATIO), coefficients=3)
+def samples_of(truth: FrictionLaw, noise: float = NOISE) -> JointRows:
+    return JointRows.of(training(truth, noise=noise, gear_ratio=GEAR_RATIO), coefficients=3)
 
 
-def selected(samples: Samples) -> tuple[Ripple, ripple.Times] | None:
+def selected(samples: JointRows) -> tuple[Ripple, ripple.Times] | None:
     """What is chosen beside a law whose other numbers are known."""
     problem = Separable(LuGreLoad.core({}), LuGreLoad().space(), samples)
     point = problem.point({"deflection": 3e-3, "ratio": 12.0 / 9.0, "v_s": 0.1})
@@ -70,14 +70,14 @@ def test_noise_is_no_ripple(noise_seed: int) -> None:
         along(truth, path(10 + k), noise=0.5, seed=20 * noise_seed + k, gear_ratio=GEAR_RATIO)
         for k in range(2)
     ]
-    assert selected(Samples.of(records, coefficients=3)) is None
+    assert selected(JointRows.of(records, coefficients=3)) is None
 
 
 def test_a_joint_gets_so_many_orders_and_no_more() -> None:
     samples = samples_of(rippling(2, 8), noise=0.01)
     angle = GEAR_RATIO * (samples.q - LAG * samples.dq)
     tau = samples.tau + sum(0.5 * np.cos(k * angle) for k in range(1, 17))
-    found = selected(Samples(**(vars(samples) | {"tau": tau})))
+    found = selected(JointRows(**(vars(samples) | {"tau": tau})))
     assert found is not None
     assert len(found[0].orders) == len(set(found[0].orders)) == ripple.MOST
 
@@ -112,7 +112,7 @@ def test_the_extended_form_adds_the_columns_to_the_torque() -> None:
     with_ripple, without = rippling(2, 8), law("lugre_load", {}, **CORE)
     way = path(3)
     record = along(without, way)
-    samples = Samples.of([record], coefficients=3)
+    samples = JointRows.of([record], coefficients=3)
     waves = Ripple(gear_ratio=GEAR_RATIO, orders=(2, 8))
     amplitudes = [with_ripple.values[name] for name in waves.names]
     added = waves.columns(samples, (LAG, SMOOTHING)) @ amplitudes
@@ -137,7 +137,7 @@ def test_the_problem_of_the_extended_form_has_the_same_columns() -> None:
 
 def test_smoothing_keeps_slow_ripple_and_takes_fast_ripple_away() -> None:
     way = path(0)
-    samples = Samples.of([along(law("lugre_load", {}, **CORE), way)], coefficients=3)
+    samples = JointRows.of([along(law("lugre_load", {}, **CORE), way)], coefficients=3)
     waves = Ripple(gear_ratio=GEAR_RATIO, orders=(8,))
     height = np.hypot(*waves.columns(samples, (0.0, SMOOTHING)).T)
     fast = np.abs(way.dq) > 0.5

@@ -11,7 +11,7 @@ from joint_data import along, law, path, training
 from hesr.extras.laws.strain_wave import StrainWave
 from hesr_model.equations.memory import Relaxation
 from hesr_model.fitting.declarative import OneForm
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import LEAST, SearchSpace, Separable, left_out_cost
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
@@ -32,17 +32,17 @@ LUGRE = {"sigma_0": 3000.0, "sigma_1": 20.0, "sigma_2": 6.0, "F_c": 9.0, "F_s": 
          "tau_0": 0.4}  # fmt: skip
 
 
-def samples_of(truth: FrictionLaw, noise: float = 0.0) -> Samples:
-    return Samples.of(training(truth, noise=noise), coefficients=3)
+def samples_of(truth: FrictionLaw, noise: float = 0.0) -> JointRows:
+    return JointRows.of(training(truth, noise=noise), coefficients=3)
 
 
 @pytest.fixture(scope="module")
-def samples() -> Samples:
+def samples() -> JointRows:
     """Two records, with rests and uneven steps."""
     return samples_of(law("lugre", {}, **LUGRE), noise=0.1)
 
 
-def problem_of(name: str, samples: Samples) -> tuple[Separable, np.ndarray]:
+def problem_of(name: str, samples: JointRows) -> tuple[Separable, np.ndarray]:
     entry, numbers = LAWS[name]
     problem = Separable(entry.core({}), entry().space(), samples)
     return problem, problem.point(numbers)
@@ -68,7 +68,7 @@ def torque(problem: Separable, values: Mapping[str, float]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_columns_are_the_derivatives_of_the_torque(name: str, samples: Samples) -> None:
+def test_columns_are_the_derivatives_of_the_torque(name: str, samples: JointRows) -> None:
     """Exact differences, since the torque is linear in the unknowns."""
     problem, point = problem_of(name, samples)
     unknowns = 1.0 + np.random.default_rng(1).random(len(problem.space.linear))
@@ -82,7 +82,7 @@ def test_columns_are_the_derivatives_of_the_torque(name: str, samples: Samples) 
         np.testing.assert_allclose(columns[:, i], difference, rtol=0, atol=scale, err_msg=name_of)
 
 
-def test_columns_follow_the_discretisation(samples: Samples) -> None:
+def test_columns_follow_the_discretisation(samples: JointRows) -> None:
     problem, _ = problem_of("strain_wave", samples)
     euler = Separable(problem.form, problem.space, samples, "euler")
     point = problem.point({"x_0": 0.1})
@@ -111,7 +111,7 @@ def coefficient(name: str) -> Coefficient:
     ],
 )
 def test_a_form_that_is_not_linear_is_refused(
-    output: sympy.Expr, said: str, samples: Samples
+    output: sympy.Expr, said: str, samples: JointRows
 ) -> None:
     form = LawForm(coefficients=(coefficient("a"), coefficient("b")), output=output)
     with pytest.raises(ValueError, match="not linear in") as caught:
@@ -119,7 +119,7 @@ def test_a_form_that_is_not_linear_is_refused(
     assert said in str(caught.value)
 
 
-def test_an_unknown_inside_a_state_is_refused(samples: Samples) -> None:
+def test_an_unknown_inside_a_state_is_refused(samples: JointRows) -> None:
     a = coefficient("a")
     state = Relaxation(name="x", unit="1", drive=a.symbol * DQ, rate=sympy.Integer(3))
     form = LawForm(coefficients=(a,), memory=(state,), output=a.symbol * state.state)
@@ -130,7 +130,7 @@ def test_an_unknown_inside_a_state_is_refused(samples: Samples) -> None:
 # --- points -----------------------------------------------------------------------------------
 
 
-def linear_and_logarithmic(samples: Samples) -> Separable:
+def linear_and_logarithmic(samples: JointRows) -> Separable:
     names = ("positive", "either", "gain")
     p, e, c = (coefficient(n) for n in names)
     form = LawForm(
@@ -141,7 +141,7 @@ def linear_and_logarithmic(samples: Samples) -> Separable:
     return Separable(form, SearchSpace(bounds=bounds, linear=("gain",)), samples)
 
 
-def test_numbers_survive_the_way_to_a_point_and_back(samples: Samples) -> None:
+def test_numbers_survive_the_way_to_a_point_and_back(samples: JointRows) -> None:
     problem = linear_and_logarithmic(samples)
     for positive, either in ((0.02, -1.5), (1.0, 0.0), (700.0, 4.9)):
         point = problem.point({"either": either, "positive": positive, "unused": 1.0})
@@ -149,7 +149,7 @@ def test_numbers_survive_the_way_to_a_point_and_back(samples: Samples) -> None:
         assert point[0] == pytest.approx(np.log(positive))
 
 
-def test_numbers_outside_the_bounds_are_moved_inside(samples: Samples) -> None:
+def test_numbers_outside_the_bounds_are_moved_inside(samples: JointRows) -> None:
     problem = linear_and_logarithmic(samples)
     for positive, either in ((1e-9, -7.0), (1e9, 7.0)):
         point = problem.point({"positive": positive, "either": either})
@@ -160,7 +160,7 @@ def test_numbers_outside_the_bounds_are_moved_inside(samples: Samples) -> None:
         np.testing.assert_allclose(problem.numbers(point), nearest, rtol=1e-6)
 
 
-def test_values_hold_every_coefficient_and_follow_their_expressions(samples: Samples) -> None:
+def test_values_hold_every_coefficient_and_follow_their_expressions(samples: JointRows) -> None:
     problem, point = problem_of("lugre_load", samples)
     values = problem.values(point, np.array([8.0, 20.0, 6.0, 0.4, 0.16]))
     assert list(values) == [c.name for c in problem.form.coefficients]
@@ -173,7 +173,7 @@ def test_values_hold_every_coefficient_and_follow_their_expressions(samples: Sam
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_polish_lowers_the_cost_within_the_bounds(name: str, samples: Samples) -> None:
+def test_polish_lowers_the_cost_within_the_bounds(name: str, samples: JointRows) -> None:
     problem, point = problem_of(name, samples)
     polished = problem.polish(point)
     low, high = problem.bounds.T
@@ -194,7 +194,7 @@ def test_polish_finds_what_generated_the_data() -> None:
         assert values[name] == pytest.approx(value, rel=1e-3), name
 
 
-def test_polish_looks_at_its_rows_only(samples: Samples) -> None:
+def test_polish_looks_at_its_rows_only(samples: JointRows) -> None:
     problem, point = problem_of("lugre", samples)
     rows = samples.record == 0
     spoilt = replace(samples, tau=np.where(rows, samples.tau, 1e3 * samples.dq**2))
@@ -214,7 +214,7 @@ def test_the_search_finds_the_basin_for_every_seed() -> None:
     assert np.sqrt(min(costs) / len(clean.tau)) == pytest.approx(0.3, rel=0.05)
 
 
-def test_a_law_without_searched_numbers_is_solved_at_once(samples: Samples) -> None:
+def test_a_law_without_searched_numbers_is_solved_at_once(samples: JointRows) -> None:
     problem, point = problem_of("dahl_load", samples)
     assert point.shape == (0,)
     assert problem.search(np.random.default_rng(0)).shape == (0,)
@@ -224,7 +224,7 @@ def test_a_law_without_searched_numbers_is_solved_at_once(samples: Samples) -> N
     assert cost == pytest.approx(float(best[1][0]), rel=1e-9)
 
 
-def test_the_first_unknowns_are_not_negative(samples: Samples) -> None:
+def test_the_first_unknowns_are_not_negative(samples: JointRows) -> None:
     """Friction that drives: the forces become zero, the offset may be negative."""
     driving = replace(samples, tau=-5.0 * np.tanh(50.0 * samples.dq) - 2.0 * samples.dq - 0.7)
     problem, point = problem_of("lugre", driving)
@@ -246,7 +246,7 @@ def test_the_first_unknowns_are_not_negative(samples: Samples) -> None:
 def test_left_out_cost_is_that_of_refits_one_by_one(logs: int) -> None:
     truth = law("lugre", {}, **LUGRE)
     records = [along(truth, path(k, seconds=4.0 + k), noise=0.5, seed=k) for k in range(logs)]
-    samples = Samples.of(records, coefficients=3)
+    samples = JointRows.of(records, coefficients=3)
     problem, point = problem_of("strain_wave", samples)
     columns, tau = problem.columns(point), samples.tau
     folds = samples.folds
@@ -260,7 +260,7 @@ def test_left_out_cost_is_that_of_refits_one_by_one(logs: int) -> None:
     assert expected > problem.solve(point)[1] / len(tau)
 
 
-def test_a_useless_column_costs_on_left_out_rows(samples: Samples) -> None:
+def test_a_useless_column_costs_on_left_out_rows(samples: JointRows) -> None:
     problem, point = problem_of("lugre", samples)
     columns = problem.columns(point)
     useless = np.random.default_rng(0).normal(size=(len(columns), 40))

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from hesr.extras.laws.strain_wave import StrainWave
 from hesr_model.errors import SimulationError
 from hesr_model.fitting.fit import fit_joint
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import Separable
 from hesr_model.fitting.uncertainty import (
     MOST_COEFFICIENTS,
@@ -41,7 +41,7 @@ def noise(seed: int, memory: float) -> np.ndarray:
 
 def refitted(tau: np.ndarray) -> FrictionLaw:
     """The law fitted from the truth on, so that no search comes in between."""
-    samples = Samples.of([with_tau(CLEAN, tau)], coefficients=6)
+    samples = JointRows.of([with_tau(CLEAN, tau)], coefficients=6)
     problem = Separable(StrainWave.core({}), StrainWave().space(), samples)
     point = problem.polish(problem.point({"x_0": 4e-3}), evaluations=20)
     return replace(TRUTH, values=problem.values(point, problem.solve(point)[0]))

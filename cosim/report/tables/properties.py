@@ -6,7 +6,7 @@ import numpy as np
 
 from cosim.report.tables.table import ResultTable, TableCell, joints, row_of, title
 from hesr_model.audit.expectations import EXPECTATIONS, Expectation
-from hesr_model.audit.properties import Finding, Properties
+from hesr_model.audit.properties import Properties, PropertyResult
 from hesr_model.units import unit_of_joints
 
 _DIGITS = 4  # characters of a figure, without its sign
@@ -71,7 +71,7 @@ def _cell(of_law: Properties, expectation: Expectation) -> TableCell:
     )
 
 
-def _figure(found: Finding, expectation: Expectation) -> str:
+def _figure(found: PropertyResult, expectation: Expectation) -> str:
     value = found.figures[0].value if found.figures else None
     if value is None or found.verdict not in ("pass", "fail"):
         return ""

@@ -27,7 +27,7 @@ from hesr_model.equations.functions import absolute, positive, sgn
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.declarative import OneForm
 from hesr_model.fitting.estimator import register
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import SearchSpace, Separable
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
@@ -99,7 +99,7 @@ class _Bam(OneForm):
         """Fit with each exponent, as many coefficients each, and keep the least squares."""
         if not self._falls():
             return super().fit(records, rng)
-        samples = Samples.of(records, coefficients=len(self.core({}).coefficients))
+        samples = JointRows.of(records, coefficients=len(self.core({}).coefficients))
         fits = []
         for alpha in ALPHAS:
             problem = Separable(self.core({"alpha": alpha}), self.space(), samples)

@@ -7,7 +7,7 @@ import numpy as np
 
 from hesr_model.equations.memory import Discretisation
 from hesr_model.fitting.estimator import Estimator, register
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.laws.networks.inputs import Inputs, candidates, first_tame, size, sizes
 from hesr_model.laws.networks.training import Network, path
@@ -69,13 +69,13 @@ class MlpH(Estimator):
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Train every choice with each log left out in turn, then the best (starts by `rng`)."""
-        samples = Samples.of(records, coefficients=3 + 5 * max(self.hidden))
+        samples = JointRows.of(records, coefficients=3 + 5 * max(self.hidden))
         features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
         inputs = candidates(features, self.cells)
         return first_tame(self._best_first(inputs, samples, rng), records)
 
     def _best_first(
-        self, inputs: Sequence[Inputs], samples: Samples, rng: np.random.Generator
+        self, inputs: Sequence[Inputs], samples: JointRows, rng: np.random.Generator
     ) -> Iterator[FrictionLaw]:
         level, scale = float(samples.tau.mean()), max(float(samples.tau.std()), _TINY)
         y = (samples.tau - level) / scale

@@ -19,7 +19,7 @@ from fmu_src.friction.reference import trained_speed
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ExportError
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import SearchSpace, Separable
 from hesr_model.friction.inputs import DQ, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
@@ -74,7 +74,7 @@ def projected(
     """
     seen, unseen = records(law, trained, sample_time)
     form, space = _family(_poles(law))
-    samples = Samples.of([seen], coefficients=len(form.coefficients))
+    samples = JointRows.of([seen], coefficients=len(form.coefficients))
     problem = Separable(form, space, samples)
     with threadpool_limits(1):
         point = problem.polish(problem.search(np.random.default_rng(0)))

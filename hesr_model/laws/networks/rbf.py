@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 
 from hesr_model.equations.memory import Discretisation
 from hesr_model.fitting.estimator import Estimator, register
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.laws.networks.inputs import Inputs, candidates, first_tame, size, sizes
@@ -95,13 +95,13 @@ class RbfnnH(Estimator):
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Fit every choice with each log left out in turn, then the best one (seeded by `rng`)."""
-        samples = Samples.of(records, coefficients=6 + 4 * max(self.centres))
+        samples = JointRows.of(records, coefficients=6 + 4 * max(self.centres))
         features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
         inputs = candidates(features, self.cells)
         return first_tame(self._best_first(inputs, samples, rng), records)
 
     def _best_first(
-        self, inputs: Sequence[Inputs], samples: Samples, rng: np.random.Generator
+        self, inputs: Sequence[Inputs], samples: JointRows, rng: np.random.Generator
     ) -> Iterator[FrictionLaw]:
         choices = [(cell, count) for cell in inputs for count in self.centres]
         costs = np.array(
@@ -136,7 +136,7 @@ class RbfnnH(Estimator):
         )
 
 
-def left_out(z: Array, samples: Samples, count: int, rng: np.random.Generator) -> Array:
+def left_out(z: Array, samples: JointRows, count: int, rng: np.random.Generator) -> Array:
     """Mean square on left-out rows of networks trained without them.
 
     Parameters

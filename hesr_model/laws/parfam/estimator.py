@@ -9,7 +9,7 @@ import numpy as np
 from hesr_model.equations.memory import Discretisation
 from hesr_model.errors import FitError
 from hesr_model.fitting.estimator import Estimator, register
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.parfam import calibrate, evolve, family, paper, refine
@@ -102,7 +102,7 @@ class ParFamH(Estimator):
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Fit the three stages (starts and hops drawn from `rng`)."""
-        samples = Samples.of(records, coefficients=COEFFICIENTS)
+        samples = JointRows.of(records, coefficients=COEFFICIENTS)
         features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
         found = (
             self._paper(features, rng) if self.search == "paper" else self._evolve(features, rng)

@@ -7,7 +7,7 @@ the Jacobian). All starts of a cell run in one batch of a Levenberg-Marquardt it
 
 import numpy as np
 
-from hesr_model.fitting.samples import least_squares
+from hesr_model.fitting.joint_rows import least_squares
 from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.support.arrays import Array

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hesr_model.equations.memory import Discretisation
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.support.arrays import Array
 
 
@@ -19,7 +19,7 @@ class HysteresisFeatures:
     discretisation : of the hysteresis state.
     """
 
-    samples: Samples
+    samples: JointRows
     discretisation: Discretisation
 
     @property

@@ -7,7 +7,7 @@ import numpy as np
 
 from hesr_model.fitting.declarative import Described
 from hesr_model.fitting.estimator import register
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import left_out_cost
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.trained_range import TrainedRange
@@ -82,7 +82,7 @@ class ParFamHX(Described):
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Search state, terms, unit and ripple one after the other (seeded by `rng`)."""
-        samples = Samples.of(records, coefficients=len(self.linear) + 6)
+        samples = JointRows.of(records, coefficients=len(self.linear) + 6)
         states = ("bristle", "generalised") if self.memory else ("paper",)
         bare = choose([self._bare(state, samples, rng) for state in states], STATE_GAIN)
         columns = bare.problem.columns(bare.point)
@@ -93,7 +93,7 @@ class ParFamHX(Described):
         best = extended(bare, more, trained)
         return self.finish(best.structure, best.problem, best.problem.polish(best.point))
 
-    def _bare(self, state: str, samples: Samples, rng: np.random.Generator) -> Trial:
+    def _bare(self, state: str, samples: JointRows, rng: np.random.Generator) -> Trial:
         # A bristle has the Stribeck curve inside, so the term is not needed beside it.
         linear = [x for x in self.linear if state != "bristle" or x != "h_bump"]
         structure = {"linear": linear, "units": [], "state": state}

@@ -9,7 +9,7 @@ import sympy
 
 from hesr_model.audit.audit import explodes
 from hesr_model.equations.memory import Discretisation
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import SearchSpace, Separable
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.trained_range import TrainedRange
@@ -68,7 +68,7 @@ class Trial:
 
 
 def pose(
-    structure: Mapping[str, Any], samples: Samples, discretisation: Discretisation = "exact"
+    structure: Mapping[str, Any], samples: JointRows, discretisation: Discretisation = "exact"
 ) -> Separable:
     """Return the least-squares problem of a structure."""
     space = search_space(structure, samples)
@@ -126,7 +126,7 @@ def left_out(trial: Trial) -> float:
     return total
 
 
-def search_space(structure: Mapping[str, Any], samples: Samples) -> SearchSpace:
+def search_space(structure: Mapping[str, Any], samples: JointRows) -> SearchSpace:
     """Return how a structure of the family is searched on given rows."""
     state = structure.get("state", "paper")
     features = HysteresisFeatures(samples=samples, discretisation="exact")

@@ -7,7 +7,7 @@ import numpy as np
 
 from hesr_model.fitting.declarative import Described
 from hesr_model.fitting.estimator import register
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import SearchSpace, Separable, left_out_cost
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.laws.parfam import evolve, family
@@ -49,7 +49,7 @@ class ParFamV(Described):
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Search the unit's argument for every g; left-out logs choose among them."""
-        samples = Samples.of(records, coefficients=5)
+        samples = JointRows.of(records, coefficients=5)
         x = np.column_stack([np.ones(len(samples.dq)), samples.dq])
         rows = slice(None, None, max(1, len(x) // _ROWS))
         found = []
@@ -75,7 +75,7 @@ class ParFamV(Described):
         return self.finish(structure, problem, point)
 
 
-def _space(samples: Samples) -> SearchSpace:
+def _space(samples: JointRows) -> SearchSpace:
     limit = STEEPEST / float(np.sqrt(np.mean(samples.dq**2)))
     bound = evolve.ARGUMENT_LIMIT
     return SearchSpace(

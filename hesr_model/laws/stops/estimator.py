@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hesr_model.fitting.estimator import Estimator, register
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.nonnegative import Normal
-from hesr_model.fitting.samples import Samples
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.laws.ripple import LAG
 from hesr_model.laws.stops import passive, waves
@@ -49,7 +49,7 @@ class _Stops(Estimator):
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Solve for all forces with their signs; nothing is drawn from `rng`."""
         del rng
-        samples = Samples.of(records, coefficients=20)
+        samples = JointRows.of(records, coefficients=20)
         best = dictionary(samples, load=self.load)
         if not self.skeleton_only:
             best = search(best, load=self.load)

@@ -6,8 +6,8 @@ from itertools import product
 
 import numpy as np
 
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.nonnegative import Normal, Products, blocks_of, pays
-from hesr_model.fitting.samples import Samples
 from hesr_model.laws.stops.form import Structure
 from hesr_model.laws.stops.terms import VISCOUS, columns, every, fixed, weights
 from hesr_model.support.arrays import Array
@@ -38,7 +38,7 @@ class Terms:
 
     bounds: tuple[str, ...]
     numbers: dict[str, float]
-    samples: Samples
+    samples: JointRows
     weights: Array
     products: Products
     kept: dict[str, Array] = field(default_factory=dict)
@@ -97,7 +97,7 @@ class Terms:
         return chosen, np.hstack(self.blocks)[:, np.concatenate([enough, flows, [True]])]
 
 
-def dictionary(samples: Samples, *, load: bool) -> Terms:
+def dictionary(samples: JointRows, *, load: bool) -> Terms:
     """Return the baseline: the skeleton's bounds, solved with signs, and the best v_s and T.
 
     Parameters

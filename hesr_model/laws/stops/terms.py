@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from hesr_model.fitting.samples import Samples
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import SearchSpace, Separable
 from hesr_model.friction.law import LawForm
 from hesr_model.laws.stops.form import (
@@ -28,7 +28,7 @@ def every(kind: str) -> Structure:
     return Structure(stops=tuple((kind, node) for node in range(len(DEFLECTIONS))))
 
 
-def fixed(samples: Samples) -> dict[str, float]:
+def fixed(samples: JointRows) -> dict[str, float]:
     """Return the coefficients that follow from the largest load and speed of a joint."""
     load = float(np.max(np.abs(samples.tau_load)))
     speed = float(np.max(np.abs(samples.dq)))
@@ -36,7 +36,7 @@ def fixed(samples: Samples) -> dict[str, float]:
     return {LOAD_SCALE.name: load if load > 0.0 else 1.0, **thin}
 
 
-def weights(samples: Samples) -> Array:
+def weights(samples: JointRows) -> Array:
     """Return (N,) 0 where the deflections with which a record starts may still count, else 1.
 
     Nobody knows these; a joint forgets them once it has moved over twice the widest deflection.
@@ -51,7 +51,7 @@ def weights(samples: Samples) -> Array:
     return found
 
 
-def columns(structure: Structure, numbers: Mapping[str, float], samples: Samples) -> Array:
+def columns(structure: Structure, numbers: Mapping[str, float], samples: JointRows) -> Array:
     """Return the (N, K) columns [N.m per unit] of a structure's forces and waves, without offset.
 
     Parameters

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.nonnegative import Normal, blocks_of, pays
-from hesr_model.fitting.samples import Samples
 from hesr_model.support.arrays import Array
 
 ORDERS = range(1, 17)
@@ -36,13 +36,13 @@ class Waves:
     lag: float
 
 
-def waves(frequencies: Sequence[int], lag: float, samples: Samples) -> Array:
+def waves(frequencies: Sequence[int], lag: float, samples: JointRows) -> Array:
     """Return the (N, 2 K) cosines and sines at the joint's angle less what it moves in the lag."""
     phase = np.outer(samples.q - lag * samples.dq, np.asarray(frequencies, dtype=float))
     return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(samples.q), -1)
 
 
-def select(base: Array, samples: Samples, weights: Array, gear_ratio: float) -> Waves:
+def select(base: Array, samples: JointRows, weights: Array, gear_ratio: float) -> Waves:
     """Return the waves that predict left-out rows better by more than one standard error.
 
     Parameters
@@ -74,7 +74,7 @@ class _Problem:
     """Waves beside columns over the rows of a joint."""
 
     base: Array
-    samples: Samples
+    samples: JointRows
     weights: Array
 
     def columns(self, chosen: Waves) -> Array:

@@ -14,7 +14,7 @@ from cosim.properties.battery import Subject, measure, run_battery
 from fmu_src import export_fmu, model_file
 from hesr_model.audit.audit import audit
 from hesr_model.audit.expectations import EXPECTATIONS
-from hesr_model.audit.properties import Finding, Properties
+from hesr_model.audit.properties import Properties, PropertyResult
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Stop
 from hesr_model.errors import ConfigError
@@ -28,7 +28,7 @@ SLIDES = LEVEL / STIFFNESS
 """Deflection of that bristle when it slides [rad]."""
 
 
-def finding(found: Properties, key: str, joint: int = 1) -> Finding:
+def finding(found: Properties, key: str, joint: int = 1) -> PropertyResult:
     return found.joints[joint - 1].findings[key]
 
 

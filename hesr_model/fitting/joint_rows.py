@@ -17,7 +17,7 @@ from hesr_model.support.arrays import Array, Integers, Mask
 
 
 @dataclass(frozen=True, kw_only=True)
-class Samples:
+class JointRows:
     """Rows of several records, one after the other.
 
     Attributes
@@ -45,7 +45,7 @@ class Samples:
         return [np.asarray(group == k) for k in range(int(group.max()) + 1)]
 
     @classmethod
-    def of(cls, records: Sequence[FrictionRecord], *, coefficients: int) -> "Samples":
+    def of(cls, records: Sequence[FrictionRecord], *, coefficients: int) -> "JointRows":
         """Join records.
 
         Parameters
