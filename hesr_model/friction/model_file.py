@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from pydantic import StrictBool
 
-from hesr_model.equations.over_log import Discretisation
+from hesr_model.equations.memory import Discretisation
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.band import Band
 from hesr_model.friction.law import FrictionLaw
