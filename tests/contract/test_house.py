@@ -28,7 +28,6 @@ KNOWN_DUPLICATES = {
     "Description",
     "Design",
     "Experiment",
-    "Finding",
     "Input",
     "Kind",
     "Motion",
@@ -36,13 +35,10 @@ KNOWN_DUPLICATES = {
     "Quantity",
     "Result",
     "Rows",
-    "Run",
-    "Samples",
     "Score",
     "Signals",
     "Source",
     "Start",
-    "Stepper",
     "Table",
     "Target",
     "Unit",
@@ -66,7 +62,6 @@ NOUNS |= {"tuning", "wiring"}
 KNOWN_PARTICIPLES = {
     "fmu_src.run.recorded",
     "fmu_src.run.recording",
-    "hesr_model.friction.banded",
 }
 """Modules still named by a participle. Remove what is renamed."""
 
