@@ -15,7 +15,7 @@ from cosim.loop.loops import (
 from cosim.loop.robustness import Overcompensation, run_overcompensation, run_sweeps
 from cosim.loop.traces import TRACES, write_traces
 from cosim.loop.tracking import Tracked
-from cosim.systems.system_file import write_system
+from cosim.systems.system import write_system
 from fmu_src.arm.plant import Plant
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody

@@ -1,15 +1,13 @@
-"""A system of FMUs inside one FMU of FMI 2.0, run there natively by FMPy's container runtime.
+"""Systems of FMUs inside one FMU of FMI 2.0, run by FMPy's container runtime.
 
-The runtime comes with FMPy as a library. It reads container.json, steps all components together at
-the system's step, and then passes values on along the connections in their given order. That order
-is the one in which values become known, so an output with direct feedthrough is that of its newest
-inputs, while states move with the inputs of the step's beginning. It takes multiples of that step
-only; a library of ours stands before it that takes any step and holds the outputs in between.
+The runtime reads container.json, steps all components at the system's step, and then passes values
+along the connections in their order, in which values become known. Outputs with direct feedthrough
+use the newest inputs; states use those at the beginning of the step. The runtime accepts only
+multiples of its step; our library in front of it accepts any step and holds the outputs.
 
-FMPy's own builder is not used: for FMI 2.0 it writes connections of type Real, which the runtime
-refuses; it counts value references from 0, where the runtime has the time; it puts the half-written
-archive into itself, and today's date; and it adds runtimes of platforms for which the components
-have no binary.
+FMPy's builder cannot be used. For FMI 2.0 it writes connections of type Real, which the runtime
+refuses, and value references from 0, which is the time; it packs the unfinished archive into
+itself, writes today's date, and adds runtimes of platforms without binaries of the components.
 """
 
 import hashlib
@@ -23,7 +21,7 @@ from typing import Any
 
 from cosim.systems.container_description import Exposed, exposed_variables, to_description
 from cosim.systems.contents import SystemContents
-from cosim.systems.ssv import text_of
+from cosim.systems.markup import text_of
 from fmu_src.export.interface import literal
 from fmu_src.export.package import own_source, write_archive
 from fmu_src.export.toolchain import TARGETS, build
@@ -37,7 +35,7 @@ _RUNTIMES = {
     "linux64": ("x86_64-linux", ".so"),
     "win64": ("x86_64-windows", ".dll"),
 }
-"""Folder and suffix of FMPy's runtime; its two for macOS cannot share FMI 2.0's one folder."""
+"""Folder and suffix of FMPy's runtime; FMI 2.0 has one folder for its two macOS binaries."""
 
 _RUNTIME = "container_fmu"
 _LICENSE = "documentation/licenses/fmpy.txt"
@@ -45,28 +43,23 @@ _TYPES = {"Real": "Float64", "Integer": "Int32", "Enumeration": "Int32"}
 
 
 def write_container(contents: SystemContents, path: Path) -> Path:
-    """Write a system as an FMU that holds all of its FMUs: the same bytes every time.
+    """Write a system as one FMU and return the path; the bytes are reproducible.
 
-    Where all of them are ours it carries its own answers as reference results, inputs at their
-    start values.
+    If all FMUs are trusted, it contains reference results with inputs at their start values.
 
     Parameters
     ----------
     contents : the system.
     path : the file to write, ending in .fmu.
 
-    Returns
-    -------
-    `path`.
-
     Raises
     ------
     ConfigError
-        If a component has a step of its own, or no platform has binaries of all components.
+        If a component has its own step, or no platform has binaries of all components.
     ExportError
-        If the name does not end so, FMPy has no runtime, or the FMU is not valid.
+        If the suffix is wrong, FMPy has no runtime, or the FMU is invalid.
     ArtifactError
-        If it cannot be written.
+        If the file cannot be written.
     """
     if path.suffix != ".fmu":
         raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
@@ -84,7 +77,7 @@ def write_container(contents: SystemContents, path: Path) -> Path:
         "resources/container.json": _configuration(contents, exposed, guid),
         **members,
     }
-    # Whose code is in it, the runtime's but for that of its components.
+    # Apart from the runtime all code is that of the components.
     ours = [is_ours(component.fmu) for component in contents.spec.components]
     if all(ours):
         members |= result_files(members, Stimuli(step=contents.spec.step))
@@ -99,8 +92,8 @@ def _require_one_step(contents: SystemContents) -> None:
     for component in spec.components:
         if spec.every(component) > 1:
             raise ConfigError(
-                f"{contents.path}: component '{component.name}' steps every {component.step:g} s, "
-                f"and a container steps all components together, every {spec.step:g} s."
+                f"{contents.path}: component '{component.name}' has a step of {component.step:g} s;"
+                f" in a container it must be that of the system, {spec.step:g} s."
             )
 
 
@@ -112,10 +105,7 @@ def _members(fmu: Path) -> dict[str, bytes]:
 def _runtimes(
     contents: SystemContents, nested: Mapping[str, Mapping[str, bytes]], identifier: str
 ) -> dict[str, bytes]:
-    """Return the runtime for each platform of which all components have a binary, with licence.
-
-    It takes multiples of its own step only; before it stands a library of ours that takes any.
-    """
+    """Return runtime and library for each platform on which all components run, with licence."""
     found: dict[str, bytes] = {}
     for platform, (folder, suffix) in _RUNTIMES.items():
         if all(
@@ -129,8 +119,8 @@ def _runtimes(
             found[f"binaries/{platform}/{name}"] = _runtime(folder, name)
     if not found:
         raise ConfigError(
-            f"{contents.path}: no platform of a container, {' or '.join(_RUNTIMES)}, has a binary "
-            "of every component."
+            f"{contents.path}: no platform of a container ({', '.join(_RUNTIMES)}) has binaries of "
+            "all components."
         )
     package = distribution("fmpy")
     terms = [file for file in package.files or () if file.name.upper().startswith("LICENSE")]
@@ -138,12 +128,12 @@ def _runtimes(
 
 
 def holding_sources(step: float, runtime: str) -> dict[str, str]:
-    """Return the C, by file, of the library that holds outputs between the steps of a runtime.
+    """Return the C sources of the library that holds outputs between steps of the runtime.
 
     Parameters
     ----------
-    step : of the runtime [s].
-    runtime : file beside the library.
+    step : step of the runtime [s].
+    runtime : file of the runtime next to the library.
     """
     texts = {name: own_source(name) for name in ("beside.h", "fmi2.h", "hold.c")}
     texts["hold.h"] = (
@@ -153,7 +143,7 @@ def holding_sources(step: float, runtime: str) -> dict[str, str]:
 
 
 def _holding(identifier: str, step: float, platform: str, runtime: str) -> bytes:
-    """Return that library."""
+    """Compile the library that holds outputs."""
     with TemporaryDirectory(prefix="hesr-") as folder:
         for name, text in holding_sources(step, runtime).items():
             Path(folder, name).write_text(text, encoding="utf-8")
@@ -168,8 +158,8 @@ def _runtime(folder: str, name: str) -> bytes:
         return (Path(container_fmu.__file__).parent / "binaries" / folder / name).read_bytes()
     except (ImportError, OSError) as error:
         raise ExportError(
-            f"FMPy {distribution('fmpy').version} comes without the runtime of a container; needed "
-            "is FMPy 0.3.32 or newer."
+            f"FMPy {distribution('fmpy').version} has no runtime for containers; FMPy 0.3.32 or "
+            "newer is needed."
         ) from error
 
 
@@ -210,13 +200,13 @@ def _variable(
         "mappings": [{"component": place[name], "valueReference": described.valueReference}],
     }
     start = contents.wiring.start[name].get(own)
-    if start is not None and variable.start is not None:  # what is fed needs none
+    if start is not None and variable.start is not None:  # not for connected inputs
         data["start"] = [text_of(contents.type_of(variable.element), start)]
     return data
 
 
 def _connections(contents: SystemContents, place: Mapping[str, int]) -> Iterator[dict[str, Any]]:
-    """Yield the connections between pairs of components, as soon as their values are known."""
+    """Yield the connections between pairs of components, in the order of known values."""
     sources, variables = contents.wiring.sources, contents.variables
     waiting = [element for element in contents.wiring.order if element in sources]
 

@@ -1,4 +1,4 @@
-"""modelDescription.xml of a container: what of its components is seen from outside."""
+"""modelDescription.xml of a container: exposed variables of its components."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -8,8 +8,7 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from cosim.systems.contents import SystemContents, Unit
-from cosim.systems.markup import add_units, to_bytes
-from cosim.systems.ssv import text_of
+from cosim.systems.markup import add_units, text_of, to_bytes
 from fmu_src.run.master import Element
 
 _PART = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
@@ -18,14 +17,14 @@ _STRUCTURED = re.compile(rf"{_PART}(\.{_PART})*", re.ASCII)
 
 @dataclass(frozen=True, kw_only=True)
 class Exposed:
-    """A variable of a component that the container shows as `component.variable`.
+    """A variable of a component, exposed as `component.variable`.
 
     Attributes
     ----------
     element : component and variable.
-    causality : that it has in the container.
-    initial : how its value at the start comes about, None where that is not said.
-    start : its start value, None where it has none.
+    causality : causality in the container.
+    initial : kind of the initial value; None if undefined.
+    start : start value, if any.
     """
 
     element: Element
@@ -35,12 +34,11 @@ class Exposed:
 
 
 def exposed_variables(contents: SystemContents) -> Iterator[Exposed]:
-    """Yield what a container shows.
+    """Yield the exposed variables.
 
-    Outputs are the signals that the system observes, or those of all components where it observes
-    none. Inputs are those that nothing feeds. Parameters and whatever else the system gives a start
-    value are kept; all other outputs can be looked at. What is observed and cannot be an output,
-    as a parameter or an input that nothing feeds, is shown as what it is.
+    Outputs are the observed signals, or all outputs if none is observed; the others are local.
+    Unconnected inputs, parameters, and variables with a start value in the system are exposed too.
+    Observed parameters and unconnected inputs keep their causality.
     """
     wiring = contents.wiring
     observed = set(wiring.observed)
@@ -66,7 +64,7 @@ def exposed_variables(contents: SystemContents) -> Iterator[Exposed]:
 def _causality(
     variable: Any, *, observed: bool, every: bool, fed: bool, given: float | str | None
 ) -> str | None:
-    """Return what a variable of a component is in the container, None if it need not be there."""
+    """Return the causality of a variable in the container; None if it is not exposed."""
     own: str = variable.causality
     if own == "output":
         return "output" if observed or every else "local"
@@ -74,7 +72,7 @@ def _causality(
         return own
     if own == "independent" or not (observed or (given is not None and not fed)):
         return None
-    # FMI: an output is continuous or discrete, not what changes with parameters alone.
+    # FMI: an output is continuous or discrete; it cannot change with parameters alone.
     follows = variable.variability in ("fixed", "tunable")
     return "output" if observed and not follows else "local"
 
@@ -118,7 +116,7 @@ def to_description(
 
 
 def _convention(exposed: list[Exposed]) -> str:
-    """Return "structured" if all names are; with what a component calls "der(x)" they are not."""
+    """Return "structured" if all names are, else "flat", for instance with "der(x)"."""
     named = (".".join(shown.element) for shown in exposed)
     return "structured" if all(_STRUCTURED.fullmatch(name) for name in named) else "flat"
 
@@ -149,9 +147,9 @@ def _scalar(
 
 
 def _text(variable: Any) -> str | None:
-    """Return the description of a variable; of a choice, which is an integer here, with its names.
+    """Return the description of a variable, for a choice with its names.
 
-    As in our own FMUs: not all engines load Enumerations.
+    Choices are integers, as in our own FMUs, because some engines cannot load Enumerations.
     """
     described: str | None = variable.description
     if variable.type != "Enumeration":
@@ -161,7 +159,7 @@ def _text(variable: Any) -> str | None:
 
 
 def _own_start(variable: Any) -> float | str | None:
-    """Return the start value that a component's own description gives."""
+    """Return the start value in the component's description."""
     text: str | None = variable.start
     if text is None or variable.type == "String":
         return text
@@ -171,7 +169,7 @@ def _own_start(variable: Any) -> float | str | None:
 
 
 def _unknowns(structure: ET.Element, contents: SystemContents, exposed: list[Exposed]) -> None:
-    """Add what is calculated: outputs, and those of them that are unknown at the start."""
+    """Add outputs and initial unknowns."""
     index = {shown.element: i for i, shown in enumerate(exposed, start=1)}
     shown_as_output = [shown for shown in exposed if shown.causality == "output"]
     outputs = [shown.element for shown in shown_as_output]
@@ -193,7 +191,7 @@ def _unknowns(structure: ET.Element, contents: SystemContents, exposed: list[Exp
 
 
 def _at_start(contents: SystemContents, component: str) -> dict[str, list[str]]:
-    """Return for each initial unknown of a component what it depends on."""
+    """Return the dependencies of each initial unknown of a component."""
     described = contents.descriptions[component]
     everything = [v.name for v in described.modelVariables if v.causality in ("input", "parameter")]
     return {
@@ -207,13 +205,13 @@ def _at_start(contents: SystemContents, component: str) -> dict[str, list[str]]:
 def _known(
     contents: SystemContents, output: Element, needs: Mapping[str, Mapping[str, list[str]]]
 ) -> set[Element]:
-    """Return the variables, none of them fed by another, on which a signal depends."""
+    """Return the unconnected variables on which a signal depends."""
     sources = contents.wiring.sources
-    # An input that is fed and observed is what feeds it.
+    # An observed connected input is its source.
     seen, left = set[Element](), [sources.get(output, output)]
     while left:
         component, name = left.pop()
-        # What nothing is said of may depend on every input.
+        # Without declared dependencies it may depend on every input.
         for needed in needs[component].get(name, contents.variables[component].inputs):
             element = (component, needed)
             if element in seen:

@@ -1,4 +1,4 @@
-"""A system that is about to be packaged, checked against the descriptions of its FMUs."""
+"""Contents of a packaged system, checked against the descriptions of its FMUs."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -13,8 +13,9 @@ from fmu_src.run.master import Element
 from fmu_src.run.variables import Variables, model_description
 from hesr_model.errors import ConfigError, SimulationError
 
-_FIRST_DATE = datetime(1980, 1, 1, tzinfo=UTC)  # before it an archive has no dates
+_FIRST_DATE = datetime(1980, 1, 1, tzinfo=UTC)
 _LAST_DATE = datetime(2107, 12, 31, tzinfo=UTC)
+"""Range of dates in a zip archive."""
 
 Unit = tuple[float, ...]
 """A unit in terms of `fmu_src.run.variables.SI`."""
@@ -22,15 +23,15 @@ Unit = tuple[float, ...]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SystemContents:
-    """A system and what its FMUs say of themselves.
+    """A system and the descriptions of its FMUs.
 
     Attributes
     ----------
     spec : the system.
-    path : its file, for messages.
-    descriptions, variables : of the FMUs by component.
-    wiring : its checked connections and start values.
-    created : date of its newest FMU, ISO 8601 in UTC with a final Z.
+    path : file of the system, for messages.
+    descriptions, variables : descriptions and variables of the FMUs by component.
+    wiring : checked connections and start values.
+    created : date of the newest FMU, ISO 8601 in UTC with a final Z.
     """
 
     spec: SystemSpec
@@ -42,7 +43,7 @@ class SystemContents:
 
     @property
     def used(self) -> list[Element]:
-        """Outputs that feed an input or are observed, in the order of the components."""
+        """Connected or observed outputs, in the order of the components."""
         wanted = dict.fromkeys([*self.wiring.sources.values(), *self.wiring.observed])
         return [
             (name, output)
@@ -52,10 +53,7 @@ class SystemContents:
         ]
 
     def units(self, elements: Iterable[Element]) -> dict[str, Unit]:
-        """Return the units of variables that their FMUs define, by name.
-
-        Of units that have one name but are not the same, only the first is in it.
-        """
+        """Return the defined units of variables by name; the first one if definitions differ."""
         found: dict[str, Unit] = {}
         for name, variable in elements:
             unit, base = self.variables[name].unit(variable)
@@ -64,16 +62,16 @@ class SystemContents:
         return found
 
     def unit(self, element: Element, defined: Mapping[str, Unit]) -> dict[str, str]:
-        """Return the attribute that gives a variable's unit; none if that is not a defined one."""
+        """Return the XML attribute of a variable's unit; empty if the unit is not defined."""
         name, variable = element
         unit, base = self.variables[name].unit(variable)
         known = unit and base is not None and defined.get(unit) == base
         return {"unit": str(unit)} if known and self.type_of(element) == "Real" else {}
 
     def type_of(self, element: Element) -> str:
-        """Return the type of a variable; an Enumeration is the Integer that stands for it.
+        """Return the type of a variable; Integer for an Enumeration.
 
-        Not all engines know Enumerations: libcosim refuses a parameter set that holds one.
+        libcosim refuses parameter sets with Enumerations.
         """
         kind = self.variables[element[0]][element[1]].type
         return "Integer" if kind == "Enumeration" else str(kind)
@@ -82,16 +80,11 @@ class SystemContents:
 def read_contents(spec: SystemSpec, path: Path) -> SystemContents:
     """Read the descriptions of a system's FMUs and check the system against them.
 
-    Parameters
-    ----------
-    spec : the system.
-    path : its file, for messages.
-
     Raises
     ------
     ConfigError
-        If an FMU is missing or none of FMI 2.0 for co-simulation, or if the system does not fit
-        its FMUs; see `Wiring`.
+        If an FMU is missing or not FMI 2.0 for co-simulation, or the system does not fit its FMUs;
+        see `Wiring`.
     """
     descriptions = {
         c.name: description_of(c.fmu, f"{path}: component '{c.name}'") for c in spec.components
@@ -108,17 +101,12 @@ def read_contents(spec: SystemSpec, path: Path) -> SystemContents:
 
 
 def description_of(fmu: Path, where: str) -> Any:
-    """Return FMPy's description of the FMU of a component.
-
-    Parameters
-    ----------
-    fmu : the file.
-    where : for messages: the file of the system and the component.
+    """Return FMPy's description of an FMU; `where` is for messages.
 
     Raises
     ------
     ConfigError
-        If it is missing, or none of FMI 2.0 for co-simulation, of which systems are packaged.
+        If it is missing, or not FMI 2.0 for co-simulation.
     SimulationError
         If it cannot be read.
     """
@@ -129,7 +117,7 @@ def description_of(fmu: Path, where: str) -> Any:
     except SimulationError as error:
         raise SimulationError(f"{where}: {error}") from error
     if found.fmiVersion != "2.0" or found.coSimulation is None:
-        raise ConfigError(f"{where}: {fmu} is no FMU of FMI 2.0 for co-simulation.")
+        raise ConfigError(f"{where}: {fmu} is not an FMI 2.0 FMU for co-simulation.")
     return found
 
 

@@ -1,42 +1,46 @@
-"""What the XML files of an SSP share: namespaces, units, and how they are written."""
+"""XML of systems: namespaces, values and units, written and read back."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from math import isfinite
 from typing import Literal
 from xml.etree import ElementTree as ET
 
 from cosim.systems.contents import Unit
-from fmu_src.run.variables import SI
+from fmu_src.run.variables import SI, Variables
+from hesr_model.errors import ConfigError
 
 Version = Literal["1.0", "2.0"]
-"""Of the SSP standard; 2.0 kept the namespaces, and all that is used here, of 1.0."""
+"""Version of the SSP standard; the parts used here are the same in both."""
 
 _STANDARD = "http://ssp-standard.org/SSP1/SystemStructure"
 
-# Engines look for these very prefixes, not for the namespaces.
+# Engines look for these prefixes, not for the namespaces.
 NAMESPACES = {
     "xmlns:ssc": f"{_STANDARD}Common",
     "xmlns:ssd": f"{_STANDARD}Description",
     "xmlns:ssv": f"{_STANDARD}ParameterValues",
 }
 
-_WITHOUT = {key: 1.0 if key == "factor" else 0.0 for key in SI}
+_DEFAULTS = {key: 1.0 if key == "factor" else 0.0 for key in SI}
+_EXPONENTS = len(SI) - 2
+"""Number of exponents in a unit; factor and offset follow them."""
 
 
-def add_units(
-    parent: ET.Element, tag: str, units: Mapping[str, Unit], prefix: str = "ssc:"
-) -> None:
-    """Add the definitions of units, where there are any; FMI has them alike, without prefix."""
-    if not units:
-        return
-    definitions = ET.SubElement(parent, tag)
-    for name, base in units.items():
-        said = {
-            key: repr(float(value)) if key in ("factor", "offset") else str(int(value))
-            for key, value in zip(SI, base, strict=True)
-            if float(value) != _WITHOUT[key]
-        }
-        unit = ET.SubElement(definitions, f"{prefix}Unit", name=name)
-        ET.SubElement(unit, f"{prefix}BaseUnit", said)
+@dataclass(frozen=True, kw_only=True)
+class ValueWithUnit:
+    """A number with its unit.
+
+    Attributes
+    ----------
+    value : the number.
+    unit : name of the unit.
+    base : the unit in terms of `fmu_src.run.variables.SI`; None if undefined.
+    """
+
+    value: float
+    unit: str
+    base: Unit | None
 
 
 def to_bytes(root: ET.Element) -> bytes:
@@ -44,3 +48,100 @@ def to_bytes(root: ET.Element) -> bytes:
     ET.indent(root)
     text: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
     return text + b"\n"
+
+
+def text_of(kind: str, value: float | str) -> str:
+    """Return a value as in XML and JSON files, with all digits of a number."""
+    if kind == "String":
+        return str(value)
+    if kind == "Boolean":
+        return "true" if value else "false"
+    return repr(float(value)) if kind == "Real" else str(int(value))
+
+
+def add_units(
+    parent: ET.Element, tag: str, units: Mapping[str, Unit], prefix: str = "ssc:"
+) -> None:
+    """Add the definitions of units, if any; FMI has the same elements without a prefix."""
+    if not units:
+        return
+    definitions = ET.SubElement(parent, tag)
+    for name, base in units.items():
+        said = {
+            key: repr(float(value)) if key in ("factor", "offset") else str(int(value))
+            for key, value in zip(SI, base, strict=True)
+            if float(value) != _DEFAULTS[key]
+        }
+        unit = ET.SubElement(definitions, f"{prefix}Unit", name=name)
+        ET.SubElement(unit, f"{prefix}BaseUnit", said)
+
+
+def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, Unit]:
+    """Return the units defined by `ssc:Unit` elements, by name; `where` is for messages.
+
+    Raises
+    ------
+    ConfigError
+        If an exponent, a factor or an offset is not a number.
+    """
+    found: dict[str, Unit] = {}
+    for node in nodes:
+        name, base = node.get("name", ""), node.find("{*}BaseUnit")
+        said = {} if base is None else base.attrib
+        numbers = dict(_DEFAULTS)
+        for key in (key for key in SI if key in said):
+            try:
+                numbers[key] = float(said[key])
+            except ValueError as error:
+                raise ConfigError(
+                    f"{where}: {key} of unit '{name}' is '{said[key]}'; it must be a number."
+                ) from error
+        if base is not None:
+            found[name] = tuple(numbers.values())
+    return found
+
+
+def differ(one: str, other: str, defined: Mapping[str, Unit]) -> bool:
+    """Whether two units of one file are defined and not equal."""
+    return one in defined and other in defined and defined[one] != defined[other]
+
+
+def in_unit_of(variables: Variables, name: str, given: ValueWithUnit, where: str) -> float:
+    """Return a number in the unit of an FMU's variable; unchanged if that has none.
+
+    Parameters
+    ----------
+    variables, name : variables of the FMU, and the variable.
+    given : the number in its own unit.
+    where : file and parameter, for messages.
+
+    Raises
+    ------
+    ConfigError
+        If the units differ and cannot be converted.
+    SimulationError
+        If the FMU has no such variable.
+    """
+    unit, base = variables.unit(name)
+    if unit is None or given.base == base is not None:
+        return given.value
+    if given.base is None or base is None:
+        if given.unit == unit:
+            return given.value
+        owner, unknown = ("SSP", given.unit) if given.base is None else ("FMU", unit)
+        raise ConfigError(
+            f"{where} is in {given.unit}, its variable in {unit}; the {owner} does not define "
+            f"{unknown} in SI base units."
+        )
+    factor, into = given.base[_EXPONENTS], base[_EXPONENTS]
+    if given.base[:_EXPONENTS] != base[:_EXPONENTS] or not (factor and into and isfinite(factor)):
+        raise ConfigError(
+            f"{where} is in {given.unit}, which cannot be converted into {unit}, the unit of its "
+            "variable."
+        )
+    about = variables[name]
+    kind = about.declaredType
+    # FMI: the offset does not apply to differences, for instance of two temperatures.
+    relative = kind.relativeQuantity if about.relativeQuantity is None and kind else None
+    apart = 0.0 if about.relativeQuantity or relative else given.base[-1] - base[-1]
+    return (given.value * factor + apart) / into

@@ -1,13 +1,13 @@
-"""A friction model's coefficients as a parameter set of SSP 1.0, with their covariance.
+"""Coefficients of a friction model as a parameter set of SSP 1.0, with their covariance.
 
-SSP has no place for a covariance, so it stands in an annotation of the set, for each joint:
+The covariance of each joint is in an annotation of the set, which other tools ignore:
 
     <hesr:Joint number="1" names="joint[1].F_c joint[1].sigma_2">
       <hesr:Row>0.012 -0.003</hesr:Row>
       <hesr:Row>-0.003 0.04</hesr:Row>
     </hesr:Joint>
 
-in products of the parameters' units, one row for each name. Tools that do not know it read values.
+with one row per name, in products of the parameters' units.
 """
 
 from importlib.metadata import version as installed
@@ -27,32 +27,28 @@ from hesr_model.support.files import written_whole
 ANNOTATION = "hesr.covariance"
 """Type of the annotation."""
 COVARIANCE = "urn:hesr:covariance:1"
-"""Namespace of what stands in it."""
+"""Namespace of its content."""
 
 
 def export_ssv(model: FrictionModel, path: Path) -> Path:
-    """Write the coefficients of a friction model, named as in its FMU, and their covariance.
+    """Write the coefficients of a friction model and their covariance, and return the path.
 
-    Laws that show no coefficients have their factors on friction there.
+    The names are those of its FMU. Laws without exposed coefficients have their scales instead.
 
     Parameters
     ----------
-    model : one law for each joint.
+    model : one law per joint.
     path : the file to write, ending in .ssv.
-
-    Returns
-    -------
-    `path`.
 
     Raises
     ------
     ExportError
-        If the path ends in something else, or a number of the model is none of C.
+        If the suffix is wrong, or a number of the model is not finite.
     ArtifactError
-        If `path` cannot be written.
+        If the file cannot be written.
     """
     if path.suffix != ".ssv":
-        raise ExportError(f"{path}: a parameter set of SSP is a file in .ssv.")
+        raise ExportError(f"{path}: a parameter set of SSP must end in .ssv.")
     require_numbers(model)
     with written_whole(path) as temporary:
         temporary.write_bytes(to_ssv(model))
@@ -103,7 +99,7 @@ def _values(model: FrictionModel) -> list[tuple[str, float, str]]:
 
 
 def _covariances(model: FrictionModel) -> list[ET.Element]:
-    """Return the covariance of each joint that has one."""
+    """Return the covariances of the joints, if known."""
     found = []
     for i, law in enumerate(model.laws, start=1):
         if law.covariance is None or not exposed(law):

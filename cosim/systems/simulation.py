@@ -1,4 +1,4 @@
-"""A fixed-step master: runs a system of FMUs and keeps the signals that are observed."""
+"""Fixed-step master: runs a system of FMUs and records its observed signals."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
@@ -21,18 +21,19 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Progress, silent
 
-_TELL_EVERY = 200  # steps
+_REPORT_EVERY = 200
+"""Number of steps between reports of progress."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Result:
-    """What a run gave, up to its end or to where it failed.
+    """Signals of a run, up to its end or its failure.
 
     Attributes
     ----------
     t : (N,) communication points [s].
     signals : (N,) values of every observed scalar, by `component.variable`.
-    failure : why the run ended early, None if it did not.
+    failure : reason for an early end; None without one.
     """
 
     t: Array
@@ -45,7 +46,7 @@ class Result:
         Raises
         ------
         SimulationError
-            If it has not been observed.
+            If it was not observed.
         """
         names = [signal] if signal in self.signals else []
         while (name := f"{signal}[{len(names) + 1}]") in self.signals:
@@ -55,29 +56,27 @@ class Result:
         return np.column_stack([self.signals[name] for name in names])
 
     def require_success(self) -> "Result":
-        """Return itself, or raise what ended the run early."""
+        """Return itself, or raise the failure."""
         if self.failure:
             raise self.failure
         return self
 
     def write(self, path: Path) -> None:
-        """Write time and signals as CSV, or Parquet where the name ends so."""
+        """Write time and signals as CSV, or Parquet by suffix."""
         with written_whole(path) as temporary:
             write_table(temporary, {"t": self.t} | self.signals)
 
 
 class Master:
-    """A system that is loaded and checked; a context manager that frees every FMU on any way out.
+    """A loaded and checked system; a context manager that frees all FMUs.
 
     Parameters
     ----------
     spec : the system.
-    path : its file, for messages.
-    native : whether its steps are run in C where all of its FMUs are in this process; the results
-        are the same.
-    loaded : lends FMUs that are loaded already and keeps them for the next system; each is loaded
-        for this one alone where not given.
-    scheme : exchange of values; the order of the system by default.
+    path : file of the system, for messages.
+    native : whether to step in C if all FMUs are in this process; the results are equal.
+    loaded : pool of loaded FMUs; by default every FMU is loaded for this system alone.
+    scheme : exchange of values; by default the order of the system.
 
     Raises
     ------
@@ -124,7 +123,7 @@ class Master:
         self._cleanup.__exit__(kind, error, trace)
 
     def _build(self) -> None:
-        """Give every output that is needed a place, those of a component side by side."""
+        """Assign a place to every needed output, contiguous for each component."""
         wiring = self._wiring
         wanted = [*wiring.sources.values(), *wiring.observed, *(e for e, _ in wiring.limited)]
         names: list[Element] = [
@@ -185,14 +184,14 @@ class Master:
         *,
         start: Mapping[str, Mapping[str, Value]] | None = None,
     ) -> Result:
-        """Run the system from its start values; a failure ends the run and stands in the result.
+        """Run the system from its start values; a failure ends the run and is part of the result.
 
-        A system can be run again and again: each run begins with a reset.
+        A system can be run repeatedly; each run begins with a reset.
 
         Parameters
         ----------
-        progress : told how far the run has come.
-        start : start values of components for this run, beside those of the system.
+        progress : receives the state of the run.
+        start : start values of components for this run, in addition to those of the system.
         """
         steps, step, stepper = self.spec.steps, self.spec.step, self._stepper
         kept = np.empty((steps + 1, len(self._layout.rows)))
@@ -201,15 +200,15 @@ class Master:
         try:
             self._initialise(start or {})
             with untimed():
-                for k in range(0, steps + 1, _TELL_EVERY):
+                for k in range(0, steps + 1, _REPORT_EVERY):
                     progress(k, steps)
-                    stepper.advance(stop := min(k + _TELL_EVERY, steps + 1))
+                    stepper.advance(stop := min(k + _REPORT_EVERY, steps + 1))
                     if stepper.done < stop:
                         break
         except SimulationError as error:
             failure = error
         done = stepper.done
-        # Where one component gives what is no number, another may be the one that complains.
+        # A NaN of one component may make another one fail.
         failure = self._not_finite(done * step) or failure
         progress(steps, steps)
         signals = {".".join(e): kept[:done, i] for i, e in enumerate(self._wiring.observed)}
@@ -221,7 +220,7 @@ class Master:
         Raises
         ------
         ConfigError
-            Naming the file that asks for them, and the component or variable.
+            If they do not, naming the file `path` and the component or variable.
         """
         try:
             self._wiring.started(start)
@@ -236,12 +235,12 @@ class Master:
                     )
 
     def require_alike(self, one: str, other: str, path: Path) -> None:
-        """Check that two observed signals have as many elements as each other.
+        """Check that two observed signals have the same number of elements.
 
         Raises
         ------
         ConfigError
-            If not, naming the file that asks for it.
+            If not, naming the file `path`.
         """
         counts = [len(self._wiring.elements(signal)) for signal in (one, other)]
         if counts[0] != counts[1]:

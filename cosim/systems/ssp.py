@@ -1,38 +1,56 @@
-"""A system of FMUs as an SSP, which other co-simulation engines read."""
+"""Systems of FMUs as SSP archives, which other co-simulation engines read.
 
+The description keeps to the subset that FMPy, libcosim, ecos and OMSimulator read: one level, and
+connectors at components only, each connected or observed (FMPy requires a connection for every
+input with a connector). SSP has no steps; they are in annotations of the engines.
+"""
+
+from importlib.metadata import version as installed
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
-from cosim.systems.contents import SystemContents
-from cosim.systems.markup import Version
-from cosim.systems.ssd import SSD, resource, to_ssd
+from cosim.systems.contents import SystemContents, Unit
+from cosim.systems.markup import NAMESPACES, Version, add_units, text_of, to_bytes
 from cosim.systems.ssp_results import result_files
-from cosim.systems.ssv import to_ssv
+from cosim.systems.system import ComponentSpec
 from fmu_src.export.package import zip_members
+from fmu_src.run.master import Element
 from hesr_model.errors import ConfigError
 from hesr_model.support.files import written_whole
+from hesr_model.support.text import listed
+
+SSD = "SystemStructure.ssd"
+"""Name of the description in an SSP."""
+PARAMETER_SET = "start"
+"""Name of every component's parameter set; libcosim and ecos apply sets of one name together."""
+
+OMSIMULATOR = "org.openmodelica"
+OSP = "com.opensimulationplatform"
+_ENGINES = {
+    "xmlns:oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
+    "xmlns:osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
+}
+_TOLERANCE = "0.0001"
+"""Tolerance that OMSimulator requires; FMUs with a fixed step ignore it."""
 
 
 def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0") -> Path:
-    """Write a system with its FMUs as an SSP: the same bytes every time.
+    """Write a system with its FMUs as an SSP and return the path; the bytes are reproducible.
 
-    Where all FMUs are ours it carries the system's signals as reference results.
+    If all FMUs are trusted, the SSP contains the system's signals as reference results.
 
     Parameters
     ----------
     contents : the system.
     path : the file to write, ending in .ssp.
-    version : of the standard; libcosim and ecos read 1.0 only.
-
-    Returns
-    -------
-    `path`.
+    version : version of the standard; libcosim and ecos read 1.0 only.
 
     Raises
     ------
     ConfigError
-        If the name does not end so.
+        If the suffix is wrong.
     ArtifactError
-        If it cannot be written.
+        If the file cannot be written.
     """
     if path.suffix != ".ssp":
         raise ConfigError(f"{path}: the name of a packaged system ends in .ssp.")
@@ -49,15 +67,124 @@ def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0")
 
 
 def left_out(contents: SystemContents) -> str | None:
-    """Return one sentence on what of a system its SSP has not, None if that is nothing.
+    """Return one sentence on the parts of a system that its SSP lacks; None if it lacks nothing.
 
-    Connectors of inputs that nothing feeds, of parameters and of what is local would be refused by
-    engines, so that an SSP observes outputs only.
+    Engines refuse connectors of unconnected inputs, parameters and local variables, so an SSP
+    observes outputs only.
     """
-    from hesr_model.support.text import listed
-
     used = set(contents.used)
     observed = [".".join(e) for e in contents.wiring.observed if e not in used]
     parts = [f"observes outputs only, not {listed(observed)}"] if observed else []
     parts += [f"has no limits of {listed(contents.spec.limits)}"] if contents.spec.limits else []
     return f"The SSP {', and '.join(parts)}." if parts else None
+
+
+def resource(component: str, suffix: str) -> str:
+    """Return the name of a component's file in the SSP; OMSimulator needs one FMU per component."""
+    return f"resources/{component}{suffix}"
+
+
+def to_ssd(contents: SystemContents, version: Version) -> bytes:
+    """Return SystemStructure.ssd."""
+    spec = contents.spec
+    root = ET.Element(
+        "ssd:SystemStructureDescription",
+        NAMESPACES | _ENGINES,
+        version=version,
+        name=spec.name,
+        generationTool=f"HESR {installed('hesr')}",
+        generationDateAndTime=contents.created,
+    )
+    connectors = [*contents.wiring.sources, *contents.used]
+    units = contents.units(connectors)
+    system = ET.SubElement(root, "ssd:System", name=spec.name)
+    elements = ET.SubElement(system, "ssd:Elements")
+    for component in spec.components:
+        elements.append(_component(contents, component, connectors, units))
+    if contents.wiring.sources:
+        connections = ET.SubElement(system, "ssd:Connections")
+        for (target, into), (source, out) in contents.wiring.sources.items():
+            ET.SubElement(
+                connections,
+                "ssd:Connection",
+                startElement=source,
+                startConnector=out,
+                endElement=target,
+                endConnector=into,
+            )
+    master = _annotation(system, OMSIMULATOR)
+    for tag in ("oms:Annotations", "oms:SimulationInformation"):
+        master = ET.SubElement(master, tag)
+    ET.SubElement(
+        master,
+        "oms:FixedStepMaster",
+        description="oms-ma",
+        stepSize=repr(spec.step),
+        absoluteTolerance=_TOLERANCE,
+        relativeTolerance=_TOLERANCE,
+    )
+    add_units(root, "ssd:Units", units)
+    experiment = ET.SubElement(
+        root, "ssd:DefaultExperiment", startTime="0.0", stopTime=repr(spec.stop)
+    )
+    algorithm = ET.SubElement(_annotation(experiment, OSP), "osp:Algorithm")
+    ET.SubElement(algorithm, "osp:FixedStepAlgorithm", baseStepSize=repr(spec.step))
+    return to_bytes(root)
+
+
+def _component(
+    contents: SystemContents,
+    component: ComponentSpec,
+    connectors: list[Element],
+    units: dict[str, Unit],
+) -> ET.Element:
+    name = component.name
+    node = ET.Element(
+        "ssd:Component",
+        name=name,
+        type="application/x-fmu-sharedlibrary",
+        source=resource(name, ".fmu"),
+        implementation="CoSimulation",
+    )
+    own = [variable for owner, variable in connectors if owner == name]
+    if own:
+        table = ET.SubElement(node, "ssd:Connectors")
+        for variable in own:
+            causality = contents.variables[name][variable].causality
+            connector = ET.SubElement(table, "ssd:Connector", name=variable, kind=causality)
+            kind = contents.type_of((name, variable))
+            ET.SubElement(connector, f"ssc:{kind}", contents.unit((name, variable), units))
+    if contents.wiring.start[name]:
+        bindings = ET.SubElement(node, "ssd:ParameterBindings")
+        ET.SubElement(bindings, "ssd:ParameterBinding", source=resource(name, ".ssv"))
+    if contents.spec.every(component) > 1:
+        step = contents.spec.every(component) * contents.spec.step
+        ET.SubElement(_annotation(node, OSP), "osp:StepSizeHint", value=repr(step))
+    return node
+
+
+def _annotation(parent: ET.Element, kind: str) -> ET.Element:
+    annotations = ET.SubElement(parent, "ssd:Annotations")
+    return ET.SubElement(annotations, "ssc:Annotation", type=kind)
+
+
+def to_ssv(contents: SystemContents, component: str, version: Version) -> bytes:
+    """Return the start values of a component with their units, as a parameter set."""
+    start = contents.wiring.start[component]
+    units = contents.units((component, variable) for variable in start)
+    root = ET.Element(
+        "ssv:ParameterSet",
+        {key: NAMESPACES[key] for key in ("xmlns:ssc", "xmlns:ssv")},
+        version=version,
+        name=PARAMETER_SET,
+        generationTool=f"HESR {installed('hesr')}",
+        generationDateAndTime=contents.created,
+    )
+    parameters = ET.SubElement(root, "ssv:Parameters")
+    for variable, value in start.items():
+        kind = contents.type_of((component, variable))
+        said = {"value": text_of(kind, value)} | contents.unit((component, variable), units)
+        parameter = ET.SubElement(parameters, "ssv:Parameter", name=variable)
+        ET.SubElement(parameter, f"ssv:{kind}", said)
+    add_units(root, "ssv:Units", units)
+    return to_bytes(root)

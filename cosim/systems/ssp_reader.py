@@ -1,50 +1,53 @@
-"""A system of FMUs as a user hands it over: a TOML file, or an SSP of any tool."""
+"""Systems of FMUs read from a TOML file, or from an SSP of any tool."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
+from pydantic import TypeAdapter, ValidationError
+
 from cosim.systems.contents import Unit, description_of
-from cosim.systems.markup import NAMESPACES
-from cosim.systems.names import safe_names
-from cosim.systems.ssd import SSD
-from cosim.systems.system import SystemSpec
-from cosim.systems.units import Quantity, differ, in_unit_of, read_units
+from cosim.systems.markup import NAMESPACES, ValueWithUnit, differ, in_unit_of, read_units
+from cosim.systems.ssp import SSD
+from cosim.systems.system import Name, SystemSpec
 from fmu_src.run.archive import MOST_BYTES, MOST_TEXT, Archive
 from fmu_src.run.variables import Variables
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support.config import validated
 
 _PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
-# Each engine's annotation that gives the step; any namespace, since tools differ in it.
+# Annotations of the engines with the step, in any namespace because tools differ.
 _STEPS = ((".//{*}FixedStepAlgorithm", "baseStepSize"), (".//{*}FixedStepMaster", "stepSize"))
 
 _TRUE = ("true", "1")
-_LONGEST = 100  # characters of a file's name
+_LONGEST = 100
+"""Maximum length of a file name."""
+_NAME: TypeAdapter[str] = TypeAdapter(Name)
 
 
 @contextmanager
 def opened_system(path: Path) -> Iterator[SystemSpec]:
-    """Yield the system that a file describes; the FMUs of an SSP are unpacked for as long.
+    """Yield the system of a file; the FMUs of an SSP are unpacked meanwhile.
 
-    Of an SSP are read one level of components with their connections, start values and steps; all
-    outputs that have a connector are observed. Components whose names a system does not allow get
-    others; start values in units of their own are converted.
+    An SSP is read as one level of components with connections, start values and steps, and all
+    outputs with a connector are observed. Invalid names of components are replaced, and start
+    values are converted to the units of the FMU.
 
     Raises
     ------
     ArtifactError
         If an SSP cannot be read, or is not safe to unpack.
     ConfigError
-        Naming the file and what is wrong or cannot be read in it.
+        If the system is invalid or not supported, naming the file and the element.
     SimulationError
-        If an FMU cannot be read, whose units are needed for its start values.
+        If an FMU cannot be read and its units are needed.
     """
     if path.suffix.lower() != ".ssp":
         yield SystemSpec.read(path)
@@ -55,7 +58,7 @@ def opened_system(path: Path) -> Iterator[SystemSpec]:
 
 @dataclass(frozen=True)
 class _Reader:
-    """An SSP that is being read."""
+    """Reader of one SSP."""
 
     path: Path
     archive: Archive
@@ -65,7 +68,7 @@ class _Reader:
         return ConfigError(f"{self.path}: {text}")
 
     def member(self, name: str, where: str = "", most: int = MOST_BYTES) -> bytes:
-        # Sources are URIs; some tools write plain names all the same.
+        # Sources are URIs, but some tools write plain names.
         names = self.archive.names
         candidates = (str(PurePosixPath(n)) for n in (unquote(name), name))
         member = next((n for n in candidates if n in names), None)
@@ -76,8 +79,8 @@ class _Reader:
     def parsed(self, name: str, where: str = "") -> ET.Element:
         try:
             return ET.fromstring(self.member(name, where, MOST_TEXT))
-        except (ET.ParseError, LookupError, ValueError) as error:  # or no encoding that exists
-            raise self.error(f"{where}{name} is no valid XML ({error}).") from error
+        except (ET.ParseError, LookupError, ValueError) as error:  # or an unknown encoding
+            raise self.error(f"{where}{name} is not valid XML ({error}).") from error
 
     def attribute(self, node: ET.Element, name: str, where: str) -> str:
         value = node.get(name)
@@ -90,11 +93,11 @@ class _Reader:
         root = self.parsed(SSD)
         system = _one(root, "ssd:System")
         if system is None:
-            raise self.error(f"{SSD} describes no system.")
+            raise self.error(f"{SSD} contains no system.")
         experiment = _one(root, "ssd:DefaultExperiment")
         stop = None if experiment is None else experiment.get("stopTime")
         if stop is None:
-            raise self.error("gives no stopTime of its default experiment.")
+            raise self.error("the default experiment has no stopTime.")
         nodes = _all(system, "ssd:Elements/*")
         names = safe_names(self.attribute(node, "name", "an element") for node in nodes)
         start = self.values(system, f"system '{system.get('name')}'")
@@ -116,7 +119,7 @@ class _Reader:
             node = root.find(tag)
             if node is not None and (text := node.get(key)):
                 return text
-        raise self.error("gives no step, as an annotation for libcosim or OMSimulator.")
+        raise self.error("no step found; it must be in an annotation for libcosim or OMSimulator.")
 
     def component(
         self, node: ET.Element, names: Mapping[str, str], more: Mapping[str, Any]
@@ -124,8 +127,10 @@ class _Reader:
         name = node.get("name", "")
         where = f"component '{name}'"
         if node.tag != f"{{{_PREFIXES['ssd']}}}Component":
-            raise self.error(f"element '{name}' is no FMU; only one level of FMUs is read.")
-        # A folder for each: names that differ here may be those of one file on other systems.
+            raise self.error(
+                f"element '{name}' is not an FMU; only one level of FMUs is supported."
+            )
+        # One folder each: names may collide on other file systems.
         file = f"{re.sub(r'[^0-9A-Za-z_]', '_', names[name])[:_LONGEST]}.fmu"
         fmu = self.folder / str(list(names).index(name)) / file
         fmu.parent.mkdir(exist_ok=True)
@@ -141,13 +146,13 @@ class _Reader:
         return data if hint is None else data | {"step": hint.get("value")}
 
     def converted(self, start: Mapping[str, Any], fmu: Path, where: str) -> Mapping[str, Any]:
-        """Return start values in the units of an FMU, which is read only where one has a unit."""
-        if not any(isinstance(value, Quantity) for value in start.values()):
+        """Return start values in the units of an FMU, which is read only if a value has a unit."""
+        if not any(isinstance(value, ValueWithUnit) for value in start.values()):
             return start
         variables = Variables(fmu, description_of(fmu, f"{self.path}: {where}"))
         found: dict[str, Any] = {}
         for name, value in start.items():
-            if not isinstance(value, Quantity):
+            if not isinstance(value, ValueWithUnit):
                 found[name] = value
                 continue
             parameter = f"{self.path}: {where}: parameter '{name}'"
@@ -159,11 +164,11 @@ class _Reader:
         return found
 
     def values(self, node: ET.Element, where: str) -> dict[str, Any]:
-        """Return what the parameter bindings of an element say."""
+        """Return the values of an element's parameter bindings."""
         found: dict[str, Any] = {}
         for binding in _all(node, "ssd:ParameterBindings/ssd:ParameterBinding"):
             if _one(binding, "ssd:ParameterMapping") is not None:
-                raise self.error(f"{where}: mappings of parameters are not read.")
+                raise self.error(f"{where}: mappings of parameters are not supported.")
             source, prefix = binding.get("source"), binding.get("prefix", "")
             for values in (
                 _all(binding, "ssd:ParameterValues/ssv:ParameterSet")
@@ -179,7 +184,7 @@ class _Reader:
 
     def value(
         self, parameter: ET.Element, units: Mapping[str, Unit], where: str
-    ) -> float | int | bool | str | Quantity:
+    ) -> float | int | bool | str | ValueWithUnit:
         for node in parameter:
             kind, text = node.tag.rpartition("}")[2], self.attribute(node, "value", where)
             if kind in ("String", "Enumeration"):
@@ -189,17 +194,17 @@ class _Reader:
             try:
                 number = int(text) if kind == "Integer" else float(text)
             except ValueError as error:
-                raise self.error(f"{where} is '{text}', no {kind}.") from error
+                raise self.error(f"{where} is '{text}', which is not of type {kind}.") from error
             unit = node.get("unit")
-            return Quantity(value=number, unit=unit, base=units.get(unit)) if unit else number
+            return ValueWithUnit(value=number, unit=unit, base=units.get(unit)) if unit else number
         raise self.error(f"{where} has no value.")
 
     def signal(self, component: str, node: ET.Element, key: str) -> str:
-        """Return a connector as systems name it."""
+        """Return the name of a connector in a system."""
         connector = self.attribute(node, key, f"a connector of '{component}'")
         if not connector or re.search(r"\s", connector):
             raise self.error(
-                f"connector '{connector}' of '{component}': names with spaces are not read."
+                f"connector '{connector}' of '{component}': names with spaces are not supported."
             )
         return f"{component}.{connector}"
 
@@ -236,12 +241,12 @@ class _Reader:
         into, out = (".".join(filter(None, pair)) for pair in (ends[:2], ends[2:]))
         where = f"connection '{into}' = '{out}'"
         if None in ends:
-            raise self.error(f"{where}: connectors of the system itself are not read.")
+            raise self.error(f"{where}: connectors of the system itself are not supported.")
         if any(child.tag.endswith("Transformation") for child in node):
-            raise self.error(f"{where}: transformations are not read.")
+            raise self.error(f"{where}: transformations are not supported.")
         for element in (ends[0], ends[2]):
             if element not in names:
-                raise self.error(f"{where}: '{element}' is no component of the system.")
+                raise self.error(f"{where}: '{element}' is not a component of the system.")
         into, out = (
             self.signal(names[str(node.get(f"{end}Element"))], node, f"{end}Connector")
             for end in ("end", "start")
@@ -255,3 +260,31 @@ def _one(node: ET.Element, path: str) -> ET.Element | None:
 
 def _all(node: ET.Element, path: str) -> list[ET.Element]:
     return node.findall(path, _PREFIXES)
+
+
+def safe_names(names: Iterable[str]) -> dict[str, str]:
+    """Map names of components to unique names that a system allows.
+
+    Allowed names are kept. In others `_` replaces everything except ASCII letters and digits, and
+    a number is appended if two become equal.
+    """
+    names = list(dict.fromkeys(names))
+    found = {name: name for name in names if _allowed(name)}
+    taken = set(found)
+    for name in names:
+        if name in found:
+            continue
+        plain = re.sub(r"[^0-9A-Za-z_]", "_", name)
+        plain = plain if _allowed(plain) else f"_{plain}"
+        numbered = (f"{plain}_{k}" for k in count(2))
+        found[name] = next(n for n in chain([plain], numbered) if n not in taken)
+        taken.add(found[name])
+    return found
+
+
+def _allowed(name: str) -> bool:
+    try:
+        _NAME.validate_python(name)
+    except ValidationError:
+        return False
+    return True

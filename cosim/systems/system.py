@@ -1,21 +1,27 @@
-"""A system of FMUs as a TOML file describes it: components, start values, connections, steps."""
+"""Systems of FMUs: components, start values, connections and steps, in a TOML file."""
 
+import json
+import os
 from collections import Counter
-from collections.abc import Mapping
-from typing import Annotated, Self
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from fmu_src.run.master import Order
 from hesr_model.support.config import Config, RelativePath
+from hesr_model.support.files import written_whole
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")]
 Signal = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*\.\S+$")]
-"""`component.variable`; without an index it stands for all elements of a vector."""
+"""`component.variable`; without an index all elements of a vector."""
 Value = bool | int | float | str | tuple[float, ...]
 
-_MULTIPLE = 1e-9  # relative; how exactly a step has to be a multiple of another
-_MOST_STEPS = 10**9  # of a run
+_MULTIPLE = 1e-9
+"""Relative tolerance of steps that must be multiples of each other."""
+_MOST_STEPS = 10**9
+"""Maximum number of steps of a run."""
 _MOST_COMPONENTS = 1000
 
 
@@ -33,11 +39,11 @@ class ComponentSpec(Config):
 
     Attributes
     ----------
-    name : in this system.
+    name : name in the system.
     fmu : the file.
-    start : values of parameters, inputs and states before the initialisation: a number, a list for
-        all elements of a vector, or the name of a choice.
-    step : its own step [s], a multiple of the system's; the system's where not given.
+    start : start values of parameters, inputs and states: a number, a list for all elements of a
+        vector, or the name of a choice.
+    step : step of the component [s], a multiple of the system's; by default the system's.
     """
 
     name: Name
@@ -83,11 +89,11 @@ class SystemSpec(Config):
 
     @property
     def steps(self) -> int:
-        """How many communication steps a run has."""
+        """Number of communication steps of a run."""
         return round(self.stop / self.step)
 
     def every(self, component: ComponentSpec) -> int:
-        """How many communication steps one step of a component has."""
+        """Return the number of communication steps per step of a component."""
         return round((component.step or self.step) / self.step)
 
 
@@ -96,8 +102,55 @@ def _multiple_of(time: float, step: float, what: str) -> None:
     if not time / step <= _MOST_STEPS:
         raise ValueError(
             f"{what} is {time:g} s, {time / step:.3g} communication steps of {step:g} s; at most "
-            f"{_MOST_STEPS:g} can be done"
+            f"{_MOST_STEPS:g} are allowed"
         )
     count = round(time / step)
     if count < 1 or abs(time - count * step) > _MULTIPLE * time:
-        raise ValueError(f"{what} is {time:g} s, no multiple of the communication step, {step:g} s")
+        raise ValueError(
+            f"{what} is {time:g} s; it must be a multiple of the communication step, {step:g} s"
+        )
+
+
+def write_system(spec: SystemSpec, path: Path) -> Path:
+    """Write a system as TOML, with paths of FMUs relative to the file, and return the path.
+
+    Raises
+    ------
+    ArtifactError
+        If the file cannot be written.
+    """
+    with written_whole(path) as temporary:
+        text = "\n".join(_lines(spec, path.parent.resolve()))
+        temporary.write_text(f"{text}\n", encoding="utf-8")
+    return path
+
+
+def _lines(spec: SystemSpec, folder: Path) -> Iterator[str]:
+    for key in ("name", "step", "stop", "order", "observe"):
+        yield f"{key} = {_value(getattr(spec, key))}"
+    for component in spec.components:
+        yield from ("", "[[components]]", f"name = {_value(component.name)}")
+        fmu = Path(os.path.relpath(component.fmu.resolve(), folder)).as_posix()
+        yield f"fmu = {_value(fmu)}"
+        if component.step is not None:
+            yield f"step = {_value(component.step)}"
+        if component.start:
+            yield from ("", "[components.start]", *_pairs(component.start))
+    for table in ("connections", "limits"):
+        if pairs := getattr(spec, table):
+            yield from ("", f"[{table}]", *_pairs(pairs))
+
+
+def _pairs(table: Any) -> Iterator[str]:
+    for key, value in table.items():
+        yield f"{_value(key)} = {_value(value)}"
+
+
+def _value(value: Any) -> str:
+    """Return a value as TOML, with all digits of a number."""
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, float):
+        return repr(float(value))
+    # TOML writes text, integers and booleans like JSON.
+    return json.dumps(value, ensure_ascii=False)

@@ -1,4 +1,4 @@
-"""How the signals of a system are connected, checked against what its FMUs say of themselves."""
+"""Connections of a system, checked against the descriptions of its FMUs."""
 
 from collections.abc import Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
@@ -12,7 +12,7 @@ from hesr_model.errors import ConfigError, SimulationError
 
 
 class Wiring:
-    """The signals of a system.
+    """Signals of a system.
 
     Parameters
     ----------
@@ -22,17 +22,17 @@ class Wiring:
 
     Attributes
     ----------
-    sources : for each connected input the output that feeds it.
-    order : inputs and outputs, each after those that its value depends on directly.
-    start : for each component the start values by variable.
-    observed : elements of the signals that are kept.
-    limited : lowest and highest value of elements.
+    sources : source of each connected input.
+    order : inputs and outputs, each after its direct dependencies.
+    start : start values by component and variable.
+    observed : elements of the observed signals.
+    limited : elements with their limits.
 
     Raises
     ------
     ConfigError
-        Naming the file and the signal: if it does not exist, does not fit what it is connected to,
-        or an input has no value; if outputs depend on themselves.
+        If a signal does not exist or does not fit its source, an input has no value, or there is
+        an algebraic loop.
     """
 
     def __init__(self, spec: SystemSpec, slaves: Mapping[str, Variables], path: Path) -> None:
@@ -55,7 +55,7 @@ class Wiring:
         self.order = self._sorted()
 
     def started(self, more: Mapping[str, Mapping[str, Value]]) -> dict[str, dict[str, float | str]]:
-        """Return the start values of each component, with others in place of the system's."""
+        """Return the start values of each component, replaced by the given ones."""
         for name in more:
             self._require_component(name, "start values")
         return {n: own | self._start(n, more.get(n, {})) for n, own in self.start.items()}
@@ -73,7 +73,7 @@ class Wiring:
         return self._elements(signal, f"'{signal}'")
 
     def _elements(self, signal: str, where: str, kind: str | None = None) -> list[Element]:
-        """Return the elements of a signal, all of one type where that is given."""
+        """Return the elements of a signal, and check their type if one is given."""
         name, _, variable = signal.partition(".")
         self._require_component(name, where)
         try:
@@ -91,7 +91,7 @@ class Wiring:
             raise self._error(f"start values of '{name}': {error}") from error
 
     def _bounds(self, signal: str, bounds: Any, where: str) -> Iterator[tuple[Element, Bounds]]:
-        """Yield the bounds of each element: one pair for all of them, or one for each."""
+        """Yield the bounds of each element, from one pair for all or one pair each."""
         elements = self._elements(signal, where, "Real")
         pairs = bounds if isinstance(bounds[0], tuple) else (bounds,) * len(elements)
         if len(pairs) != len(elements):
@@ -115,11 +115,14 @@ class Wiring:
             self.sources[into] = out
 
     def _require_fit(self, into: Element, out: Element, where: str) -> None:
-        """Check that an output can feed an input."""
+        """Check that an output fits an input."""
         for (name, variable), wanted in ((into, "input"), (out, "output")):
             found = self._slaves[name][variable].causality
             if found != wanted:
-                raise self._error(f"{where}: '{name}.{variable}' is no {wanted}, but {found}.")
+                raise self._error(
+                    f"{where}: the causality of '{name}.{variable}' is {found}; it must be "
+                    f"{wanted}."
+                )
         kinds = [self._slaves[name][variable].type for name, variable in (into, out)]
         if kinds != ["Real", "Real"]:
             raise self._error(
@@ -127,13 +130,13 @@ class Wiring:
                 "be Real."
             )
         taken, given = (self._slaves[name].unit(variable) for name, variable in (into, out))
-        # Tools spell units in many ways; what they are in SI base units says it.
+        # Compare SI base units, because tools spell units differently.
         alike = taken[0] == given[0] or (taken[1] is not None and taken[1] == given[1])
         if taken[0] and given[0] and not alike:
             raise self._error(f"{where}: the input is in {taken[0]}, the output in {given[0]}.")
 
     def _require_inputs(self) -> None:
-        """Every input that matters has a source, or a start value in the file."""
+        """Check that every needed input has a source, or a start value in the file."""
         for name, slave in self._slaves.items():
             for variable in slave.needed:
                 if (name, variable) not in self.sources and variable not in self.start[name]:
@@ -142,7 +145,7 @@ class Wiring:
                     )
 
     def _sorted(self) -> tuple[Element, ...]:
-        # Lists, not sets: the order has to be the same in every run.
+        # Lists, not sets, for a reproducible order.
         graph: dict[Element, list[Element]] = {i: [out] for i, out in self.sources.items()}
         for name, slave in self._slaves.items():
             for output, needed in slave.feedthrough.items():

@@ -18,8 +18,7 @@ from cosim.loop.closed_loop import Scheme
 from cosim.systems.container import write_container
 from cosim.systems.contents import read_contents
 from cosim.systems.simulation import Master
-from cosim.systems.system import SystemSpec
-from cosim.systems.system_file import write_system
+from cosim.systems.system import SystemSpec, write_system
 from fmu_src import model_file
 from hesr.extras.sweep.run import run_sweep
 from hesr_model.friction.model import FrictionModel

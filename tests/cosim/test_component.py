@@ -160,7 +160,7 @@ def test_an_fmu_that_cannot_be_stepped(friction_fmu, tmp_path, folder):
     with pytest.raises(ConfigError) as caught:
         read_contents(spec, tmp_path / "alone.toml")
     where = f"{tmp_path / 'alone.toml'}: component 'friction'"
-    assert str(caught.value) == f"{where}: {fmu} is no FMU of FMI 2.0 for co-simulation."
+    assert str(caught.value) == f"{where}: {fmu} is not an FMI 2.0 FMU for co-simulation."
 
 
 def test_fmus_for_other_platforms(friction_fmu, tmp_path, folder):

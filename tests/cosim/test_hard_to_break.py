@@ -275,8 +275,8 @@ def test_toml_that_no_program_should_read(
 @pytest.mark.parametrize(
     ("step", "stop", "reason"),
     [
-        (1e-300, 1.0, "1e+300 communication steps of 1e-300 s; at most 1e+09 can be done"),
-        (1e-3, 1e308, "inf communication steps of 0.001 s; at most 1e+09 can be done"),
+        (1e-300, 1.0, "1e+300 communication steps of 1e-300 s; at most 1e+09 are allowed"),
+        (1e-3, 1e308, "inf communication steps of 0.001 s; at most 1e+09 are allowed"),
         (5e-324, 1e308, "inf communication steps of"),
     ],
 )

@@ -264,7 +264,7 @@ ERRORS = [
         "arm.urdf",
         ONE_JOINT.replace('velocity="2"', 'velocity="0.01"'),
         [],
-        r"^robot 'new': the limits of joint 'pitch' admit no motion faster than 0\.0093 rad/s "
+        r"^robot 'new': the limits of joint 'pitch' allow at most 0\.0093 rad/s "
         r"\(m/s\); identification needs more than 0\.02, so leave the joint out\.$",
     ),
     ("arm.urdf", "<robot", [], r"arm\.urdf: cannot be parsed as a URDF \(.+\)\.$"),

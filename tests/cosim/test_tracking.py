@@ -23,8 +23,7 @@ from cosim.loop.robustness import CYCLING, FACTORS, run_overcompensation, run_sw
 from cosim.loop.tracking import Tracked, track
 from cosim.study.study import Study
 from cosim.systems.simulation import Master
-from cosim.systems.system import SystemSpec
-from cosim.systems.system_file import write_system
+from cosim.systems.system import SystemSpec, write_system
 from fmu_src import export_fmu, model_file
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant

@@ -5,8 +5,7 @@ from pathlib import Path
 from closed_loop import MOTION, build
 
 from cosim.loop.closed_loop import Scheme
-from cosim.systems.system import ComponentSpec, SystemSpec
-from cosim.systems.system_file import write_system
+from cosim.systems.system import ComponentSpec, SystemSpec, write_system
 from fmu_src import export_fmu, model_file
 from fmu_src.blocks.trajectory import start_values, trajectory
 from fmu_src.export.package import write_fmu

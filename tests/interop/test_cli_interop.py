@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 from small_fmus import lag
 
-from cosim.systems.system import ComponentSpec, SystemSpec
-from cosim.systems.system_file import write_system
+from cosim.systems.system import ComponentSpec, SystemSpec, write_system
 from hesr.cli import app
 from hesr_model.errors import HesrError
 

@@ -17,8 +17,7 @@ from cosim.interop.matrix import compare
 from cosim.interop.reference import alone, together
 from cosim.interop.table import notes, table
 from cosim.systems.simulation import Master
-from cosim.systems.system import ComponentSpec, SystemSpec
-from cosim.systems.system_file import write_system
+from cosim.systems.system import ComponentSpec, SystemSpec, write_system
 from fmu_src import export_fmu
 from fmu_src.blocks.trajectory import trajectory
 from fmu_src.export.package import write_fmu

@@ -11,13 +11,11 @@ from fakes import description, variable
 from small_study import Hesr
 
 from cosim.systems.contents import read_contents
-from cosim.systems.names import safe_names
+from cosim.systems.markup import ValueWithUnit, in_unit_of
 from cosim.systems.simulation import simulate
-from cosim.systems.ssd import SSD
-from cosim.systems.ssp import write_ssp
-from cosim.systems.ssp_reader import opened_system
+from cosim.systems.ssp import SSD, write_ssp
+from cosim.systems.ssp_reader import opened_system, safe_names
 from cosim.systems.system import SystemSpec
-from cosim.systems.units import Quantity, in_unit_of
 from fmu_src.run.variables import SI, Variables
 from hesr_model.errors import ConfigError
 
@@ -80,25 +78,27 @@ UNITS = {
     "degC": SimpleNamespace(**dict(zip(SI, si(K=1, offset=273.15), strict=True))),
     "turn": None,
 }
-DEGREES = Quantity(value=180, unit="deg/s", base=si(s=-1, rad=1, factor=np.pi / 180))
-FAHRENHEIT = Quantity(value=50.0, unit="degF", base=si(K=1, factor=5 / 9, offset=459.67 * 5 / 9))
+DEGREES = ValueWithUnit(value=180, unit="deg/s", base=si(s=-1, rad=1, factor=np.pi / 180))
+FAHRENHEIT = ValueWithUnit(
+    value=50.0, unit="degF", base=si(K=1, factor=5 / 9, offset=459.67 * 5 / 9)
+)
 
 
 @pytest.mark.parametrize(
     ("unit", "relative", "given", "value"),
     [
         ("rad/s", None, DEGREES, np.pi),
-        ("rad/s", None, Quantity(value=2.0, unit="1/s*rad", base=si(s=-1, rad=1)), 2.0),
-        ("rad/s", None, Quantity(value=2.0, unit="rad/s", base=None), 2.0),
-        ("degC", None, Quantity(value=300.0, unit="K", base=si(K=1)), 26.85),
+        ("rad/s", None, ValueWithUnit(value=2.0, unit="1/s*rad", base=si(s=-1, rad=1)), 2.0),
+        ("rad/s", None, ValueWithUnit(value=2.0, unit="rad/s", base=None), 2.0),
+        ("degC", None, ValueWithUnit(value=300.0, unit="K", base=si(K=1)), 26.85),
         ("degC", None, FAHRENHEIT, 10.0),
         ("degC", True, FAHRENHEIT, 50.0 * 5 / 9),
-        ("turn", None, Quantity(value=3.0, unit="turn", base=si(rad=1, factor=6.28)), 3.0),
-        (None, None, Quantity(value=3.0, unit="anything", base=None), 3.0),
+        ("turn", None, ValueWithUnit(value=3.0, unit="turn", base=si(rad=1, factor=6.28)), 3.0),
+        (None, None, ValueWithUnit(value=3.0, unit="anything", base=None), 3.0),
     ],
 )  # fmt: skip
 def test_a_number_in_the_unit_of_its_variable(
-    unit: str | None, relative: bool | None, given: Quantity, value: float
+    unit: str | None, relative: bool | None, given: ValueWithUnit, value: float
 ) -> None:
     about = description(
         variable("x", "parameter", unit=unit, relativeQuantity=relative), units=UNITS
@@ -111,32 +111,32 @@ def test_a_unit_that_an_fmu_does_not_define() -> None:
     about = description(variable("x", "parameter", unit="turn"), units=UNITS)
     with pytest.raises(
         ConfigError,
-        match=r"^here is in deg, its variable in turn, and the FMU does not define what turn is in "
+        match=r"^here is in deg, its variable in turn; the FMU does not define turn in "
         r"SI base units\.$",
     ):
         in_unit_of(
             Variables(Path("F.fmu"), about),
             "x",
-            Quantity(value=1.0, unit="deg", base=si(rad=1)),
+            ValueWithUnit(value=1.0, unit="deg", base=si(rad=1)),
             "here",
         )
 
 
 REFUSED: list[tuple[Changes, str]] = [
     ({A: [MS[0]]},
-     "component 'a': parameter 'T' is in ms, its variable in s, and the SSP does not define what "
-     "ms is in SI base units."),
+     "component 'a': parameter 'T' is in ms, its variable in s; the SSP does not define "
+     "ms in SI base units."),
     ({A: [MS[0], (MS[1][0], MS[1][1].replace('s="1"', 'm="1"'))]},
      "component 'a': parameter 'T' is in ms, which cannot be converted into s, the unit of its "
      "variable."),
     ({A: [MS[0], (MS[1][0], MS[1][1].replace("1e-3", "tiny"))]},
-     "component 'a': factor of unit 'ms' is 'tiny', no number."),
+     "component 'a': factor of unit 'ms' is 'tiny'; it must be a number."),
     ({A: [('name="T"', 'name="TT"')]},
      "component 'a': parameter 'TT': {fmu}: there is no variable 'TT'"),
     ({SSD: [('startElement="a"', 'startElement="c d"')]},
-     "connection 'b.u' = 'c d.y': 'c d' is no component of the system."),
+     "connection 'b.u' = 'c d.y': 'c d' is not a component of the system."),
     ({SSD: [('startConnector="y"', 'startConnector="y 1"')]},
-     "connector 'y 1' of 'a': names with spaces are not read."),
+     "connector 'y 1' of 'a': names with spaces are not supported."),
     ({SSD: [('"u" kind="input">\n            <ssc:Real unit="1"',
              '"u" kind="input"><ssc:Real unit="%"'),
             ("<ssd:Units>",

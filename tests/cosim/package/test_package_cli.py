@@ -10,7 +10,7 @@ from small_study import Hesr, contents
 
 from cosim.systems.contents import SystemContents
 from cosim.systems.ssp import write_ssp
-from cosim.systems.system_file import write_system
+from cosim.systems.system import write_system
 
 SSD = "SystemStructure.ssd"
 Edit = Callable[..., Path]
@@ -170,22 +170,22 @@ SSP: list[tuple[dict[str, Any], str]] = [
     ({"without": "resources/friction.ssv"},
      "component 'friction': there is no resources/friction.ssv in it."),
     ({"changes": [("</ssd:System>", "")]},
-     "SystemStructure.ssd is no valid XML (mismatched tag: line {line}, column 2)."),
+     "SystemStructure.ssd is not valid XML (mismatched tag: line {line}, column 2)."),
     ({"changes": [("ssd:System ", "ssd:Sytem "), ("</ssd:System>", "</ssd:Sytem>")]},
-     "SystemStructure.ssd describes no system."),
-    ({"changes": [(' stopTime="10.0"', "")]}, "gives no stopTime of its default experiment."),
+     "SystemStructure.ssd contains no system."),
+    ({"changes": [(' stopTime="10.0"', "")]}, "the default experiment has no stopTime."),
     ({"changes": [("stopTime=\"10.0\"", "stopTime=\"late\"")]},
      "key 'stop' is 'late': Input should be a valid number, unable to parse string as a number."),
     ({"changes": [("oms:FixedStepMaster", "oms:Other"), ("osp:FixedStepAlgorithm", "osp:Other")]},
-     "gives no step, as an annotation for libcosim or OMSimulator."),
+     "no step found; it must be in an annotation for libcosim or OMSimulator."),
     ({"changes": [('endConnector="dq[2]"', 'endConnector="dp[2]"')]},
      "connection 'friction.dp[2]' = 'trajectory.dq[2]': {fmu}: there is no variable 'dp[2]'; did "
      "you mean dq[2], "),
     ({"changes": [('startElement="trajectory" startConnector="dq[2]"', 'startConnector="dq[2]"')]},
-     "connection 'friction.dq[2]' = 'dq[2]': connectors of the system itself are not read."),
+     "connection 'friction.dq[2]' = 'dq[2]': connectors of the system itself are not supported."),
     ({"changes": [('endConnector="dq[2]" />', 'endConnector="dq[2]">'
                    '<ssc:LinearTransformation factor="2"/></ssd:Connection>')]},
-     "connection 'friction.dq[2]' = 'trajectory.dq[2]': transformations are not read."),
+     "connection 'friction.dq[2]' = 'trajectory.dq[2]': transformations are not supported."),
     ({"changes": [('endConnector="dq[2]"', 'endConnector="dq[1]"')]},
      "'friction.dq[1]' is connected to 'trajectory.dq[1]' and to 'trajectory.dq[2]'."),
     ({"changes": [('startConnector="q[1]"', 'startConnector="dq[1]"')]},
@@ -195,11 +195,11 @@ SSP: list[tuple[dict[str, Any], str]] = [
     ({"changes": [("<ssd:ParameterBinding source=\"resources/friction.ssv\" />",
                    "<ssd:ParameterBinding source=\"resources/friction.ssv\">"
                    "<ssd:ParameterMapping/></ssd:ParameterBinding>")]},
-     "component 'friction': mappings of parameters are not read."),
+     "component 'friction': mappings of parameters are not supported."),
     ({"member": "resources/friction.ssv", "changes": [('value="1.5"', 'value="much"')]},
      "component 'friction': parameter 'tau_load[1]' is 'much', no Real."),
     ({"changes": [("<ssd:Elements>", "<ssd:Elements><ssd:System name=\"inner\"/>")]},
-     "element 'inner' is no FMU; only one level of FMUs is read."),
+     "element 'inner' is not an FMU; only one level of FMUs is supported."),
 ]  # fmt: skip
 
 

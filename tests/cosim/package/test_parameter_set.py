@@ -52,5 +52,5 @@ def test_values_and_covariance(model: FrictionModel, tmp_path: Path) -> None:
 
 
 def test_it_is_a_file_in_ssv(model: FrictionModel, tmp_path: Path) -> None:
-    with pytest.raises(ExportError, match=r"a parameter set of SSP is a file in \.ssv"):
+    with pytest.raises(ExportError, match=r"a parameter set of SSP must end in \.ssv"):
         export_ssv(model, tmp_path / "law.xml")

@@ -6,8 +6,7 @@ import pytest
 
 from cosim.systems.contents import SystemContents
 from cosim.systems.simulation import Master
-from cosim.systems.system import ComponentSpec, SystemSpec
-from cosim.systems.system_file import write_system
+from cosim.systems.system import ComponentSpec, SystemSpec, write_system
 from hesr_model.errors import ArtifactError
 
 
