@@ -127,9 +127,7 @@ class _Reader:
         name = node.get("name", "")
         where = f"component '{name}'"
         if node.tag != f"{{{_PREFIXES['ssd']}}}Component":
-            raise self.error(
-                f"element '{name}' is not an FMU; only one level of FMUs is supported."
-            )
+            raise self.error(f"element '{name}' is not an FMU; nested systems are not supported.")
         # One folder each: names may collide on other file systems.
         file = f"{re.sub(r'[^0-9A-Za-z_]', '_', names[name])[:_LONGEST]}.fmu"
         fmu = self.folder / str(list(names).index(name)) / file

@@ -199,7 +199,7 @@ SSP: list[tuple[dict[str, Any], str]] = [
     ({"member": "resources/friction.ssv", "changes": [('value="1.5"', 'value="much"')]},
      "component 'friction': parameter 'tau_load[1]' is 'much', no Real."),
     ({"changes": [("<ssd:Elements>", "<ssd:Elements><ssd:System name=\"inner\"/>")]},
-     "element 'inner' is not an FMU; only one level of FMUs is supported."),
+     "element 'inner' is not an FMU; nested systems are not supported."),
 ]  # fmt: skip
 
 
