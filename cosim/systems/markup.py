@@ -10,6 +10,8 @@ from cosim.systems.contents import Unit
 from fmu_src.run.variables import SI, Variables
 from hesr_model.errors import ConfigError
 
+SSD = "SystemStructure.ssd"
+"""Name of the description in an SSP."""
 Version = Literal["1.0", "2.0"]
 """Version of the SSP standard; the parts used here are the same in both."""
 

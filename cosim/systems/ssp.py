@@ -10,7 +10,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from cosim.systems.contents import SystemContents, Unit
-from cosim.systems.markup import NAMESPACES, Version, add_units, text_of, to_bytes
+from cosim.systems.markup import NAMESPACES, SSD, Version, add_units, text_of, to_bytes
 from cosim.systems.ssp_results import result_files
 from cosim.systems.system import ComponentSpec
 from fmu_src.export.package import zip_members
@@ -19,8 +19,6 @@ from hesr_model.errors import ConfigError
 from hesr_model.support.files import written_whole
 from hesr_model.support.text import listed
 
-SSD = "SystemStructure.ssd"
-"""Name of the description in an SSP."""
 PARAMETER_SET = "start"
 """Name of every component's parameter set; libcosim and ecos apply sets of one name together."""
 

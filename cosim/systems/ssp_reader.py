@@ -14,8 +14,7 @@ from xml.etree import ElementTree as ET
 from pydantic import TypeAdapter, ValidationError
 
 from cosim.systems.contents import Unit, description_of
-from cosim.systems.markup import NAMESPACES, ValueWithUnit, differ, in_unit_of, read_units
-from cosim.systems.ssp import SSD
+from cosim.systems.markup import NAMESPACES, SSD, ValueWithUnit, differ, in_unit_of, read_units
 from cosim.systems.system import Name, SystemSpec
 from fmu_src.run.archive import MOST_BYTES, MOST_TEXT, Archive
 from fmu_src.run.variables import Variables

@@ -80,8 +80,8 @@ def test_limits_name_time_and_signal(write: Write, tmp_path: Path, hesr: Hesr) -
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("stop = 1.0", "stop = 1.05", "{path}: the stop time is 1.05 s; it must be a multiple of"),
-        ("step = 0.2", "step = 0.15", "{path}: the step of 'b' is 0.15 s; it must be a multiple of"),
+        ("stop = 1.0", "stop = 1.05", "{path}: the stop time is 1.05 s; it must be a multiple"),
+        ("step = 0.2", "step = 0.15", "{path}: the step of 'b' is 0.15 s; it must be a multiple"),
         ('"b.u" = "a.y"', '"b.v" = "a.y"', "{path}: connection 'b.v' = 'a.y': "),
         ('"b.u" = "a.y"', "", "{path}: input 'b.u' is not connected and has no start value."),
         ("u = 2.0", "w = 2.0", "{path}: start values of 'a': "),
