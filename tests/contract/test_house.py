@@ -32,7 +32,6 @@ KNOWN_DUPLICATES = {
     "Kind",
     "Motion",
     "Output",
-    "Quantity",
     "Result",
     "Rows",
     "Score",
