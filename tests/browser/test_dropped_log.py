@@ -168,7 +168,7 @@ def test_with_its_body_the_page_finds_the_friction_itself(
     named = columns(records, log)
     drop(page, table({name: c for name, c in named.items() if not name.startswith("tau_load")}))
     assert wrong(page) == ""
-    assert "Rigid-body torque from the body" in page.locator(".log-notes").inner_text()
+    assert "Rigid-body torque of the body" in page.locator(".log-notes").inner_text()
     found = saved(page)
     for k, record in enumerate(records):
         size = np.max(np.abs(record.tau_load))
@@ -183,9 +183,9 @@ def test_with_its_body_the_page_finds_the_friction_itself(
     # Without positions there is nothing to find it from.
     drop(page, table({name: c for name, c in named.items() if name[0] != "q" and "_" not in name}))
     if logged:
-        assert "positions are needed" in page.locator(".log-answer").inner_text()
+        assert "requires positions" in page.locator(".log-answer").inner_text()
     else:
-        assert "No columns look like position or velocity" in wrong(page)
+        assert "no position or velocity columns were recognised" in wrong(page)
 
 
 def test_a_log_of_a_stranger(page: "Page", fmu: Path, measured: RobotLog) -> None:
@@ -203,7 +203,7 @@ def test_a_log_of_a_stranger(page: "Page", fmu: Path, measured: RobotLog) -> Non
     drop(page, "\n".join(["# of a controller", "", *lines]))
     assert wrong(page) == ""
     notes = page.locator(".log-notes").inner_text()
-    for part in ("1939 rows", "2 rows without a number", "2 parts between gaps", "q is in deg"):
+    for part in ("1939 rows", "2 rows with missing numbers", "2 parts between gaps", "q is in deg"):
         assert part in notes
     assert page.locator("select[data-unit=t]").input_value() == "ms"
     found = saved(page)
@@ -211,7 +211,7 @@ def test_a_log_of_a_stranger(page: "Page", fmu: Path, measured: RobotLog) -> Non
     whole = predict_of(fmu, measured, gap)
     assert found["tau_law2"] == pytest.approx(whole, abs=1e-9 * np.max(np.abs(whole)))
     answer = page.locator(".log-answer").inner_text()
-    assert answer == "Not answered: no column of a measured torque is chosen."
+    assert answer == "Unknown: no measured torque is chosen."
     assert page.locator(".log-rows tr").count() == 0
     assert page.get_by_role("radio", name="residual").is_disabled()
 
@@ -224,14 +224,14 @@ def predict_of(fmu: Path, log: RobotLog, rows: np.ndarray) -> np.ndarray:
     return np.concatenate([replay(fmu, part.t, part.dq, part.q_raw)[:, 1] for part in parts])
 
 
-def test_what_is_unsure_is_mapped_by_hand(page: "Page", measured: RobotLog) -> None:
+def test_uncertain_columns_are_mapped_by_hand(page: "Page", measured: RobotLog) -> None:
     named = {"stamp": measured.t}
     for k in range(3):
         named[f"a{k + 1}"] = measured.q[:, k]
         named[f"b{k + 1}"] = measured.tau[:, k]
     drop(page, table(named))
     assert wrong(page) == (
-        "day.csv: No columns look like position or velocity of 3 joints; choose them below."
+        "day.csv: no position or velocity columns were recognised for 3 joints; choose them below."
     )
     assert page.locator(".log-columns").get_attribute("open") is not None
     fields = page.locator("select[data-column=q]")
@@ -239,13 +239,13 @@ def test_what_is_unsure_is_mapped_by_hand(page: "Page", measured: RobotLog) -> N
     assert fields.nth(2).input_value() == "a3"
     assert wrong(page) == ""
     page.locator("select[data-column=tau]").first.select_option("b1")
-    assert "Not answered: the torque is the whole one" in page.locator(".log-answer").inner_text()
+    assert "Unknown: a total torque requires" in page.locator(".log-answer").inner_text()
     assert page.locator(".log-rows tr").count() == 0
     page.locator(".log-kind").select_option("friction")
     assert page.locator(".log-rows tr").count() == 3
     fields.nth(1).select_option("")
     assert wrong(page) == (
-        "day.csv: Of 'q', the column of j2 is missing; choose it below, or none at all."
+        "day.csv: the column 'q' of j2 is missing; choose it below, or none for all joints."
     )
     assert not page.locator(".log-app").is_visible()
 
@@ -267,17 +267,17 @@ def friction(model: FrictionModel) -> dict[str, np.ndarray]:
 def test_whether_friction_has_drifted(page: "Page", friction: dict[str, np.ndarray]) -> None:
     tau = friction["tau_friction2"]
     for changed, answer, cell in (
-        (tau, "No.", "No: its level is within 10 %"),
-        (1.3 * tau, "Yes, at j2.", "Friction is 30 % higher than the law says."),
-        (0.7 * tau, "Yes, at j2.", "Friction is 30 % lower than the law says."),
-        (tau + 1.0, "No. The torque is shifted at j2.", "The torque is off by 1 N.m"),
-        (tau + 2.0 * np.sin(np.arange(3000)), "No. The error has grown at j2.",
-         "Its level is as fitted, but the error is 3.7 times"),
+        (tau, "No.", "No: the level is within 10 %"),
+        (1.3 * tau, "Yes, on j2.", "Friction is 30 % higher than the law."),
+        (0.7 * tau, "Yes, on j2.", "Friction is 30 % lower than the law."),
+        (tau + 1.0, "No. The torque is shifted on j2.", "The torque is off by 1 N.m"),
+        (tau + 2.0 * np.sin(np.arange(3000)), "No. The error has grown on j2.",
+         "The level is as fitted, but the error is 3.7 times"),
     ):  # fmt: skip
         drop(page, table({**friction, "tau_friction2": changed}))
         assert page.locator(".log-answer").inner_text() == answer
         assert cells(page, 1).last.inner_text().startswith(cell)
-        assert cells(page, 0).last.inner_text().startswith("No: its level is within 10 %")
+        assert cells(page, 0).last.inner_text().startswith("No: the level is within 10 %")
 
 
 def test_faster_than_the_law_was_fitted_to_and_a_joint_that_rests(
@@ -286,9 +286,9 @@ def test_faster_than_the_law_was_fitted_to_and_a_joint_that_rests(
     rest = np.zeros(3000)
     drop(page, table({**friction, "dq1": 3.0 * friction["dq1"], "q3": rest, "dq3": rest}))
     assert (
-        "j1 is faster than what its law was fitted to." in page.locator(".log-notes").inner_text()
+        "j1 is faster than the training data." in page.locator(".log-notes").inner_text()
     )
-    assert cells(page, 2).last.inner_text() == "It rests in this log, so nothing is said of it."
+    assert cells(page, 2).last.inner_text() == "The joint rests in this log."
 
 
 ROWS = "\n".join(f"{0.01 * k},{k % 7},2,3,1,2,3" for k in range(200))
@@ -296,17 +296,17 @@ HEAD = "t,q1,q2,q3,dq1,dq2,dq3\n"
 
 
 WRONG = [
-    ("", "It is empty; a log needs a header and rows of data."),
-    ("a\0b", "It is no text; needed is a CSV."),
-    ("hello\nworld\n", "It has no table: needed are a line of names and lines of numbers"),
-    (f"t,q1,q1\n{ROWS}", "It has no table: needed are a line of names"),
-    (f"t,q1,q1,q3,dq1,dq2,dq3\n{ROWS}", "Its column 'q1' stands twice; names must differ."),
-    (f"{HEAD}{ROWS}\n2.0,1,2", "Row 202 has 3 cells; the header has 7 columns."),
-    (f"{HEAD}{ROWS}\n2.0,oops,2,3,1,2,3", "Column 'q1', row 202: 'oops' where a number is needed"),
-    (f"{HEAD}{ROWS}\n1.0,1,2,3,1,2,3", "Column 't', row 202: time must increase, but 1 s follows"),
-    (f"x,q1,q2,q3,dq1,dq2,dq3\n{ROWS}", "No column looks like time; choose it below."),
-    (f"{HEAD}0.0,1,2,3,1,2,3\n0.01,1,2,3,1,2,", "No column looks like time; choose it below."),
-    ("\n".join((HEAD + ROWS).splitlines()[:20]), "A low pass of 15 Hz needs more than 21 rows"),
+    ("", "it is empty; a log needs a header and rows of data."),
+    ("a\0b", "the file is not text; choose a CSV."),
+    ("hello\nworld\n", "it has no table; a line of names above lines of numbers is needed"),
+    (f"t,q1,q1\n{ROWS}", "it has no table; a line of names"),
+    (f"t,q1,q1,q3,dq1,dq2,dq3\n{ROWS}", "column 'q1' appears twice; names must differ."),
+    (f"{HEAD}{ROWS}\n2.0,1,2", "row 202 has 3 cells; the header has 7 columns."),
+    (f"{HEAD}{ROWS}\n2.0,oops,2,3,1,2,3", "column 'q1', row 202: 'oops' where a number is needed"),
+    (f"{HEAD}{ROWS}\n1.0,1,2,3,1,2,3", "column 't', row 202: time must increase, but 1 s follows"),
+    (f"x,q1,q2,q3,dq1,dq2,dq3\n{ROWS}", "no time column was recognised; choose it below."),
+    (f"{HEAD}0.0,1,2,3,1,2,3\n0.01,1,2,3,1,2,", "no time column was recognised; choose it below."),
+    ("\n".join((HEAD + ROWS).splitlines()[:20]), "a cut-off of 15 Hz needs more than 21 rows"),
 ]
 
 
@@ -324,7 +324,7 @@ def test_a_file_that_is_chosen_and_one_that_is_no_text(
     (tmp_path / "bag.mcap").write_bytes(b"\x89MCAP0\xff\xfe")
     page.locator(".log-file").set_input_files(tmp_path / "bag.mcap")
     page.locator(".log-wrong").wait_for()
-    assert wrong(page).startswith("bag.mcap: It is no text; needed is a CSV.")
+    assert wrong(page).startswith("bag.mcap: the file is not text; choose a CSV.")
     (tmp_path / "day.csv").write_text(table(friction))
     page.locator(".log-file").set_input_files(tmp_path / "day.csv")
     page.locator(".log-app").wait_for()

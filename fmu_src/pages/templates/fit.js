@@ -1,5 +1,5 @@
-/* Tables that are wider than their place are set tighter; those that still are, row by row, with the
- * names of the columns in each cell. Equations are set smaller. */
+/* Compress tables that are too wide, then show them row by row with the column names in each cell. Shrink
+ * wide equations. */
 function fitTables() {
   const equations = [...document.querySelectorAll(".equation")].filter((e) => e.clientWidth);
   for (const equation of equations) equation.style.fontSize = "";
@@ -26,12 +26,12 @@ function fitTables() {
 }
 {
   let width, frame;
-  /* Of widths alone: it changes heights itself. */
+  /* React to widths only; fitting itself changes heights. */
   new ResizeObserver(() => {
     if (width !== document.body.clientWidth) fitTables();
     width = document.body.clientWidth;
   }).observe(document.body);
-  /* Many that are unfolded at once are fitted once. */
+  /* Fit once per frame when many sections unfold. */
   document.addEventListener("toggle", () => {
     frame ??= requestAnimationFrame(() => { frame = undefined; fitTables(); });
   }, true);

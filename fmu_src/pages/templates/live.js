@@ -1,13 +1,13 @@
-/* Brings each section of class "live" to life: the FMU inside it, run for a motion, drawn. */
+/* Runs the FMU of each section of class "live" through a motion and draws the result. */
 
 const AXES = {
   velocity: { column: "dq", text: "velocity q̇" },
   position: { column: "q", text: "position q" },
   time: { column: "t", text: "time" },
 };
-const STEPS = 200; /* of a slider */
+const STEPS = 200; /* steps of a slider */
 
-/* The FMU, one instance of it. */
+/* One instance of the FMU. */
 class Fmu {
   static async from(text) {
     const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
@@ -37,7 +37,7 @@ class Fmu {
     return failed;
   }
 
-  /* Torque of a joint at each row of a motion, until the FMU refuses it, and its words then. */
+  /* Torque of a joint at each row of a motion up to a refusal of the FMU, with its message. */
   run({ references, coefficients }, values, motion) {
     const torque = [], inputs = ["dq", "q", "tau_load"].map((u) => [references[u], motion[u]]);
     const failed = this.through(motion.t, inputs,
@@ -70,7 +70,7 @@ function motionOf({ amplitude, frequency, cycles, centre = 0, load = 0 }, step) 
   };
 }
 
-/* Largest torque of the last cycle, and the work that friction takes in it by the trapezoidal rule;
+/* Largest torque of the last cycle, and the work dissipated in it by the trapezoidal rule;
  * not a number where the run ended before. */
 function figures(motion, torque) {
   const last = torque.length - 1;
@@ -85,12 +85,12 @@ function figures(motion, torque) {
   return [largest, work];
 }
 
-/* Under which the value of a knob is kept; coefficients may have any name. */
+/* Key of a knob's value; coefficients may have any name. */
 function keyOf(knob) {
   return knob.reference ?? knob.name;
 }
 
-/* Where a value stands on its slider, from 0 to 1, and back. */
+/* Position of a value on its slider, 0 to 1, and the inverse. */
 function positionOf(knob, value) {
   const share = knob.scale === "log"
     ? Math.log(value / knob.low) / Math.log(knob.high / knob.low)
@@ -104,12 +104,11 @@ function valueAt(knob, share) {
   return scale === "whole" ? Math.round(value) : Number(value.toPrecision(DIGITS));
 }
 
-/* What the field of a knob takes, in words. */
+/* Allowed values of a knob's field, in words. */
 function allowed({ least, most, scale, unit }) {
-  const range = [least !== null && `from ${short(least)}`, most !== null && `to ${short(most)}`];
-  const words = [scale === "whole" ? "a whole number" : "a number", ...range.filter(Boolean)];
+  const from = least !== null && (most === null ? `of at least ${short(least)}` : `from ${short(least)}`);
+  const words = [scale === "whole" ? "a whole number" : "a number", from, most !== null && `to ${short(most)}`];
   if (least !== null || most !== null) words.push(unit);
-  if (least !== null && most === null) words.push("on");
   return words.filter(Boolean).join(" ");
 }
 
@@ -150,7 +149,7 @@ class Section {
     this.schedule();
   }
 
-  /* One knob: a label, a slider, a field for the number, and a way back. */
+  /* One knob: label, slider, number field and reset button. */
   row(knob) {
     const row = this.element.querySelector("template").content.cloneNode(true).firstElementChild;
     const [slider, field] = row.querySelectorAll("input");
@@ -160,7 +159,7 @@ class Section {
     label.htmlFor = slider.id;
     label.title = knob.name;
     slider.step = knob.scale === "whole" ? 1 / (knob.high - knob.low) : 1 / STEPS;
-    row.querySelector(".live-symbol").innerHTML = knob.symbol; /* MathML of the page's own making */
+    row.querySelector(".live-symbol").innerHTML = knob.symbol; /* MathML made by the page */
     row.querySelector(".live-text").textContent = knob.text;
     row.querySelector(".live-unit").textContent = knob.unit && `[${knob.unit}]`;
     slider.setAttribute("aria-label", what);
@@ -174,14 +173,14 @@ class Section {
       const wrong = field.value === "" || !field.validity.valid;
       field.setAttribute("aria-invalid", wrong);
       if (!wrong) this.set(knob, field.valueAsNumber, field);
-      /* An empty field is not wrong yet: a number is about to be typed. */
-      else this.object(field.value && `${knob.name}: needed is ${allowed(knob)}.`);
+      /* An empty field is valid while a number is being typed. */
+      else this.object(field.value && `${knob.name} must be ${allowed(knob)}.`);
     });
     field.addEventListener("change", () => {
-      /* An edit may also end by another joint being shown, where this field is gone. */
+      /* Selecting another joint also ends an edit and removes this field. */
       if (!this.rows.has(knob)) return;
       if (field.getAttribute("aria-invalid") === "true") {
-        this.object(`${knob.name} stays as it was: needed is ${allowed(knob)}.`);
+        this.object(`${knob.name} is unchanged: it must be ${allowed(knob)}.`);
       }
       this.write(knob);
     });
@@ -194,7 +193,7 @@ class Section {
     return row;
   }
 
-  /* Say what is wrong with a number that was typed, until another one is set. */
+  /* Report an invalid number until another one is set. */
   object(text) {
     this.objection = text;
     this.schedule();
@@ -207,7 +206,7 @@ class Section {
     this.schedule();
   }
 
-  /* Show a knob's value; but not in the field in which it is being typed. */
+  /* Show a knob's value, except in the field being edited. */
   write(knob, typing) {
     const { row, slider, field, back } = this.rows.get(knob);
     const value = this.values[this.number][keyOf(knob)];
@@ -228,7 +227,7 @@ class Section {
     this.schedule();
   }
 
-  /* Many moves within one frame are drawn once. */
+  /* Draw once per frame. */
   schedule() {
     this.frame ??= requestAnimationFrame(() => {
       this.frame = undefined;
@@ -251,8 +250,8 @@ class Section {
     const { units } = joint;
     const whole = this.plot.draw(
       curves, `${AXES[view].text} [${units[view]}]`, `friction torque τ [${units.torque}]`);
-    const refused = now.refused && `The FMU refuses this. ${now.refused}`;
-    this.tell(motion, view, refused || (whole ? "" : "The torque is too large to be drawn."));
+    const refused = now.refused && `The FMU refuses these values. ${now.refused}`;
+    this.tell(motion, view, refused || (whole ? "" : "The torque is too large to draw."));
   }
 
   tell(motion, view, trouble) {
@@ -268,20 +267,20 @@ class Section {
     });
     const { speeds } = this.joint, { amplitude } = this.values[this.number];
     const inside = !speeds || (-amplitude >= speeds[0] && amplitude <= speeds[1]);
-    say("beyond", inside ? "" : "Faster than what the law was trained on: extrapolated.");
+    say("beyond", inside ? "" : "Faster than the training data: extrapolated.");
     say("refused", this.objection || trouble);
     const unit = this.joint.units.torque;
     say("torque-unit", unit);
     const value = (knob) => this.values[this.number][keyOf(knob)];
     const changes = this.joint.coefficients.filter((c) => value(c) !== c.value).map((c) =>
-      `${c.name} ${shown(value(c), 6)} in place of ${shown(c.value, 6)} ${c.unit}`.trim());
+      `${c.name} ${shown(value(c), 6)} instead of ${shown(c.value, 6)} ${c.unit}`.trim());
     say("changed", changes.length ? `Changed: ${changes.join("; ")}.` : "All as fitted.");
     this.plot.svg.firstElementChild.textContent =
-      `Friction torque over ${view} of ${this.joint.name}, at most ${shown(columns[1][0])} ${unit}; ` +
-      `as fitted at most ${shown(columns[0][0])} ${unit}.`;
+      `Friction torque over ${view} of ${this.joint.name}, maximum ${shown(columns[1][0])} ${unit}; ` +
+      `as fitted ${shown(columns[0][0])} ${unit}.`;
   }
 
-  /* What is drawn, in full precision; rows that the FMU refused are empty. */
+  /* The curves in full precision; rows refused by the FMU are empty. */
   save() {
     const { motion, now, fitted } = this.result;
     const rows = motion.t.map((t, k) =>
@@ -303,7 +302,7 @@ for (const element of document.querySelectorAll(".live")) {
   const data = JSON.parse(element.querySelector("script").textContent);
   Fmu.from(data.module).then((fmu) => new Section(element, data, fmu)).catch((error) => {
     const dead = element.querySelector(".live-dead");
-    dead.textContent = "Nothing moves here: this browser cannot run the FMU's code as WebAssembly " +
+    dead.textContent = "This browser cannot run the FMU's code as WebAssembly " +
       `(${error.message}).`;
     dead.hidden = false;
   });

@@ -1,7 +1,7 @@
-/* A plot of curves with two axes, as SVG in the colours of its page. */
+/* A plot of curves as SVG in the colours of the page. */
 
 const MARGIN = { left: 58, right: 14, top: 26, bottom: 42 };
-const DIGITS = 4; /* of what a slider sets, so that what is shown is what is used */
+const DIGITS = 4; /* significant digits of a slider value, so that the displayed value is exact */
 
 function short(value, digits = DIGITS) {
   return Number.isFinite(value) ? String(Number(value.toPrecision(digits))) : "–";
@@ -33,7 +33,7 @@ function range(...columns) {
 }
 
 class Plot {
-  /* Of curves by name, the last one in front; their classes and those of the parts begin alike. */
+  /* Plot of named curves, the last one in front; all class names share a prefix. */
   constructor(svg, prefix, names) {
     Object.assign(this, { svg, prefix });
     this.grid = this.add("g");
@@ -49,7 +49,7 @@ class Plot {
     return parent.appendChild(element);
   }
 
-  /* Curves are { x, y } by name; the texts are what the axes show. False if no axis can hold them.
+  /* Draw curves { x, y } by name with axis labels; false if the values exceed every axis.
    */
   draw(curves, textAcross, textUp) {
     const { width, height } = this.svg.getBoundingClientRect();
@@ -85,7 +85,7 @@ class Plot {
     return true;
   }
 
-  /* Points that nobody could tell from the one before them are left out. */
+  /* Leave out points that coincide with the previous one. */
   path(curve, x, y) {
     const parts = [];
     let px = NaN, py = NaN;

@@ -1,4 +1,4 @@
-/* A log that is dropped into the page, replayed through the FMU and compared with it. */
+/* Replays a dropped log through the FMU and compares the torques. */
 
 const VIEWS = {
   velocity: { x: "dq", text: "velocity q̇", y: "tau", title: "Friction torque over velocity" },
@@ -8,7 +8,7 @@ const VIEWS = {
 };
 const QUANTITIES = ["q", "dq", "tau_load", "tau"];
 
-/* Torques of all kinds have the units of one. */
+/* All torques share one list of units. */
 function kindOf(quantity) {
   return quantity.startsWith("tau") ? "tau" : quantity;
 }
@@ -20,7 +20,7 @@ class Log {
     this.plot = new Plot(this.find("plot"), "log", ["measured", "law"]);
     const input = this.find("file");
     input.addEventListener("change", () => input.files.length && this.take(input.files[0]));
-    /* So that a file that has changed can be chosen again. */
+    /* Allow a changed file to be chosen again. */
     input.addEventListener("click", () => { input.value = ""; });
     for (const kind of ["dragover", "dragleave", "drop"]) {
       element.addEventListener(kind, (event) => {
@@ -48,14 +48,14 @@ class Log {
     this.result = null;
     try {
       if (file.size > LARGEST_FILE) {
-        throw new LogError("It is larger than 256 MB; 'hesr replay' reads logs of any size.");
+        throw new LogError("the file is larger than 256 MB; 'hesr test' reads logs of any size.");
       }
       const bytes = await file.arrayBuffer();
       let text;
       try {
         text = new TextDecoder("utf-8", { fatal: true }).decode(bytes);
       } catch {
-        throw new LogError("It is no text; needed is a CSV. 'hesr replay' reads other formats.");
+        throw new LogError("the file is not text; choose a CSV. 'hesr test' reads other formats.");
       }
       this.name = file.name;
       this.table = tableOf(text);
@@ -87,7 +87,7 @@ class Log {
     return this.element.querySelector(`select[data-unit=${quantity}]`);
   }
 
-  /* Fill the fields with a file's columns, as guessed; they are open where something is unsure. */
+  /* Fill the fields with the guessed columns of a file; open them if a guess is uncertain. */
   offer(guess) {
     this.guess = guess;
     const option = (name, text = name) => new Option(text, name);
@@ -113,7 +113,7 @@ class Log {
     if (guess.columns.t && guess.columns.q) this.guessUnits();
   }
 
-  /* Units that no name says: a position's change must be the velocity. */
+  /* Guess unnamed units: the derivative of the position must match the velocity. */
   guessUnits() {
     const { q, dq } = this.guess.columns, said = (name, group) => this.guess.said(name, group[0]);
     const units = this.own.units, slides = !("rad" in units.q);
@@ -121,7 +121,7 @@ class Log {
     try {
       columns = this.read();
     } catch {
-      return; /* told when it is computed */
+      return; /* reported when computed */
     }
     const travel = columns.q.map(extremes).map(([low, high]) => high - low);
     const far = !slides && Math.max(...travel) > 4 * Math.PI && !said("q", q);
@@ -158,16 +158,16 @@ class Log {
       const unit = Object.keys(units[quantity]).find((u) => alike(units[quantity][u] / now, wanted));
       if (unit) {
         this.unit(quantity).value = unit;
-        this.reasons = `${quantity} is in ${unit}, since q would otherwise change ` +
-          `${shown(ratio, 3)} times as fast as dq says.`;
+        this.reasons = `${quantity} is in ${unit}; otherwise q would change ` +
+          `${shown(ratio, 3)} times as fast as dq.`;
         return;
       }
     }
     this.find("columns").open = true;
-    this.reasons = `q changes ${shown(ratio, 3)} times as fast as dq says: check the units.`;
+    this.reasons = `q changes ${shown(ratio, 3)} times as fast as dq: check the units.`;
   }
 
-  /* The column of the first joint brings those of the others, where they differ in a number. */
+  /* The column of the first joint selects those of the others if names differ only in a number. */
   follow(select) {
     const quantity = select.dataset.column, all = quantity ? this.selects(quantity) : [];
     if (all.length < 2 || select !== all[0]) return;
@@ -177,18 +177,18 @@ class Log {
     });
   }
 
-  /* Chosen columns in SI, without rows that lack a number or repeat a stamp. */
+  /* Chosen columns in SI, without rows with missing numbers or repeated time stamps. */
   read() {
     const time = this.selects("t")[0].value;
-    if (!time) throw new LogError("No column looks like time; choose it below.");
+    if (!time) throw new LogError("no time column was recognised; choose it below.");
     const t = timesOf(this.table, time, this.own.units.t[this.unit("t").value]);
     const chosen = Object.fromEntries(QUANTITIES.map((quantity) =>
       [quantity, this.selects(quantity).map((select) => select.value)]));
     for (const [quantity, names] of Object.entries(chosen)) {
       if (names.some(Boolean) && !names.every(Boolean)) {
         const k = names.findIndex((name) => !name);
-        throw new LogError(`Of '${quantity}', the column of ${this.joints[k].name} is missing; ` +
-          "choose it below, or none at all.");
+        throw new LogError(`the column '${quantity}' of ${this.joints[k].name} is missing; ` +
+          "choose it below, or none for all joints.");
       }
     }
     const columns = Object.fromEntries(QUANTITIES.map((quantity) => {
@@ -197,32 +197,32 @@ class Log {
         ? chosen[quantity].map((name) => numbersOf(this.table, name).map((x) => x * factor)) : null];
     }));
     if (!columns.q && !columns.dq) {
-      throw new LogError("No columns look like position or velocity of " +
+      throw new LogError("no position or velocity columns were recognised for " +
         `${this.joints.length} joints; choose them below.`);
     }
     const all = [t, ...QUANTITIES.flatMap((quantity) => columns[quantity] ?? [])];
     const whole = [...t.keys()].filter((k) => all.every((values) => Number.isFinite(values[k])));
     const rows = whole.filter((k, i) => !i || t[k] !== t[whole[i - 1]]);
     if (rows.length < 2) {
-      throw new LogError(`It has ${rows.length} rows with a number in every column that is used; ` +
+      throw new LogError(`only ${rows.length} rows have numbers in all chosen columns; ` +
         "at least 2 are needed.");
     }
     const cut = (values) => Float64Array.from(rows, (k) => values[k]);
     const found = { t: cut(t), dropped: t.length - rows.length };
     const back = found.t.findIndex((value, k) => k && value < found.t[k - 1]);
     if (back > 0) {
-      throw new LogError(`Column '${time}', row ${this.table.rows[rows[back]]}: time must ` +
+      throw new LogError(`column '${time}', row ${this.table.rows[rows[back]]}: time must ` +
         `increase, but ${short(found.t[back], 9)} s follows ${short(found.t[back - 1], 9)} s.`);
     }
     for (const quantity of QUANTITIES) found[quantity] = columns[quantity]?.map(cut) ?? null;
-    /* Whether the page's own body gives the rigid-body torque. */
+    /* Whether the page's body computes the rigid-body torque. */
     found.carried = Boolean(this.body && found.q && !found.tau_load);
     found.parts = partsOf(found.t);
-    if (!found.parts.length) throw new LogError("Its gaps leave no part of 1 s.");
+    if (!found.parts.length) throw new LogError("no part between its gaps lasts 1 s.");
     return found;
   }
 
-  /* Replay what is chosen, and show it. */
+  /* Replay the chosen columns and show the result. */
   compute() {
     this.find("wrong").hidden = true;
     this.find("app").hidden = true;
@@ -240,11 +240,11 @@ class Log {
     this.draw();
   }
 
-  /* Part by part, as the tool replays a log with gaps: the law starts anew behind each. */
+  /* Part by part, as HESR replays a log with gaps: the law restarts after each gap. */
   replayed(log) {
     const kept = log.parts.map(([first, last]) => (values) => values.subarray(first, last));
     const wanted = this.find("cutoff").valueAsNumber || this.own.cutoff;
-    if (!(wanted > 0)) throw new LogError("The low pass needs a positive rate in Hz.");
+    if (!(wanted > 0)) throw new LogError("the cut-off of the low-pass filter must be positive [Hz].");
     const joined = (columns) => columns[0].map((_, k) => {
       const whole = new Float64Array(columns.reduce((sum, part) => sum + part[k].length, 0));
       columns.reduce((at, part) => (whole.set(part[k], at), at + part[k].length), 0);
@@ -284,7 +284,7 @@ class Log {
 
   through(fmu, joints, t, inputs) {
     const { found, refused } = fmu.replay(joints, t, inputs);
-    if (refused) throw new LogError(`The FMU refuses it. ${refused}`);
+    if (refused) throw new LogError(`the FMU refuses it. ${refused}`);
     return found;
   }
 
@@ -292,20 +292,20 @@ class Log {
     const { log, scores, total, cutoff, dropped, ends } = this.result;
     const notes = [`${this.name}: ${this.result.t.length} rows, ` +
       `${shown(this.result.t.length * median(differences(this.result.t)), 3)} s.`];
-    notes.push(`Velocity ${log.dq ? "as logged" : "from the position"}, low pass ` +
+    notes.push(`Velocity ${log.dq ? "as logged" : "from the position"}, low-pass filter ` +
       `${shown(cutoff, 3)} Hz.`);
-    if (dropped) notes.push(`${dropped} rows without a number, or with a stamp again, left out.`);
-    if (ends.length > 1) notes.push(`${ends.length} parts between gaps; the law starts anew in each.`);
+    if (dropped) notes.push(`${dropped} rows with missing numbers or repeated time stamps were left out.`);
+    if (ends.length > 1) notes.push(`${ends.length} parts between gaps; the law restarts in each.`);
     const uses = (name) => this.own.joints.some((joint) => joint.uses.includes(name));
-    if (!log.q && uses("q")) notes.push("The law uses the position, which is taken as 0.");
-    if (log.carried) notes.push("Rigid-body torque from the body that was identified with this law.");
+    if (!log.q && uses("q")) notes.push("The law uses the position; 0 is assumed.");
+    if (log.carried) notes.push("Rigid-body torque of the body identified with this law.");
     if (!log.tau_load && !log.carried && uses("tau_load")) {
-      notes.push("The law uses the load torque, which is taken as 0.");
+      notes.push("The law uses the load torque; 0 is assumed.");
     }
     this.own.joints.forEach(({ speeds }, k) => {
       const [low, high] = extremes(this.result.dq[k]);
       if (speeds && (high > speeds[1] * 1.02 + MOVING || low < speeds[0] * 1.02 - MOVING)) {
-        notes.push(`${this.joints[k].name} is faster than what its law was fitted to.`);
+        notes.push(`${this.joints[k].name} is faster than the training data.`);
       }
     });
     if (this.reasons) notes.push(this.reasons);
@@ -317,15 +317,15 @@ class Log {
       .map((joint) => joint.name).join(", ");
     const judged = drifts.some(([kind]) => kind !== "rests");
     const missing = !log.tau
-      ? "Not answered: no column of a measured torque is chosen."
-      : "Not answered: the torque is the whole one, so " +
-        (this.body ? "positions are needed, or " : "") + "a column of the rigid-body torque " +
-        "(tau_load) to take from it, or friction alone.";
-    const answers = [named("drift") ? `Yes, at ${named("drift")}.` : "No."];
-    if (named("shift")) answers.push(`The torque is shifted at ${named("shift")}.`);
-    if (named("worse")) answers.push(`The error has grown at ${named("worse")}.`);
+      ? "Unknown: no measured torque is chosen."
+      : "Unknown: a total torque requires " +
+        (this.body ? "positions or " : "") + "a column with the rigid-body torque " +
+        "(tau_load); or choose friction only.";
+    const answers = [named("drift") ? `Yes, on ${named("drift")}.` : "No."];
+    if (named("shift")) answers.push(`The torque is shifted on ${named("shift")}.`);
+    if (named("worse")) answers.push(`The error has grown on ${named("worse")}.`);
     this.say("answer", !scores ? missing
-      : judged ? answers.join(" ") : "Not answered: no joint moves.");
+      : judged ? answers.join(" ") : "Unknown: no joint moves.");
     this.find("kinds").hidden = !log.tau;
     this.find("table").hidden = !scores;
     this.find("rows").replaceChildren(...(scores ?? []).map((score, k) => {
@@ -364,11 +364,11 @@ class Log {
     }
     const units = { dq: joint.units.velocity, q: joint.units.position, t: joint.units.time };
     this.plot.draw(curves, `${view.text} [${units[view.x]}]`,
-      `${view.y === "tau" ? "friction torque τ" : "measured less law"} [${unit}]`);
+      `${view.y === "tau" ? "friction torque τ" : "measured minus law"} [${unit}]`);
     this.plot.svg.firstElementChild.textContent = `${view.title} of ${joint.name}: ` +
       `${Object.keys(curves).join(" and ")}.`;
     this.find("key-measured").hidden = !curves.measured;
-    this.find("key-law").textContent = view.y === "residual" ? "measured less law" : "this law";
+    this.find("key-law").textContent = view.y === "residual" ? "measured minus law" : "this law";
   }
 
   save() {
@@ -389,7 +389,7 @@ for (const element of document.querySelectorAll(".log")) {
   const own = JSON.parse(element.querySelector("script").textContent);
   const live = document.getElementById(element.dataset.live).querySelector("script");
   const { module, joints } = JSON.parse(live.textContent);
-  /* Where it cannot run, the section above says so. */
+  /* The section above reports if it cannot run. */
   Promise.all([Fmu.from(module), own.body && Fmu.from(own.body.module)])
     .then(([fmu, body]) => new Log(element, joints, own, fmu, body)).catch(() => {});
 }

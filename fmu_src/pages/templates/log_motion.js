@@ -1,10 +1,10 @@
-/* A log's motion made smooth as the tool does it (hesr_model/logs/signals.py, robot_log.py). */
+/* Smoothing of a log's motion, equal to hesr_model/logs/signals.py and robot_log.py. */
 
-const LONGEST_GAP = 10; /* usual steps */
-const USUAL = 0.95; /* share of the steps, the shortest, whose mean is the usual one */
+const LONGEST_GAP = 10; /* in usual steps */
+const USUAL = 0.95; /* fraction of the shortest steps that define the usual step */
 const SHORTEST_PART = 1; /* [s] */
 const PADDING_PERIODS = 3;
-const HIGHEST_SHARE = 0.8; /* of the Nyquist frequency */
+const HIGHEST_SHARE = 0.8; /* fraction of the Nyquist frequency */
 
 function differences(t) {
   return t.slice(1).map((value, k) => value - t[k]);
@@ -24,7 +24,7 @@ function partsOf(t) {
   return parts.filter(([first, last]) => t[last - 1] - t[first] >= SHORTEST_PART);
 }
 
-/* B-splines of degree k over knots: values of those that are not 0 at x, which lies in the span. */
+/* Non-zero B-splines of degree k at x in a span of the knots. */
 function basis(knots, k, span, x, out) {
   out[0] = 1;
   for (let d = 1; d <= k; d++) {
@@ -39,7 +39,7 @@ function basis(knots, k, span, x, out) {
   }
 }
 
-/* Which B-splines make up the value at each of increasing points, and how. */
+/* B-splines and their values at increasing points. */
 function weightsOf(knots, k, points) {
   const last = knots.length - k - 2, row = new Float64Array(k + 1);
   const first = new Int32Array(points.length), weights = new Float64Array(points.length * (k + 1));
@@ -70,7 +70,7 @@ class Spline {
     this.knots = Float64Array.from(
       [...ends(x[0]), ...x.subarray(half, n - half), ...ends(x[n - 1])]);
     const { first, weights } = weightsOf(this.knots, k, x), width = 2 * k + 1;
-    const band = new Float64Array(n * width); /* of row i, columns i - k to i + k */
+    const band = new Float64Array(n * width); /* row i, columns i - k to i + k */
     for (let i = 0; i < n; i++) {
       for (let r = 0; r <= k; r++) band[i * width + first[i] + r - i + k] = weights[i * (k + 1) + r];
     }
@@ -108,14 +108,14 @@ function derived({ knots, k }, c, order, points) {
   return valuesAt(weightsOf(knots, k, points), c);
 }
 
-/* Butterworth low pass of second order, forwards and backwards, over ends that are mirrored. */
+/* Second-order Butterworth low-pass filter, forwards and backwards, with mirrored ends. */
 function lowPassed(values, cutoff, rate, padding) {
   const w = Math.tan(Math.PI * cutoff / rate), a0 = 1 + Math.SQRT2 * w + w * w;
   const b = w * w / a0, a1 = 2 * (w * w - 1) / a0, a2 = (1 - Math.SQRT2 * w + w * w) / a0;
   const n = values.length, x = new Float64Array(n + 2 * padding);
   x.set(values, padding);
   const near = Math.round(2 * padding / PADDING_PERIODS) + 1;
-  /* Where parabolas through the nearest rows begin and end. */
+  /* First and last value of parabolas through the nearest rows. */
   let first = 0, last = 0;
   for (let k = 0; k < near; k++) {
     const weight = (3 * (3 * near * near - 3 * near + 2) - 18 * (2 * near - 1) * k + 30 * k * k) /
@@ -142,23 +142,23 @@ function lowPassed(values, cutoff, rate, padding) {
   return x.slice(padding, padding + n);
 }
 
-/* Low pass of a rate [Hz] that a log can bear: the one wanted, or less where it is slow. */
+/* Cut-off [Hz]: as requested, or lower for a slow log. */
 function cutoffFor(period, wanted) {
   const rate = 1 / period;
   return wanted <= 0.4 * rate || rate < 1 ? wanted : Number((0.3 * rate).toPrecision(2));
 }
 
-/* Columns, smoothed: of each a function that gives its derivative of an order, 0 for itself. */
+/* Smoothed columns, each as a function of the derivative order. */
 function smoothed(t, columns, cutoff) {
   const period = median(differences(t)), span = t[t.length - 1] - t[0];
   if (cutoff > HIGHEST_SHARE * 0.5 / period) {
-    throw new LogError(`Its rows are ${short(period, 3)} s apart, too slow for a low pass of ` +
-      `${short(cutoff)} Hz; ${short(HIGHEST_SHARE * 0.5 / period, 3)} Hz is the most.`);
+    throw new LogError(`its rows are ${short(period, 3)} s apart, too slow for a cut-off of ` +
+      `${short(cutoff)} Hz; the maximum is ${short(HIGHEST_SHARE * 0.5 / period, 3)} Hz.`);
   }
   const steps = Math.max(Math.ceil(span / period), 1);
   const padding = Math.ceil(PADDING_PERIODS / (cutoff * period));
   if (steps <= padding || t.length < 6) {
-    throw new LogError(`A low pass of ${short(cutoff)} Hz needs more than ${padding + 1} rows ` +
+    throw new LogError(`a cut-off of ${short(cutoff)} Hz needs more than ${padding + 1} rows ` +
       `without a gap; there are ${t.length}.`);
   }
   const step = span / steps;

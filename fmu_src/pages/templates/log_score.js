@@ -1,9 +1,9 @@
-/* How well a law explains measured friction, and whether friction has drifted since it was fitted. */
+/* Error of a law against measured friction, and drift since the fit. */
 
 const MOVING = 0.02; /* [rad/s, m/s] slower joints rest */
-const SURE = 3; /* standard errors from which on a change is none of chance */
-const WORSE = 1.5; /* error over that of the fit, from which on it is told */
-const MOST_ROWS = 6000; /* of an autocorrelation */
+const SURE = 3; /* significance threshold of a change, in standard errors */
+const WORSE = 1.5; /* reporting threshold of the error, relative to that of the fit */
+const MOST_ROWS = 6000; /* maximum rows of an autocorrelation */
 
 function mean(values) {
   return values.reduce((sum, value) => sum + value, 0) / values.length;
@@ -41,7 +41,7 @@ function correlationLength(residual) {
   return every * length;
 }
 
-/* Of measured friction over a law's: error, level and offset by least squares, with standard
+/* Error, level and offset of measured friction against a law, by least squares, with standard
  * errors that count neighbouring rows as alike. */
 function scoreOf(measured, law, dq) {
   const residual = measured.map((value, k) => value - law[k]);
@@ -63,24 +63,24 @@ function scoreOf(measured, law, dq) {
   };
 }
 
-/* What a joint's score says of drift: [kind, sentence]. */
+/* Drift of a joint: [kind, sentence]. */
 function driftOf(score, { noise, unit, change, shift }) {
   const { level, levelError, offset, offsetError, rmse } = score;
-  if (!score.moves) return ["rests", "It rests in this log, so nothing is said of it."];
-  if (!Number.isFinite(level)) return ["rests", "The law gives no friction here to compare with."];
+  if (!score.moves) return ["rests", "The joint rests in this log."];
+  if (!Number.isFinite(level)) return ["rests", "The law gives no friction in this log."];
   const sure = (value, error) => Math.abs(value) > SURE * error;
   const percent = shown(100 * Math.abs(level - 1), 2);
   if (Math.abs(level - 1) > change && sure(level - 1, levelError)) {
-    return ["drift", `Friction is ${percent} % ${level > 1 ? "higher" : "lower"} than the law says.`];
+    return ["drift", `Friction is ${percent} % ${level > 1 ? "higher" : "lower"} than the law.`];
   }
   if (noise && Math.abs(offset) > shift * noise && sure(offset, offsetError)) {
-    return ["shift", `The torque is off by ${shown(offset, 2)} ${unit} at a level as fitted: a ` +
-      "payload, an error of gravity or a sensor."];
+    return ["shift", `The torque is off by ${shown(offset, 2)} ${unit} at the fitted level: ` +
+      "payload, gravity error or sensor."];
   }
   if (noise && rmse > WORSE * noise) {
-    return ["worse", `Its level is as fitted, but the error is ${shown(rmse / noise, 2)} times ` +
-      "that of the fit: another motion or temperature than it was fitted to."];
+    return ["worse", `The level is as fitted, but the error is ${shown(rmse / noise, 2)} times ` +
+      "that of the fit: a different motion or temperature."];
   }
-  return ["same", `No: its level is within ${shown(100 * change, 2)} %` +
-    (noise ? " and its error is that of the fit." : ".")];
+  return ["same", `No: the level is within ${shown(100 * change, 2)} %` +
+    (noise ? " and the error is that of the fit." : ".")];
 }

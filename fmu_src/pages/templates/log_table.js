@@ -1,15 +1,15 @@
-/* A CSV as the tool reads it, and what its columns seem to be. */
+/* Reads a CSV as HESR does and guesses its columns. */
 
 const DELIMITERS = [",", ";", "\t", " "];
-const SEARCHED = 500; /* lines among which the first row of data must be */
+const SEARCHED = 500; /* maximum lines before the first row of data */
 const DATUM = /^([-+]?(\d+[.,]?\d*|[.,]\d+)(e[-+]?\d+)?|\d{4}-\d\d-\d\d[T ][\d:.]+Z?)$/i;
 const COMMA = /^[-+]?\d*,\d+(e[-+]?\d+)?$/i;
 const UNIT_CELL = /^([([].*[)\]]|rad|deg|°|s|ms|us|ns|A|mA|N\.?m|rad\/s|deg\/s|-|)$/;
 const MISSING = /^([-+]?nan|null|#?n\/?a|)$/i;
 const SINCE_1970 = 1e8; /* [s] */
-const LARGEST_FILE = 2 ** 28; /* bytes, of which one string is made */
+const LARGEST_FILE = 2 ** 28; /* bytes, read into one string */
 
-/* What is wrong with a file, as a sentence for its user. */
+/* An error in a file, as a sentence for the user. */
 class LogError extends Error {}
 
 function cellsOf(line, delimiter) {
@@ -28,7 +28,7 @@ function cellsOf(line, delimiter) {
   return [...found, cell.trim()];
 }
 
-/* Whether a line is a row of numbers, some of which may be missing. */
+/* Whether a line is a row of numbers, some possibly missing. */
 function isData(line, delimiter) {
   if (isComment(line) || !line.includes(delimiter)) return false;
   const cells = cellsOf(line, delimiter), numbers = cells.filter((c) => DATUM.test(c)).length;
@@ -39,7 +39,7 @@ function isComment(line) {
   return line[0] === "#" || line[0] === "%";
 }
 
-/* Header, first row of data and delimiter: data begin at the first line of numbers that is below
+/* Header, first row of data and delimiter: data start at the first line of numbers below
  * a line of as many names. */
 function tableIn(lines) {
   const named = lines.map(({ number, text }) => ({ number, text: text.replace(/^[#% ]+/, "") }));
@@ -56,21 +56,21 @@ function tableIn(lines) {
       if (header) return { delimiter, at, names: cellsOf(header.text, delimiter) };
     }
   }
-  throw new LogError("It has no table: needed are a line of names and lines of numbers below it.");
+  throw new LogError("it has no table; a line of names above lines of numbers is needed.");
 }
 
-/* Names and columns of numbers, NaN where a cell is empty; what is no number is kept in `wrong`. */
+/* Names and columns of numbers, NaN for empty cells; `wrong` collects invalid cells. */
 function tableOf(text) {
-  if (text.includes("\0")) throw new LogError("It is no text; needed is a CSV.");
+  if (text.includes("\0")) throw new LogError("the file is not text; choose a CSV.");
   const lines = [];
   text.replace(/^\uFEFF/, "").split(/\r\n|\n|\r/).forEach((line, k) => {
     if (line.trim()) lines.push({ number: k + 1, text: line.trim() });
   });
-  if (!lines.length) throw new LogError("It is empty; a log needs a header and rows of data.");
+  if (!lines.length) throw new LogError("it is empty; a log needs a header and rows of data.");
   const { delimiter, at, names } = tableIn(lines);
   const twice = names.find((name, k) => names.indexOf(name) < k);
   if (twice !== undefined) {
-    throw new LogError(`Its column '${twice}' stands twice; names must differ.`);
+    throw new LogError(`column '${twice}' appears twice; names must differ.`);
   }
   const rows = lines.slice(at).filter((line) => !isComment(line.text));
   const comma = delimiter !== "," && rows.some((line) => line.text.includes(",") &&
@@ -81,7 +81,7 @@ function tableOf(text) {
   rows.forEach((line, k) => {
     const cells = cellsOf(line.text, delimiter);
     if (cells.length !== all.length) {
-      throw new LogError(`Row ${line.number} has ${cells.length} cells; the header has ` +
+      throw new LogError(`row ${line.number} has ${cells.length} cells; the header has ` +
         `${all.length} columns.`);
     }
     cells.forEach((cell, i) => {
@@ -89,7 +89,7 @@ function tableOf(text) {
       const value = Number(comma ? cell.replace(",", ".") : cell);
       column.values[k] = cell === "" ? NaN : value;
       if (Number.isNaN(value) && !MISSING.test(cell)) column.wrong ??= { row: line.number, cell };
-      /* Nanoseconds since 1970 have more digits than a number. */
+      /* Nanoseconds since 1970 exceed double precision. */
       if (value > 2 ** 53 && /^\d+$/.test(cell)) {
         column.whole ??= BigInt(cell);
         column.values[k] = Number(BigInt(cell) - column.whole);
@@ -99,17 +99,17 @@ function tableOf(text) {
   return { names, columns, rows: rows.map((line) => line.number) };
 }
 
-/* Numbers of a column; a sentence names its first cell that is none. */
+/* Numbers of a column; an error names the first invalid cell. */
 function numbersOf(table, name) {
   const { values, wrong } = table.columns.get(name);
   if (wrong) {
-    throw new LogError(`Column '${name}', row ${wrong.row}: '${wrong.cell}' where a number is ` +
+    throw new LogError(`column '${name}', row ${wrong.row}: '${wrong.cell}' where a number is ` +
       "needed.");
   }
   return values;
 }
 
-/* Stamps [s]; those since 1970 are counted from the first one. */
+/* Time stamps [s]; those since 1970 are relative to the first one. */
 function timesOf(table, name, unit) {
   const values = numbersOf(table, name), first = values.find(Number.isFinite) ?? 0;
   const since = Math.abs(first) * unit > SINCE_1970 ? first : 0;
@@ -121,7 +121,7 @@ function median(values) {
   return sorted.length % 2 ? sorted[half] : 0.5 * (sorted[half - 1] + sorted[half]);
 }
 
-/* Guesses by the tool's own words, which the page carries. */
+/* Guesses with HESR's own word lists, embedded in the page. */
 class Guess {
   constructor(table, joints, words, units) {
     Object.assign(this, { table, joints, words, units });
@@ -139,7 +139,7 @@ class Guess {
     return (name.match(/[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°/g) ?? []).map((s) => s.toLowerCase());
   }
 
-  /* Columns that differ in a number or in a joint's name only, in the joints' order. */
+  /* Columns that differ only in a number or a joint name, in the order of the joints. */
   *grouped() {
     const numbered = new Map(), named = new Map();
     const keep = (groups, key, place, name) => {
@@ -191,7 +191,7 @@ class Guess {
     return named.filter(rises).sort((a, b) => a.length - b.length)[0] ?? null;
   }
 
-  /* Unit of time that gives a rate of robots: by name, else that nearest to 200 Hz. */
+  /* Unit of time: by name, else the one with a rate closest to 200 Hz. */
   unitOfTime(name) {
     const values = this.table.columns.get(name).values.filter(Number.isFinite);
     const step = median(values.slice(1).map((value, k) => value - values[k]));
@@ -205,7 +205,7 @@ class Guess {
     return possible.sort((a, b) => far(a) - far(b))[0];
   }
 
-  /* Unit that a name says, or "". */
+  /* Unit in a column name, or "". */
   said(quantity, name) {
     const known = this.words.units[quantity] ?? {};
     const words = [...name.toLowerCase().split(/[^a-z°]+/), ...this.tokens(name)];

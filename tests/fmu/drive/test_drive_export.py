@@ -179,12 +179,12 @@ def test_the_page_explains_the_drive_and_needs_nothing(fmu: Path) -> None:
     text = page(fmu)
     words = " ".join(re.sub(r"<[^>]*>", " ", text).split())
     for said in (
-        "Why torque in, speed out",
+        "Causality: torque in, speed out",
         "R(v) = J (v - dq) / h - tau_motor + (tau_f(v / N, x(v)) + tau_link(v)) / N",
         "At rest this law holds nothing",
         "Steady sliding drives at speeds of 0 to 0.75 rad/s",
         "0.001 s, parameter substep",
-        "Your tool has the link's inertia and integrates it",
+        "torque on the link, which the importing tool integrates",
     ):
         assert said in words
     assert "<math" in text

@@ -139,7 +139,7 @@ def test_a_law_without_an_audit_says_why(make_model):
     growing = Relaxation(name="h", unit="1", drive=DQ, rate=sympy.Integer(1))
     odd = law(sympy.exp(sympy.exp(1000 * growing.state + 1000)), growing)
     text = package(make_model(odd), "Odd")
-    assert "<b>There is no audit:</b> " in text
+    assert "<b>Not audited:</b> " in text
     assert "Joint1Speed" in text
     assert "Joint1Torque" not in text
 
