@@ -271,7 +271,7 @@ class Master:
         Outputs may depend on more inputs at the start than later, so one pass may not suffice.
         """
         before = None
-        for _ in self._layout.links:
+        for _ in self._wiring.order:
             self._layout.propagate(0.0)
             if before is not None and np.array_equal(before, self._layout.values):
                 break
