@@ -338,4 +338,4 @@ def test_a_file_that_is_chosen_and_one_that_is_no_text(
 
 def test_the_fmu_says_what_it_refuses(page: "Page", friction: dict[str, np.ndarray]) -> None:
     drop(page, table({**friction, "t": 10.0 * friction["t"]}))
-    assert wrong(page).startswith("day.csv: The FMU refuses it. h[1]: Euler needs rate * step < 1")
+    assert wrong(page).startswith("day.csv: the FMU refuses it. h[1]: Euler needs rate * step < 1")

@@ -169,7 +169,7 @@ def test_a_refused_step_is_said_in_the_words_of_the_fmu(page: "Page") -> None:
     assert refused(page) == []
     field(page, "alpha").fill("300")
     assert refused(page)[0].startswith(
-        "The FMU refuses this. h[1]: Euler needs rate * step < 1 but found 1.5 at dq[1] ="
+        "The FMU refuses these values. h[1]: Euler needs rate * step < 1 but found 1.5 at dq[1] ="
     )
     assert page.locator(".live-figures td").all_inner_texts()[1::2] == ["–", "–"]
     assert np.isnan(saved(page)["tau"][2:]).all()
@@ -249,7 +249,7 @@ def test_faster_than_the_training_is_said_beyond_the_slider(
     assert not note.is_visible()
     field(page, "amplitude").fill("6")
     settle(page)
-    assert note.inner_text() == "Faster than what the law was trained on: extrapolated."
+    assert note.inner_text() == "Faster than the training data: extrapolated."
     assert float(slider(page, "amplitude").input_value()) == 1.0
     field(page, "amplitude").fill("0")
     settle(page)

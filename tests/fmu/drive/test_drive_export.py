@@ -191,13 +191,13 @@ def test_the_page_explains_the_drive_and_needs_nothing(fmu: Path) -> None:
     assert not re.search(r"<script|https?://(?!www\.w3\.org)|@import|url\(", text)
 
 
-def test_the_page_says_what_a_law_holds(make_law, tmp_path: Path) -> None:
+def test_the_page_documents_the_holding_torque(make_law, tmp_path: Path) -> None:
     model = model_of({"a": make_law("lugre"), "b": make_law("viscous")})
     text = page(export_drive(model, tmp_path / "D.fmu", inertia=[1.0, 1.0]))
     # 12 N.m break away, 9 N.m and what the bristle's damping does not add at speed remain.
     assert "At rest this law holds up to 12 N.m without load; a torque below 9 N.m lets" in text
     assert "At rest this law holds up to 4.5 N.m without load; a torque below 4.5 N.m lets" in text
-    assert "friction depends in b." in text
+    assert "load on the joint, used by b" in text
 
 
 def speeds(
