@@ -285,9 +285,7 @@ def test_faster_than_the_law_was_fitted_to_and_a_joint_that_rests(
 ) -> None:
     rest = np.zeros(3000)
     drop(page, table({**friction, "dq1": 3.0 * friction["dq1"], "q3": rest, "dq3": rest}))
-    assert (
-        "j1 is faster than the training data." in page.locator(".log-notes").inner_text()
-    )
+    assert "j1 is faster than the training data." in page.locator(".log-notes").inner_text()
     assert cells(page, 2).last.inner_text() == "The joint rests in this log."
 
 
