@@ -118,8 +118,8 @@ static void misbehave(const char *call) {
         exit(0);
     } else if (strcmp(deed, "pull away") == 0) {
         /* What the other end might open when this process has ended: reading it never ends. */
-        remove("place");
-        if (mkfifo("place", 0600) != 0) {
+        remove("position");
+        if (mkfifo("position", 0600) != 0) {
             abort();
         }
         exit(0);

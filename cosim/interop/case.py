@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.systems.system import SystemSpec
 from cosim.systems.wiring import Wiring
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.support.arrays import Array
 
 _INDEX = re.compile(r"\[\d+(,\d+)*\]$")
@@ -85,7 +85,7 @@ class Together:
         """Return how its FMUs are connected."""
         variables = {}
         for component in self.spec.components:
-            with Component(component.fmu) as slave:
+            with FmuInstance(component.fmu) as slave:
                 variables[component.name] = slave.variables
         return Wiring(self.spec, variables, Path(self.spec.name))
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from cosim.interop.case import Alone
 from cosim.systems.system import Value
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.variables import arrays_of
 from hesr_model.support.arrays import Array
 
@@ -36,7 +36,7 @@ def driven(
         If it is no FMU of FMI 2.0 or 3.0 for co-simulation with a binary for this machine, or the
         start values do not fit it.
     """
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         about, variables = component.description, component.variables
         given = variables.expanded(start or {})
     fmi = int(about.fmiVersion[0])

@@ -6,7 +6,7 @@ import numpy as np
 
 from cosim.interop.case import Alone, Together
 from cosim.systems.simulation import Master
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.master import ExchangeScheme
 from fmu_src.run.native import through
 from hesr_model.support.arrays import Array
@@ -15,8 +15,8 @@ from hesr_model.support.arrays import Array
 def alone(case: Alone) -> dict[str, Array]:
     """Return the outputs of one FMU, (steps + 1,) each in its unit."""
     found = np.empty((case.steps + 1, len(case.outputs)))
-    with Component(case.fmu) as component:
-        inputs, outputs = component.batch(list(case.inputs)), component.batch(list(case.outputs))
+    with FmuInstance(case.fmu) as component:
+        inputs, outputs = component.buffer(list(case.inputs)), component.buffer(list(case.outputs))
         rows = np.column_stack([*case.inputs.values(), np.zeros(case.steps + 1)])[:, :-1]
         inputs.values[:] = rows[0]
         component.initialise(stop=case.stop, start=case.start, inputs=inputs)

@@ -16,7 +16,7 @@ from cosim.loop.traces import Trace
 from cosim.systems.simulation import Master
 from cosim.systems.system import Value
 from fmu_src.blocks.trajectory import start_values
-from fmu_src.run.pool import HERE
+from fmu_src.run.fmu import POOL
 from hesr_model.motions.trajectories import Trajectory
 from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
@@ -155,7 +155,7 @@ def track(
             for i, result in zip(left, results, strict=True):
                 keep(i, result)
     finally:
-        HERE.clear()  # where there was no other process
+        POOL.clear()  # where there was no other process
     return [done[i] for i in range(len(rows))]
 
 
@@ -165,7 +165,7 @@ def _tracked(
     spec = system(row.setting, duration=duration, limits=limits)
     rmse, last, failures = [], [], []
     trace: Trace | None = None
-    with Master(spec, loaded=HERE) as master:
+    with Master(spec, loaded=POOL) as master:
         for motion in motions:
             result = master.run(start={"trajectory": motion.parameters, "arm": {"q0": motion.q0}})
             q_d, q = (result.vector(name) for name in ("trajectory.q", "arm.q_true"))

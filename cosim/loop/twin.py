@@ -15,7 +15,7 @@ from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.parts import Signals
 from fmu_src.arm.plant import Plant, joint_limits, servo_signals
 from fmu_src.arm.table import SignalTable
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.native import through
 from hesr_model.errors import ConfigError
 from hesr_model.support.arrays import Array
@@ -95,7 +95,7 @@ class TwinArm:
     plant : joints, sample rate and noise.
     """
 
-    def __init__(self, component: Component, plant: Plant) -> None:
+    def __init__(self, component: FmuInstance, plant: Plant) -> None:
         self.plant = plant
         self.limits = joint_limits(plant)
         """Lowest and highest position (n, 2) [rad]."""
@@ -131,8 +131,8 @@ class TwinArm:
         halves = {"noise_seed[1]": seed & 0xFFFFFFFF, "noise_seed[2]": seed >> 32}
         fmu.initialise(start={**start, **halves})
         joints = range(1, len(self.plant.joints) + 1)
-        inputs = fmu.batch([f"dq_cmd[{i}]" for i in joints])
-        outputs = fmu.batch([f"{name}[{i}]" for name in _OUTPUTS.values() for i in joints])
+        inputs = fmu.buffer([f"dq_cmd[{i}]" for i in joints])
+        outputs = fmu.buffer([f"{name}[{i}]" for name in _OUTPUTS.values() for i in joints])
         step = 1.0 / self.plant.sample_rate
         times = step * np.arange(len(commands) - 1, dtype=float)
         first = outputs.read().copy()
@@ -149,4 +149,4 @@ def loaded_arm(
     with ExitStack() as cleanup:
         if fmu is None:
             fmu = export_twin(plant, cleanup.enter_context(scratch_folder()), signals)
-        yield TwinArm(cleanup.enter_context(Component(fmu, name="arm")), plant)
+        yield TwinArm(cleanup.enter_context(FmuInstance(fmu, name="arm")), plant)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fmu_src.friction.friction_component import GIVEN, START_MODE
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.native import through
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
@@ -40,7 +40,7 @@ class FrictionBench:
         If the FMU has not the connectors of a friction FMU.
     """
 
-    def __init__(self, component: Component, places: Array | None = None) -> None:
+    def __init__(self, component: FmuInstance, places: Array | None = None) -> None:
         names: set[str] = {v.name for v in component.description.modelVariables}
         self.joints = sum(name.startswith("tau[") for name in names)
         wanted = [f"{u.name}[{i}]" for u in INPUTS for i in range(1, max(self.joints, 1) + 1)]
@@ -55,8 +55,8 @@ class FrictionBench:
         self._settles = START_MODE in names
         self.forever = _FOREVER if self.exact else _LONG
         self._component = component
-        self._inputs = component.batch(wanted)
-        self._outputs = component.batch([f"tau[{i}]" for i in range(1, self.joints + 1)])
+        self._inputs = component.buffer(wanted)
+        self._outputs = component.buffer([f"tau[{i}]" for i in range(1, self.joints + 1)])
         self._time = 0.0
 
     def start(
@@ -142,7 +142,7 @@ class FrictionBench:
 @contextmanager
 def friction_bench(fmu: Path, places: Array | None = None) -> Iterator[FrictionBench]:
     """Load a friction FMU onto a bench, its joints at places (n,) [rad] where not told."""
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         yield FrictionBench(component, places)
 
 
@@ -155,13 +155,13 @@ class DriveBench:
     places : (n,) where the joints start [rad].
     """
 
-    def __init__(self, component: Component, places: Array) -> None:
+    def __init__(self, component: FmuInstance, places: Array) -> None:
         self.joints = n = len(places)
         self.places = places
         self._component = component
         names = ("tau_motor", "q_link", "dq_link", "tau_load")
-        self._inputs = component.batch([f"{x}[{i}]" for x in names for i in range(1, n + 1)])
-        self._outputs = component.batch(
+        self._inputs = component.buffer([f"{x}[{i}]" for x in names for i in range(1, n + 1)])
+        self._outputs = component.buffer(
             [f"{x}[{i}]" for x in ("q", "dq", "tau_f") for i in range(1, n + 1)]
         )
         self._time = 0.0
@@ -240,5 +240,5 @@ class DriveBench:
 @contextmanager
 def drive_bench(fmu: Path, places: Array) -> Iterator[DriveBench]:
     """Load a JointDrive onto a bench, its joints at places (n,) [rad]."""
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         yield DriveBench(component, places)

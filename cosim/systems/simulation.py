@@ -11,10 +11,9 @@ import numpy as np
 from cosim.systems.system import SystemSpec, Value
 from cosim.systems.wiring import Wiring
 from fmu_src.arm.clock import untimed
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance, FmuPool
 from fmu_src.run.master import Element, ExchangeScheme, Layout, Link, Readable, Station
 from fmu_src.run.native import native
-from fmu_src.run.pool import Loaded
 from hesr_model.errors import ConfigError, HesrError, SimulationError
 from hesr_model.logs.tables import write_table
 from hesr_model.support.arrays import Array
@@ -92,7 +91,7 @@ class Master:
         path: Path = Path("system"),
         *,
         native: bool = True,
-        loaded: Loaded | None = None,
+        loaded: FmuPool | None = None,
         scheme: ExchangeScheme | None = None,
     ) -> None:
         self.spec, self._path, self._native, self._loaded = spec, path, native, loaded
@@ -102,7 +101,7 @@ class Master:
     def __enter__(self) -> "Master":
         """Load all FMUs and check the wiring."""
         with ExitStack() as cleanup:
-            lend = self._loaded.lend if self._loaded else Component
+            lend = self._loaded.lend if self._loaded else FmuInstance
             self._slaves = {
                 c.name: cleanup.enter_context(lend(c.fmu, name=c.name))
                 for c in self.spec.components
@@ -145,9 +144,9 @@ class Master:
                 Station(
                     slave=slave,
                     every=self.spec.every(component),
-                    inputs=slave.batch([variable for _, variable in fed]),
+                    inputs=slave.buffer([variable for _, variable in fed]),
                     sources=np.array([place[wiring.sources[into]] for into in fed], dtype=np.intp),
-                    outputs=slave.batch([variable for _, variable in own], part),
+                    outputs=slave.buffer([variable for _, variable in own], part),
                 )
             )
         low, high = np.array([b for _, b in wiring.limited]).reshape(-1, 2).T
@@ -173,7 +172,7 @@ class Master:
             if element in sources or element in feeding:
                 name, variable = element
                 yield Link(
-                    buffer=self._slaves[name].batch([variable]),
+                    buffer=self._slaves[name].buffer([variable]),
                     place=place[sources.get(element, element)],
                     is_input=element in sources,
                 )

@@ -14,12 +14,12 @@ from cosim.systems.simulation import Master
 from cosim.systems.ssp_reader import opened_system
 from cosim.systems.system import SystemSpec
 from fmu_src.run.archive import Archive
+from fmu_src.run.fmu import is_ours
 from fmu_src.run.master import ExchangeScheme
 from fmu_src.run.recorded import ROWS, table
 from fmu_src.run.reference_manifest import Experiment, manifest_files
 from fmu_src.run.reference_results import Experiment as Read
 from fmu_src.run.reference_results import Verified, experiments, judged
-from fmu_src.run.trust import is_ours
 from hesr_model.errors import HesrError, SimulationError
 
 TOLERANCE = 1e-9

@@ -268,7 +268,7 @@ def paths_of(files: PathArg | Sequence[PathArg], what: str) -> list[Path]:
 def remember_trust(fmus: Iterable[Path], *, trust: bool) -> None:
     """Record FMUs as trusted if `trust` is set."""
     if trust:
-        from fmu_src.run.trust import remember
+        from fmu_src.run.fmu import remember
 
         for fmu in fmus:
             if fmu.is_file():  # a missing file is refused where it is read

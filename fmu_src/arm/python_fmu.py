@@ -16,7 +16,7 @@ from fmu_src.arm.variables import variables
 from fmu_src.export.description import RELEASED, to_xml
 from fmu_src.export.interface import Interface
 from fmu_src.export.package import check_request, write_archive
-from fmu_src.run import trust as exported
+from fmu_src.run.fmu import remember
 from hesr_model.errors import ConfigError
 
 MODEL, TABLE, ABOUT = "model.xml", "signals.toml", "about.json"
@@ -64,7 +64,7 @@ def export_python_arm(path_of_mjcf: Path, table: Path | None, output: Path) -> P
             members = {name: archive.read(name) for name in sorted(archive.namelist())}
     members["modelDescription.xml"] = about["xml"].encode()  # PythonFMU's has its lines apart
     write_archive(members | licences("pythonfmu"), output, RELEASED)
-    exported.remember(output)
+    remember(output)
     return output
 
 

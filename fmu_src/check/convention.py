@@ -14,7 +14,7 @@ import numpy as np
 from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, Motion, errors, torques
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.replay import require_finite
 from fmu_src.run.variables import model_description
 from hesr_model.errors import SimulationError
@@ -140,8 +140,8 @@ def run(fmu: Path, motion: Motion, setting: str) -> Array:
     steps = np.diff(motion.t)
     slopes = np.diff(rows, axis=0) / steps[:, None]
     torque = np.empty_like(motion.dq)
-    with Component(fmu) as component:
-        inputs, outputs = component.batch(names), component.batch([f"tau[{i}]" for i in joints])
+    with FmuInstance(fmu) as component:
+        inputs, outputs = component.buffer(names), component.buffer([f"tau[{i}]" for i in joints])
         follow = component.slopes(names)
         inputs.values[:] = rows[0]
         component.initialise(time=float(motion.t[0]), inputs=inputs)

@@ -17,7 +17,7 @@ from fmu_src.export.description3 import Arrays, build_description, to_xml3
 from fmu_src.export.interface import Interface, to_c
 from fmu_src.export.terminals import ICON, TERMINALS, Terminal, to_terminals
 from fmu_src.export.toolchain import Target, build, targets
-from fmu_src.run import trust as exported
+from fmu_src.run.fmu import remember
 from fmu_src.run.recorded import Stimuli, result_files
 from hesr_model.errors import ExportError
 from hesr_model.support.cache import kept
@@ -169,7 +169,7 @@ def write_fmu(
     if content.stimuli:
         members |= result_files(members, content.stimuli)
     write_archive(members, path, about.created)
-    exported.remember(path)
+    remember(path)
     return path
 
 

@@ -1,59 +1,119 @@
-"""One FMU as a co-simulation slave: values by name, always freed."""
+"""FMUs as co-simulation slaves: variables by name, trusted or not, pooled, freed on every exit.
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
+An FMU is trusted if its hash is known because it was exported here or the user trusts it. The
+hashes are names of empty files in the user's cache folder. A user who can write there can run code
+without any FMU.
+"""
+
+import logging
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from fmpy.model_description import ModelDescription
 
-from fmu_src.run import trust as exported
 from fmu_src.run.archive import Archive
-from fmu_src.run.batch import WARNING, Buffer
-from fmu_src.run.instance import BINARIES, SUFFIX, Binary, DiedError, Instance, LoadError
-from fmu_src.run.instance3 import instance_of
+from fmu_src.run.instance import (
+    SUFFIX,
+    VERSIONS,
+    WARNING,
+    Buffer,
+    DiedError,
+    Instance,
+    LoadError,
+    UnpackedFmu,
+)
 from fmu_src.run.variables import Declared, Variables, description_in
 from hesr_model.errors import ArtifactError, SimulationError
+from hesr_model.support import cache
 from hesr_model.support.arrays import Array
-from hesr_model.support.files import scratch_folder
+from hesr_model.support.files import scratch_folder, sha256
 
 if TYPE_CHECKING:
-    from fmu_src.run.sandbox import Remote
+    from fmu_src.run.sandbox import SandboxedInstance
 
 SECONDS = 60.0
-"""Longest call of a foreign FMU, where not said otherwise."""
+"""Default time limit of a call of an untrusted FMU [s]."""
+
+_MOST_HASHES = 20_000
+_log = logging.getLogger(__name__)
 
 
-class Component:
-    """A slave; a context manager that frees the instance and its files on every way out.
+def hash_folder() -> Path:
+    """Return the folder of the hashes of trusted FMUs."""
+    return cache.folder() / "exported"
 
-    An FMU that was exported here runs in this process; any other one is foreign code and runs in a
-    process of its own, with limits on time, memory and files.
+
+def remember(fmu: Path) -> None:
+    """Trust an FMU from now on.
+
+    If the cache folder cannot be written, it stays untrusted: slower, with the same results.
+    """
+    try:
+        place = hash_folder()
+        place.mkdir(parents=True, exist_ok=True)
+        (place / sha256(fmu)).touch()
+        _forget_some(place)
+    except OSError as error:
+        _log.info("%s: will be run in a process of its own (%s).", fmu, error)
+
+
+def is_known(digest: str) -> bool:
+    """Whether an FMU of this SHA-256 is trusted."""
+    try:
+        return (hash_folder() / digest).is_file()
+    except OSError:  # no permission
+        return False
+
+
+def is_ours(fmu: Path) -> bool:
+    """Whether an FMU is trusted."""
+    return is_known(sha256(fmu))
+
+
+def _forget_some(place: Path) -> None:
+    """Remove the older half of too many hashes."""
+    with os.scandir(place) as entries:
+        if next(islice(entries, _MOST_HASHES, None), None) is None:
+            return
+    oldest = sorted(place.iterdir(), key=lambda file: file.stat().st_mtime)
+    for file in oldest[: _MOST_HASHES // 2]:
+        with suppress(FileNotFoundError):  # another process was faster
+            file.unlink()
+
+
+class FmuInstance:
+    """A co-simulation slave; a context manager that frees instance and files on every exit.
+
+    A trusted FMU runs in this process, any other one in a sandbox.
 
     Parameters
     ----------
     fmu : the FMU, FMI 2.0 or 3.0 for co-simulation; the variables of 3.0 are named as those of 2.0.
-    name : name of the instance; the file's stem where not given.
-    seconds : longest call of a foreign FMU [s].
+    name : name of the instance; by default the file's stem.
+    seconds : time limit of each call of an untrusted FMU [s].
 
     Attributes
     ----------
-    description : the FMU's own, once it is loaded.
-    variables : look-up in it.
-    declared : of FMI 3.0, its variables as they are declared; see `fmu_src.run.variables`.
-    time : that the FMU has reached, or at which the call began that failed [s].
-    messages : what the FMU has told its host.
-    used : whether an initialisation has begun, so that a reset is needed before another one.
+    description : model description, once the FMU is loaded.
+    variables : its variables by name.
+    declared : variables of FMI 3.0 as declared.
+    time : time that the FMU has reached, or start of the step that failed [s].
+    messages : messages of the FMU.
+    used : whether it must be reset before its next initialisation.
     failed : whether a call has failed.
 
     Raises
     ------
     SimulationError
-        By every method: naming the FMU, the time, and the variable where it is one's fault.
+        By every method, naming the FMU, the time and the variable.
 
     Examples
     --------
-    >>> with Component(Path("Friction.fmu")) as friction:
+    >>> with FmuInstance(Path("Friction.fmu")) as friction:
     ...     friction.initialise(start={"dq[1]": 0.2})
     ...     friction.step(0.0, 0.005)
     ...     friction.get(["tau[1]"])
@@ -93,43 +153,47 @@ class Component:
         self._cleanup.__exit__(*ended)
 
     def _unpack(self, folder: Path) -> bool:
-        """Unpack what is needed here; return whether the FMU is known as one of ours."""
+        """Unpack what this platform needs; return whether the FMU is trusted."""
         with Archive(self.fmu) as archive:
             self.description, self.declared = description_in(archive)
-            own = (*BINARIES.values(), "resources/")
+            own = (*(fmi.folder for fmi in VERSIONS.values()), "resources/")
             archive.unpack(folder, lambda name: name.startswith(own))
-            return exported.is_known(archive.digest())
+            return is_known(archive.digest())
 
-    def _loaded(self, folder: Path, *, known: bool) -> "Instance | Remote":
+    def _loaded(self, folder: Path, *, known: bool) -> "Instance | SandboxedInstance":
         about = self.description
         fmi = {"2.0": 2, "3.0": 3}.get(about.fmiVersion)
         if fmi is None or about.coSimulation is None:
             raise SimulationError(f"{self.fmu}: not an FMU of FMI 2.0 or 3.0 for co-simulation.")
         identifier = about.coSimulation.modelIdentifier
-        library = f"{BINARIES[fmi]}{identifier}{SUFFIX}"
+        library = f"{VERSIONS[fmi].folder}{identifier}{SUFFIX}"
         if not (folder / library).is_file():
             raise SimulationError(
                 f"{self.fmu}: has no binary for this platform; needed is {library}."
             )
-        binary = Binary(
-            folder=str(folder), guid=about.guid, identifier=identifier, name=self.name, fmi=fmi,
+        unpacked = UnpackedFmu(
+            folder=str(folder),
+            guid=about.guid,
+            identifier=identifier,
+            name=self.name,
+            fmi=fmi,
             variables=self.declared,
-        )  # fmt: skip
+        )
         try:
             if known:
-                return instance_of(binary, self._log, self._failure)
-            from fmu_src.run.sandbox import Remote  # slow to import
+                return Instance(unpacked, self._log, self._failure)
+            from fmu_src.run.sandbox import SandboxedInstance  # slow to import
 
-            own = folder / "process"  # no folder of an FMU's archive, of which two are unpacked
+            own = folder / "process"  # not a folder of the archive, two of which are unpacked
             own.mkdir()
-            return Remote(binary, self._log, self._failure, own, self._seconds)
+            return SandboxedInstance(unpacked, self._log, self._failure, own, self._seconds)
         except LoadError as error:
             raise SimulationError(f"{self.fmu}: its binary cannot be loaded ({error}).") from error
 
     def _free(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None or issubclass(kind, Exception):
             self._instance.close(stepping=self._stepping)
-        else:  # an interrupt waits for nobody
+        else:  # an interrupt must not wait
             self._instance.kill()
 
     def _log(self, status: int, text: str) -> None:
@@ -139,9 +203,9 @@ class Component:
 
     def _failure(self, error: Exception) -> SimulationError:
         self._stepping, self.failed = False, True
-        # A message of a call that went well says nothing about this one.
+        # Messages of earlier calls do not explain this failure.
         reason, self._complaint = self._complaint or str(error), None
-        if isinstance(error, DiedError):  # whatever it said before
+        if isinstance(error, DiedError):  # messages do not explain it
             reason = f"{error}."
         return SimulationError(
             f"{self.fmu.name} ('{self.name}') at t = {self.time:.9g} s: {reason}"
@@ -155,13 +219,13 @@ class Component:
         start: Mapping[str, float | str] | None = None,
         inputs: Buffer | None = None,
     ) -> None:
-        """Set parameters, start values and inputs, and go through the initialisation.
+        """Set parameters, start values and inputs, and initialise.
 
         Parameters
         ----------
         time, stop : start and end of the experiment [s].
         start : values of parameters, states and inputs by name.
-        inputs : batch that is written while the FMU is being initialised.
+        inputs : buffer that is written in initialisation mode.
         """
         self.enter_initialisation(time=time, stop=stop, start=start)
         if inputs is not None:
@@ -175,69 +239,138 @@ class Component:
         stop: float | None = None,
         start: Mapping[str, float | str] | None = None,
     ) -> None:
-        """Do the first half of `initialise`; inputs may be set and outputs read after it."""
+        """Enter the initialisation; afterwards inputs can be set and outputs read."""
         self.time = time
         self.used = True
-        defined = stop is not None
-        call = self._instance.call
-        call("fmi2SetupExperiment", False, 0.0, time, defined, stop or 0.0)
+        self._instance.setup(time, stop)
         self.set(start or {})
-        call("fmi2EnterInitializationMode")
+        self._instance.enter_initialisation()
 
     def exit_initialisation(self) -> None:
-        """Do the second half of `initialise`; steps may follow."""
-        self._instance.call("fmi2ExitInitializationMode")
+        """Exit the initialisation; steps may follow."""
+        self._instance.exit_initialisation()
         self._stepping = True
 
     def step(self, time: float, step: float) -> None:
-        """Go from `time` to `time + step` [s]."""
+        """Step from `time` by `step` [s]."""
         self.time = time
         self._instance.step(time, step)
         self.time = time + step
 
     def reset(self) -> None:
-        """Go back to before the initialisation, with all start values."""
+        """Return to the state before the initialisation, with all start values."""
         self._stepping = False
-        self._instance.call("fmi2Reset")
+        self._instance.reset()
         self.used = False
 
     def set(self, values: Mapping[str, float | str]) -> None:
-        """Set variables of any type by name; text for those of type String only."""
+        """Set variables of any type by name."""
         kinds: dict[str, list[str]] = {}
         for name in values:
             kinds.setdefault(self.variables[name].type, []).append(name)
         for kind, names in kinds.items():
             chosen = [values[name] for name in names]
             if kind == "Real":
-                batch = self.batch(names)
-                batch.values[:] = chosen
-                batch.write()
+                buffer = self.buffer(names)
+                buffer.values[:] = chosen
+                buffer.write()
             else:
                 own = kind if kind in ("Boolean", "String") else "Integer"
                 given = chosen if own == "String" else [int(value) for value in chosen]
                 references = self.variables.references(names, kind)
-                self._instance.put(own, references, given)
+                self._instance.set(own, references, given)
 
     def get(self, names: Iterable[str]) -> Array:
         """Return Real variables, (n,) in their units, in the order of their names."""
-        return self.batch(list(names)).read()
+        return self.buffer(list(names)).read()
 
-    def batch(self, names: Sequence[str], values: Array | None = None) -> Buffer:
-        """Return a buffer by which the same Real variables are set or read again and again.
+    def buffer(self, names: Sequence[str], values: Array | None = None) -> Buffer:
+        """Return a buffer to set and read the same Real variables repeatedly.
 
         Parameters
         ----------
-        names : of the variables.
-        values : (n,) contiguous memory to be that buffer, in the variables' units; its own where
-            not given.
+        names : names of the variables.
+        values : (n,) contiguous memory of the buffer in the variables' units; new by default.
         """
-        return self._instance.batch(self.variables.references(names, "Real"), values)
+        return self._instance.buffer(self.variables.references(names, "Real"), values)
 
     def slopes(self, names: Sequence[str]) -> Callable[[Array], None]:
-        """Return a function that sets the slopes of inputs, (n,) [unit/s], for the next step."""
+        """Return a function that sets the slopes (n,) of inputs [unit/s] for the next step."""
         references = self.variables.references(names, "Real")
 
         def set_slopes(slopes: Array) -> None:
-            self._instance.slope(references, slopes.tolist())
+            self._instance.set_slopes(references, slopes.tolist())
 
         return set_slopes
+
+
+# --- pool -------------------------------------------------------------------------------------
+
+_Key = tuple[Path, int, int, int, str]
+"""Identity of a file and name of the instance."""
+
+
+class FmuPool:
+    """Instances kept for their next use, since loading takes longer than a short run.
+
+    Parameters
+    ----------
+    most : number of instances kept; the oldest are freed first.
+    """
+
+    def __init__(self, most: int = 48) -> None:
+        self._most = most
+        self._idle: dict[_Key, FmuInstance] = {}
+
+    @contextmanager
+    def lend(self, fmu: Path, *, name: str) -> Iterator[FmuInstance]:
+        """Yield an instance, a kept one if the file has not changed.
+
+        Afterwards it is reset and kept, unless something has failed.
+        """
+        key = _key(fmu, name)
+        instance = self._idle.pop(key, None) if key else None
+        if instance is None:
+            instance = FmuInstance(fmu, name=name).__enter__()
+        try:
+            yield instance
+        except BaseException as error:
+            instance.__exit__(type(error), error, error.__traceback__)
+            raise
+        if key and key not in self._idle and _ready(instance):
+            self._idle[key] = instance
+            while len(self._idle) > self._most:
+                self._idle.pop(next(iter(self._idle))).__exit__(None, None, None)
+        else:
+            instance.__exit__(None, None, None)
+
+    def clear(self) -> None:
+        """Free all instances."""
+        while self._idle:
+            self._idle.popitem()[1].__exit__(None, None, None)
+
+
+POOL = FmuPool()
+"""Pool of this process."""
+
+
+def _key(fmu: Path, name: str) -> _Key | None:
+    try:
+        about = fmu.stat()
+    except OSError:  # reported when the FMU is loaded
+        return None
+    return fmu.resolve(), about.st_ino, about.st_size, about.st_mtime_ns, name
+
+
+def _ready(instance: FmuInstance) -> bool:
+    """Reset an instance; return whether it can be used again."""
+    if instance.failed:
+        return False
+    try:
+        if instance.used:
+            instance.reset()
+    except SimulationError:
+        return False
+    instance.time = 0.0
+    instance.messages.clear()
+    return True

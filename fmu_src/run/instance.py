@@ -1,54 +1,34 @@
-"""One instance of an FMU, loaded by FMPy into this process: functions, references, buffers."""
+"""One instance of an FMU, loaded by FMPy into this process."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import chdir, suppress
-from ctypes import c_double, c_int, c_void_p
+from ctypes import POINTER, c_double, c_uint
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import fmpy
 import numpy as np
 from fmpy.fmi1 import FMICallException
-from fmpy.fmi2 import (
-    FMU2Slave,
-    defaultCallbacks,
-    fmi2Boolean,
-    fmi2CallbackFunctions,
-    fmi2CallbackLoggerTYPE,
-    fmi2Integer,
-    fmi2Real,
-    fmi2String,
-    fmi2ValueReference,
-)
 
-from fmu_src.run.batch import WARNING, Batch
-from fmu_src.run.variables import Declared
+from fmu_src.run.fmi2 import Fmi2, Tell
+from fmu_src.run.fmi3 import Fmi3
+from fmu_src.run.variables import Declared, element_of
 from hesr_model.support.arrays import Array
 
 PLATFORM: str = fmpy.platform
-"""This platform, as FMI 2.0 names it."""
-
-BINARIES = {2: f"binaries/{PLATFORM}/", 3: f"binaries/{fmpy.platform_tuple}/"}
-"""Folder of the binaries for this platform, in an FMU of a version of FMI."""
+"""This platform as FMI 2.0 names it."""
 
 SUFFIX: str = fmpy.sharedLibraryExtension
-"""Of a binary's name."""
+"""Suffix of a binary's name."""
 
-_TYPES = {"Boolean": fmi2Boolean, "Integer": fmi2Integer, "String": fmi2String}
+VERSIONS: Mapping[int, Fmi2] = {2: Fmi2(), 3: Fmi3()}
+"""Versions of FMI by their major number."""
 
+WARNING = 1
+"""Highest status of a call that has succeeded; OK is 0."""
 
-_RENAMED = {
-    "fmi2SetReal": "fmi3SetFloat64",
-    "fmi2GetReal": "fmi3GetFloat64",
-    "fmi2SetInteger": "fmi3SetInt32",
-}
-
-
-def renamed(function: str, fmi: int) -> str:
-    """Return what a function of FMI 2.0 is called in a version of FMI."""
-    if fmi == 2:
-        return function
-    return _RENAMED.get(function, function.replace("fmi2", "fmi3"))
+Failure = Callable[[Exception], Exception]
+"""Turns a `CallError` or `DiedError` into the error that is raised."""
 
 
 class LoadError(Exception):
@@ -56,7 +36,7 @@ class LoadError(Exception):
 
 
 class DiedError(Exception):
-    """The process of an FMU gave no answer and is no more; the text says in which call and how."""
+    """A process has ended without an answer; the text says in which call and how."""
 
 
 class CallError(Exception):
@@ -64,28 +44,29 @@ class CallError(Exception):
 
     Parameters
     ----------
-    function : its name.
-    status : that it gave; None where it says why in words.
+    function : name of the function, or a message if there is no status.
+    status : status that it returned.
     """
 
     def __init__(self, function: str, status: int | None = None) -> None:
         super().__init__(
             function if status is None else str(FMICallException(function=function, status=status))
         )
-        self.status = status
+        self.function, self.status = function, status
 
 
 @dataclass(frozen=True, kw_only=True)
-class Binary:
-    """What an instance is made of.
+class UnpackedFmu:
+    """An FMU in a folder, ready to be loaded.
 
     Attributes
     ----------
-    folder : of the unpacked FMU.
+    folder : folder of the unpacked FMU.
     guid, identifier : from its description.
-    name : of the instance.
-    fmi : version.
-    variables : of FMI 3.0; see `fmu_src.run.variables`.
+    name : name of the instance.
+    fmi : major version of FMI.
+    variables : variables of FMI 3.0 as declared.
+    exchange : whether it is used for model exchange instead of co-simulation.
     """
 
     folder: str
@@ -94,137 +75,220 @@ class Binary:
     name: str
     fmi: int = 2
     variables: Sequence[Declared] = ()
+    exchange: bool = False
 
     to_json = asdict
 
 
+class Buffer(Protocol):
+    """Values of several Real variables of an FMU in any process.
+
+    Attributes
+    ----------
+    values : (n,) values in the units of the variables.
+    """
+
+    values: Array
+
+    def write(self) -> None:
+        """Set the variables to `values`; a failure may surface at the next call."""
+
+    def read(self) -> Array:
+        """Read the variables into `values` and return these."""
+
+
 class Instance:
-    """An FMU in this process.
+    """An FMU in this process, called through FMPy's class for its version and kind.
 
     Parameters
     ----------
-    binary : what it is made of.
-    tell : is given the status and the text of each message of the FMU.
-    failure : makes what is raised of a `CallError`.
+    fmu : the unpacked FMU.
+    tell : receives status and text of each message of the FMU.
+    failure : makes the error that is raised from a `CallError`.
+
+    Attributes
+    ----------
+    slave : FMPy's instance.
+    fmi : version of FMI.
+    held : values last set of FMI 3.0 arrays by value reference; arrays are always set whole.
 
     Raises
     ------
     LoadError
-        If its binary cannot be loaded.
+        If the binary cannot be loaded.
     CallError
-        By it and every method: if a function of the FMU fails.
+        By the constructor and every method, if a function of the FMU fails.
     """
 
     def __init__(
-        self,
-        binary: Binary,
-        tell: Callable[[int, str], None],
-        failure: Callable[[Exception], Exception] = lambda error: error,
+        self, fmu: UnpackedFmu, tell: Tell, failure: Failure = lambda error: error
     ) -> None:
-        self._tell, self._failure = tell, failure
+        self._failure = failure
+        self.fmi = VERSIONS[fmu.fmi]
+        self._starts = {array: list(starts) for array, _, _, starts in fmu.variables}
+        self._types = {array: kind for array, _, kind, _ in fmu.variables}
+        self.held = {array: list(starts) for array, starts in self._starts.items()}
+        self._experiment: tuple[float, float | None] = (0.0, None)
         try:
-            # FMPy changes the working directory and, if loading fails, does not change it back.
-            with chdir(binary.folder):
-                self._make(binary)
+            # FMPy changes the working directory and, if loading fails, does not restore it.
+            with chdir(fmu.folder):
+                self.slave = self.fmi.slave(
+                    exchange=fmu.exchange,
+                    guid=fmu.guid,
+                    modelIdentifier=fmu.identifier,
+                    unzipDirectory=fmu.folder,
+                    instanceName=fmu.name,
+                )
         except Exception as error:  # FMPy raises bare exceptions
             raise LoadError(str(error)) from error
         try:
-            self._begin(binary)
+            self.fmi.instantiate(self.slave, tell)
         except Exception as error:  # FMPy raises bare exceptions
-            self._slave.freeLibrary()
+            self.slave.freeLibrary()
             raise failure(CallError(str(error))) from error
 
-    def _make(self, binary: Binary) -> None:
-        self._slave: Any = FMU2Slave(
-            guid=binary.guid,
-            modelIdentifier=binary.identifier,
-            unzipDirectory=binary.folder,
-            instanceName=binary.name,
-        )
+    def call(self, function: str, *arguments: Any) -> None:
+        """Call a function of the FMU; every status except OK and warning is an error."""
+        try:
+            status = getattr(self.slave, function)(self.slave.component, *arguments)
+        except FMICallException as error:
+            status = error.status
+        if not 0 <= status <= WARNING:
+            self.fail(function, status)
 
-    def _begin(self, _binary: Binary) -> None:
-        callbacks = fmi2CallbackFunctions()
-        callbacks.logger = fmi2CallbackLoggerTYPE(self._log)
-        callbacks.allocateMemory = defaultCallbacks.allocateMemory
-        callbacks.freeMemory = defaultCallbacks.freeMemory
-        self._slave.instantiate(callbacks=callbacks)
-        # Past FMPy's layer as in `Batch`.
-        self._do_step = self._slave.dll["fmi2DoStep"]
-        self._instance = c_void_p(self._slave.component)
-        self._from, self._size, self._final = c_double(), c_double(), c_int(1)
+    def ask(self, method: str, *arguments: Any) -> Any:
+        """Call a method of FMPy's instance, such as "getFMUstate", and return its result."""
+        try:
+            return getattr(self.slave, method)(*arguments)
+        except FMICallException as error:
+            raise self._failure(CallError(error.function, error.status)) from error
 
-    def _log(self, _environment: Any, _name: bytes, status: int, _kind: bytes, text: bytes) -> None:
-        self._tell(status, (text or b"").decode("utf-8", errors="replace"))
-
-    def _fail(self, function: str, status: int) -> None:
+    def fail(self, function: str, status: int) -> None:
+        """Raise the error of a function that returned a status."""
         raise self._failure(CallError(function, status))
 
-    def call(self, function: str, *arguments: float) -> None:
-        """Call a function of the FMU that takes the instance and numbers."""
-        self._do(function, *arguments)
+    def setup(self, time: float, stop: float | None) -> None:
+        """Announce start and end of the experiment [s]."""
+        self._experiment = time, stop
+        self.fmi.setup(self.call, time, stop)
 
-    def put(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
-        """Set variables of a type other than Real, text encoded in UTF-8."""
-        if kind == "String":
-            values = [text.encode() for text in values]
-        n = len(references)
-        places = (fmi2ValueReference * n)(*references)
-        self._do(f"fmi2Set{kind}", places, n, (_TYPES[kind] * n)(*values))
+    def enter_initialisation(self) -> None:
+        """Enter the initialisation."""
+        self.fmi.enter(self.call, *self._experiment)
 
-    def slope(self, references: Sequence[int], slopes: Sequence[float]) -> None:
+    def exit_initialisation(self) -> None:
+        """Exit the initialisation."""
+        self.call(self.fmi.functions["exit_initialisation"])
+
+    def reset(self) -> None:
+        """Return to the state before the initialisation."""
+        self.call(self.fmi.functions["reset"])
+        self.held.update({array: list(starts) for array, starts in self._starts.items()})
+
+    def set(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
+        """Set variables of type Boolean, Integer or String."""
+        for reference, value in zip(references, values, strict=True):
+            array, position = element_of(reference)
+            held = self.held.get(array, [value])
+            held[position] = value
+            name, own = self.fmi.kind(kind, self._types.get(array))
+            shown = [v.encode() if kind == "String" else int(v) for v in held]
+            function = self.fmi.functions["set"] + name
+            pointer = (own * len(held))(*shown)
+            self.call(function, (c_uint * 1)(array), 1, *self.fmi.values(pointer, len(held)))
+
+    def set_slopes(self, references: Sequence[int], slopes: Sequence[float]) -> None:
         """Set the slopes of Real inputs [unit/s] for the next step."""
-        n = len(references)
-        places, orders = (fmi2ValueReference * n)(*references), (fmi2Integer * n)(*[1] * n)
-        self._do("fmi2SetRealInputDerivatives", places, n, orders, (fmi2Real * n)(*slopes))
-
-    def _do(self, function: str, *arguments: Any) -> None:
         try:
-            getattr(self._slave, function)(self._slave.component, *arguments)
-        except FMICallException as error:
-            raise self._failure(CallError(function, error.status)) from error
+            self.fmi.set_slopes(self.call, list(references), list(slopes))
+        except ValueError as error:
+            raise self._failure(CallError(str(error))) from error
 
     def step(self, time: float, size: float) -> None:
-        """Go from a time on by the size of a step [s]."""
-        self._from.value = time
-        self._size.value = size
-        status = self._do_step(self._instance, self._from, self._size, self._final)
-        if status > WARNING:
-            self._fail("fmi2DoStep", status)
+        """Step from a time [s] by a size [s]."""
+        if why := self.fmi.step(self.call, time, size):
+            raise self._failure(CallError(why))
 
-    def batch(self, references: Sequence[int], values: Array | None = None) -> Batch:
+    def buffer(self, references: Sequence[int], values: Array | None = None) -> "LocalBuffer":
         """Return a buffer of Real variables.
 
         Parameters
         ----------
-        references : of the variables.
-        values : (n,) contiguous memory to be that buffer, in the variables' units; its own where
-            not given.
+        references : references of the variables.
+        values : (n,) contiguous memory of the buffer in the variables' units; new by default.
         """
-        return Batch(
-            library=self._slave.dll,
-            instance=self._slave.component,
-            references=references,
-            values=np.zeros(len(references)) if values is None else values,
-            fail=self._fail,
-        )
+        own = np.zeros(len(references)) if values is None else values
+        return LocalBuffer(self, references, own)
 
     def close(self, *, stepping: bool) -> None:
-        """End the simulation, if it is stepping, free the instance and unload the binary."""
+        """Terminate the simulation if it is stepping, free the instance, unload the binary."""
         try:
             if stepping:
-                # A slave that refuses to end has to be freed all the same.
+                # An instance must be freed even if it refuses to terminate.
                 with suppress(FMICallException):
-                    self._end()
-            self._free()
+                    getattr(self.slave, self.fmi.functions["terminate"])(self.slave.component)
+            getattr(self.slave, self.fmi.functions["free"])(self.slave.component)
         finally:
-            self._slave.freeLibrary()
-
-    def _end(self) -> None:
-        self._slave.fmi2Terminate(self._slave.component)
-
-    def _free(self) -> None:
-        self._slave.fmi2FreeInstance(self._slave.component)
+            self.slave.freeLibrary()
 
     def kill(self) -> None:
-        """Do the same where nobody wants to wait."""
+        """Free the instance without terminating the simulation."""
         self.close(stepping=False)
+
+
+class LocalBuffer:
+    """Values of several Real variables of an `Instance`; see `Buffer`.
+
+    Attributes
+    ----------
+    instance : the FMU.
+    references : (m,) value references that are passed to the FMU.
+    is_plain : whether `values` are passed as they are; otherwise they are elements of arrays.
+    """
+
+    def __init__(self, instance: Instance, references: Sequence[int], values: Array) -> None:
+        self.values, self.instance = values, instance
+        elements = [element_of(reference) for reference in references]
+        sizes = {array: len(instance.held.get(array, (0.0,))) for array, _ in elements}
+        self._has_arrays = any(size != 1 for size in sizes.values())
+        if self._has_arrays:
+            self._arrays = list(sizes)
+            first = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
+            places = [first[array] + position for array, position in elements]
+        else:
+            self._arrays = [array for array, _ in elements]
+            places = list(range(len(elements)))
+        count = sum(sizes[array] for array in self._arrays)
+        self._places = np.array(places, dtype=np.intp)
+        self.is_plain = places == list(range(count))
+        self._whole: Array = values if self.is_plain else np.zeros(count)
+        self.references = np.array(self._arrays, dtype=np.uint32)
+        functions = instance.fmi.functions
+        self._write, self._read = functions["write"], functions["read"]
+        pointer = self._whole.ctypes.data_as(POINTER(c_double))
+        self._arguments = (
+            self.references.ctypes.data_as(POINTER(c_uint)),
+            len(self.references),
+            *instance.fmi.values(pointer, self._whole.size),
+        )
+
+    def write(self) -> None:
+        """Set the variables to `values`; other elements of their arrays keep their values."""
+        held = self.instance.held
+        if not self.is_plain:
+            self._whole[:] = [value for array in self._arrays for value in held[array]]
+            self._whole[self._places] = self.values
+        self.instance.call(self._write, *self._arguments)
+        if self._has_arrays:
+            at = 0
+            for array in self._arrays:
+                size = len(held[array])
+                held[array][:] = self._whole[at : at + size].tolist()
+                at += size
+
+    def read(self) -> Array:
+        """Read the variables into `values` and return these."""
+        self.instance.call(self._read, *self._arguments)
+        if not self.is_plain:
+            self._whole.take(self._places, out=self.values)
+        return self.values

@@ -11,8 +11,8 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu_src.run.batch import Buffer
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
+from fmu_src.run.instance import Buffer
 from hesr_model.errors import SimulationError
 from hesr_model.support.arrays import Array
 
@@ -22,7 +22,7 @@ Order = Literal["gauss_seidel", "jacobi"]
 """Order of the calls of a communication step; see `ExchangeScheme`."""
 
 Element = tuple[str, str]
-"""Component and variable."""
+"""FmuInstance and variable."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ class Station:
     outputs : buffer of its outputs, a part of the values of the system.
     """
 
-    slave: Component
+    slave: FmuInstance
     every: int
     inputs: Buffer
     sources: Places

@@ -7,15 +7,14 @@ from collections.abc import Sequence
 from enum import IntEnum
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
 from fmu_src.export.package import own_source
 from fmu_src.export.toolchain import TARGETS, build
-from fmu_src.run.batch import Batch, Buffer
-from fmu_src.run.fmu import Component
-from fmu_src.run.instance import PLATFORM
+from fmu_src.run.fmu import FmuInstance
+from fmu_src.run.instance import PLATFORM, VERSIONS, Buffer, LocalBuffer
 from fmu_src.run.master import Layout
 from hesr_model.errors import ExportError
 from hesr_model.support.arrays import Array
@@ -71,9 +70,14 @@ def native(layout: Layout) -> "Native | None":
     if layout.scheme.refreshed != "none":
         return None
     buffers = [b for station in layout.stations for b in (station.inputs, station.outputs)]
-    own = [buffer for buffer in buffers if isinstance(buffer, Batch)]
+    own = [buffer for buffer in buffers if _is_native(buffer)]
     library = _library() if len(own) == len(buffers) else None
     return Native(layout, own[::2], own[1::2], library) if library else None
+
+
+def _is_native(buffer: Buffer) -> TypeGuard[LocalBuffer]:
+    """Whether a buffer is one of an FMU of FMI 2.0 in this process."""
+    return isinstance(buffer, LocalBuffer) and buffer.instance.fmi is VERSIONS[2]
 
 
 class Native:
@@ -89,11 +93,11 @@ class Native:
     def __init__(
         self,
         layout: Layout,
-        inputs: Sequence[Batch],
-        outputs: Sequence[Batch],
+        inputs: Sequence[LocalBuffer],
+        outputs: Sequence[LocalBuffer],
         library: ctypes.CDLL,
     ) -> None:
-        self._layout, self._fail = layout, [buffer.fail for buffer in inputs]
+        self._layout, self._fail = layout, [buffer.instance.fail for buffer in inputs]
         self._advance = library["advance"]
         stations = (_Station * len(inputs))()
         self._held: list[Any] = [stations]  # as long as addresses of it are
@@ -150,11 +154,12 @@ class Native:
             self._fail[failing](_FUNCTIONS[end], int(system.status))
 
 
-def _connect(at: _Station, into: Batch, out: Batch) -> tuple[Batch, Batch]:
+def _connect(at: _Station, into: LocalBuffer, out: LocalBuffer) -> tuple[LocalBuffer, LocalBuffer]:
     """Fill in how a component is called; return what must stay while it is."""
-    at.component = into.instance
+    slave = into.instance.slave
+    at.component = slave.component
     at.set, at.get, at.step = (
-        ctypes.cast(into.library[name], ctypes.c_void_p).value
+        ctypes.cast(slave.dll[name], ctypes.c_void_p).value
         for name in ("fmi2SetReal", "fmi2GetReal", "fmi2DoStep")
     )
     at.inputs, at.outputs = into.values.size, out.values.size
@@ -167,7 +172,7 @@ _AT_ONCE = 1 << 16  # rows, after which signals are seen
 
 
 def through(
-    component: Component, inputs: Buffer, outputs: Buffer, times: Array, sizes: Array, rows: Array
+    component: FmuInstance, inputs: Buffer, outputs: Buffer, times: Array, sizes: Array, rows: Array
 ) -> Array:
     """Take a component through rows of inputs, each set, then stepped over, then read.
 
@@ -190,7 +195,7 @@ def through(
         If the FMU fails.
     """
     found = np.empty((len(rows), outputs.values.size))
-    if isinstance(inputs, Batch) and isinstance(outputs, Batch) and (library := _library()):
+    if _is_native(inputs) and _is_native(outputs) and (library := _library()):
         _through(library["through"], component, (inputs, outputs), times, sizes, rows, found)
         return found
     for k, (time, size) in enumerate(zip(times.tolist(), sizes.tolist(), strict=True)):
@@ -202,7 +207,7 @@ def through(
 
 
 def _through(
-    function: Any, component: Component, batches: tuple[Batch, Batch],
+    function: Any, component: FmuInstance, batches: tuple[LocalBuffer, LocalBuffer],
     times: Array, sizes: Array, rows: Array, found: Array,
 ) -> None:  # fmt: skip
     at, done, status = _Station(), ctypes.c_int64(0), ctypes.c_int(0)
@@ -217,7 +222,7 @@ def _through(
         over = end in (_End.DONE, _End.GET_FAILED)
         component.time = float(times[k] + sizes[k]) if over else float(times[k])
         if end is not _End.DONE:
-            batches[0].fail(_FUNCTIONS[end], status.value)
+            batches[0].instance.fail(_FUNCTIONS[end], status.value)
 
 
 @cache

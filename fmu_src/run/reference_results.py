@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from fmu_src.run.archive import MOST_TEXT, Archive
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.reference_manifest import FOLDER, MANIFEST
 from hesr_model.errors import HesrError
 from hesr_model.support.arrays import Array
@@ -221,9 +221,9 @@ def _played(fmu: Path, experiment: Experiment, way: str) -> Array:
     t = experiment.t
     rows = np.column_stack([*experiment.inputs.values(), t])[:, :-1]
     answers = np.empty((len(t), len(experiment.outputs)))
-    with Component(fmu) as component:
-        inputs = component.batch(list(experiment.inputs))
-        outputs = component.batch(list(experiment.outputs))
+    with FmuInstance(fmu) as component:
+        inputs = component.buffer(list(experiment.inputs))
+        outputs = component.buffer(list(experiment.outputs))
 
         def set_row(k: int) -> None:
             inputs.values[:] = rows[k]

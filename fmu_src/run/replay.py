@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.native import through
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS, TORQUE
@@ -15,7 +15,7 @@ from hesr_model.support.arrays import Array
 
 
 def replay(
-    fmu: Path | Component,
+    fmu: Path | FmuInstance,
     t: ArrayLike,
     dq: ArrayLike,
     q: ArrayLike | None = None,
@@ -52,7 +52,7 @@ def replay(
         If the log does not fit the FMU, or the FMU fails.
     """
     if isinstance(fmu, Path):
-        with Component(fmu) as component:
+        with FmuInstance(fmu) as component:
             return replay(
                 component, t, dq, q, tau_load, start, temperature=temperature, output=output
             )
@@ -78,8 +78,8 @@ def replay(
     if np.any(np.diff(time) <= 0.0):
         row = int(np.argmax(np.diff(time) <= 0.0)) + 1
         raise SimulationError(f"{component.fmu}: time does not increase at row {row} of the log.")
-    inputs = component.batch([f"{name}[{i}]" for name in given for i in indices])
-    outputs = component.batch([f"{output}[{i}]" for i in indices])
+    inputs = component.buffer([f"{name}[{i}]" for name in given for i in indices])
+    outputs = component.buffer([f"{output}[{i}]" for i in indices])
     rows = np.hstack(parts)
     torque = np.empty_like(zero)
     if component.used:

@@ -1,316 +1,370 @@
-"""One instance of a foreign FMU in a process of its own, behind the methods of `Instance`.
+"""A process with limits on time, memory and files, for FMUs and files that are not trusted.
 
-Each step is one message: what was written before goes with it, and what was read after the step
-before comes back with its answer, before it is asked for. Nothing that comes back is trusted.
+Each step of an FMU is one message: pending writes go with it, and buffers that were read after the
+step before come back with its answer. Nothing that comes back is trusted.
 """
 
 import json
-import os
-import select
 import socket
 import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from multiprocessing import Pipe
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fmu_src.run.instance import Binary, CallError, DiedError, LoadError, renamed
-from fmu_src.run.sandbox_child import LONGEST_TEXT, PLACE, WORDS, Exchange, unpacked_answer
+from fmu_src.run.fmi2 import Tell
+from fmu_src.run.instance import (
+    VERSIONS,
+    CallError,
+    DiedError,
+    Failure,
+    LoadError,
+    UnpackedFmu,
+)
+from fmu_src.run.sandbox_child import (
+    LENGTH,
+    LONGEST_TEXT,
+    POSITION,
+    WORDS,
+    Exchange,
+    unpacked_answer,
+)
 from hesr_model.support.arrays import Array
-from hesr_model.support.process import ChildProcess, FailedError, how_it_ended
+from hesr_model.support.process import FailedError, how_it_ended
 from hesr_model.support.text import plain
 
 _FAREWELL = 5.0  # [s] to free an instance
-_WHILE = 0.1  # [s] after which it is asked whether the process still lives
-_MOST_HOPED = 8  # batches
+_POLL = 0.1  # [s] between checks whether the process is alive
+_PIECE = 1 << 16  # bytes that are received at once
+_MOST_PREFETCHED = 8  # buffers
+_MOST_RESULT = 64 << 20  # bytes
+_NONSENSE = "answered what no FMU answers and was ended"
 
 
-class RemoteBatch:
-    """Values of several Real variables in one buffer, as `Batch`."""
-
-    def __init__(self, remote: "Remote", number: int, values: Array) -> None:
-        self.values, self.number = values, number
-        self._remote = remote
-
-    def write(self) -> None:
-        """Set the variables to `values`, with the next message."""
-        self._remote.write(self)
-
-    def read(self) -> Array:
-        """Read the variables into `values`, (n,) in their units, and return these."""
-        self._remote.read(self)
-        return self.values
-
-
-class Remote:
-    """An FMU in a process of its own.
+class Sandbox:
+    """A child process that answers requests; it ends at its first offence.
 
     Parameters
     ----------
-    binary, tell, failure : as for `Instance`.
-    folder : an empty one, in which the process runs.
-    seconds : longest call [s].
+    folder : empty folder in which the process runs.
+    seconds : time limit of each request, from sending it to its whole answer [s].
+
+    Attributes
+    ----------
+    reached : position of the last call within its request, once the process has ended.
+
+    Raises
+    ------
+    DiedError
+        By the constructor and every method, if the process cannot be started, ends, exceeds the
+        time limit, or answers nonsense; the text is the end of a sentence.
+    """
+
+    def __init__(self, folder: Path, seconds: float) -> None:
+        self.seconds, self.reached = seconds, 0
+        # Kept open: the FMU may replace the file of this name.
+        self._position = (folder / POSITION).open("w+b", buffering=0)
+        self._position.write(b"\0")
+        self._socket, theirs = socket.socketpair()
+        self._socket.settimeout(_POLL)
+        theirs.set_inheritable(True)
+        # -P: modules in the current folder are not imported.
+        command = (sys.executable, "-P", "-m", "fmu_src.run.sandbox_child", str(theirs.fileno()))
+        windows = sys.platform == "win32"
+        try:
+            self._started = ChildProcess(
+                command,
+                folder,
+                stdin=subprocess.PIPE,  # closed when this process ends
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                **({"close_fds": False} if windows else {"pass_fds": (theirs.fileno(),)}),
+            )
+        except FailedError as error:
+            self._position.close()
+            self._socket.close()
+            raise DiedError(f"has no process: {error}") from error
+        finally:
+            theirs.close()
+
+    def ask(self, request: bytes, most: int) -> bytes:
+        """Return the answer to a request, at most so many bytes."""
+        end = time.monotonic() + self.seconds
+        try:
+            self._send(LENGTH.pack(len(request)) + request, end)
+            return self._receive(most, end)
+        except OSError as error:  # a closed connection included
+            raise self.died(self._how_it_ended()) from error
+
+    def run(self, function: str, *arguments: Any) -> Any:
+        """Return the result of a function, named as "module:function", called in the process.
+
+        Arguments and result are JSON data; an exception is a `DiedError`.
+        """
+        request = WORDS + json.dumps(["run", [function, *arguments]]).encode()
+        data = self.ask(request, _MOST_RESULT)
+        try:
+            answer = json.loads(data)
+            if "raised" in answer:
+                raise self.died(f"failed with '{plain(str(answer['raised']), 400).rstrip('.')}'")
+            return answer["result"]
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
+            raise self.died(_NONSENSE) from error
+
+    def died(self, how: str) -> DiedError:
+        """End the process and return the error."""
+        self.kill()
+        return DiedError(how)
+
+    def kill(self) -> None:
+        """End the process and all that it has started."""
+        if not self._position.closed:
+            self._position.seek(0)
+            self.reached = next(iter(self._position.read(1)), 0)
+            self._position.close()
+        self._socket.close()
+        if self._started.process.stdin:
+            self._started.process.stdin.close()
+        self._started.end()
+
+    def _send(self, data: bytes, end: float) -> None:
+        left = memoryview(data)
+        while left:
+            with suppress(TimeoutError):
+                left = left[self._socket.send(left) :]
+            self._require_time(end)
+
+    def _receive(self, most: int, end: float) -> bytes:
+        data, size = bytearray(), LENGTH.size + most
+        while len(data) < size:
+            try:
+                piece = self._socket.recv(_PIECE)
+            except TimeoutError:
+                # Descendants may keep the connection open.
+                if self._started.process.poll() is not None:
+                    raise ConnectionError from None
+                self._require_time(end)
+                continue
+            if not piece:
+                raise ConnectionError
+            data += piece
+            if len(data) < LENGTH.size:
+                self._require_time(end)
+                continue
+            size = LENGTH.size + LENGTH.unpack_from(data)[0]
+            if size > LENGTH.size + most or len(data) > size:
+                raise self.died(_NONSENSE)
+            if len(data) < size:
+                self._require_time(end)
+        return bytes(data[LENGTH.size :])
+
+    def _require_time(self, end: float) -> None:
+        if time.monotonic() > end:
+            raise self.died(f"gave no answer within {self.seconds:g} s and was ended")
+
+    def _how_it_ended(self) -> str:
+        try:
+            return how_it_ended(self._started.process.wait(1.0))
+        except subprocess.TimeoutExpired:
+            return "closed its connection and was ended"
+
+
+class SandboxedInstance:
+    """An FMU in a sandbox, with the methods of `Instance`.
+
+    Parameters
+    ----------
+    fmu, tell, failure : as for `Instance`.
+    folder, seconds : as for `Sandbox`.
 
     Raises
     ------
     LoadError
-        If its binary cannot be loaded.
+        If the binary cannot be loaded.
     CallError
-        By it and every method: if a function of the FMU fails; by `write` only at the next call.
+        By the constructor and every method, if a function of the FMU fails; a failed write
+        surfaces at the next call.
     DiedError
-        By it and every method: if the process has ended or had to be ended.
+        By the constructor and every method, if the process has ended.
     """
 
     def __init__(
-        self,
-        binary: Binary,
-        tell: Callable[[int, str], None],
-        failure: Callable[[Exception], Exception],
-        folder: Path,
-        seconds: float,
+        self, fmu: UnpackedFmu, tell: Tell, failure: Failure, folder: Path, seconds: float
     ) -> None:
-        self._tell, self._failure, self._seconds = tell, failure, seconds
-        self._fmi = binary.fmi
+        self._tell, self._failure = tell, failure
+        self._fmi = VERSIONS[fmu.fmi]
+        self._functions = self._fmi.functions
         self._numbers: dict[tuple[int, ...], int] = {}
         self._sizes: list[int] = []
         self._written: list[tuple[int, bytes]] = []
         self._known: dict[int, bytes] = {}
         self._asked: dict[int, None] = {}
-        # Kept open: what stands under its name in the end may be anything.
-        self._place = (folder / PLACE).open("w+b", buffering=0)
-        self._place.write(b"\0")
-        self._reached = 0
-        self._connection, theirs = Pipe()
-        # -P: what lies in the current folder is not imported.
-        command = (sys.executable, "-P", "-m", "fmu_src.run.sandbox_child", str(theirs.fileno()))
-        more: dict[str, Any]
-        if sys.platform == "win32":
-            os.set_handle_inheritable(theirs.fileno(), True)
-            more = {"close_fds": False}
-        else:
-            _bound(self._connection.fileno(), seconds)
-            more = {"pass_fds": (theirs.fileno(),)}
-        self._wait = _waiting(self._connection)
         try:
-            self._started = ChildProcess(
-                command,
-                folder,
-                stdin=subprocess.PIPE,  # which is closed when this process ends
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                **more,
-            )
-        except FailedError as error:
-            self._place.close()
-            self._connection.close()
-            raise failure(DiedError(f"for its process: {error}")) from error
-        finally:
-            theirs.close()
+            self._sandbox = Sandbox(folder, seconds)
+        except DiedError as error:
+            raise failure(error) from error
         try:
-            self._words("loading it", "load", binary.to_json())
+            self._call("loading it", "load", fmu.to_json())
         except BaseException:
             self.kill()
             raise
 
-    def call(self, function: str, *arguments: float) -> None:
-        """Call a function of the FMU that takes the instance and numbers."""
-        self._flush()
-        self._words(function, "call", function, *arguments)
+    def setup(self, time: float, stop: float | None) -> None:
+        """Announce start and end of the experiment [s]."""
+        self._do("setup", time, stop)
 
-    def put(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
-        """Set variables of a type other than Real."""
-        self._flush()
-        self._words(f"fmi2Set{kind}", "put", kind, list(references), list(values))
+    def enter_initialisation(self) -> None:
+        """Enter the initialisation."""
+        self._do("enter_initialisation")
 
-    def slope(self, references: Sequence[int], slopes: Sequence[float]) -> None:
+    def exit_initialisation(self) -> None:
+        """Exit the initialisation."""
+        self._do("exit_initialisation")
+
+    def reset(self) -> None:
+        """Return to the state before the initialisation."""
+        self._do("reset")
+
+    def set(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
+        """Set variables of type Boolean, Integer or String."""
+        self._do("set", kind, list(references), list(values))
+
+    def set_slopes(self, references: Sequence[int], slopes: Sequence[float]) -> None:
         """Set the slopes of Real inputs [unit/s] for the next step."""
-        self._flush()
-        function = "fmi2SetRealInputDerivatives"
-        self._words(function, "slope", list(references), list(map(float, slopes)))
+        self._do("set_slopes", list(references), list(map(float, slopes)))
 
-    def batch(self, references: Sequence[int], values: Array | None = None) -> RemoteBatch:
-        """Return a buffer of Real variables.
+    def step(self, time: float, size: float) -> None:
+        """Step from a time [s] by a size [s]."""
+        prefetch = list(self._asked)[:_MOST_PREFETCHED]
+        self._asked.clear()
+        self._exchange(begin=time, size=size, prefetch=prefetch)
 
-        Parameters
-        ----------
-        references : of the variables.
-        values : (n,) memory to be that buffer, in the variables' units; its own where not given.
-        """
+    def buffer(self, references: Sequence[int], values: Array | None = None) -> "SandboxedBuffer":
+        """Return a buffer of Real variables; see `Instance`."""
         key = tuple(references)
         if key not in self._numbers:
-            self._words("fmi2GetReal", "batch", list(key))
+            self._call(self._functions["read"], "buffer", list(key))
             self._numbers[key] = len(self._sizes)
             self._sizes.append(8 * len(key))
-        buffer = np.zeros(len(key)) if values is None else values
-        return RemoteBatch(self, self._numbers[key], buffer)
+        own = np.zeros(len(key)) if values is None else values
+        return SandboxedBuffer(self, self._numbers[key], own)
 
-    def step(self, begin: float, size: float) -> None:
-        """Go from a time on by the size of a step [s]."""
-        hoped = list(self._asked)[:_MOST_HOPED]
-        self._asked.clear()
-        self._exchange(begin=begin, size=size, hoped=hoped)
-
-    def write(self, batch: RemoteBatch) -> None:
-        """Set the variables of a batch, with the next message."""
-        self._written.append((batch.number, batch.values.tobytes()))
+    def write(self, buffer: "SandboxedBuffer") -> None:
+        """Set the variables of a buffer with the next message."""
+        self._written.append((buffer.number, buffer.values.tobytes()))
         self._known.clear()
 
-    def read(self, batch: RemoteBatch) -> None:
-        """Read the variables of a batch."""
-        number = batch.number
-        self._asked[number] = None
-        if number not in self._known:
-            self._exchange(needed=[number])
-        batch.values[:] = np.frombuffer(self._known[number], "<f8")
+    def read(self, buffer: "SandboxedBuffer") -> None:
+        """Read the variables of a buffer."""
+        self._asked[buffer.number] = None
+        if buffer.number not in self._known:
+            self._exchange(needed=[buffer.number])
+        buffer.values[:] = np.frombuffer(self._known[buffer.number])
 
     def close(self, *, stepping: bool) -> None:
-        """End the simulation, if it is stepping, free the instance and end the process."""
-        self._seconds = min(self._seconds, _FAREWELL)
+        """Terminate the simulation if it is stepping, free the instance, end the process."""
+        self._sandbox.seconds = min(self._sandbox.seconds, _FAREWELL)
         self._failure = lambda error: error
         try:
-            # What the FMU does to its own process in the end is of no interest any more.
-            with suppress(DiedError, CallError, OSError):
-                if sys.platform != "win32":
-                    _bound(self._connection.fileno(), self._seconds)
-                self._words("fmi2FreeInstance", "close", stepping)
+            # Errors of an FMU that is freed no longer matter.
+            with suppress(DiedError, CallError):
+                self._call(self._functions["free"], "close", stepping)
         finally:
             self.kill()
 
     def kill(self) -> None:
-        """End the process, and all that it has started."""
-        if not self._place.closed:
-            self._place.seek(0)
-            self._reached = next(iter(self._place.read(1)), 0)
-            self._place.close()
-        self._connection.close()
-        if self._started.process.stdin:
-            self._started.process.stdin.close()
-        self._started.end()
+        """End the process."""
+        self._sandbox.kill()
 
-    def _flush(self) -> None:
+    def _do(self, method: str, *arguments: Any) -> None:
+        """Call a method of the instance after the pending writes."""
         if self._written:
             self._exchange()
+        kind = self._fmi.kind(arguments[0], None)[0] if method == "set" else ""
+        self._call(f"{self._functions[method]}{kind}", method, *arguments)
+
+    def _call(self, function: str, method: str, *arguments: Any) -> None:
+        """Call a method of the instance; errors name the function."""
+        self._known.clear()
+        request = WORDS + json.dumps([method, arguments]).encode()
+        try:
+            data = self._sandbox.ask(request, LONGEST_TEXT)
+            try:
+                answer = json.loads(data)
+                unloadable, failed = (answer.get(key) for key in ("unloadable", "failed"))
+                self._hear(answer["messages"])
+            except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+                raise self._sandbox.died(_NONSENSE) from error
+        except DiedError as error:
+            raise self._died([function], error) from error
+        if unloadable is not None:
+            raise LoadError(plain(str(unloadable)))
+        if failed is not None:
+            raise self._failure(CallError(plain(str(failed))))
 
     def _exchange(
         self,
         begin: float = 0.0,
         size: float = 0.0,
         needed: Sequence[int] = (),
-        hoped: Sequence[int] = (),
+        prefetch: Sequence[int] = (),
     ) -> None:
-        """Do what was put off, a step if it has a size, and read batches."""
+        """Do pending writes, a step if it has a size, and read buffers."""
         written, self._written = self._written, []
         self._known.clear()
-        exchange = Exchange(begin=begin, size=size, written=written, needed=needed, hoped=hoped)
-        names = ["fmi2SetReal"] * len(written) + ["fmi2DoStep"] * (size != 0.0)
-        names += ["fmi2GetReal"] * (len(needed) + len(hoped))
-        read = [*needed, *hoped]
+        exchange = Exchange(
+            begin=begin, size=size, written=written, needed=needed, prefetch=prefetch
+        )
+        names = [self._functions["write"]] * len(written)
+        names += [self._functions["step"]] * (size != 0.0)
+        names += [self._functions["read"]] * (len(needed) + len(prefetch))
+        read = [*needed, *prefetch]
         most = 8 + sum(self._sizes[number] for number in read) + LONGEST_TEXT
-        data = self._asked_for(names, exchange.packed(), most)
         try:
-            status, place, rest = unpacked_answer(data)
-            if status:
-                name, found = renamed(names[place], self._fmi), []
-            else:
-                name, found = "", read[: max(place, len(needed))]
-            for number in found:
-                values, rest = rest[: self._sizes[number]], rest[self._sizes[number] :]
-                if len(values) != self._sizes[number]:
-                    raise ValueError("too few values")
-                self._known[number] = values
-            self._hear(json.loads(rest) if rest else [])
-        except (ValueError, IndexError, TypeError, struct.error, RecursionError) as error:
-            raise self._nonsense(names) from error
+            data = self._sandbox.ask(exchange.packed(), most)
+            try:
+                status, position, rest = unpacked_answer(data)
+                failed = names[position] if status else ""
+                found = [] if status else read[: max(position, len(needed))]
+                for number in found:
+                    values, rest = rest[: self._sizes[number]], rest[self._sizes[number] :]
+                    if len(values) != self._sizes[number]:
+                        raise ValueError("too few values")
+                    self._known[number] = values
+                self._hear(json.loads(rest) if rest else [])
+            except (ValueError, IndexError, TypeError, struct.error, RecursionError) as error:
+                raise self._sandbox.died(_NONSENSE) from error
+        except DiedError as error:
+            raise self._died(names, error) from error
         if status:
-            raise self._failure(CallError(name, status))
-
-    def _words(self, function: str, method: str, *arguments: Any) -> None:
-        """Have a method of the host called; what the FMU is asked for is named in errors."""
-        self._known.clear()
-        request = WORDS + json.dumps([method, arguments]).encode()
-        data = self._asked_for([function], request, LONGEST_TEXT)
-        try:
-            answer = json.loads(data)
-            unloadable, failed = (answer.get(key) for key in ("unloadable", "failed"))
-            self._hear(answer["messages"])
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            raise self._nonsense([function]) from error
-        if unloadable is not None:
-            raise LoadError(plain(str(unloadable)))
-        if failed is not None:
-            raise self._failure(CallError(plain(str(failed))))
+            raise self._failure(CallError(failed, status))
 
     def _hear(self, messages: Sequence[tuple[int, str]]) -> None:
         for status, text in messages:
             self._tell(int(status), str(text))
 
-    def _asked_for(self, functions: Sequence[str], request: bytes, most: int) -> bytes:
-        """Send a request that makes the FMU go through functions, and return its answer."""
-        overdue = f"gave no answer within {self._seconds:g} s and was ended"
-        try:
-            self._connection.send_bytes(request)
-            if self._answers():
-                return self._connection.recv_bytes(most)
-        except BlockingIOError as error:
-            raise self._died(functions, overdue) from error
-        except (EOFError, OSError) as error:
-            raise self._died(functions, self._ended()) from error
-        raise self._died(functions, overdue)
-
-    def _answers(self) -> bool:
-        """Wait for an answer; whether there is one in time.
-
-        Raises
-        ------
-        EOFError
-            If the process has ended without one.
-        """
-        end = time.monotonic() + self._seconds
-        while not self._wait():
-            # What it has started may still hold the connection.
-            if self._started.process.poll() is not None and not self._wait(0.0):
-                raise EOFError
-            if time.monotonic() > end:
-                return False
-        return True
-
-    def _ended(self) -> str:
-        """Return how the process ended, which has closed its end of the connection."""
-        try:
-            return how_it_ended(self._started.process.wait(1.0))
-        except subprocess.TimeoutExpired:
-            return "closed its connection and was ended"
-
-    def _nonsense(self, functions: Sequence[str]) -> Exception:
-        return self._died(functions, "answered what no FMU answers and was ended")
-
-    def _died(self, functions: Sequence[str], how: str) -> Exception:
-        self.kill()
-        place = min(self._reached, len(functions) - 1)
-        return self._failure(DiedError(f"{renamed(functions[place], self._fmi)} {how}"))
+    def _died(self, functions: Sequence[str], error: DiedError) -> Exception:
+        function = functions[min(self._sandbox.reached, len(functions) - 1)]
+        return self._failure(DiedError(f"{function} {error}"))
 
 
-def _waiting(connection: Connection) -> Callable[..., object]:
-    """Return a function that waits for what comes, for a while or so many seconds."""
-    if sys.platform == "win32":
-        return lambda seconds=_WHILE: connection.poll(seconds)
-    # A tenth of the time of `Connection.poll`, which each step has to wait for.
-    poll = select.poll()
-    poll.register(connection.fileno(), select.POLLIN)
-    return lambda seconds=_WHILE: poll.poll(1000.0 * seconds)
+class SandboxedBuffer:
+    """Values of several Real variables of a `SandboxedInstance`; see `Buffer`."""
 
+    def __init__(self, instance: SandboxedInstance, number: int, values: Array) -> None:
+        self.values, self.number = values, number
+        self._instance = instance
 
-def _bound(connection: int, seconds: float) -> None:
-    """Let reading from and writing to a connection fail that take longer."""
-    whole = int(seconds)
-    limit = struct.pack("@ll", whole, max(int(1e6 * (seconds - whole)), 0))
-    with socket.socket(fileno=os.dup(connection)) as own:
-        own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
-        own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
+    def write(self) -> None:
+        """Set the variables to `values` with the next message."""
+        self._instance.write(self)
+
+    def read(self) -> Array:
+        """Read the variables into `values` and return these."""
+        self._instance.read(self)
+        return self.values

@@ -1,16 +1,19 @@
-"""What runs in the process of a foreign FMU: `fmu_src.run.sandbox` starts it and talks to it.
+"""The process of a sandbox: serves an FMU, or runs functions by name.
 
-    python -m fmu_src.run.sandbox_child CONNECTION
+    python -m fmu_src.run.sandbox_child SOCKET
 
-Which of the calls of a request is being made stands in the file `PLACE` of the current folder, for
-the one that does not come back. Requests and answers are JSON, but for those of each step, which
-are packed (`Exchange`). The process ends with the program that started it, however that ends.
+Messages are a length and that many bytes. Requests and answers are JSON, except for those of each
+step, which are packed (`Exchange`). The first byte of the file `POSITION` in the current folder is
+the position of the running call within its request, in case that call never returns. The process
+ends with the process that started it.
 """
 
+import importlib
 import json
 import mmap
 import os
 import signal
+import socket
 import struct
 import sys
 import threading
@@ -18,15 +21,11 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from fmu_src.run.batch import Batch
-from fmu_src.run.instance import Binary, CallError, LoadError
-from fmu_src.run.instance3 import instance_of
+if TYPE_CHECKING:
+    from fmu_src.run.instance import LocalBuffer
 
 MOST_MEMORY = 4 << 30
 MOST_IN_A_FILE = 1 << 30
@@ -35,42 +34,43 @@ MOST_FILES = 256
 
 MOST_MESSAGES = 100
 LONGEST_MESSAGE = 2000
-"""What is passed on of an FMU's messages: the last ones, in characters each."""
+"""Forward only the last messages of an FMU, each truncated to this number of characters."""
 
 LONGEST_TEXT = 4 * MOST_MESSAGES * LONGEST_MESSAGE
-"""Bytes of an answer's text."""
+"""Largest text of an answer of an FMU [bytes]."""
 
-PLACE = "place"
-"""File whose first byte is the place of a call in its request."""
+POSITION = "position"
 
 EXCHANGE, WORDS = b"X", b"W"
 """First byte of a request, packed or in JSON."""
 
+LENGTH = struct.Struct("!I")
+_ERROR = 3  # status
 _REQUEST, _ANSWER = struct.Struct("<ddIII"), struct.Struct("<ii")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Exchange:
-    """Batches that are written, a step if it has a size, and batches that are read.
+    """Buffers to write, a step, and buffers to read.
 
     Attributes
     ----------
-    begin, size : of the step [s]; no step where the size is 0.
-    written : batches with their values as bytes, in order.
-    needed : batches that are read; an error if that fails.
-    hoped : batches that are read besides, for nobody has asked for them yet.
+    begin, size : start and size of the step [s]; no step if the size is 0.
+    written : numbers of buffers with their values as bytes, in order.
+    needed : buffers to read; a failure is an error.
+    prefetch : buffers to read speculatively.
     """
 
     begin: float = 0.0
     size: float = 0.0
     written: Sequence[tuple[int, bytes]] = ()
     needed: Sequence[int] = ()
-    hoped: Sequence[int] = ()
+    prefetch: Sequence[int] = ()
 
     def packed(self) -> bytes:
         """Return the request."""
-        counts = len(self.written), len(self.needed), len(self.hoped)
-        numbers = [*(batch for batch, _ in self.written), *self.needed, *self.hoped]
+        counts = len(self.written), len(self.needed), len(self.prefetch)
+        numbers = [*(number for number, _ in self.written), *self.needed, *self.prefetch]
         return b"".join(
             (
                 EXCHANGE,
@@ -82,125 +82,134 @@ class Exchange:
 
 
 def unpacked_answer(data: bytes) -> tuple[int, int, bytes]:
-    """Return status and place of the call that failed, and the rest, of an answer to an exchange.
+    """Return status and position of the failed call, and the rest, of an answer to an exchange.
 
     Raises
     ------
     ValueError
-        If it is none.
+        If it is too short.
     """
     if len(data) < _ANSWER.size:
         raise ValueError(f"{len(data)} bytes are no answer")
-    status, place = _ANSWER.unpack_from(data)
-    return status, place, data[_ANSWER.size :]
+    status, position = _ANSWER.unpack_from(data)
+    return status, position, data[_ANSWER.size :]
 
 
 class _Host:
-    """An instance, its batches, and what it has said since the last answer."""
+    """An instance, its buffers, and its messages since the last answer."""
 
-    def __init__(self, connection: Connection) -> None:
+    def __init__(self, connection: socket.socket) -> None:
         self._connection, self._process = connection, os.getpid()
         self._messages: list[tuple[int, str]] = []
-        self._batches: list[Batch] = []
-        with Path(PLACE).open("r+b") as file:
-            self._place = mmap.mmap(file.fileno(), 1)
+        self._buffers: list[LocalBuffer] = []
+        with Path(POSITION).open("r+b") as file:
+            self._position = mmap.mmap(file.fileno(), 1)
 
     def serve(self) -> None:
-        """Answer requests until there are no more."""
-        with suppress(EOFError):
-            while True:
-                request = self._connection.recv_bytes()
-                if request[:1] == EXCHANGE:
-                    answer = self._exchanged(request[1:])
-                else:
-                    answer = json.dumps(self._answered(*json.loads(request[1:]))).encode()
-                if os.getpid() != self._process:  # the FMU has forked: one answer is enough
-                    os._exit(0)
-                self._connection.send_bytes(answer)
+        """Answer requests until the connection is closed."""
+        requests = self._connection.makefile("rb")
+        while header := requests.read(LENGTH.size):
+            request = requests.read(*LENGTH.unpack(header))
+            if request[:1] == EXCHANGE:
+                answer = self._exchanged(request[1:])
+            else:
+                answer = json.dumps(self._answered(*json.loads(request[1:]))).encode()
+            if os.getpid() != self._process:  # the FMU has forked: one process answers
+                os._exit(0)
+            self._connection.sendall(LENGTH.pack(len(answer)) + answer)
 
     def _tell(self, status: int, text: str) -> None:
         self._messages.append((status, text[:LONGEST_MESSAGE]))
         del self._messages[:-MOST_MESSAGES]
 
-    def _said(self) -> list[tuple[int, str]]:
-        said, self._messages = self._messages, []
-        return said
+    def _taken_messages(self) -> list[tuple[int, str]]:
+        messages, self._messages = self._messages, []
+        return messages
 
     def _answered(self, method: str, arguments: Sequence[Any]) -> dict[str, Any]:
+        if method == "run":
+            return _run(*arguments)
+        from fmu_src.run.instance import CallError, LoadError
+
         answer: dict[str, Any] = {}
         try:
-            getattr(self, f"_{method}")(*arguments)
+            if method in ("load", "buffer", "close"):
+                getattr(self, f"_{method}")(*arguments)
+            else:
+                getattr(self._instance, method)(*arguments)
         except LoadError as error:
             answer["unloadable"] = str(error)[:LONGEST_MESSAGE]
         except CallError as error:
             answer["failed"] = str(error)[:LONGEST_MESSAGE]
-        return answer | {"messages": self._said()}
+        return answer | {"messages": self._taken_messages()}
 
-    def _load(self, binary: dict[str, Any]) -> None:
-        self._instance = instance_of(Binary(**binary), self._tell)
+    def _load(self, fmu: dict[str, Any]) -> None:
+        from fmu_src.run.instance import CallError, Instance, UnpackedFmu
 
-    def _call(self, function: str, *arguments: float) -> None:
-        self._instance.call(function, *arguments)
+        self._instance, self._call_error = Instance(UnpackedFmu(**fmu), self._tell), CallError
 
-    def _put(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
-        self._instance.put(kind, references, values)
-
-    def _slope(self, references: Sequence[int], slopes: Sequence[float]) -> None:
-        self._instance.slope(references, slopes)
-
-    def _batch(self, references: Sequence[int]) -> None:
-        self._batches.append(self._instance.batch(references))
+    def _buffer(self, references: Sequence[int]) -> None:
+        self._buffers.append(self._instance.buffer(references))
 
     def _close(self, stepping: bool) -> None:
         self._instance.close(stepping=stepping)
 
     def _exchanged(self, request: bytes) -> bytes:
-        """Do an exchange; in the answer stands what was read, then what the FMU said."""
-        begin, size, writes, needs, hopes = _REQUEST.unpack_from(request)
-        numbers = np.frombuffer(request, "<u4", writes + needs + hopes, _REQUEST.size)
-        chosen = [self._batches[number] for number in numbers.tolist()]
-        written, needed, hoped = (
-            chosen[:writes], chosen[writes : writes + needs], chosen[writes + needs :],
-        )  # fmt: skip
-        offset = _REQUEST.size + numbers.nbytes
+        """Do an exchange and return its answer: the values that were read, then the messages."""
+        begin, size, writes, needs, prefetches = _REQUEST.unpack_from(request)
+        count = writes + needs + prefetches
+        numbers = struct.unpack_from(f"<{count}I", request, _REQUEST.size)
+        chosen = [self._buffers[number] for number in numbers]
+        needed, prefetch = chosen[writes : writes + needs], chosen[writes + needs :]
+        offset = _REQUEST.size + 4 * count
         calls: list[Callable[[], object]] = []
-        for batch in written:
-            values = np.frombuffer(request, "<f8", batch.values.size, offset)
-            offset += values.nbytes
-            calls.append(partial(self._write, batch, values))
+        for buffer in chosen[:writes]:
+            end = offset + buffer.values.nbytes
+            calls.append(partial(_write, buffer, request[offset:end]))
+            offset = end
         if size:
             calls.append(partial(self._instance.step, begin, size))
-        calls += [batch.read for batch in needed]
-        for place, call in enumerate(calls):
-            self._place[0] = min(place, 255)
+        calls += [buffer.read for buffer in needed]
+        for position, call in enumerate(calls):
+            self._position[0] = min(position, 255)
             try:
                 call()
-            except CallError as error:
-                return self._packed(error.status or 0, place, [])
+            except self._call_error as error:
+                if error.status is None:
+                    self._tell(_ERROR, str(error))
+                return self._packed(error.status or _ERROR, position, [])
         found = list(needed)
-        before = self._said()
-        for place, batch in enumerate(hoped, start=len(calls)):
-            self._place[0] = min(place, 255)
+        before = self._taken_messages()
+        for position, buffer in enumerate(prefetch, start=len(calls)):
+            self._position[0] = min(position, 255)
             try:
-                batch.read()
-            except CallError:
+                buffer.read()
+            except self._call_error:
+                self._messages = []  # it will be read again, if at all
                 break
-            found.append(batch)
-        if len(found) < len(chosen) - writes:
-            self._messages = []  # nobody has asked
+            found.append(buffer)
         self._messages = before + self._messages
         return self._packed(0, len(found), found)
 
-    @staticmethod
-    def _write(batch: Batch, values: Any) -> None:
-        batch.values[:] = values
-        batch.write()
+    def _packed(self, status: int, position: int, read: Sequence["LocalBuffer"]) -> bytes:
+        messages = self._taken_messages()
+        text = json.dumps(messages).encode() if messages else b""
+        values = [buffer.values.tobytes() for buffer in read]
+        return b"".join((_ANSWER.pack(status, position), *values, text))
 
-    def _packed(self, status: int, place: int, read: Sequence[Batch]) -> bytes:
-        said = self._said()
-        values = [batch.values.astype("<f8", copy=False).tobytes() for batch in read]
-        text = json.dumps(said).encode() if said else b""
-        return b"".join((_ANSWER.pack(status, place), *values, text))
+
+def _write(buffer: "LocalBuffer", values: bytes) -> None:
+    buffer.values.data.cast("B")[:] = values
+    buffer.write()
+
+
+def _run(function: str, *arguments: Any) -> dict[str, Any]:
+    """Call a function, named as "module:function"."""
+    module, _, name = function.partition(":")
+    try:
+        return {"result": getattr(importlib.import_module(module), name)(*arguments)}
+    except Exception as error:
+        return {"raised": f"{type(error).__name__}: {error}"[:LONGEST_MESSAGE]}
 
 
 def _limit() -> None:
@@ -220,7 +229,7 @@ def _limit() -> None:
 
 
 def _end_with_parent() -> None:
-    """Wait for the other end of standard input to be closed, then end all at once."""
+    """Wait until standard input is closed by the parent, then end the whole process group."""
     with suppress(OSError):
         while os.read(0, 1):
             pass
@@ -230,14 +239,8 @@ def _end_with_parent() -> None:
 
 
 def main() -> None:
-    """Serve the connection whose number is the only argument."""
-    number = int(sys.argv[1])
-    if sys.platform == "win32":
-        from multiprocessing.connection import PipeConnection
-
-        connection = PipeConnection(number)
-    else:
-        connection = Connection(number)
+    """Serve the socket whose number is the only argument."""
+    connection = socket.socket(fileno=int(sys.argv[1]))
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _limit()
     _Host(connection).serve()

@@ -204,7 +204,7 @@ Platforms = Annotated[
 def trusted(fmus: Iterable[Path], *, trust: bool) -> None:
     """Remember FMUs as our own, where their user trusts them."""
     if trust:
-        from fmu_src.run.trust import remember
+        from fmu_src.run.fmu import remember
 
         for fmu in fmus:
             if fmu.is_file():  # what is not there, others say better

@@ -8,7 +8,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr.extras.adaptive.adaptive_fmu import adaptive_content
 
 STEP = 0.005
@@ -25,10 +25,10 @@ def test_step(law, adaptive: bool, tmp_path: Path, benchmark: BenchmarkFixture) 
         write_fmu(adaptive_content(own), fmu)
     else:
         export_bare(own, fmu)
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         more = {"tau_meas[1]": 18.0} if adaptive else {}
         component.initialise(start={"dq[1]": 0.3, "dq[2]": -0.4, "dq[3]": 0.2} | more)
-        step, instance = component._instance._slave.fmi2DoStep, component._instance._slave.component
+        step, instance = component._instance.slave.fmi2DoStep, component._instance.slave.component
         counter = iter(range(10**9))
         benchmark(lambda: step(instance, next(counter) * STEP, STEP, True))
         assert component.get(["tau[1]"])[0] != 0.0

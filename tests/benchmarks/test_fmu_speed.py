@@ -19,7 +19,7 @@ from pythonfmu.builder import FmuBuilder
 
 from fmu_src import export_fmu, model_file
 from fmu_src.run import native
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.replay import replay
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.model import FrictionModel
@@ -53,20 +53,20 @@ def any_fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 def test_step(any_fmu: Path, benchmark: BenchmarkFixture) -> None:
     """Aim: 1.3 us for the native one, at least five times less than for the others."""
     benchmark.group = "doStep of three joints through FMPy"
-    with Component(any_fmu) as component:
+    with FmuInstance(any_fmu) as component:
         component.initialise(start={"dq[1]": 0.3})
-        step, instance = component._instance._slave.fmi2DoStep, component._instance._slave.component
+        step, instance = component._instance.slave.fmi2DoStep, component._instance.slave.component
         counter = iter(range(10**9))
         benchmark(lambda: step(instance, next(counter) * STEP, STEP, True))
         assert component.get(["tau[1]"])[0] != 0.0
 
 
 def test_set_step_get(any_fmu: Path, benchmark: BenchmarkFixture) -> None:
-    benchmark.group = "set, doStep, get of three joints through a Component"
-    with Component(any_fmu) as component:
+    benchmark.group = "set, doStep, get of three joints through a FmuInstance"
+    with FmuInstance(any_fmu) as component:
         component.initialise()
-        inputs = component.batch([f"dq[{i}]" for i in (1, 2, 3)])
-        outputs = component.batch([f"tau[{i}]" for i in (1, 2, 3)])
+        inputs = component.buffer([f"dq[{i}]" for i in (1, 2, 3)])
+        outputs = component.buffer([f"tau[{i}]" for i in (1, 2, 3)])
         counter = iter(range(10**9))
 
         def sample() -> None:

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from fmu_src import export_fmu
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.native import through
 from hesr.extras.one_file.c_header import export_c
 from hesr_model.fitting.declarative import OneForm
@@ -99,10 +99,10 @@ def test_robots_side_by_side_against_steps_of_the_fmu(
     dq = np.sin(np.outer(t[:-1], [1.0, 1.3, 1.7]))
     q = np.cumsum(dq, axis=0) * STEP
     rows = np.stack([dq, q, 20.0 * np.sin(q)], axis=1).reshape(ROWS, -1)
-    with Component(export_bare(model, tmp_path / "F.fmu")) as component:
+    with FmuInstance(export_bare(model, tmp_path / "F.fmu")) as component:
         names = ("dq", "q", "tau_load")
-        inputs = component.batch([f"{name}[{i}]" for name in names for i in (1, 2, 3)])
-        outputs = component.batch([f"tau[{i}]" for i in (1, 2, 3)])
+        inputs = component.buffer([f"{name}[{i}]" for name in names for i in (1, 2, 3)])
+        outputs = component.buffer([f"tau[{i}]" for i in (1, 2, 3)])
         component.initialise(start={})
         found: list[float] = []
 
@@ -141,9 +141,9 @@ def test_a_log_at_once_against_step_by_step(
     rows = np.hstack([data[name] for name in ("dq", "q", "tau_load")])
     first = dict(zip(names, map(float, rows[0]), strict=True))
     t = data["t"]
-    with Component(export_fmu(model, tmp_path / "F.fmu")) as component:
-        inputs = component.batch(names)
-        outputs = component.batch([f"tau[{i + 1}]" for i in range(JOINTS)])
+    with FmuInstance(export_fmu(model, tmp_path / "F.fmu")) as component:
+        inputs = component.buffer(names)
+        outputs = component.buffer([f"tau[{i + 1}]" for i in range(JOINTS)])
         found = []
 
         def stepped() -> None:

@@ -17,9 +17,8 @@ from cosim.loop.closed_loop import Scheme
 from cosim.systems.contents import read_contents
 from cosim.systems.ssp import write_ssp
 from fmu_src import model_file
-from fmu_src.run import trust as exported
 from fmu_src.run.archive import Archive
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance, is_known
 from hesr_model.friction.model import FrictionModel
 
 Tell = Callable[[str], None]
@@ -34,7 +33,7 @@ def recognise(fmus: list[Path]) -> None:
     """Do for FMUs what would not be needed if all were trusted."""
     for fmu in fmus:
         with Archive(fmu) as archive:
-            assert exported.is_known(archive.digest())
+            assert is_known(archive.digest())
 
 
 def test_share_of_recognising_our_own(bench: Bench, tmp_path: Path, tell: Tell) -> None:
@@ -65,8 +64,8 @@ def test_steps(whose: str, tmp_path: Path, benchmark: BenchmarkFixture) -> None:
         with zipfile.ZipFile(fmu) as archive:
             members = {name: archive.read(name) for name in archive.namelist()}
         fmu = archived(members, tmp_path / "Foreign.fmu")
-    with Component(fmu) as component:
-        inputs, outputs = component.batch(["u"]), component.batch(["y"])
+    with FmuInstance(fmu) as component:
+        inputs, outputs = component.buffer(["u"]), component.buffer(["y"])
         component.initialise()
         instants = iter(range(10**9))
 

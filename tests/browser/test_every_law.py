@@ -16,7 +16,7 @@ from fmu_src.friction.friction_fmu import live_of
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import Motion, torques
 from fmu_src.pages.live.page import live_assets, live_section
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.scales import scaled
 
@@ -63,9 +63,9 @@ def in_browser(page: "Page", data: dict[str, Any], motion: Motion, step: float) 
 def in_binary(path: Path, motion: Motion, step: float) -> np.ndarray:
     """The same from the FMU's binary of this machine."""
     joints = range(1, motion.dq.shape[1] + 1)
-    with Component(path) as component:
-        inputs = component.batch([f"{u}[{i}]" for u in ("dq", "q", "tau_load") for i in joints])
-        tau = component.batch([f"tau[{i}]" for i in joints])
+    with FmuInstance(path) as component:
+        inputs = component.buffer([f"{u}[{i}]" for u in ("dq", "q", "tau_load") for i in joints])
+        tau = component.buffer([f"tau[{i}]" for i in joints])
         rows = np.column_stack([motion.dq, motion.q, motion.tau_load])
         component.initialise(start=dict(zip(
             (f"{u}[{i}]" for u in ("dq", "q", "tau_load") for i in joints), rows[0], strict=True

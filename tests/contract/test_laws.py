@@ -20,7 +20,7 @@ from registry_models import everyday
 from threadpoolctl import threadpool_limits
 
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.replay import replay
 from hesr_model.errors import ArtifactError, HesrError
 from hesr_model.fitting.fit import fit_joint
@@ -334,7 +334,7 @@ def test_the_first_torque_of_the_fmu_is_the_steady_one(
     """At any speed of the training from that on which counts as motion."""
     trained = max(float(np.abs(data.dq).max()) for data in training())
     held = {"q": 0.3, "tau_load": 4.0}
-    with Component(exported(name)) as friction:
+    with FmuInstance(exported(name)) as friction:
         for speed in np.geomspace(MOVING, trained, 12):
             for dq in (speed, -speed):
                 inputs = {f"{n}[{i}]": v for i in (1, 2) for n, v in (held | {"dq": dq}).items()}

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import cosim.systems.simulation
 from cosim.systems.system import SystemSpec
 from fmu_src.run.variables import Variables
 from hesr_model.errors import SimulationError
@@ -94,8 +93,8 @@ class Fake:
     def get(self, names: Sequence[str]) -> np.ndarray:
         return np.array([self.v[name] for name in names])
 
-    def batch(self, names: Sequence[str], values: np.ndarray | None = None) -> "FakeBatch":
-        return FakeBatch(self, names, np.zeros(len(names)) if values is None else values)
+    def buffer(self, names: Sequence[str], values: np.ndarray | None = None) -> "FakeBuffer":
+        return FakeBuffer(self, names, np.zeros(len(names)) if values is None else values)
 
     def step(self, time: float, step: float) -> None:
         self.calls.append((self.name, time, step))
@@ -113,7 +112,7 @@ class Fake:
         pass
 
 
-class FakeBatch:
+class FakeBuffer:
     def __init__(self, slave: Fake, names: Sequence[str], values: np.ndarray) -> None:
         self.slave, self.names, self.values = slave, names, values
 
@@ -195,7 +194,8 @@ def install(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let masters make fakes, by the names of their files, instead of loading FMUs."""
     Fake.calls, Fake.alive = [], set()
     monkeypatch.setattr(
-        cosim.systems.simulation, "Component", lambda fmu, *, name: KINDS[fmu.stem](fmu, name=name)
+        "cosim.systems.simulation.FmuInstance",
+        lambda fmu, *, name: KINDS[fmu.stem](fmu, name=name),
     )
 
 

@@ -9,7 +9,7 @@ from small_study import Hesr, hesr_here, uf850
 from cosim.properties.battery import Subject, measure
 from fmu_src import model_file
 from fmu_src.pages.properties_sheet import section
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.lugre import LuGre
@@ -28,7 +28,7 @@ def test_a_drive(hesr, tmp_path):
                   "--stiffness", "1e4", "-o", fmu)  # fmt: skip
     assert answer.code == 0, answer.err
     assert answer.out == f"written to {fmu}.\n"
-    with Component(fmu) as drive:
+    with FmuInstance(fmu) as drive:
         drive.initialise()
         drive.set({"tau_motor[3]": 30.0})
         drive.step(0.0, 0.01)

@@ -3,7 +3,7 @@
 import pytest
 from small_study import Hesr, hesr_here, uf850
 
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 
 MJCF = """\
 <mujoco>
@@ -31,7 +31,7 @@ def test_an_mjcf_becomes_an_fmu(hesr, mjcf, tmp_path):
     answer = hesr("export", mjcf, "-o", fmu)
     assert answer.code == 0, answer.err
     assert answer.out == f"written to {fmu}.\n"
-    with Component(fmu) as swing:
+    with FmuInstance(fmu) as swing:
         assert swing.description.modelName == "swing"
         swing.initialise()
         swing.set({"u": 0.1})
@@ -43,7 +43,7 @@ def test_the_twin_with_its_table(hesr, tmp_path):
     fmu = tmp_path / "Arm.fmu"
     answer = hesr("export", uf850("uf850.xml"), "-o", fmu, "--signals", uf850("arm.toml"))
     assert answer.code == 0, answer.err
-    with Component(fmu) as arm:
+    with FmuInstance(fmu) as arm:
         arm.initialise(start={"payload": 1.0})
         arm.step(0.0, 0.005)
     answer = hesr("check", fmu)
@@ -57,7 +57,7 @@ def test_the_same_for_hosts_in_python(hesr, mjcf, tmp_path):
     assert answer.code == 0, answer.err
     found = []
     for fmu in (native, python):
-        with Component(fmu) as swing:
+        with FmuInstance(fmu) as swing:
             swing.initialise()
             swing.set({"u": 0.1})
             swing.step(0.0, 0.1)

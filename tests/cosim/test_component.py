@@ -12,7 +12,7 @@ import pytest
 
 from cosim.systems.contents import read_contents
 from cosim.systems.system import ComponentSpec, SystemSpec
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ConfigError, SimulationError
 
 
@@ -34,7 +34,7 @@ def without(fmu, copy, prefix):
 
 
 def test_values_are_set_and_read_by_name(friction_fmu):
-    with Component(friction_fmu) as friction:
+    with FmuInstance(friction_fmu) as friction:
         friction.initialise(start={"dq[1]": 0.2, "discretisation": 1, "h_start[2]": 0.5})
         assert friction.get(["h[2]", "dq[1]"]).tolist() == [0.5, 0.2]
         friction.set({"dq[2]": 0.3, "dq[1]": 0.1})
@@ -44,9 +44,9 @@ def test_values_are_set_and_read_by_name(friction_fmu):
 
 
 def test_batches_use_one_buffer(friction_fmu):
-    with Component(friction_fmu) as friction:
+    with FmuInstance(friction_fmu) as friction:
         friction.initialise()
-        inputs, outputs = friction.batch(["dq[1]", "dq[2]"]), friction.batch(["tau[1]", "tau[2]"])
+        inputs, outputs = friction.buffer(["dq[1]", "dq[2]"]), friction.buffer(["tau[1]", "tau[2]"])
         inputs.values[:] = 0.3, -0.3
         inputs.write()
         friction.step(0.0, 0.005)
@@ -56,7 +56,7 @@ def test_batches_use_one_buffer(friction_fmu):
 
 
 def test_outputs_can_be_read_during_the_initialisation(friction_fmu):
-    with Component(friction_fmu) as friction:
+    with FmuInstance(friction_fmu) as friction:
         friction.enter_initialisation(time=2.0)
         friction.set({"dq[1]": 0.4})
         before = friction.get(["tau[1]"])
@@ -65,7 +65,7 @@ def test_outputs_can_be_read_during_the_initialisation(friction_fmu):
 
 
 def test_reset_goes_back_to_the_start(friction_fmu):
-    with Component(friction_fmu) as friction:
+    with FmuInstance(friction_fmu) as friction:
         friction.initialise(start={"dq[1]": 0.4})
         friction.step(0.0, 0.005)
         friction.reset()
@@ -74,7 +74,7 @@ def test_reset_goes_back_to_the_start(friction_fmu):
 
 
 def test_errors_name_the_fmu_the_time_and_the_variable(friction_fmu):
-    with Component(friction_fmu, name="gear") as friction:
+    with FmuInstance(friction_fmu, name="gear") as friction:
         friction.initialise()
         friction.step(0.0, 0.25e-1)
         with pytest.raises(SimulationError) as error:
@@ -87,25 +87,25 @@ def test_errors_name_the_fmu_the_time_and_the_variable(friction_fmu):
 
 
 def test_steps_that_fail_name_the_time_at_which_they_began(friction_fmu):
-    with Component(friction_fmu) as friction:
+    with FmuInstance(friction_fmu) as friction:
         friction.initialise(time=1.5)
         with pytest.raises(SimulationError, match=r"at t = 1\.5 s: h\[1\]: Euler needs rate \* st"):
             friction.step(1.5, 1.0)
 
 
 def test_unknown_variables(friction_fmu):
-    with Component(friction_fmu) as friction:
+    with FmuInstance(friction_fmu) as friction:
         with pytest.raises(SimulationError) as caught:
             friction.get(["tau[9]"])
         assert str(caught.value).endswith(
             "there is no variable 'tau[9]'; did you mean tau[1], tau[2] or tau[3]?"
         )
         with pytest.raises(SimulationError, match="'discretisation' is not a Real"):
-            friction.batch(["discretisation"])
+            friction.buffer(["discretisation"])
 
 
 def test_nothing_stays_behind(friction_fmu, folder):
-    with Component(friction_fmu) as friction:
+    with FmuInstance(friction_fmu) as friction:
         friction.initialise()
         friction.step(0.0, 0.005)
         assert list(folder.iterdir())
@@ -117,7 +117,7 @@ def test_nothing_stays_behind(friction_fmu, folder):
 )
 def test_nothing_stays_behind_after_an_error(friction_fmu, folder, error):
     def use():
-        with Component(friction_fmu) as friction:
+        with FmuInstance(friction_fmu) as friction:
             friction.initialise()
             raise error
 
@@ -127,9 +127,9 @@ def test_nothing_stays_behind_after_an_error(friction_fmu, folder, error):
 
 
 def test_slaves_that_refuse_to_end_are_freed(friction_fmu, folder):
-    with Component(friction_fmu) as friction:
+    with FmuInstance(friction_fmu) as friction:
         friction.initialise()
-        friction._instance._slave.terminate()
+        friction._instance.slave.terminate()
     assert friction.messages == ["fmi2Terminate is not allowed in this state of the instance."]
     assert not list(folder.iterdir())
 
@@ -138,7 +138,7 @@ def test_files_that_are_no_fmu(tmp_path, folder):
     path = tmp_path / "X.fmu"
     path.write_text("not an archive")
     for fmu, said in ((path, "not a readable FMU"), (tmp_path / "missing.fmu", "no such file")):
-        with pytest.raises(SimulationError, match=said), Component(fmu):
+        with pytest.raises(SimulationError, match=said), FmuInstance(fmu):
             pass
     assert not list(folder.iterdir())
 
@@ -153,7 +153,7 @@ def test_an_fmu_that_cannot_be_stepped(friction_fmu, tmp_path, folder):
                 data = re.sub(rb"<CoSimulation.*?</CoSimulation>", b"", data, flags=re.S)
             new.writestr(name, data)
     said = f"{fmu}: not an FMU of FMI 2.0 or 3.0 for co-simulation."
-    with pytest.raises(SimulationError, match=re.escape(said)), Component(fmu):
+    with pytest.raises(SimulationError, match=re.escape(said)), FmuInstance(fmu):
         pass
     component = ComponentSpec(name="friction", fmu=fmu)
     spec = SystemSpec(name="alone", step=0.01, stop=0.1, components=(component,), connections={})
@@ -166,7 +166,7 @@ def test_an_fmu_that_cannot_be_stepped(friction_fmu, tmp_path, folder):
 def test_fmus_for_other_platforms(friction_fmu, tmp_path, folder):
     fmu = without(friction_fmu, tmp_path / "X.fmu", "binaries/")
     with pytest.raises(SimulationError, match="has no binary for this platform; needed is"):
-        Component(fmu).__enter__()
+        FmuInstance(fmu).__enter__()
     assert not list(folder.iterdir())
 
 
@@ -177,7 +177,7 @@ def test_binaries_that_are_not_of_the_description(friction_fmu, tmp_path, folder
         guid = text.split('guid="')[1].split('"')[0]
         new.writestr("modelDescription.xml", text.replace(guid, "{other}"))
     with pytest.raises(SimulationError, match="the GUID is not that of this binary"):
-        Component(fmu).__enter__()
+        FmuInstance(fmu).__enter__()
     assert not list(folder.iterdir())
 
 
@@ -187,13 +187,17 @@ def test_binaries_that_are_broken(friction_fmu, tmp_path, folder):
         name = next(n for n in old.namelist() if n.startswith("binaries/"))
         new.writestr(name, b"nothing")
     with pytest.raises(SimulationError, match="its binary cannot be loaded"):
-        Component(fmu).__enter__()
+        FmuInstance(fmu).__enter__()
     assert not list(folder.iterdir())
 
 
 def test_many_components_of_one_file(friction_fmu, tmp_path):
     copy = Path(shutil.copy(friction_fmu, tmp_path / "Copy.fmu"))
-    with Component(friction_fmu) as one, Component(friction_fmu) as two, Component(copy) as three:
+    with (
+        FmuInstance(friction_fmu) as one,
+        FmuInstance(friction_fmu) as two,
+        FmuInstance(copy) as three,
+    ):
         for component, speed in ((one, 0.1), (two, 0.2), (three, 0.1)):
             component.initialise(start={"dq[1]": speed})
             component.step(0.0, 0.005)
@@ -202,24 +206,24 @@ def test_many_components_of_one_file(friction_fmu, tmp_path):
 
 
 def test_fmus_may_take_memory_from_the_host(friction_fmu):
-    with Component(friction_fmu) as friction:
-        callbacks = friction._instance._slave.callbacks
+    with FmuInstance(friction_fmu) as friction:
+        callbacks = friction._instance.slave.callbacks
         assert callbacks.allocateMemory
         assert callbacks.freeMemory
 
 
 def test_a_message_of_an_earlier_call_is_no_reason(friction_fmu):
-    with Component(friction_fmu) as friction:
+    with FmuInstance(friction_fmu) as friction:
         friction._log(0, "all is well")
         friction._log(1, "almost")
         with pytest.raises(SimulationError, match=r"at t = 0 s: fmi2DoStep failed with status 3"):
-            friction._instance._fail("fmi2DoStep", 3)
+            friction._instance.fail("fmi2DoStep", 3)
     assert friction.messages == ["all is well", "almost"]
 
 
 def test_batches_may_use_memory_of_their_host(friction_fmu):
     values = np.zeros(4)
-    with Component(friction_fmu) as friction:
+    with FmuInstance(friction_fmu) as friction:
         friction.initialise(start={"dq[1]": 0.1, "dq[2]": 0.2})
-        friction.batch(["dq[1]", "dq[2]"], values[1:3]).read()
+        friction.buffer(["dq[1]", "dq[2]"], values[1:3]).read()
     assert values.tolist() == [0.0, 0.1, 0.2, 0.0]

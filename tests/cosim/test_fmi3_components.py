@@ -13,8 +13,7 @@ from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.blocks.velocity import velocity
 from fmu_src.export.description3 import to_xml3
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.run import trust as exported
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance, is_ours
 from fmu_src.run.variables import model_description
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
@@ -39,7 +38,7 @@ def fmu(request: pytest.FixtureRequest, friction3: Path, tmp_path: Path) -> Path
     foreign.write_bytes(friction3.read_bytes())
     with ZipFile(foreign, "a") as archive:
         archive.comment = b"of a stranger"
-    assert not exported.is_ours(foreign)
+    assert not is_ours(foreign)
     return foreign
 
 
@@ -47,11 +46,11 @@ def test_elements_of_arrays_are_set_and_read_alone(fmu: Path, friction_fmu: Path
     """What is not set keeps its value, though FMI 3.0 sets arrays as a whole."""
     found = []
     for file in (fmu, friction_fmu):
-        with Component(file) as friction:
+        with FmuInstance(file) as friction:
             start = {"dq[2]": 0.3, "tau_load[3]": 4.0, "discretisation": 1, "joint[1].alpha": 250.0}
             friction.initialise(start=start)
             rows = []
-            batch, some = friction.batch(["dq[3]", "dq[1]"]), friction.batch(["tau[2]", "tau[1]"])
+            batch, some = friction.buffer(["dq[3]", "dq[1]"]), friction.buffer(["tau[2]", "tau[1]"])
             for k in range(50):
                 batch.values[:] = (0.01 * k, -0.02 * k)
                 batch.write()
@@ -67,16 +66,16 @@ def test_elements_of_arrays_are_set_and_read_alone(fmu: Path, friction_fmu: Path
 
 
 def test_what_is_wrong_is_said_as_of_fmi_2(fmu: Path) -> None:
-    with Component(fmu) as friction:
+    with FmuInstance(fmu) as friction:
         with pytest.raises(SimulationError, match="there is no variable 'dv\\[1\\]'; did you mean"):
             friction.get(["dv[1]"])
         friction.initialise()
         with pytest.raises(SimulationError, match="fmi3DoStep: the step is -1 s from time 0 s"):
             friction.step(0.0, -1.0)
     said = "fmi3SetInt32: discretisation is 7; needed is"
-    with Component(fmu) as friction, pytest.raises(SimulationError, match=said):
+    with FmuInstance(fmu) as friction, pytest.raises(SimulationError, match=said):
         friction.set({"discretisation": 7})
-    with Component(fmu) as friction:
+    with FmuInstance(fmu) as friction:
         friction.initialise()
         with pytest.raises(SimulationError, match="inputs have no derivatives in FMI 3"):
             friction.slopes(["dq[1]"])(np.array([1.0]))

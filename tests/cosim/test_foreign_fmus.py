@@ -19,9 +19,8 @@ from test_cli_interrupts import started, wait_for
 
 from cosim.systems.simulation import simulate
 from cosim.systems.system import SystemSpec
-from fmu_src.run import trust as exported
-from fmu_src.run.fmu import Component
-from fmu_src.run.sandbox import Remote
+from fmu_src.run.fmu import FmuInstance, hash_folder, is_ours, remember
+from fmu_src.run.sandbox import Sandbox
 from hesr_model.errors import SimulationError
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="limits are those of POSIX")
@@ -52,8 +51,8 @@ def hesr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
 
 def go(fmu: Path, *, seconds: float = 20.0) -> None:
     """Take an FMU through its whole life."""
-    with Component(fmu, name="a", seconds=seconds) as lag:
-        inputs, outputs = lag.batch(["u"]), lag.batch(["y"])
+    with FmuInstance(fmu, name="a", seconds=seconds) as lag:
+        inputs, outputs = lag.buffer(["u"]), lag.buffer(["y"])
         lag.initialise(start={"u": 2.0})
         for k in range(3):
             inputs.values[:] = k
@@ -68,9 +67,9 @@ def children() -> list[int]:
 
 def test_ours_stay_in_this_process_and_others_do_not(lag_fmu: Path, foreign_lag: Path) -> None:
     before = children()
-    with Component(lag_fmu):
+    with FmuInstance(lag_fmu):
         assert children() == before
-    with Component(foreign_lag):
+    with FmuInstance(foreign_lag):
         (own,) = set(children()) - set(before)
         assert "fmu_src.run.sandbox_child" in " ".join(psutil.Process(own).cmdline())
     assert children() == before
@@ -93,15 +92,15 @@ def test_a_foreign_fmu_gives_the_same_to_the_last_bit(lag_fmu: Path, foreign_lag
 
 def test_a_step_is_one_message(foreign_lag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sent = []
-    ask = Remote._asked_for
+    ask = Sandbox.ask
 
-    def counted(remote: Remote, *arguments: object) -> bytes:
-        sent.append(arguments)
-        return ask(remote, *arguments)  # type: ignore[arg-type]
+    def counted(sandbox: Sandbox, request: bytes, most: int) -> bytes:
+        sent.append(request)
+        return ask(sandbox, request, most)
 
-    monkeypatch.setattr(Remote, "_asked_for", counted)
-    with Component(foreign_lag) as lag:
-        inputs, outputs = lag.batch(["u"]), lag.batch(["y"])
+    monkeypatch.setattr(Sandbox, "ask", counted)
+    with FmuInstance(foreign_lag) as lag:
+        inputs, outputs = lag.buffer(["u"]), lag.buffer(["y"])
         lag.initialise()
         lag.step(0.0, 0.1)
         outputs.read()
@@ -117,7 +116,7 @@ def test_a_step_is_one_message(foreign_lag: Path, monkeypatch: pytest.MonkeyPatc
 def test_its_own_refusals_are_told_as_those_of_ours(lag_fmu: Path, foreign_lag: Path) -> None:
     said = []
     for fmu in (lag_fmu, foreign_lag):
-        with Component(fmu, name="a") as lag:
+        with FmuInstance(fmu, name="a") as lag:
             lag.initialise(start={"refused": 0.25, "u": 1.0})
             lag.step(0.0, 0.2)
             with pytest.raises(SimulationError) as caught:
@@ -299,16 +298,16 @@ def test_hashes_that_cannot_be_kept(
 ) -> None:
     """An FMU whose hash cannot be kept runs all the same, as a foreign one."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert not exported.is_ours(lag_fmu)
-    exported.folder().write_text("a file where the folder should be")
-    exported.remember(lag_fmu)
-    assert not exported.is_ours(lag_fmu)
-    with Component(lag_fmu) as lag:
+    assert not is_ours(lag_fmu)
+    hash_folder().write_text("a file where the folder should be")
+    remember(lag_fmu)
+    assert not is_ours(lag_fmu)
+    with FmuInstance(lag_fmu) as lag:
         lag.initialise(start={"x_start": 0.5})
         assert lag.get(["y"]) == [0.5]
-    exported.folder().unlink()
-    exported.remember(lag_fmu)
-    assert exported.is_ours(lag_fmu)
+    hash_folder().unlink()
+    remember(lag_fmu)
+    assert is_ours(lag_fmu)
 
 
 def test_trust_is_kept(
@@ -319,11 +318,11 @@ def test_trust_is_kept(
     system.write_text(LAGS.replace("FMU", str(foreign_lag)), encoding="utf-8")
     outputs = []
     for option in ((), ("--trust",), ()):
-        known = exported.is_ours(foreign_lag)
+        known = is_ours(foreign_lag)
         outputs.append(tmp_path / f"{len(outputs)}.csv")
         assert hesr("simulate", system, "-o", outputs[-1], *option).code == 0
         assert known == (len(outputs) == 3)
-    assert exported.is_ours(foreign_lag)
+    assert is_ours(foreign_lag)
     assert len({output.read_bytes() for output in outputs}) == 1
 
 
@@ -331,12 +330,12 @@ def test_old_hashes_are_forgotten(
     lag_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(exported, "_MOST", 10)
-    exported.remember(lag_fmu)
-    place = exported.folder()
+    monkeypatch.setattr("fmu_src.run.fmu._MOST_HASHES", 10)
+    remember(lag_fmu)
+    place = hash_folder()
     for k in range(10):
         (place / f"{k:064x}").touch()
         os.utime(place / f"{k:064x}", (k, k))
-    exported.remember(lag_fmu)
+    remember(lag_fmu)
     assert len(list(place.iterdir())) == 6
-    assert exported.is_ours(lag_fmu)
+    assert is_ours(lag_fmu)

@@ -21,7 +21,7 @@ from cosim.systems.ssp_reader import opened_system
 from cosim.systems.system import SystemSpec
 from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.run.archive import Archive
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.variables import model_description
 from hesr_model.errors import ArtifactError, HesrError
 
@@ -169,7 +169,7 @@ def read_fmu(path: Path, folder: Path, *, run: bool) -> None:
     with Archive(path) as archive:
         archive.unpack(folder)
     if run:
-        with Component(path, seconds=5.0) as component:
+        with FmuInstance(path, seconds=5.0) as component:
             component.initialise()
             component.step(0.0, 0.1)
             component.get(["y"])

@@ -9,7 +9,7 @@ from small_fmus import LAGS
 
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
-from fmu_src.run.pool import Loaded
+from fmu_src.run.fmu import FmuPool
 from hesr_model.errors import SimulationError
 from hesr_model.support.config import read_toml
 
@@ -25,7 +25,7 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def loaded():
-    kept = Loaded(most=2)
+    kept = FmuPool(most=2)
     yield kept
     kept.clear()
 
@@ -75,7 +75,7 @@ def test_a_file_that_was_written_again_is_loaded_again(lag_fmu, loaded, tmp_path
 
 
 def test_so_many_are_kept_and_all_can_be_freed(lag_fmu, folder):
-    kept = Loaded(most=2)
+    kept = FmuPool(most=2)
     for name in "abcd":
         with kept.lend(lag_fmu, name=name):
             pass

@@ -9,7 +9,7 @@ from pythonfmu.builder import FmuBuilder
 
 from cosim.systems.simulation import Master, simulate
 from cosim.systems.system import SystemSpec
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.logs.tables import read_table
 from hesr_model.support.config import read_toml
@@ -266,13 +266,13 @@ def test_every_component_is_freed_if_the_system_does_not_fit(fakes):
 
 def test_components_are_freed_if_another_cannot_be_loaded(lag_fmu, tmp_path, monkeypatch):
     freed = []
-    free = Component._free
+    free = FmuInstance._free
 
     def noted(self, *error):
         freed.append(self.name)
         free(self, *error)
 
-    monkeypatch.setattr(Component, "_free", noted)
+    monkeypatch.setattr(FmuInstance, "_free", noted)
     spec = SystemSpec.model_validate(
         {
             "step": 0.1,

@@ -10,7 +10,7 @@ from cosim.properties.battery import Subject, run_battery
 from fmu_src import export_fmu
 from fmu_src.check import check
 from fmu_src.drive.drive_fmu import export_drive
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.replay import replay
 from hesr.extras.modelica.modelica_package import export_modelica
 from hesr_model.fitting import estimator
@@ -92,7 +92,7 @@ def test_its_fmu_is_it(model: FrictionModel, fmu: Path) -> None:
 
 
 def test_power_is_one_equation_with_its_derivative(fmu: Path) -> None:
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         about = {v.name: v for v in component.description.modelVariables}
         assert about["power[1]"].unit == "W"
         needs = {
@@ -105,7 +105,7 @@ def test_power_is_one_equation_with_its_derivative(fmu: Path) -> None:
         tau, power, slope = component.get(["tau[1]", "power[1]", "dtau_ddq[1]"])
         assert power == pytest.approx(tau * 0.3, rel=1e-15)
         known, unknown = about["dq[1]"].valueReference, about["power[1]"].valueReference
-        slave = component._instance._slave
+        slave = component._instance.slave
         [found] = slave.getDirectionalDerivative([unknown], [known], [1.0])
         # At held states: tau + dq sigma_2.
         assert found == pytest.approx(tau + 0.3 * 3.0, rel=1e-12)
@@ -131,7 +131,7 @@ def test_model_exchange_is_co_simulation(model: FrictionModel, fmu: Path) -> Non
 
 def test_it_goes_into_a_drive_and_into_modelica(model: FrictionModel, tmp_path: Path) -> None:
     drive = export_drive(model, tmp_path / "Drive.fmu", inertia=[0.5])
-    with Component(drive) as component:
+    with FmuInstance(drive) as component:
         component.initialise(start={"tau_motor[1]": 5.0})
         for k in range(400):
             component.step(DT * k, DT)

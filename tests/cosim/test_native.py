@@ -14,7 +14,7 @@ from cosim.loop.closed_loop import Scheme
 from cosim.systems.simulation import Master, Result
 from cosim.systems.system import SystemSpec
 from fmu_src.arm.python_fmu import export_python_arm
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.master import Readable
 from fmu_src.run.native import Native, through
 from hesr_model.errors import ExportError, SimulationError
@@ -151,8 +151,8 @@ def rows_of_a_lag(fmu: Path, refused: float, count: int) -> tuple[bytes, str, fl
     """Outputs, failure and time of a lag that is taken through rows of uneven length."""
     sizes = np.tile([0.1, 0.25, 0.03], count)
     times = np.concatenate([[0.0], np.cumsum(sizes)[:-1]])
-    with Component(fmu) as component:
-        inputs, outputs = component.batch(["u"]), component.batch(["y", "x"])
+    with FmuInstance(fmu) as component:
+        inputs, outputs = component.buffer(["u"]), component.buffer(["y", "x"])
         component.initialise(start={"T": 0.5, "refused": refused})
         try:
             found = through(component, inputs, outputs, times, sizes, np.sin(times)[:, None])
@@ -181,8 +181,8 @@ def test_an_input_that_is_refused_among_rows(lag_fmu, monkeypatch):
     """A number that is none is refused where it is set, after the rows before it."""
 
     def found() -> tuple[str, float]:
-        with Component(lag_fmu) as component:
-            inputs, outputs = component.batch(["u"]), component.batch(["y"])
+        with FmuInstance(lag_fmu) as component:
+            inputs, outputs = component.buffer(["u"]), component.buffer(["y"])
             component.initialise()
             rows = np.array([[1.0], [1.0], [np.nan], [1.0]])
             with pytest.raises(SimulationError) as error:

@@ -12,7 +12,7 @@ from plugin_packages import lay_package
 from small_study import Hesr, hesr_here
 
 from fmu_src.blocks.block import block as write_block
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.equations import component as equations
 from hesr_model.equations.component import Equation
 from hesr_model.equations.memory import Relaxation
@@ -48,7 +48,7 @@ def test_the_component_of_the_page_warms_as_its_equation_says(
             rise = kept * rise + (1.0 - kept) * 0.5 * held
         assert rise > 0.01
         assert rows[-1][f"warming.rise[{joint}]"] == pytest.approx(rise, rel=1e-9)
-    with Component(Path("Warming.fmu")) as fmu:
+    with FmuInstance(Path("Warming.fmu")) as fmu:
         fmu.initialise(start={"T": 300.0, "R[2]": 2.0})
         fmu.set({"dq[1]": -2.0, "dq[2]": 2.0, "dq[3]": 0.0})
         fmu.set({f"tau[{k}]": 4.0 for k in (1, 2, 3)})

@@ -17,8 +17,8 @@ def test_a_component_comes_as_far_as_its_own_last_step(every: int, steps: int, t
     station = Station(
         slave=slave,
         every=every,
-        inputs=slave.batch([]),
+        inputs=slave.buffer([]),
         sources=np.zeros(0, dtype=np.intp),
-        outputs=slave.batch([]),
+        outputs=slave.buffer([]),
     )
     assert station.reached(steps, 0.1) == pytest.approx(time, abs=1e-15)

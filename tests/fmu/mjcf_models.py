@@ -102,8 +102,8 @@ def command(k: int, n: int = 3) -> np.ndarray:
 
 def run(component: Any, steps: int, first: int = 0, step: float = STEP) -> np.ndarray:
     """Outputs of steps from an initialised component, the present ones first."""
-    inputs = component.batch(names(component, "input"))
-    outputs = component.batch(names(component, "output"))
+    inputs = component.buffer(names(component, "input"))
+    outputs = component.buffer(names(component, "output"))
     rows = [outputs.read().copy()]
     for k in range(first, first + steps):
         inputs.values[:] = command(k, len(inputs.values))
@@ -142,16 +142,16 @@ class Unpacked(Binary):
 
 def assert_sampled_within_steps(fmu: Path) -> None:
     """Steps of any length give what whole steps of the simulation's own have given so far."""
-    from fmu_src.run.fmu import Component
+    from fmu_src.run.fmu import FmuInstance
 
     own, time, made, changed = 0.001, 0.0, 0, 0
-    with Component(fmu) as hostile, Component(fmu, name="whole") as whole:
+    with FmuInstance(fmu) as hostile, FmuInstance(fmu, name="whole") as whole:
         silent = {n: 0.0 for n in names(hostile, "parameter") if "_noise[" in n}
         assert len(silent) == 6
         for arm in (hostile, whole):
             arm.initialise(start=HOME | silent)
             arm.set({"dq_cmd[1]": 0.3, "dq_cmd[3]": -0.2})
-        outputs = hostile.batch(names(hostile, "output")), whole.batch(names(whole, "output"))
+        outputs = hostile.buffer(names(hostile, "output")), whole.buffer(names(whole, "output"))
         before = outputs[1].read().copy()
         for step in (4e-4, 4e-4, 1e-14, 2e-4, 2**0.5 * 1e-3, 0.2e-3, 3e-3, 0.0173, 1e-5) * 20:
             hostile.step(time, step)

@@ -16,7 +16,7 @@ from fmpy.validation import validate_fmu
 
 from cosim.workflow.commands import export
 from fmu_src.check import check
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr.extras.adaptive.follow import Follower
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.law import FrictionLaw
@@ -63,7 +63,7 @@ def records() -> list[FrictionRecord]:
 class Bench:
     """An FMU that is given the rows of records."""
 
-    def __init__(self, fmu: Component, records: list[FrictionRecord]) -> None:
+    def __init__(self, fmu: FmuInstance, records: list[FrictionRecord]) -> None:
         self.fmu, self.records = fmu, records
         joints = range(1, len(records) + 1)
         self.outputs = [f"{name}[{i}]" for name in OUTPUTS for i in joints]
@@ -95,7 +95,7 @@ class Bench:
 
 @pytest.fixture
 def bench(fmu: Path, records: list[FrictionRecord]) -> Iterator[Bench]:
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         yield Bench(component, records)
 
 
@@ -171,7 +171,7 @@ def test_a_reset_instance_begins_anew(bench: Bench) -> None:
 
 
 def test_instances_know_nothing_of_each_other(fmu: Path, records: list[FrictionRecord]) -> None:
-    with Component(fmu, name="a") as a, Component(fmu, name="b") as b:
+    with FmuInstance(fmu, name="a") as a, FmuInstance(fmu, name="b") as b:
         one, other = Bench(a, records), Bench(b, records[::-1])
         one.begin()
         other.begin()
@@ -187,7 +187,7 @@ def test_a_saved_state_goes_on_bit_for_bit(bench: Bench) -> None:
     """All that was learned is in the state, and in its bytes."""
     bench.begin()
     bench.run(1, 300)
-    slave = bench.fmu._instance._slave
+    slave = bench.fmu._instance.slave
     state = ctypes.c_void_p()
     slave.fmi2GetFMUstate(slave.component, ctypes.byref(state))
     size = ctypes.c_size_t()

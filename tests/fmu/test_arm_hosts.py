@@ -11,7 +11,7 @@ from mjcf_models import STEP, UF850, Unpacked, names
 
 from fmu_src.arm.native import export_mjcf
 from fmu_src.check import check
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 
 MJCF, TABLE = UF850 / "uf850.xml", UF850 / "arm.toml"
 
@@ -85,9 +85,9 @@ def test_a_host_without_python_in_an_empty_environment(fmu, unpacked, tmp_path):
     assert rows.shape == (200, 18)
     assert result.stderr == ""
     assert list(folder.iterdir()) == []
-    with Component(fmu) as arm:
+    with FmuInstance(fmu) as arm:
         arm.initialise()
-        inputs, outputs = arm.batch(names(arm, "input")), arm.batch(names(arm, "output"))
+        inputs, outputs = arm.buffer(names(arm, "input")), arm.buffer(names(arm, "output"))
         for k, row in enumerate(rows):
             places = (k + 37 * np.arange(3)) % 400
             inputs.values[:] = 0.6 * (np.where(places < 200, places, 400 - places) / 100.0 - 1.0)

@@ -28,7 +28,7 @@ from oracles.arm import Arm, encoder_error, torque_error
 
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import SimulationError
 from hesr_model.robots.robot import RobotDescription, RobotModel
 
@@ -48,7 +48,7 @@ def unpacked(fmu, tmp_path_factory):
 
 
 def simulated(fmu, steps, start=HOME):
-    with Component(fmu) as arm:
+    with FmuInstance(fmu) as arm:
         arm.initialise(start=start)
         return run(arm, steps).reshape(steps + 1, -1, 3)
 
@@ -58,7 +58,7 @@ def by_name(rows):
 
 
 def test_its_variables(fmu):
-    with Component(fmu) as arm:
+    with FmuInstance(fmu) as arm:
         variables = arm.description.modelVariables
         assert names(arm, "input") == [f"dq_cmd[{i}]" for i in (1, 2, 3)]
         assert names(arm, "output") == [f"{name}[{i}]" for name in OUTPUTS for i in (1, 2, 3)]
@@ -73,7 +73,7 @@ def test_its_variables(fmu):
 
 
 def test_outputs_do_not_depend_on_inputs_directly(fmu):
-    with Component(fmu) as arm:
+    with FmuInstance(fmu) as arm:
         for unknown in arm.description.outputs:
             assert unknown.dependencies == []
 
@@ -122,7 +122,7 @@ def test_what_it_simulates_has_the_torques_of_the_rigid_body_library(unpacked):
 def test_a_payload_is_what_the_servo_comes_to_hold(fmu):
     """Gravity compensation does not know of it: the integral settles on its weight."""
     robot = RobotModel(RobotDescription.read(UF850 / "robot.toml"))
-    with Component(fmu) as arm:
+    with FmuInstance(fmu) as arm:
         arm.initialise(start=HOME | QUIET | {"payload": 2.0, "friction_scale": 0.05})
         for k in range(2000):
             arm.step(k * STEP, STEP)
@@ -190,7 +190,7 @@ def test_friction_can_be_switched_off(fmu):
 
 @pytest.mark.parametrize("milliseconds", [0, 1, 7, 25, 50])
 def test_the_latency_is_the_time_until_a_command_acts(milliseconds, fmu):
-    with Component(fmu) as arm:
+    with FmuInstance(fmu) as arm:
         arm.initialise(start=HOME | QUIET | {"latency": milliseconds * 1e-3})
         rest = arm.get(["tau_true[1]"])[0]
         arm.set({"dq_cmd[1]": 0.1})
@@ -208,7 +208,7 @@ def test_the_latency_is_the_same_at_any_time(milliseconds, fmu):
     """Times are sums of steps: one more or less by their rounding would show sooner or later."""
     start = HOME | QUIET | {"latency": milliseconds * 1e-3}
     late = []
-    with Component(fmu) as still, Component(fmu, name="other") as other:
+    with FmuInstance(fmu) as still, FmuInstance(fmu, name="other") as other:
         still.initialise(start=start)
         before = [still.get(["tau_true[1]"])[0]]
         for k in range(400):
@@ -252,7 +252,7 @@ def test_seed_and_levels_of_the_noise(fmu):
     ],
 )
 def test_a_parameter_that_means_nothing_is_refused(start, sentence, fmu):
-    with Component(fmu) as arm:
+    with FmuInstance(fmu) as arm:
         with pytest.raises(SimulationError, match=sentence):
             arm.initialise(start=start)
         arm.reset()
@@ -265,7 +265,7 @@ def test_any_step_ends_at_the_last_multiple_of_mujocos_own(fmu):
 
 
 def test_more_steps_than_anybody_waits_for_are_refused_and_the_next_one_done(fmu):
-    with Component(fmu) as arm:
+    with FmuInstance(fmu) as arm:
         arm.initialise()
         with pytest.raises(SimulationError, match=r"at most 1e\+06 are made"):
             arm.step(0.0, 1500.0)
@@ -273,12 +273,12 @@ def test_more_steps_than_anybody_waits_for_are_refused_and_the_next_one_done(fmu
 
 
 def test_an_input_that_mujoco_would_take_for_zero_is_refused(fmu):
-    with Component(fmu) as arm:
+    with FmuInstance(fmu) as arm:
         arm.initialise()
         arm.set({"dq_cmd[2]": 2e10})
         with pytest.raises(SimulationError, match=r"dq_cmd\[2\] is 2e\+10; the largest that"):
             arm.step(0.0, STEP)
-    with Component(fmu) as arm:
+    with FmuInstance(fmu) as arm:
         arm.initialise()
         arm.set({"dq_cmd[3]": -2e10})
         with pytest.raises(SimulationError, match=r"dq_cmd\[3\] is -2e\+10; the largest that"):

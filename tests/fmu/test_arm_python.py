@@ -26,7 +26,7 @@ from fmu_src.arm.plant import Plant
 from fmu_src.arm.python_fmu import export_python_arm
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.simulation import Simulation
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ConfigError, ExportError, SimulationError
 
 MJCF, TABLE = UF850 / "uf850.xml", UF850 / "arm.toml"
@@ -54,7 +54,7 @@ def simulation():
 
 
 def simulated(fmu, start, steps):
-    with Component(fmu) as arm:
+    with FmuInstance(fmu) as arm:
         arm.initialise(start=start)
         return run(arm, steps)
 
@@ -168,8 +168,8 @@ def test_a_simulation_that_diverges_stays_where_it_was(tmp_path, monkeypatch, ca
 
 def listening(component):
     """PythonFMU tells nothing, not even of errors, unless it is asked to."""
-    component._instance._slave.fmi2SetDebugLogging(
-        component._instance._slave.component, True, 0, None
+    component._instance.slave.fmi2SetDebugLogging(
+        component._instance.slave.component, True, 0, None
     )
     return component
 
@@ -179,7 +179,7 @@ def test_any_step_ends_at_the_last_multiple_of_the_simulations_own(python):
 
 
 def test_a_step_that_is_refused_says_why_and_can_be_done_again(python):
-    with Component(python) as arm:
+    with FmuInstance(python) as arm:
         listening(arm).initialise(start=HOME)
         arm.set({"dq_cmd[1]": 2e10})
         with pytest.raises(SimulationError, match=r"dq_cmd\[1\] is 2e\+10; the largest is 1e\+10"):
@@ -189,7 +189,7 @@ def test_a_step_that_is_refused_says_why_and_can_be_done_again(python):
 
 
 def test_a_parameter_that_means_nothing_says_why(python):
-    with Component(python) as arm, pytest.raises(SimulationError, match="buffers hold"):
+    with FmuInstance(python) as arm, pytest.raises(SimulationError, match="buffers hold"):
         listening(arm).initialise(start={"latency": 1.0})
 
 
@@ -197,7 +197,7 @@ def test_a_parameter_that_means_nothing_says_why(python):
 def test_what_an_instance_held_is_let_go_of_once(latency, python):
     """PythonFMU lets go of an instance that raises, and again when it is freed."""
     with ExitStack() as cleanup:
-        arm = cleanup.enter_context(Component(python))
+        arm = cleanup.enter_context(FmuInstance(python))
         [slave] = [one for one in gc.get_objects() if type(one).__name__ == "PythonArm"]
         held = [slave, type(slave), slave.log_queue]
         counts = [sys.getrefcount(one) for one in held]
@@ -207,25 +207,25 @@ def test_what_an_instance_held_is_let_go_of_once(latency, python):
 
 
 def test_instances_and_a_saved_state(python):
-    with Component(python) as one, Component(python, name="other") as other:
+    with FmuInstance(python) as one, FmuInstance(python, name="other") as other:
         one.initialise(start=HOME | CHANGED)
         other.initialise(start=HOME)
         run(one, 20)
         run(other, 5)
-        slave, state = one._instance._slave, ctypes.c_void_p()
+        slave, state = one._instance.slave, ctypes.c_void_p()
         slave.fmi2GetFMUstate(slave.component, ctypes.byref(state))
         first = run(one, 20, 20)
         slave.fmi2SetFMUstate(slave.component, state)
         np.testing.assert_array_equal(run(one, 20, 20), first)
         data = slave.serializeFMUState(state)
-        copy = other._instance._slave.deSerializeFMUstate(data)
-        other._instance._slave.setFMUState(copy)
+        copy = other._instance.slave.deSerializeFMUstate(data)
+        other._instance.slave.setFMUState(copy)
         np.testing.assert_array_equal(run(other, 20, 20), first)
         slave.fmi2FreeFMUstate(slave.component, ctypes.byref(state))
 
 
 def test_a_reset_brings_back_the_start(python):
-    with Component(python) as arm:
+    with FmuInstance(python) as arm:
         arm.initialise(start=HOME | CHANGED)
         run(arm, 10)
         arm.reset()
@@ -247,7 +247,7 @@ def test_without_a_table(tmp_path):
     python = export_python_arm(mjcf, None, tmp_path / "Python.fmu")
     rows = []
     for fmu in (native, python):
-        with Component(fmu) as pendulum:
+        with FmuInstance(fmu) as pendulum:
             pendulum.initialise(start={"start_pivot": 0.4})
             assert names(pendulum, "input") == ["pivot"]
             rows.append(run(pendulum, 200, step=0.01))

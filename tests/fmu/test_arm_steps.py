@@ -6,7 +6,7 @@ import pytest
 from mjcf_models import CART_POLE, command, names
 
 from fmu_src.arm.native import export_mjcf
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 
 DT = 0.01
 MODELS = {
@@ -45,7 +45,7 @@ def test_as_mujoco_steps(name, tmp_path):
     fmu = export_mjcf(tmp_path / "model.xml", tmp_path / "Model.fmu")
     expected = in_python(MODELS[name], 300)
     found = []
-    with Component(fmu) as cart:
+    with FmuInstance(fmu) as cart:
         outputs = names(cart, "output")
         cart.initialise(start={})
         for k in range(301):

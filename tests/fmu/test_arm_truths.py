@@ -14,7 +14,7 @@ from fmu_src.arm.signals import compiled, signals_of
 from fmu_src.arm.simulation import Simulation
 from fmu_src.arm.table import Losses, LossTable, OutputTable, SignalTable, StartTable
 from fmu_src.arm.truth import true_friction
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ConfigError
 from hesr_model.friction.predict import predict
 
@@ -65,7 +65,7 @@ def test_the_fmu_does_what_the_simulation_in_python_does(truth):
     inputs = commands(300)
     expected = [one.reset(HOME), *(one.step(row, STEP) for row in inputs)]
     found = []
-    with Component(fmu) as arm:
+    with FmuInstance(fmu) as arm:
         arm.initialise(start=HOME)
         outputs = [f"{name}[{i}]" for name in OUTPUTS for i in (1, 2, 3)]
         found.append(arm.get(outputs))
@@ -84,10 +84,10 @@ def test_a_saved_state_goes_on_bit_for_bit_with_its_levels_and_ages(truth, tmp_p
 
 def test_levels_of_one_instance_are_nothing_to_another(truth):
     _, fmu, _ = truth
-    with Component(fmu) as alone:
+    with FmuInstance(fmu) as alone:
         alone.initialise(start=HOME)
         expected = run(alone, 60)
-    with Component(fmu) as one, Component(fmu) as other:
+    with FmuInstance(fmu) as one, FmuInstance(fmu) as other:
         one.initialise(start=HOME)
         other.initialise(start=HOME | {"friction_scale": 3.0, "payload": 5.0})
         found = []

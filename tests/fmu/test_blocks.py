@@ -14,7 +14,7 @@ from fmu_src.blocks.trajectory import HARMONICS, start_values, trajectory
 from fmu_src.blocks.velocity import velocity
 from fmu_src.check import check
 from fmu_src.export.package import write_fmu
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.motions.trajectories import Fourier, Reversed, Sine, Sweep, chirp, random_fourier
 from hesr_model.robots.robot import RobotDescription, RobotModel
@@ -57,11 +57,11 @@ def run(
     """Run an FMU as a log is replayed: inputs (N, n) in, outputs (N, n) by name."""
     given = inputs or {}
     t = STEP * np.arange(len(next(iter(given.values())))) if t is None else t
-    with Component(fmu) as block:
+    with FmuInstance(fmu) as block:
         names = [e for name in given for e in block.variables.elements(name)]
-        read = {name: block.batch(block.variables.elements(name)) for name in outputs}
+        read = {name: block.buffer(block.variables.elements(name)) for name in outputs}
         rows = np.hstack(list(given.values())) if given else np.empty((len(t), 0))
-        batch = block.batch(names)
+        batch = block.buffer(names)
         block.enter_initialisation(time=float(t[0]), start=block.variables.expanded(start or {}))
         found: dict[str, list[np.ndarray]] = {name: [] for name in outputs}
         for k, row in enumerate(rows):
@@ -387,7 +387,7 @@ def test_the_first_command_is_known_while_the_controller_is_initialised(
         "torque_error": [0.05, 0.05, 0.05],
         "servo_inversion": [0.0, 0.0, 1.5],
     }
-    with Component(fmus["Controller"]) as block:
+    with FmuInstance(fmus["Controller"]) as block:
         expanded = block.variables.expanded
         names = [f"{n}[{i}]" for n in ("dq_comp", "dq_cmd", "tau_d") for i in range(1, N + 1)]
         for _ in range(2):
@@ -419,7 +419,7 @@ def test_the_controller_samples_at_its_own_step(
         values = np.random.default_rng(k).normal(size=len(signals))
         return dict(zip(signals, values.tolist(), strict=True))
 
-    with Component(fmus["Controller"]) as free, Component(fmus["Controller"]) as own:
+    with FmuInstance(fmus["Controller"]) as free, FmuInstance(fmus["Controller"]) as own:
         for block in (free, own):
             block.initialise(start=block.variables.expanded(start))
         time, samples, k = 0.0, 0, 0
@@ -445,9 +445,9 @@ def test_steps_that_are_not_its_own_are_never_taken_for_samples(
 ) -> None:
     """They are refused, or the outputs are those of the last sample that there has been."""
     start = {"Kv": 10.0, "Ki": 200.0, "tau_rb": 20.0, "compensation": "servo_inversion"}
-    with Component(fmus["Controller"]) as block:
+    with FmuInstance(fmus["Controller"]) as block:
         expanded = block.variables.expanded
-        command = block.batch(["dq_comp[1]"])
+        command = block.buffer(["dq_comp[1]"])
 
         def commands(count: int, step: float) -> list[float]:
             block.enter_initialisation(start=expanded(start | {"tau_rb": 0.0}))
@@ -518,7 +518,7 @@ def test_velocity_through_the_low_pass(fmus: Mapping[str, Path]) -> None:
 def test_parameters_that_cannot_be(
     fmus: Mapping[str, Path], block: str, start: Values, said: str
 ) -> None:
-    with Component(fmus[block]) as component:
+    with FmuInstance(fmus[block]) as component:
         with pytest.raises(SimulationError) as error:
             component.initialise(start=component.variables.expanded(start))
         assert said in str(error.value)
@@ -540,10 +540,10 @@ def moved(block: str) -> tuple[dict[str, Any], Callable[[int], np.ndarray]]:
 @pytest.mark.parametrize("block", BLOCKS)
 def test_runs_are_identical_after_reset_and_restore(fmus: Mapping[str, Path], block: str) -> None:
     start, motion = moved(block)
-    with Component(fmus[block]) as component:
+    with FmuInstance(fmus[block]) as component:
         variables = component.variables
-        inputs = component.batch(variables.inputs)
-        outputs = component.batch(list(variables.feedthrough))
+        inputs = component.buffer(variables.inputs)
+        outputs = component.buffer(list(variables.feedthrough))
 
         def steps(first: int, last: int) -> list[np.ndarray]:
             found = []
@@ -556,11 +556,11 @@ def test_runs_are_identical_after_reset_and_restore(fmus: Mapping[str, Path], bl
 
         component.initialise(start=variables.expanded(start))
         begun = steps(0, 30)
-        saved = component._instance._slave.getFMUState()
+        saved = component._instance.slave.getFMUState()
         ended = steps(30, 60)
-        component._instance._slave.setFMUState(saved)
+        component._instance.slave.setFMUState(saved)
         np.testing.assert_array_equal(steps(30, 60), ended)
-        component._instance._slave.freeFMUState(saved)
+        component._instance.slave.freeFMUState(saved)
         component.reset()
         component.initialise(start=variables.expanded(start))
         np.testing.assert_array_equal(steps(0, 60), begun + ended)

@@ -12,7 +12,7 @@ from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_component import interface
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.reference import reference_files
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.replay import replay
 from hesr.extras.mjcf.mjcf_file import export_mjcf_law
 from hesr.extras.modelica.modelica_package import export_modelica
@@ -101,7 +101,7 @@ def test_a_drive_feels_the_links_of_all_joints_that_it_turns(model, tmp_path) ->
     )
     q_link, q_start = np.array([0.01, -0.02, 0.03]), np.array([1.0, 2.0, -1.5])
     joints = range(1, 4)
-    with Component(path) as component:
+    with FmuInstance(path) as component:
         component.enter_initialisation(
             start={f"q_start[{i}]": q for i, q in zip(joints, q_start, strict=True)}
         )
@@ -126,7 +126,7 @@ def test_rotors_of_the_rigid_body_turn_with_the_motors(
     fmu = write_fmu(inverse_dynamics(robot, robot.nominal_parameters), tmp_path / "Body.fmu")
     q, dq, ddq = np.random.default_rng(3).uniform(-1, 1, (3, 1, 3))
     names = [f"{name}[{i}]" for name in ("q", "dq", "ddq") for i in range(1, 4)]
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         values = dict(zip(names, np.hstack([q, dq, ddq])[0].tolist(), strict=True))
         component.initialise(start=values)
         found = component.get([f"tau[{i}]" for i in range(1, 4)])

@@ -8,7 +8,7 @@ import pytest
 from oracles.stepper import Stepper
 
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.replay import replay
 from hesr_model.friction.predict import predict
 from hesr_model.friction.scales import scaled
@@ -181,7 +181,7 @@ def test_coefficients_are_tunable_while_it_runs(table1, binary):
 def test_large_laws_have_their_factors_alone(make_law, make_model, make_motion, tmp_path):
     fmu = export_bare(make_model(make_law("gaussians")), tmp_path / "F.fmu")
     t, dq, *_ = make_motion(1)
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         names = {v.name for v in component.description.modelVariables}
     assert {"coulomb_scale[1]", "viscous_scale[1]"} <= names
     assert not any(name.startswith("joint[") for name in names)

@@ -7,7 +7,7 @@ from fmpy.validation import validate_fmu
 from mjcf_models import CART_POLE, CART_POLE_TABLE, PENDULUM, names
 
 from fmu_src.arm.native import export_mjcf
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ConfigError, ExportError, SimulationError
 from hesr_model.logs.noise import standard_normal
 
@@ -56,7 +56,7 @@ def units(component):
 def test_a_pendulum_without_a_table(export):
     fmu = export(PENDULUM)
     reference = Reference(PENDULUM, pivot=0.6)
-    with Component(fmu) as pendulum:
+    with FmuInstance(fmu) as pendulum:
         assert names(pendulum, "input") == ["pivot"]
         # The sensor of the same name, one of three numbers and one without a name.
         outputs = ["pivot_2", "bob_at[1]", "bob_at[2]", "bob_at[3]", "sensor3"]
@@ -79,7 +79,7 @@ def test_a_pendulum_without_a_table(export):
 def test_a_cart_pole_with_limits_without_a_table(export):
     """Limits are constraints, which MuJoCo solves by iteration from a first guess."""
     fmu, reference = export(CART_POLE), Reference(CART_POLE, slider=0.2, hinge=0.3)
-    with Component(fmu) as cart:
+    with FmuInstance(fmu) as cart:
         assert names(cart, "input") == ["left", "right", "spring"]
         outputs = ["x", "dx", "angle", "acc[1]", "acc[2]", "acc[3]"]
         assert names(cart, "output") == outputs
@@ -101,7 +101,7 @@ def test_a_cart_pole_with_a_table(export):
     fmu, reference = export(CART_POLE, CART_POLE_TABLE), Reference(CART_POLE, slider=0.1, hinge=0.3)
     assert validate_fmu(str(fmu)) == []
     seed = 2**64 - 3
-    with Component(fmu) as cart:
+    with FmuInstance(fmu) as cart:
         assert names(cart, "input") == ["u[1]", "u[2]"]
         assert names(cart, "output") == ["mixed[1]", "mixed[2]", "angle[1]"]
         assert names(cart, "parameter") == [
@@ -134,7 +134,7 @@ def test_a_payload_is_a_mass_at_the_body_s_centre(export):
     heavy.data.joint("hinge").qpos = 0.3
     mujoco.mj_forward(heavy.model, heavy.data)
     quiet = {"mixed_noise[1]": 0.0, "angle_noise[1]": 0.0}
-    with Component(fmu) as cart:
+    with FmuInstance(fmu) as cart:
         cart.initialise(start=quiet | {"begin[1]": 0.3, "payload": 0.5})
         for k in range(100):
             np.testing.assert_allclose(cart.get(["angle[1]"]), heavy.angle, rtol=0, atol=1e-9)
@@ -146,7 +146,7 @@ def test_actuators_with_different_delays_keep_them(export):
     mjcf = CART_POLE.replace('gear="10"', 'gear="10" delay="0.02" nsample="9"').replace(
         'gear="-4"', 'gear="-4" delay="0.04" nsample="9"'
     )
-    with Component(export(mjcf)) as cart:
+    with FmuInstance(export(mjcf)) as cart:
         assert "latency" not in names(cart, "parameter")
         cart.initialise()
         cart.set({"left": 1.0})
@@ -200,14 +200,14 @@ def test_what_mujoco_cannot_go_on_with(
         assert component.get([output])[0] == rows[-1]
         return rows
 
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         start = {"start_pivot": 0.1} if "start_pivot" in names(component, "parameter") else {}
         component.initialise(start=start)
-        state = component._instance._slave.getFMUState()
+        state = component._instance.slave.getFMUState()
         first = go(component)
-        component._instance._slave.setFMUState(state)
+        component._instance.slave.setFMUState(state)
         assert go(component) == first
-        component._instance._slave.freeFMUState(state)
+        component._instance.slave.freeFMUState(state)
         component.reset()
         component.initialise(start=start)
         assert go(component) == first
@@ -252,7 +252,7 @@ def test_joints_and_sensors_that_are_no_single_numbers(export):
     ball = CART_POLE.replace('name="hinge" axis="0 1 0"', 'name="hinge" type="ball"')
     ball = ball.replace('<position name="spring" joint="hinge" kp="2"/>', "")
     ball = ball.replace('<jointpos name="angle" joint="hinge"/>', "")
-    with Component(export(ball)) as cart:
+    with FmuInstance(export(ball)) as cart:
         assert names(cart, "parameter") == ["start_slider"]
     table = '[outputs.x]\nunit = "m"\nsensors = [{ x = 1 }]\n[start.q]\nunit = "rad"\n'
     with pytest.raises(ConfigError, match="joint 'hinge' is no hinge or slide"):
@@ -288,7 +288,7 @@ def test_a_model_with_plugins(export):
 def test_strange_names_become_names_of_fmi(export):
     mjcf = PENDULUM.replace('<motor name="pivot"', '<motor name="1st/Ünit"')
     mjcf = mjcf.replace('model="pendulum"', 'model="2 arms"')
-    with Component(export(mjcf)) as pendulum:
+    with FmuInstance(export(mjcf)) as pendulum:
         assert names(pendulum, "input") == ["_1st__nit"]
         assert pendulum.description.coSimulation.modelIdentifier == "_2_arms"
         pendulum.initialise()

@@ -11,7 +11,7 @@ import pytest
 from fmpy.validation import validate_fmu
 from small_fmus import lag
 
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import SimulationError
 
 
@@ -29,7 +29,7 @@ def test_it_is_valid(fmu):
 
 
 def test_co_simulation(fmu):
-    with Component(fmu) as one:
+    with FmuInstance(fmu) as one:
         one.initialise(start={"u": 2.0})
         for k in range(50):
             assert one.get(["y"])[0] == pytest.approx(expected(0.01 * k), rel=1e-13)
@@ -46,7 +46,7 @@ def test_model_exchange(fmu):
 
 def test_a_component_says_why_it_cannot_start(fmu):
     with (
-        Component(fmu) as one,
+        FmuInstance(fmu) as one,
         pytest.raises(SimulationError, match=r"T is -1 s; it must be positive"),
     ):
         one.initialise(start={"T": -1.0})
@@ -66,7 +66,7 @@ def test_an_importer_compiles_it(fmu, tmp_path):
     own = Path(shutil.copy(fmu, tmp_path / "Lag.fmu"))
     subprocess.run([sys.executable, "-m", "fmpy", "compile", str(own)], check=True, cwd=tmp_path)
     assert own.read_bytes() != fmu.read_bytes()
-    with Component(own) as one:
+    with FmuInstance(own) as one:
         one.initialise(start={"u": 2.0})
         one.step(0.0, 0.3)
         assert one.get(["y"])[0] == pytest.approx(expected(0.3), rel=1e-13)

@@ -14,7 +14,7 @@ from fmu_src.arm.truth import true_friction
 from fmu_src.check import check
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.embedded_model import EMBEDDED_MODEL
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr.extras.mjcf.mjcf_file import export_mjcf_law
 from hesr.extras.modelica.modelica_package import export_modelica
 from hesr_model.errors import ExportError
@@ -137,10 +137,10 @@ def test_a_drive_slides_in_its_units(mixed_drive):
 
 def test_a_drive_slides_as_one_that_turns_does(mixed_drive):
     """A mass under a force moves in m as an inertia under a torque in rad, to the last bit."""
-    with Component(mixed_drive) as drive:
+    with FmuInstance(mixed_drive) as drive:
         drive.initialise()
-        force = drive.batch(["tau_motor[1]", "tau_motor[2]"])
-        moved = drive.batch(["q[1]", "q[2]", "dq[1]", "dq[2]"])
+        force = drive.buffer(["tau_motor[1]", "tau_motor[2]"])
+        moved = drive.buffer(["q[1]", "q[2]", "dq[1]", "dq[2]"])
         for k in range(200):
             force.values[:] = 40.0 * np.sin(0.05 * k)
             force.write()

@@ -17,7 +17,7 @@ from fmu_src.check import check
 from fmu_src.check.convention import judge
 from fmu_src.export.package import Version
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.replay import replay
 from hesr_model.audit.properties import Properties
 from hesr_model.errors import ExportError, SimulationError
@@ -93,7 +93,7 @@ def test_it_is_valid_and_says_what_it_is(fmu: Path) -> None:
 
 
 def test_factors_of_every_friction_fmu_act_beside_temperature(fmu: Path) -> None:
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         names = component.variables.expanded({"coulomb_scale": 0.0, "viscous_scale": 2.0})
         component.initialise(start=names)
         component.set({"dq[1]": 0.5, "temperature[1]": 25.0})
@@ -104,7 +104,7 @@ def test_factors_of_every_friction_fmu_act_beside_temperature(fmu: Path) -> None
 
 
 def test_heat_is_state_and_begins_anew_after_a_reset(fmu: Path) -> None:
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         component.initialise(start={f"joint[{i}].thermometer": 0.0 for i in (1, 2)})
         found = []
         for _ in range(2):

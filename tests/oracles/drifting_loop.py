@@ -21,7 +21,7 @@ from fmu_src.blocks.controller import controller
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr.extras.adaptive.adaptive_fmu import adaptive_content
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
@@ -227,18 +227,18 @@ def run_drifting(
 
     state = arm.reset(q_d[0])
     with (
-        Component(loop.folder / "Adaptive.fmu", name="adaptive") as observer,
-        Component(loop.folder / "Friction.fmu", name="friction") as friction,
-        Component(loop.folder / "Gravity.fmu", name="gravity") as gravity,
-        Component(loop.folder / "Controller.fmu", name="controller") as control,
+        FmuInstance(loop.folder / "Adaptive.fmu", name="adaptive") as observer,
+        FmuInstance(loop.folder / "Friction.fmu", name="friction") as friction,
+        FmuInstance(loop.folder / "Gravity.fmu", name="gravity") as gravity,
+        FmuInstance(loop.folder / "Controller.fmu", name="controller") as control,
     ):
-        seen = observer.batch(names("dq", "q", "tau_load", "tau_meas", "tau_rigid"))
-        known = observer.batch(names(*_LEARNED, *_WATCHED))
-        given = friction.batch(names("dq", "q", "tau_load", "coulomb_scale", "viscous_scale"))
-        forward = friction.batch(names("tau"))
-        posture, weight = gravity.batch(names("q")), gravity.batch(names("tau"))
-        wanted = control.batch(names("q_d", "dq_d", "tau_rb", "tau_f", "tau_g", "tau_meas", "q"))
-        command = control.batch(names("dq_cmd"))
+        seen = observer.buffer(names("dq", "q", "tau_load", "tau_meas", "tau_rigid"))
+        known = observer.buffer(names(*_LEARNED, *_WATCHED))
+        given = friction.buffer(names("dq", "q", "tau_load", "coulomb_scale", "viscous_scale"))
+        forward = friction.buffer(names("tau"))
+        posture, weight = gravity.buffer(names("q")), gravity.buffer(names("tau"))
+        wanted = control.buffer(names("q_d", "dq_d", "tau_rb", "tau_f", "tau_g", "tau_meas", "q"))
+        command = control.buffer(names("dq_cmd"))
         for k in range(count):
             if k:
                 state = arm.step(command.values, step)
@@ -281,7 +281,7 @@ def run_drifting(
 
 
 def _advance(
-    fmu: Component, write: Callable[[], None], k: int, step: float,
+    fmu: FmuInstance, write: Callable[[], None], k: int, step: float,
     *, start: Mapping[str, Value] | None = None,
 ) -> None:  # fmt: skip
     """Set the inputs of sample k and step there; before the first one, initialise."""

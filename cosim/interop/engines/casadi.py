@@ -6,13 +6,13 @@ from typing import Any
 
 from cosim.interop.case import Alone, Run
 from cosim.interop.engine import Engine, SkippedError, Tools, given_alone, host, require_fmi_2
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 
 
 def _alone(tools: Tools, case: Alone, folder: Path) -> Run:
     require_fmi_2(case)
     python = tools.python("casadi")[0]
-    with Component(case.fmu) as component:
+    with FmuInstance(case.fmu) as component:
         about = component.description
     if about.modelExchange is None:
         raise SkippedError("it is for model exchange, the FMU is not")

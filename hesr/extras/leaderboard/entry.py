@@ -12,9 +12,8 @@ from cosim.properties.battery import Subject, measure
 from cosim.properties.bench import FrictionBench
 from cosim.properties.inertia import standing_inertia
 from fmu_src.friction.embedded_model import embedded_model
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance, is_ours
 from fmu_src.run.replay import replay
-from fmu_src.run.trust import is_ours
 from hesr.extras.leaderboard.board_file import Ground
 from hesr_model.audit.properties import Properties
 from hesr_model.errors import SimulationError
@@ -68,7 +67,7 @@ def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
         If it cannot be read.
     """
     ours = is_ours(entry.fmu) if entry.fmu.is_file() else False
-    with Component(entry.fmu) as component:
+    with FmuInstance(entry.fmu) as component:
         joints = FrictionBench(component).joints
         if joints != ground.model.n:
             raise SimulationError(

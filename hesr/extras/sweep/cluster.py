@@ -9,8 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from fmu_src.run import trust as exported
-from fmu_src.run.trust import is_ours
+from fmu_src.run.fmu import is_known, is_ours, remember
 from hesr.extras.sweep.plan import Plan
 from hesr.extras.sweep.work import Rows, Task, run_rows
 from hesr_model.errors import ConfigError, HesrError, WorkerError
@@ -130,8 +129,8 @@ def run_there(
         if not (file.is_file() and sha256(file) == digest):
             with written_whole(file) as temporary:
                 temporary.write_bytes(contents[digest])
-        if ours[digest] and not exported.is_known(digest):
-            exported.remember(file)
+        if ours[digest] and not is_known(digest):
+            remember(file)
     spec = task.spec
     components = tuple(
         component.model_copy(update={"fmu": files[str(component.fmu)]})

@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec, Value
-from fmu_src.run.pool import HERE
+from fmu_src.run.fmu import POOL
 from hesr.extras.sweep.design import chosen
 from hesr.extras.sweep.study import SweepStudy
 from hesr.extras.sweep.work import Target, Task
@@ -76,7 +76,7 @@ def planned(path: Path) -> Plan:
     values = chosen(study)
     digests = {fmu: sha256(fmu) for fmu in {c.fmu for c in spec.components} if fmu.is_file()}
     task = Task(key="", spec=spec, targets=targets, outputs=study.outputs)
-    with Master(spec, study.system, loaded=HERE) as master:
+    with Master(spec, study.system, loaded=POOL) as master:
         master.require_start(task.start(values[0]), path)
         for output in study.outputs:
             if output.reference:

@@ -8,7 +8,7 @@ import numpy as np
 
 from cosim.systems.simulation import Master, Result
 from cosim.systems.system import SystemSpec, Value
-from fmu_src.run.pool import HERE
+from fmu_src.run.fmu import POOL
 from hesr.extras.sweep.study import Measure, Measured
 from hesr_model.support.arrays import Array
 
@@ -127,12 +127,12 @@ def release() -> None:
     if _held is not None:
         held, _held = _held, None
         held[1].__exit__(None, None, None)
-    HERE.clear()
+    POOL.clear()
 
 
 def _master(task: Task) -> Master:
     global _held
     if _held is None or _held[0] != task.key:
         release()
-        _held = task.key, Master(task.spec, loaded=HERE).__enter__()
+        _held = task.key, Master(task.spec, loaded=POOL).__enter__()
     return _held[1]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.systems.contents import SystemContents
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.master import Element
 
 Array = NDArray[np.float64]
@@ -19,7 +19,7 @@ class Slaves:
     """The FMUs of a system, loaded."""
 
     contents: SystemContents
-    slaves: dict[str, Component]
+    slaves: dict[str, FmuInstance]
 
     def start(self, between: Callable[[], None] = lambda: None) -> None:
         """Initialise all; `between` is called in the middle of it."""
@@ -46,7 +46,7 @@ class Slaves:
 def loaded(contents: SystemContents) -> Iterator[Slaves]:
     with ExitStack() as cleanup:
         slaves = {
-            c.name: cleanup.enter_context(Component(c.fmu, name=c.name))
+            c.name: cleanup.enter_context(FmuInstance(c.fmu, name=c.name))
             for c in contents.spec.components
         }
         yield Slaves(contents=contents, slaves=slaves)

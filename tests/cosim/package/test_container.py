@@ -15,7 +15,7 @@ from cosim.systems.container import write_container
 from cosim.systems.contents import SystemContents, read_contents
 from cosim.systems.system import SystemSpec
 from fmu_src.check import check
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ConfigError, ExportError, SimulationError
 
 Write = Callable[..., Path]
@@ -40,8 +40,10 @@ def names(contents: SystemContents) -> list[str]:
     return [".".join(element) for element in contents.wiring.observed]
 
 
-def run(fmu: Component, contents: SystemContents, steps: int = STEPS, **start: float) -> np.ndarray:
-    outputs, step = fmu.batch(names(contents)), contents.spec.step
+def run(
+    fmu: FmuInstance, contents: SystemContents, steps: int = STEPS, **start: float
+) -> np.ndarray:
+    outputs, step = fmu.buffer(names(contents)), contents.spec.step
     fmu.initialise(start={name.replace("__", "."): value for name, value in start.items()})
     rows = [outputs.read().copy()]
     for k in range(steps):
@@ -54,7 +56,7 @@ def test_ten_seconds_are_those_of_its_coupling(
     either: SystemContents, containers: dict[str, Path]
 ) -> None:
     expected = refreshed(either, either.wiring.observed, STEPS)
-    with Component(containers[either.spec.name]) as fmu:
+    with FmuInstance(containers[either.spec.name]) as fmu:
         found = run(fmu, either)
     assert error(found, expected) <= (1e-12 if either.spec.name == "open" else 1e-9)
     assert np.abs(np.diff(found, axis=0)).max() > 1e-3
@@ -62,7 +64,7 @@ def test_ten_seconds_are_those_of_its_coupling(
 
 def test_the_arm_follows_its_motion(closed: SystemContents, containers: dict[str, Path]) -> None:
     """The coupling loses nothing that matters: 7 mrad, as when the FMUs are stepped in order."""
-    with Component(containers["closed"]) as fmu:
+    with FmuInstance(containers["closed"]) as fmu:
         rows = run(fmu, closed)
     error = rows[:, :3] - rows[:, 3:6]
     assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.008
@@ -71,7 +73,7 @@ def test_the_arm_follows_its_motion(closed: SystemContents, containers: dict[str
 def test_one_long_step_is_many_short_ones(
     closed: SystemContents, containers: dict[str, Path]
 ) -> None:
-    with Component(containers["closed"]) as fmu:
+    with FmuInstance(containers["closed"]) as fmu:
         expected = run(fmu, closed, 200)[-1]
         fmu.reset()
         fmu.initialise()
@@ -82,7 +84,7 @@ def test_one_long_step_is_many_short_ones(
 def test_a_reset_and_a_second_instance_begin_anew(
     opened: SystemContents, containers: dict[str, Path]
 ) -> None:
-    with Component(containers["open"]) as fmu, Component(containers["open"]) as other:
+    with FmuInstance(containers["open"]) as fmu, FmuInstance(containers["open"]) as other:
         expected = run(fmu, opened, 100)
         np.testing.assert_array_equal(run(other, opened, 100), expected)
         fmu.reset()
@@ -106,7 +108,7 @@ def test_start_values_are_kept_and_can_be_changed(
         for c in spec.components
     )
     other = read_contents(spec.model_copy(update={"components": components}), opened.path)
-    with Component(containers["open"]) as fmu:
+    with FmuInstance(containers["open"]) as fmu:
         found = run(fmu, opened, 200, trajectory__period=8.0)
     np.testing.assert_array_equal(found, refreshed(other, other.wiring.observed, 200))
 
@@ -149,7 +151,7 @@ def test_choices_are_integers_with_their_names(opened: SystemContents, tmp_path:
     kind = variables["trajectory.kind"]
     assert (kind.type, kind.start) == ("Integer", "1")
     assert kind.description.endswith(": 1 = fourier, 2 = sine")
-    with Component(path) as fmu:
+    with FmuInstance(path) as fmu:
         found = run(fmu, opened, 100)
     np.testing.assert_array_equal(found, refreshed(opened, opened.wiring.observed, 100))
 
@@ -194,7 +196,7 @@ def test_steps_between_multiples_hold_what_the_last_one_gave(
     opened: SystemContents, containers: dict[str, Path]
 ) -> None:
     step = opened.spec.step
-    with Component(containers["open"]) as fmu:
+    with FmuInstance(containers["open"]) as fmu:
         expected = run(fmu, opened, 40)
         fmu.reset()
         fmu.initialise()
@@ -228,7 +230,7 @@ def test_a_failure_inside_is_told(lag_fmu: Path, tmp_path: Path) -> None:
         }
     )
     path = write_container(read_contents(spec, Path("one.toml")), tmp_path / "one.fmu")
-    with Component(path) as fmu:
+    with FmuInstance(path) as fmu:
         fmu.initialise()
         fmu.step(0.0, 0.1)
         fmu.step(0.1, 0.1)

@@ -14,7 +14,7 @@ from cosim.systems.contents import SystemContents, read_contents
 from cosim.systems.simulation import simulate
 from cosim.systems.system import SystemSpec
 from fmu_src.check import check
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 
 Write = Callable[..., Path]
 
@@ -48,7 +48,7 @@ def test_an_observed_parameter_that_is_tunable(opened: SystemContents, tmp_path:
     about = {v.name: v for v in read_model_description(path).modelVariables}
     alpha = about["friction.joint[1].alpha"]
     assert (alpha.causality, alpha.variability) == ("parameter", "tunable")
-    with Component(path) as fmu:
+    with FmuInstance(path) as fmu:
         fmu.initialise()
         assert fmu.get(["friction.joint[1].alpha"])[0] == float(alpha.start)
 

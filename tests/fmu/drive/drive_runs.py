@@ -7,7 +7,7 @@ import numpy as np
 
 from fmu_src.drive.drive_fmu import content
 from fmu_src.export.package import write_fmu
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 
@@ -45,12 +45,12 @@ class Run:
         steps = round(grid / step)
         names = [f"{name}[{i}]" for name in ("q", "dq", "tau_f") for i in joints]
         rows = np.empty((len(tau) * steps, len(names)))
-        with Component(fmu) as component:
+        with FmuInstance(fmu) as component:
             component.initialise(
                 start={"substep": step if substep is None else substep, **(start or {})}
             )
-            inputs = component.batch([f"tau_motor[{i}]" for i in joints])
-            outputs = component.batch(names)
+            inputs = component.buffer([f"tau_motor[{i}]" for i in joints])
+            outputs = component.buffer(names)
             for k, torque in enumerate(tau):
                 inputs.values[:] = torque
                 inputs.write()

@@ -18,7 +18,7 @@ from c_hosts import LINUX
 from drive_runs import drive, model_of
 
 from fmu_src.drive.drive_fmu import export_drive
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.inputs import DQ
 from hesr_model.support.compiler import compile_c
@@ -54,7 +54,7 @@ def ready(binary: Binary, **start: float) -> ctypes.c_void_p:
 
 
 def test_before_the_first_step_outputs_are_the_start_values(fmu: Path) -> None:
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         component.initialise(
             start={"q_start[2]": 0.3, "dq_start[2]": -0.2, "ratio[2]": 2.0, "start_mode": 2,
                    "z_start[2]": 1e-3,
@@ -150,7 +150,7 @@ def test_friction_that_jumps_holds_a_joint_still(binary: Binary) -> None:
 def test_a_scale_multiplies_friction(fmu: Path) -> None:
     speeds = []
     for scale in (0.0, 1.0, 2.0):
-        with Component(fmu) as component:
+        with FmuInstance(fmu) as component:
             component.initialise(
                 start={"coulomb_scale[3]": scale, "dq_start[3]": 0.5, "substep": 1.0}
             )
@@ -279,7 +279,7 @@ def test_steps_of_endless_inner_steps_are_discarded(binary: Binary) -> None:
     ],
 )
 def test_motors_that_cannot_be(fmu: Path, name: str, value: float, said: str) -> None:
-    with Component(fmu) as component, pytest.raises(SimulationError, match=re.escape(said)):
+    with FmuInstance(fmu) as component, pytest.raises(SimulationError, match=re.escape(said)):
         component.initialise(start={name: value})
 
 

@@ -20,7 +20,7 @@ from fmu_src.check import check
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.embedded_model import embedded_model
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
 from hesr_model.friction.inputs import DQ, TAU_LOAD
@@ -102,7 +102,7 @@ def test_what_inputs_give_is_seen_until_the_initialisation_ends(make_law, tmp_pa
         model_of(laws), tmp_path / "D.fmu", inertia=one, stiffness=[50.0, 50.0], damping=[4.0, 4.0]
     )
     names = ["tau_link[1]", "tau_f[2]", "der(z[1])", "tau_f[1]"]
-    with Component(fmu) as drive:
+    with FmuInstance(fmu) as drive:
         drive.enter_initialisation(start={"dq_start[1]": 0.5, "dq_start[2]": 0.5, "z_start[1]": 0.1,
                                           "start_mode": 2})  # fmt: skip
         first = drive.get(names)

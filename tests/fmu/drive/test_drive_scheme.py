@@ -14,7 +14,7 @@ from oracles.over_log import step_coefficients
 from oracles.stepper import Stepper
 from scipy.optimize import brentq
 
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.equations.functions import lowered
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw, LawForm
@@ -137,7 +137,7 @@ def test_a_step_balances_the_torques(
     names = LAWS if discretisation == "exact" else ("parfam_tanh", "parfam_sin", "viscous")
     laws = {name: replace(make_law(name), discretisation=discretisation) for name in names}
     fmu, rng, sticking = drive(laws, tmp_path, [1.0] * len(laws)), np.random.default_rng(1), 0
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         for _ in range(20):
             places = [somewhere(law, rng, linked=linked) for law in laws.values()]
             if component.used:
@@ -149,7 +149,7 @@ def test_a_step_balances_the_torques(
     assert sticking >= 2  # `viscous` jumps at rest
 
 
-def assert_stepped(component: Component, own: Place, i: int, step: float) -> bool:
+def assert_stepped(component: FmuInstance, own: Place, i: int, step: float) -> bool:
     q, dq, ddq, tau_f, tau_link = component.get(
         [f"{n}[{i}]" for n in ("q", "dq", "ddq", "tau_f", "tau_link")]
     )
@@ -181,7 +181,7 @@ def test_of_several_roots_it_takes_the_one_that_is_met_first(table1, tmp_path: P
     law, step, several = replace(table1.laws[1], discretisation="exact"), 1e-3, 0
     fmu = drive({"j2": law}, tmp_path, [0.6])
     own = Place(law=law, inertia=0.6, x=law.start)
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         component.initialise(start={"substep": step})
         for k in range(400):
             own = replace(own, tau_motor=30.0 * np.sin(10.0 * np.pi * (k + 0.5) * step))
@@ -214,7 +214,7 @@ def test_a_flexspline_carries_the_link(make_law, tmp_path: Path, ratio: float) -
     errors = []
     for step in (1e-3, 1e-4):
         q_link = dq_link = 0.0
-        with Component(fmu) as component:
+        with FmuInstance(fmu) as component:
             component.initialise(start={"tau_motor[1]": torque, "substep": step})
             for n in range(round(end / step)):
                 component.set({"q_link[1]": q_link, "dq_link[1]": dq_link})

@@ -12,7 +12,7 @@ from oracles.stepper import Stepper
 from fmu_src import export_fmu
 from fmu_src.arm.truth import true_friction
 from fmu_src.friction.reference import reference_motion
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr.extras.mjcf.mjcf_file import export_mjcf_law
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
@@ -138,7 +138,7 @@ def test_the_fmu_says_the_same(make_model, tmp_path):
     joints = Joints(model.joints, tmp_path / "friction.xml", model.sample_time)
     indices = range(1, len(LAWS) + 1)
     found, expected = [], []
-    with Component(export_fmu(model, tmp_path / "Friction.fmu")) as fmu:
+    with FmuInstance(export_fmu(model, tmp_path / "Friction.fmu")) as fmu:
         fmu.initialise()
         for k, (q, dq) in enumerate(zip(motion.q, motion.dq, strict=True)):
             fmu.set({f"q[{i}]": q[i - 1] for i in indices})

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmu_src.run.fmu import Component
+from fmu_src.run.fmu import FmuInstance
 from hesr_model.fitting import estimator
 from hesr_model.friction.law import FrictionLaw
 
@@ -43,7 +43,7 @@ def first_torques_of(fmu: Path, row: tuple[np.ndarray, ...]) -> np.ndarray:
     """(n,) first torque of an FMU whose first inputs are those of a row."""
     joints = range(1, len(row[0]) + 1)
     names = [f"{name}[{i}]" for name in ("dq", "q", "tau_load") for i in joints]
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         component.enter_initialisation()
         component.set(dict(zip(names, np.concatenate(row).tolist(), strict=True)))
         component.exit_initialisation()
@@ -56,7 +56,7 @@ def torques_of(fmu: Path, rows: tuple[np.ndarray, ...], step: float = STEP) -> n
     names = [f"{name}[{i}]" for name in ("dq", "q", "tau_load") for i in joints]
     outputs = [f"tau[{i}]" for i in joints]
     found = []
-    with Component(fmu) as component:
+    with FmuInstance(fmu) as component:
         component.initialise()
         for k, row in enumerate(np.column_stack(rows).tolist()):
             component.set(dict(zip(names, row, strict=True)))

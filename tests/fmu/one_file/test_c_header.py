@@ -81,7 +81,7 @@ class Law:
     def batch(self, state, dq, q, load, dt: float) -> tuple[int, np.ndarray]:
         tau = np.full(dq.shape, np.nan)
         rows = map(_pointer, (dq, q, load))
-        count = self._library.batch(state, c_size_t(len(dq)), *rows, c_double(dt), _pointer(tau))
+        count = self._library.buffer(state, c_size_t(len(dq)), *rows, c_double(dt), _pointer(tau))
         return count, tau
 
     def side_by_side(self, x, dq, q, load, dt: float) -> tuple[int, np.ndarray]:
@@ -198,7 +198,7 @@ def test_a_batch_is_its_robots_one_by_one(every) -> None:
     rows = [row[::10] for row in rows]  # each row another robot
     states = every.state(len(rows[0]))
     for _ in range(3):
-        count, tau = every.batch(states, *rows, STEP)
+        count, tau = every.buffer(states, *rows, STEP)
     assert count == len(tau)
     for i, row in enumerate(zip(*rows, strict=True)):
         state = every.state()

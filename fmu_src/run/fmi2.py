@@ -1,0 +1,87 @@
+"""FMI 2.0 as FMPy calls it: names, types and signatures of its functions."""
+
+from collections.abc import Callable, Mapping
+from ctypes import c_int
+from typing import Any
+
+import fmpy
+from fmpy import fmi2
+
+Call = Callable[..., None]
+"""Calls a function by name with arguments after the instance."""
+
+Tell = Callable[[int, str], None]
+"""Receives status and text of a message."""
+
+
+class Fmi2:
+    """Names, types and signatures of FMI 2.0.
+
+    Attributes
+    ----------
+    folder : folder of the binaries for this platform in an FMU.
+    functions : function behind each method of `Instance` and `Buffer`.
+    """
+
+    folder = f"binaries/{fmpy.platform}/"
+    functions: Mapping[str, str] = {
+        "setup": "fmi2SetupExperiment",
+        "enter_initialisation": "fmi2EnterInitializationMode",
+        "exit_initialisation": "fmi2ExitInitializationMode",
+        "reset": "fmi2Reset",
+        "write": "fmi2SetReal",
+        "read": "fmi2GetReal",
+        "set": "fmi2Set",
+        "set_slopes": "fmi2SetRealInputDerivatives",
+        "step": "fmi2DoStep",
+        "terminate": "fmi2Terminate",
+        "free": "fmi2FreeInstance",
+    }
+
+    def slave(self, *, exchange: bool, **more: Any) -> Any:
+        """Return FMPy's instance, not yet instantiated, of an FMU for model exchange or not."""
+        return (fmi2.FMU2Model if exchange else fmi2.FMU2Slave)(**more)
+
+    def instantiate(self, slave: Any, tell: Tell) -> None:
+        """Instantiate an FMU and pass on its messages."""
+
+        def log(_environment: Any, _name: bytes, status: int, _kind: bytes, text: bytes) -> None:
+            tell(status, (text or b"").decode("utf-8", errors="replace"))
+
+        callbacks = fmi2.fmi2CallbackFunctions()
+        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(log)
+        callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
+        callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
+        slave.instantiate(callbacks=callbacks)
+
+    def setup(self, call: Call, time: float, stop: float | None) -> None:
+        """Announce start and end of the experiment [s]."""
+        call(self.functions["setup"], False, 0.0, time, stop is not None, stop or 0.0)
+
+    def enter(self, call: Call, _time: float, _stop: float | None) -> None:
+        """Enter the initialisation of an experiment."""
+        call(self.functions["enter_initialisation"])
+
+    def kind(self, kind: str, _declared: str | None) -> tuple[str, Any]:
+        """Return suffix of the functions and C type for a type of variable."""
+        return kind, {"Boolean": c_int, "Integer": c_int, "String": fmi2.fmi2String}[kind]
+
+    def values(self, pointer: Any, _count: int) -> tuple[Any, ...]:
+        """Return the arguments that pass values."""
+        return (pointer,)
+
+    def set_slopes(self, call: Call, references: list[int], slopes: list[float]) -> None:
+        """Set the slopes of inputs [unit/s]."""
+        n = len(references)
+        call(
+            self.functions["set_slopes"],
+            (fmi2.fmi2ValueReference * n)(*references),
+            n,
+            (fmi2.fmi2Integer * n)(*[1] * n),
+            (fmi2.fmi2Real * n)(*slopes),
+        )
+
+    def step(self, call: Call, time: float, size: float) -> str:
+        """Step from a time [s] by a size [s]; return why the simulation must end, if it must."""
+        call("fmi2DoStep", time, size, fmi2.fmi2True)
+        return ""
