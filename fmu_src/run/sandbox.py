@@ -35,7 +35,7 @@ from fmu_src.run.sandbox_child import (
     unpacked_answer,
 )
 from hesr_model.support.arrays import Array
-from hesr_model.support.process import FailedError, how_it_ended
+from hesr_model.support.process import ChildProcess, FailedError, how_it_ended
 from hesr_model.support.text import plain
 
 _FAREWELL = 5.0  # [s] to free an instance
