@@ -22,9 +22,7 @@ FMT_SKIPS = 187
 
 KNOWN_DUPLICATES = {
     "Array",
-    "Binary",
     "Choice",
-    "Component",
     "Description",
     "Design",
     "Experiment",
