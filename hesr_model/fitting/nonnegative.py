@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from hesr_model.fitting.joint_rows import in_one_piece
+from hesr_model.fitting.ties import ROUND_OFF
 from hesr_model.support.arrays import Array, Mask
 
 _RIDGE = 1e-9  # of each column's own square: columns may be each other's sums
@@ -120,7 +121,9 @@ def blocks_of(dt: Array, begins: Mask, seconds: float = 8.0, least: int = 8) -> 
 
 
 def pays(before: Array, after: Array, blocks: Any) -> bool:
-    """Whether errors fall by more than one standard error of the gain over blocks of time.
+    """Return whether errors fall by more than a standard error of the gain over blocks of time.
+
+    A gain of round-off does not count.
 
     Parameters
     ----------
@@ -128,4 +131,7 @@ def pays(before: Array, after: Array, blocks: Any) -> bool:
     blocks : (N,) number of each row's block.
     """
     gains = np.bincount(blocks, weights=before**2 - after**2)
-    return bool(gains.sum() > np.sqrt(len(gains)) * gains.std(ddof=1)) if len(gains) > 1 else False
+    if len(gains) < 2:
+        return False
+    least = np.sqrt(len(gains)) * gains.std(ddof=1) + ROUND_OFF * float(before @ before)
+    return bool(gains.sum() > least)

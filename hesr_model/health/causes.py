@@ -12,6 +12,7 @@ import numpy as np
 
 from hesr_model.findings import Finding
 from hesr_model.fitting.joint_rows import non_negative_least_squares
+from hesr_model.fitting.ties import ROUND_OFF
 from hesr_model.health.evidence import Motionwise, Torques, rubbing
 from hesr_model.health.mistakes import Mistake, Rows, mistakes, torques_of
 from hesr_model.robots.robot import RobotModel
@@ -114,8 +115,9 @@ def _unexplained(rows: Rows, model: RobotModel, moves: Mask) -> Array:
 
 
 def _left(tau: Array, torques: Torques, v: Array, j: int) -> float:
-    columns = np.column_stack(
-        [torques.gravity[:, j], torques.inertial[:, j], rubbing(v[:, j]), np.ones(len(tau))]
-    )
+    known = np.column_stack([torques.gravity[:, j], torques.inertial[:, j]])
+    # A torque that is only round-off must not be scaled up until it explains noise.
+    known[:, np.abs(known).max(axis=0) <= ROUND_OFF * np.abs(tau).max()] = 0.0
+    columns = np.column_stack([known, rubbing(v[:, j]), np.ones(len(tau))])
     _, squares = non_negative_least_squares(columns, tau, non_negative=3)
     return float(np.sqrt(max(squares, 0.0) / len(tau))) + 1e-9

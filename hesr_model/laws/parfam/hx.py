@@ -9,6 +9,7 @@ from hesr_model.fitting.declarative import Described
 from hesr_model.fitting.estimator import register
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import left_out_cost
+from hesr_model.fitting.ties import no_worse
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.parfam import family
@@ -114,6 +115,6 @@ class ParFamHX(Described):
                 continue
             fewer = [k for k in kept if k != i]
             without = left_out_cost(columns[:, fewer], samples.tau, samples.folds)
-            if without <= cost:
+            if no_worse(without, cost):
                 kept, cost = fewer, without
         return trial.changed({**trial.structure, "linear": [linear[k] for k in kept]}, {})

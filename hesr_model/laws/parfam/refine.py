@@ -9,6 +9,7 @@ from scipy.special import expit, logit
 
 from hesr_model.audit.audit import explodes
 from hesr_model.errors import FitError
+from hesr_model.fitting.ties import first_best
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.inference.correlation import correlation_length, standard_errors
 from hesr_model.laws.parfam.calibrate import bounds
@@ -78,7 +79,9 @@ def select(
             if not explodes(k.law("candidate", features.discretisation), trained)
         ]
         if finalists:
-            return min(finalists, key=lambda k: left_out_cost(features, k, folds))
+            finalists.sort(key=lambda k: k.c_active.sum() + k.theta_active.sum())
+            costs = [left_out_cost(features, k, folds) for k in finalists]
+            return finalists[first_best(costs)]
     raise FitError("every ParFam candidate explodes just outside the trained speeds.")
 
 

@@ -11,6 +11,7 @@ from hesr_model.audit.audit import explodes
 from hesr_model.equations.memory import Discretisation
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import SearchSpace, Separable
+from hesr_model.fitting.ties import first_best
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
@@ -107,7 +108,7 @@ def with_unit(
 def choose(trials: Sequence[Trial], gain: float) -> Trial:
     """Return the trial that predicts left-out rows best; those after the first must gain `gain`."""
     costs = [left_out(trial) * (1.0 if i == 0 else 1.0 + gain) for i, trial in enumerate(trials)]
-    return trials[int(np.argmin(costs))]
+    return trials[first_best(costs)]
 
 
 def extended(base: Trial, more: Sequence[Trial], trained: TrainedRange) -> Trial:

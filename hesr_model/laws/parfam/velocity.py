@@ -9,6 +9,7 @@ from hesr_model.fitting.declarative import Described
 from hesr_model.fitting.estimator import register
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import SearchSpace, Separable, left_out_cost
+from hesr_model.fitting.ties import first_best
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.laws.parfam import evolve, family
 from hesr_model.rigid_body.residual import FrictionRecord
@@ -71,7 +72,7 @@ class ParFamV(Described):
                 )
                 cost = left_out_cost(problem.columns(point), samples.tau, samples.folds)
                 found.append((cost, structure, problem, point))
-        _, structure, problem, point = min(found, key=lambda entry: entry[0])
+        _, structure, problem, point = found[first_best([entry[0] for entry in found])]
         return self.finish(structure, problem, point)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.nonnegative import Normal, Products, blocks_of, pays
+from hesr_model.fitting.ties import first_best, no_worse
 from hesr_model.laws.stops.form import Structure
 from hesr_model.laws.stops.terms import VISCOUS, columns, every, fixed, weights
 from hesr_model.support.arrays import Array
@@ -121,7 +122,7 @@ def dictionary(samples: JointRows, *, load: bool) -> Terms:
         first.kept.update({k: c for k, c in trials[-1].kept.items() if k == "1"})
         trials[-1].cost  # noqa: B018 - its columns serve the others
         first.kept.update({k: c for k, c in trials[-1].kept.items() if k != "p"})
-    return min(trials, key=lambda trial: trial.cost)
+    return trials[first_best([trial.cost for trial in trials])]
 
 
 def search(baseline: Terms, *, load: bool) -> Terms:
@@ -146,6 +147,6 @@ def _thinned(terms: Terms) -> Terms:
     """
     for kind in reversed(terms.bounds[1:]):
         fewer = replace(terms, bounds=tuple(k for k in terms.bounds if k != kind))
-        if fewer.cost <= terms.cost:
+        if no_worse(fewer.cost, terms.cost):
             terms = fewer
     return terms

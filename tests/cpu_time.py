@@ -1,0 +1,96 @@
+"""CPU time of every test, its processes included: recorded by `make durations`, limited in CI."""
+
+import os
+from collections import defaultdict
+from collections.abc import Generator
+from pathlib import Path
+
+import psutil
+import pytest
+
+LIMIT = 10.0
+"""CPU seconds allowed to a test of `make test`, with the fixtures that it is the first to use."""
+
+_NAMED = 2.0
+"""CPU seconds from which a test has its own line in the record."""
+
+_HEAD = """\
+# CPU seconds of each test file and of its slow tests, their processes included.
+# Written by `make durations`; "ci" are the tests that only `make test-all` runs.
+"""
+
+_PROPERTY = "cpu"
+
+_start = pytest.StashKey[float]()
+
+
+def used() -> float:
+    """Return the CPU seconds of this process and of all that it has started."""
+    me = psutil.Process()
+    total = 0.0
+    for process in (me, *me.children(recursive=True)):
+        try:
+            total += sum(process.cpu_times()[:4])
+        except psutil.NoSuchProcess:  # ended meanwhile: its parent has its time
+            continue
+    return total
+
+
+class CpuTime:
+    """Measure tests, fail slow ones if `limited`, and write a record if given a file."""
+
+    def __init__(self, *, limited: bool, record: Path | None) -> None:
+        self.limited = limited
+        self.record = record
+        self.seconds: dict[str, dict[str, float]] = defaultdict(dict)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_setup(self, item: pytest.Item) -> Generator[None]:
+        item.stash[_start] = used()
+        return (yield)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_call(self, item: pytest.Item) -> Generator[None]:
+        yield
+        seconds = used() - item.stash[_start]
+        kind = "ci" if item.get_closest_marker("ci") else "default"
+        item.user_properties.append((_PROPERTY, (kind, seconds)))
+        if self.limited and kind == "default" and seconds > LIMIT:
+            pytest.fail(
+                f"took {seconds:.1f} CPU s; the limit for `make test` is {LIMIT:.0f} s: "
+                "share a fixture or mark it ci"
+            )
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.when == "call":
+            for kind, seconds in (
+                value for key, value in report.user_properties if key == _PROPERTY
+            ):
+                self.seconds[kind][report.nodeid] = seconds
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        if self.record and not hasattr(session.config, "workerinput"):
+            self.record.write_text(as_toml(self.seconds), encoding="utf-8")
+
+
+def as_toml(seconds: dict[str, dict[str, float]]) -> str:
+    lines = [_HEAD]
+    for kind, tests in sorted(seconds.items(), reverse=True):
+        files: dict[str, float] = defaultdict(float)
+        for test, value in tests.items():
+            files[test.partition("::")[0]] += value
+        slow = {test: value for test, value in tests.items() if value >= _NAMED}
+        lines += [f"[{kind}]", f"total = {round(sum(tests.values()))}", ""]
+        for name, table in (("files", files), ("tests", slow)):
+            lines += [f"[{kind}.{name}]"]
+            lines += [f"'{key}' = {value:.1f}" for key, value in sorted(table.items())]
+            lines += [""]
+    return "\n".join(lines)
+
+
+def configure(config: pytest.Config) -> None:
+    """Measure if in CI or if asked for a record."""
+    record = config.getoption("--record-cpu")
+    limited = os.environ.get("CI") == "true"
+    if limited or record:
+        config.pluginmanager.register(CpuTime(limited=limited, record=record))
