@@ -14,7 +14,7 @@ from hesr_model.findings import Finding
 from hesr_model.fitting.joint_rows import non_negative_least_squares
 from hesr_model.fitting.ties import ROUND_OFF
 from hesr_model.health.evidence import Motionwise, Torques, rubbing
-from hesr_model.health.mistakes import Mistake, Rows, mistakes, torques_of
+from hesr_model.health.mistakes import CandidateRows, Mistake, mistakes, torques_of
 from hesr_model.robots.robot import RobotModel
 from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Mask
@@ -33,14 +33,14 @@ _MOST = 8
 """Mistakes that are looked for at a time."""
 
 
-def pooled(motions: Sequence[Motionwise], gravity: Sequence[float]) -> Rows:
+def pooled(motions: Sequence[Motionwise], gravity: Sequence[float]) -> CandidateRows:
     """Take rows (N, n) from all logs, as many from each; gravity is in [m/s2]."""
     each = [motion.thinned(max(_ROWS // len(motions), 60)) for motion in motions]
     q, v, a, tau = (
         np.concatenate([getattr(motion, name) for motion in each])
         for name in ("q", "v", "a", "tau")
     )
-    return Rows(q=q, v=v, a=a, tau=tau, gravity=np.array(gravity, dtype=float))
+    return CandidateRows(q=q, v=v, a=a, tau=tau, gravity=np.array(gravity, dtype=float))
 
 
 def check_causes(motions: Sequence[Motionwise], model: RobotModel) -> list[Finding]:
@@ -77,7 +77,9 @@ def check_causes(motions: Sequence[Motionwise], model: RobotModel) -> list[Findi
     return findings
 
 
-def _best(rows: Rows, now: Array, model: RobotModel, moves: Mask) -> tuple[Mistake | None, Array]:
+def _best(
+    rows: CandidateRows, now: Array, model: RobotModel, moves: Mask
+) -> tuple[Mistake | None, Array]:
     """Return the mistake whose mend explains most, and what it leaves; None where none helps."""
     best, left, most = None, now, 0.0
     for mistake in mistakes(rows, model, moves):
@@ -103,7 +105,7 @@ def _either(best: Mistake) -> str:
     )
 
 
-def _unexplained(rows: Rows, model: RobotModel, moves: Mask) -> Array:
+def _unexplained(rows: CandidateRows, model: RobotModel, moves: Mask) -> Array:
     """Deviation (n,) of the torques from what they can be, over their own; 1 at rest."""
     torques, logged = torques_of(rows, model), model.description.logged
     torques, v = torques.at(logged) if logged else torques, onto(logged, rows.v)

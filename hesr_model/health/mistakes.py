@@ -23,7 +23,7 @@ _TILTED = np.radians(20.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Rows:
+class CandidateRows:
     """Rows of several logs: q, v, a, tau, (N, n) each [rad, rad/s, rad/s2, N.m], and the gravity.
 
     Torques are those that were logged, of motors where logs are of these, divided by the gears.
@@ -48,10 +48,10 @@ class Mistake:
     joint: int
     remedy: str
     changes: dict[str, object]
-    mended: Rows
+    mended: CandidateRows
 
 
-def torques_of(rows: Rows, model: RobotModel) -> Torques:
+def torques_of(rows: CandidateRows, model: RobotModel) -> Torques:
     """Evaluate the model under the gravity of the rows."""
     torques = Torques.of(model, rows.q, rows.v, rows.a)
     declared = np.array(model.description.gravity)
@@ -72,7 +72,7 @@ def _by_axis(q: Array, model: RobotModel) -> Array:
     return np.array(parts)
 
 
-def mistakes(rows: Rows, model: RobotModel, moves: Mask) -> Iterator[Mistake]:
+def mistakes(rows: CandidateRows, model: RobotModel, moves: Mask) -> Iterator[Mistake]:
     """Yield what may be wrong, the simplest first."""
     robot, joints = model.description, [int(j) for j in np.flatnonzero(moves)]
     if len(joints) > 1:
@@ -105,7 +105,9 @@ def mistakes(rows: Rows, model: RobotModel, moves: Mask) -> Iterator[Mistake]:
         yield from mend(rows, model, joints)
 
 
-def _swapped_torques(rows: Rows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
+def _swapped_torques(
+    rows: CandidateRows, model: RobotModel, joints: list[int]
+) -> Iterator[Mistake]:
     robot = model.description
     which = "tau" if robot.log.torque_per_ampere is None else "current"
     columns = column_names(getattr(robot.log.columns, which), robot.joints)
@@ -122,7 +124,7 @@ def _swapped_torques(rows: Rows, model: RobotModel, joints: list[int]) -> Iterat
         )  # fmt: skip
 
 
-def _swapped_joints(rows: Rows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
+def _swapped_joints(rows: CandidateRows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
     robot = model.description
     orders = {(a, b): _exchanged(model.n, a, b) for a, b in combinations(joints, 2)}
     if len(joints) == model.n > 2:
@@ -149,7 +151,7 @@ def _swapped_joints(rows: Rows, model: RobotModel, joints: list[int]) -> Iterato
         )  # fmt: skip
 
 
-def _moved_zeros(rows: Rows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
+def _moved_zeros(rows: CandidateRows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
     robot = model.description
     for j in joints:
         if model.tree[j].prismatic:
@@ -167,7 +169,7 @@ def _moved_zeros(rows: Rows, model: RobotModel, joints: list[int]) -> Iterator[M
             )  # fmt: skip
 
 
-def _gravity(rows: Rows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
+def _gravity(rows: CandidateRows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
     """Yield the gravity that the torques show, where it points elsewhere than the robot file's."""
     by_axis, inertial, v = _by_axis(rows.q, model), torques_of(rows, model).inertial, rows.v
     if (logged := model.description.logged) is not None:

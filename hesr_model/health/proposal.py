@@ -19,7 +19,7 @@ from hesr_model.logs.phases import moving, reversals
 from hesr_model.logs.readers.formats import COLUMNS, format_of
 from hesr_model.logs.readers.matlab import read_matlab
 from hesr_model.logs.robot_log import RobotLog
-from hesr_model.logs.tables import Table, read_table
+from hesr_model.logs.tables import LogTable, read_table
 from hesr_model.robots.robot import RobotDescription, RobotLike, RobotModel, description_of
 
 _ROUNDS = 4
@@ -96,7 +96,7 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
     )  # fmt: skip
 
 
-def open_table(path: Path, time: str) -> Table | None:
+def open_table(path: Path, time: str) -> LogTable | None:
     """Open a log as a table of named columns; None for formats that have none."""
     if format_of(path) is not COLUMNS or not path.is_file():
         return None
@@ -125,7 +125,7 @@ def _with_columns(path: Path, robot: RobotDescription, reasons: dict[str, str]) 
     return changed(robot, changes)
 
 
-def _has_columns(table: Table, robot: RobotDescription) -> bool:
+def _has_columns(table: LogTable, robot: RobotDescription) -> bool:
     columns, log = robot.log.columns, robot.log
     wanted = [columns.t, *column_names(columns.q, robot.joints)]
     effort = columns.tau if log.torque_per_ampere is None else columns.current

@@ -46,7 +46,7 @@ _SHORTEST = 8.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Rows:
+class LagRows:
     """Rows of a part of a log, and what may explain the torques there, as these were logged.
 
     Attributes
@@ -62,7 +62,7 @@ class Rows:
     rubs: tuple[Array, ...]
 
     @classmethod
-    def of(cls, part: Motionwise, model: RobotModel, base: Sequence[int]) -> "Rows":
+    def of(cls, part: Motionwise, model: RobotModel, base: Sequence[int]) -> "LagRows":
         """Evaluate the columns `base` of the regressor, and friction, along a part of a log."""
         logged = model.description.logged
         u, v = onto(logged, part.q), onto(logged, part.v)
@@ -112,7 +112,7 @@ def check_clocks(
     """
     if np.ptp(part.t) < _SHORTEST * _LATEST or not joints:
         return
-    rows, logs = Rows.of(part, model, base_columns(model)), (part.log.name,)
+    rows, logs = LagRows.of(part, model, base_columns(model)), (part.log.name,)
     found = {j: delay(rows, j, part.t, logged.tau[:, j]) for j in joints}
     lags = {j: lag for j, (lag, sure) in found.items() if sure > _SURE}
     most = float(np.median(list(lags.values()))) if len(lags) > 1 else 0.0
@@ -144,7 +144,7 @@ def _wrong_rate(rate: float, robot: RobotDescription, logs: tuple[str, ...]) -> 
     )  # fmt: skip
 
 
-def delay(rows: Rows, j: int, t: Array, tau: Array) -> tuple[float, float]:
+def delay(rows: LagRows, j: int, t: Array, tau: Array) -> tuple[float, float]:
     """Return by how much a joint's torque is late [s], and how sure that is.
 
     Parameters
@@ -163,7 +163,7 @@ def delay(rows: Rows, j: int, t: Array, tau: Array) -> tuple[float, float]:
     # Interpolation smooths between rows, not at them: no shift may have less noise than another.
     even = uniform_filter1d(tau, max(1, round(_SMOOTH / float(np.median(np.diff(t))))))
     moved = np.stack([np.interp(rows.t[inner] + shift, t, even) for shift in shifts], axis=1)
-    left = _beside(
+    left = _project_out(
         np.hstack([rows.still[inner, j] + rows.moving[inner, j], rows.rubs[j][inner]]), moved
     )
     squares = np.sum(left**2, axis=0)
@@ -172,7 +172,7 @@ def delay(rows: Rows, j: int, t: Array, tau: Array) -> tuple[float, float]:
     return float(shifts[k]), float(independent * np.log(squares[now] / squares[k]))
 
 
-def stamps_rate(rows: Rows, joints: Sequence[int], t: Array, tau: Array) -> tuple[float, float]:
+def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> tuple[float, float]:
     """Return how many times longer than by its stamps a motion lasted, and how sure that is.
 
     A motion that lasted r times as long has 1 / r^2 times the inertial torques. Where inertia is so
@@ -182,9 +182,9 @@ def stamps_rate(rows: Rows, joints: Sequence[int], t: Array, tau: Array) -> tupl
     count = rows.still.shape[2]
     for j in joints:
         torque = np.interp(rows.t, t, tau[:, j])[:, None]
-        left = _beside(rows.rubs[j], np.hstack([torque, rows.still[:, j], rows.moving[:, j]]))
+        left = _project_out(rows.rubs[j], np.hstack([torque, rows.still[:, j], rows.moving[:, j]]))
         body = left[:, 1 : 1 + count] + left[:, 1 + count :]
-        parts.append(left / max(float(np.std(_beside(body, left[:, :1]))), 1e-12))
+        parts.append(left / max(float(np.std(_project_out(body, left[:, :1]))), 1e-12))
     table = np.concatenate(parts)
     # What least squares ask of a table is in its triangle, which is small.
     corner = np.asarray(np.linalg.qr(table, mode="r"))
@@ -214,7 +214,7 @@ def _fitted(table: Array, scale: float) -> Array:
     return np.asarray(np.linalg.lstsq(columns / size, table[:, 0], rcond=1e-6)[0] / size)
 
 
-def _beside(columns: Array, targets: Array) -> Array:
+def _project_out(columns: Array, targets: Array) -> Array:
     """Return what of `targets` (N, K) is beside the space of `columns` (N, P)."""
     size = np.linalg.norm(columns, axis=0)
     used = columns[:, size > 1e-9 * size.max(initial=0.0)]

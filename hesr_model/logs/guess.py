@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.tables import Table
+from hesr_model.logs.tables import LogTable
 from hesr_model.units import OTHERS
 
 
@@ -80,7 +80,7 @@ def vocabulary() -> dict[str, object]:
     }
 
 
-def guess(table: Table, joints: Sequence[str] = ()) -> Guess:
+def guess(table: LogTable, joints: Sequence[str] = ()) -> Guess:
     """Guess the columns of a table.
 
     Parameters
@@ -151,7 +151,7 @@ def _unit(quantity: str, name: str) -> str:
     return next((known[word] for word in (*words, *_tokens(name)) if word in known), "")
 
 
-def _time(table: Table) -> str:
+def _time(table: LogTable) -> str:
     named = [name for name in table.names if _TIME & set(_tokens(name))]
     rising = [name for name in named if _rises(table, name)]
     if not rising:
@@ -162,7 +162,7 @@ def _time(table: Table) -> str:
     return min(rising, key=len)
 
 
-def _rises(table: Table, name: str) -> bool:
+def _rises(table: LogTable, name: str) -> bool:
     try:
         stamps = table.times(name, 1.0, missing=True)
     except LogError:
@@ -171,7 +171,7 @@ def _rises(table: Table, name: str) -> bool:
     return len(steps) > 1 and bool(np.mean(steps > 0) > 0.9)
 
 
-def _time_unit(table: Table, name: str) -> tuple[str, str]:
+def _time_unit(table: LogTable, name: str) -> tuple[str, str]:
     stamps = table.times(name, 1.0, missing=True)
     step = float(np.median(np.diff(stamps[np.isfinite(stamps)])))
     low, high = _RATES

@@ -10,7 +10,7 @@ import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.logs.readers.formats import format_of
-from hesr_model.logs.readers.samples import Samples
+from hesr_model.logs.readers.samples import LogSamples
 from hesr_model.logs.tables import write_table
 from hesr_model.robots.robot import RobotDescription, RobotLike, description_of
 from hesr_model.support import frames, html
@@ -299,7 +299,7 @@ def _of_joints(motion: Array, robot: RobotDescription) -> Array:
     return np.asarray(np.linalg.solve(np.array(robot.transmission.matrix), motion.T).T)
 
 
-def _torque(path: Path, samples: Samples, robot: RobotDescription) -> Array:
+def _torque(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
     """Torque of the joints (N, n) [N.m; N], which motors have by the transmission's transpose."""
     torque = _effort(path, samples, robot)
     if robot.transmission is None or robot.transmission.logs == "joint":
@@ -307,7 +307,7 @@ def _torque(path: Path, samples: Samples, robot: RobotDescription) -> Array:
     return np.asarray(torque @ np.array(robot.transmission.matrix))
 
 
-def _effort(path: Path, samples: Samples, robot: RobotDescription) -> Array:
+def _effort(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
     """Torque (N, n) [N.m] as logged, from currents where the file holds these."""
     units, gains, n = robot.log.units, robot.log.torque_per_ampere, len(robot.joints)
     if not samples.is_current:
@@ -320,7 +320,7 @@ def _effort(path: Path, samples: Samples, robot: RobotDescription) -> Array:
     return np.asarray(samples.effort * units.factors("current", n) * gains)
 
 
-def _require_reasonable(path: Path, samples: Samples, joints: Sequence[str]) -> None:
+def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) -> None:
     """Check that numbers, in any unit, can be multiplied with each other a few times.
 
     NaN cannot: a reader need not look for it.
@@ -341,7 +341,7 @@ def _require_reasonable(path: Path, samples: Samples, joints: Sequence[str]) -> 
         )
 
 
-def _require_steady_time(log: RobotLog, samples: Samples, robot: RobotDescription) -> None:
+def _require_steady_time(log: RobotLog, samples: LogSamples, robot: RobotDescription) -> None:
     if len(log.t) < 2:
         raise LogError(f"{log.where}: has {len(log.t)} rows of data; at least 2 are needed.")
     steps = np.diff(log.t)

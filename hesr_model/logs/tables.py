@@ -34,7 +34,7 @@ _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|\d{4}-\d\d-\d\d
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Table:
+class LogTable:
     """An open table file.
 
     Attributes
@@ -160,7 +160,7 @@ def most_bytes(path: Path) -> int:
     return 10 * path.stat().st_size + 300 * 2**20
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> LogTable:
     """Open a CSV (with a header; blank lines are ignored) or a Parquet file.
 
     A CSV's cells are separated as its header's are: by commas, semicolons, tabs or single blanks;
@@ -184,15 +184,15 @@ def read_table(path: Path) -> Table:
         raise LogError(f"{path}: column '{twice[0]}' stands twice; names must differ.")
     if arrow.num_rows == 0:
         raise LogError(f"{path}: has no rows of data below its header.")
-    return Table(path=path, names=names, _arrow=arrow, _dialect=dialect)
+    return LogTable(path=path, names=names, _arrow=arrow, _dialect=dialect)
 
 
-def table_of(path: Path, columns: Mapping[str, Array], others: Sequence[str] = ()) -> Table:
+def table_of(path: Path, columns: Mapping[str, Array], others: Sequence[str] = ()) -> LogTable:
     """Make a table of columns (N,), in their units, that were read from a file of another kind."""
     import pyarrow
 
     arrow = pyarrow.table({name: np.ascontiguousarray(values) for name, values in columns.items()})
-    return Table(path=path, names=tuple(columns), others=tuple(others), _arrow=arrow)
+    return LogTable(path=path, names=tuple(columns), others=tuple(others), _arrow=arrow)
 
 
 def write_table(path: Path, columns: Mapping[str, Array]) -> None:

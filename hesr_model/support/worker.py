@@ -35,7 +35,7 @@ _ORPHANED = 1.0
 
 
 def work(folder: Path, parent: int) -> None:
-    """JobAnswer requests until stdin closes.
+    """Answer requests until stdin closes.
 
     Parameters
     ----------

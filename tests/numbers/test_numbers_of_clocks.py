@@ -13,8 +13,8 @@ from hesr_model.health.evidence import (
     motionwise,
 )
 from hesr_model.health.timing import (
-    Rows,
-    _beside,
+    LagRows,
+    _project_out,
     _rubs,
     _wrong_rate,
     check_clocks,
@@ -47,7 +47,7 @@ def test_clocks(
 ) -> None:  # fmt: skip
     base = base_columns(arm_model)
     part = part_of(log)
-    rows = Rows.of(part, arm_model, base)
+    rows = LagRows.of(part, arm_model, base)
     coupled = RobotModel(RobotDescription(**{**dict(arm), "transmission": Transmission(
         matrix=COUPLED, logs="motor")}))  # fmt: skip
     every = [0, 1, 2]
@@ -68,19 +68,19 @@ def test_clocks(
     unchanged(
         {
             "rows": rows,
-            "coupled": Rows.of(part, coupled, base),
+            "coupled": LagRows.of(part, coupled, base),
             "delays": [
                 [delay(rows, j, part.t, late(part.tau[:, j], k)) for k in (-12, 0, 9, 20)]
                 for j in every
             ],
-            "rates": [stamps_rate(Rows.of(x, arm_model, base), every, x.t, x.tau)
+            "rates": [stamps_rate(LagRows.of(x, arm_model, base), every, x.t, x.tau)
                       for x in (part, slowed(1.5), slowed(0.6), noisy)],
             "rate of one": stamps_rate(rows, [1], part.t, part.tau),
-            "short": stamps_rate(Rows.of(short, arm_model, base), every, short.t, short.tau),
+            "short": stamps_rate(LagRows.of(short, arm_model, base), every, short.t, short.tau),
             "rubs": _rubs(part.q[:, 0], part.v[:, 0]),
             "rubs backwards": _rubs(-part.q[:, 0], -part.v[:, 0])[:3],
-            "beside": _beside(np.column_stack([part.q, part.q[:, :1], 1e-12 * part.v]), part.tau),
-            "beside nothing": _beside(0.0 * part.q, part.tau)[:5],
+            "beside": _project_out(np.column_stack([part.q, part.q[:, :1], 1e-12 * part.v]), part.tau),
+            "beside nothing": _project_out(0.0 * part.q, part.tau)[:5],
         },
         rtol=1e-3,
     )  # fmt: skip

@@ -12,7 +12,7 @@ from unchanged import Unchanged
 from hesr_model.errors import HesrError, LogError
 from hesr_model.logs.guess import guess
 from hesr_model.logs.phases import moving, near_reversals, reversals
-from hesr_model.logs.readers.samples import Samples
+from hesr_model.logs.readers.samples import LogSamples
 from hesr_model.logs.robot_log import (
     RobotLog,
     _require_reasonable,
@@ -82,7 +82,7 @@ def test_logs_are_shown_and_refused(
         own = {"q": log.q, "dq": log.dq, "effort": log.tau, "t": log.t, "temperature": None}
         own[what] = np.where(np.arange(5) == 3, value, log.t) if what == "t" else at(
             0.0 * log.q, 3, 1, value)  # fmt: skip
-        samples = Samples(**own, is_current=False, time="time", place=lambda k: f"place {k}")
+        samples = LogSamples(**own, is_current=False, time="time", place=lambda k: f"place {k}")
         return refusal(lambda: _require_reasonable(Path("run.csv"), samples, "ab"))
 
     data_regression.check(

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.readers.samples import Samples
+from hesr_model.logs.readers.samples import LogSamples
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array
 
@@ -27,7 +27,7 @@ def is_bag(path: Path) -> bool:
     return path.is_dir() or path.suffix.lower() in _SUFFIXES
 
 
-def read_bag(path: Path, robot: RobotDescription) -> Samples:
+def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
     """Read the states of the robot's joints from one topic of a bag.
 
     Messages may list joints in any order and others besides; those that do not list all of the
@@ -65,7 +65,7 @@ def read_bag(path: Path, robot: RobotDescription) -> Samples:
         dq = _values(where, used, joints, "velocity", missing=drop)
         if dq is None:
             _log.warning("%s: has no velocity, which is derived from the position.", where)
-    return Samples(
+    return LogSamples(
         t=np.array([stamp - stamps[0] for stamp in stamps]) * 1e-9,
         q=q,
         dq=dq,

@@ -5,13 +5,13 @@ from pathlib import Path
 from hesr_model.errors import LogError
 from hesr_model.logs.log_format import TEMPERATURES, Columns, column_names
 from hesr_model.logs.readers.matlab import read_matlab
-from hesr_model.logs.readers.samples import Samples
-from hesr_model.logs.tables import Table, read_table
+from hesr_model.logs.readers.samples import LogSamples
+from hesr_model.logs.tables import LogTable, read_table
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array
 
 
-def read_columns(path: Path, robot: RobotDescription) -> Samples:
+def read_columns(path: Path, robot: RobotDescription) -> LogSamples:
     """Read the columns that the robot file names.
 
     Raises
@@ -27,7 +27,7 @@ def read_columns(path: Path, robot: RobotDescription) -> Samples:
     q = _joints(table, columns.q, robot)
     dq = _joints(table, columns.dq, robot) if columns.dq else None
     effort, is_current = _effort(table, robot)
-    return Samples(
+    return LogSamples(
         t=t,
         q=q,
         dq=dq,
@@ -39,7 +39,7 @@ def read_columns(path: Path, robot: RobotDescription) -> Samples:
     )
 
 
-def _joints(table: Table, columns: Columns, robot: RobotDescription) -> Array:
+def _joints(table: LogTable, columns: Columns, robot: RobotDescription) -> Array:
     """One quantity of all joints, (N, n); as many columns as joints."""
     if isinstance(columns, str) and "{name}" not in columns:
         _require_joint_count(table, columns, len(robot.joints))
@@ -47,14 +47,14 @@ def _joints(table: Table, columns: Columns, robot: RobotDescription) -> Array:
     return table.numbers(column_names(columns, robot.joints), missing=missing)
 
 
-def _temperature(table: Table, robot: RobotDescription) -> Array | None:
+def _temperature(table: LogTable, robot: RobotDescription) -> Array | None:
     """Temperatures (N, n) in the unit of the file; None where it has none and need not have any."""
     columns = robot.log.columns.temperature
     there = set(column_names(columns, robot.joints)) & set(table.names)
     return None if columns == TEMPERATURES and not there else _joints(table, columns, robot)
 
 
-def _require_joint_count(table: Table, pattern: str, n: int) -> None:
+def _require_joint_count(table: LogTable, pattern: str, n: int) -> None:
     # One joint more than any that the file can have; numbers stand in for the joints' names.
     names = column_names(pattern, [""] * (len(table.names) + n + 1))
     there = set(table.names)
@@ -71,7 +71,7 @@ def _require_joint_count(table: Table, pattern: str, n: int) -> None:
         )
 
 
-def _effort(table: Table, robot: RobotDescription) -> tuple[Array, bool]:
+def _effort(table: LogTable, robot: RobotDescription) -> tuple[Array, bool]:
     """Torque as logged, or currents where the robot file gives gains for them; and which it is."""
     columns, gains = robot.log.columns, robot.log.torque_per_ampere
     torque = column_names(columns.tau, robot.joints)[0]

@@ -12,7 +12,7 @@ from pathlib import Path
 from hesr_model.errors import ConfigError
 from hesr_model.logs.readers.bag import is_bag, read_bag
 from hesr_model.logs.readers.columns import read_columns
-from hesr_model.logs.readers.samples import Samples
+from hesr_model.logs.readers.samples import LogSamples
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support import plugins
 
@@ -33,7 +33,7 @@ class FileFormat:
 
     name: str
     recognises: Callable[[Path], bool]
-    read: Callable[[Path, RobotDescription], Samples]
+    read: Callable[[Path, RobotDescription], LogSamples]
 
 
 BAG = FileFormat(name="ROS bag", recognises=is_bag, read=read_bag)

@@ -12,14 +12,14 @@ import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.logs.readers.matlab_elements import require_sound
-from hesr_model.logs.tables import Table, listed, most_bytes, table_of
+from hesr_model.logs.tables import LogTable, listed, most_bytes, table_of
 from hesr_model.support.arrays import Array
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 """Signature, behind MATLAB's header of 512 bytes."""
 
 
-def read_matlab(path: Path, *, time: str) -> Table:
+def read_matlab(path: Path, *, time: str) -> LogTable:
     """Open a MATLAB file as a table.
 
     A matrix ``q`` of N rows (or N columns, or 1 x n x N as Simulink writes) gives the columns

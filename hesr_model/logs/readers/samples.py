@@ -9,7 +9,7 @@ from hesr_model.support.arrays import Array, some_rows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Samples:
+class LogSamples:
     """Samples of all joints, in the units of the file.
 
     Attributes
@@ -32,7 +32,7 @@ class Samples:
     place: Callable[[int], str]
     temperature: Array | None = None
 
-    def complete(self) -> "Samples":
+    def complete(self) -> "LogSamples":
         """Return the samples without those that lack a number or repeat a stamp."""
         columns = ("t", "q", "dq", "effort", "temperature")
         parts = [part for name in columns if (part := getattr(self, name)) is not None]
