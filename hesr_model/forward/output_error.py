@@ -186,10 +186,12 @@ class _Problem:
         )
         found = simulator.run(
             windows.times(many),
-            values=[np.repeat(np.array(of_law).T, count, axis=1)
-                    for of_law in zip(*numbers, strict=True)],
+            values=[
+                np.repeat(np.array(of_law).T, count, axis=1)
+                for of_law in zip(*numbers, strict=True)
+            ],
             states=[np.concatenate(of_law, axis=1) for of_law in zip(*states, strict=True)],
-        )  # fmt: skip
+        )
         return found.reshape(many, *windows.q.shape) - windows.q
 
     def _torque(self, theta: Array) -> Array:

@@ -120,9 +120,16 @@ class Simulator:
         return coupling.forward, coupling.torque(load)
 
     def _implicit(
-        self, laws: Sequence[LawStepper], h: Array, q: Array, v: Array, x: list[Array], tau: Array,
-        inverse: Array, load: Array,
-    ) -> tuple[Array, Array]:  # fmt: skip
+        self,
+        laws: Sequence[LawStepper],
+        h: Array,
+        q: Array,
+        v: Array,
+        x: list[Array],
+        tau: Array,
+        inverse: Array,
+        load: Array,
+    ) -> tuple[Array, Array]:
         """Do one inner step; states `x` are moved in place."""
         forward, loads = self._at_friction(load)
         own = forward @ inverse @ forward.T
@@ -145,9 +152,16 @@ class Simulator:
         return q + h[:, None] * v, v
 
     def _explicit(
-        self, laws: Sequence[LawStepper], h: Array, q: Array, v: Array, x: list[Array], tau: Array,
-        inverse: Array, load: Array,
-    ) -> tuple[Array, Array]:  # fmt: skip
+        self,
+        laws: Sequence[LawStepper],
+        h: Array,
+        q: Array,
+        v: Array,
+        x: list[Array],
+        tau: Array,
+        inverse: Array,
+        load: Array,
+    ) -> tuple[Array, Array]:
         """Do one step as MuJoCo's Euler does: all forces and rates are those before it."""
         forward, loads = self._at_friction(load)
         p, u = q @ forward.T, v @ forward.T

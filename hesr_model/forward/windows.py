@@ -90,11 +90,12 @@ def joined(sets: Sequence[Windows]) -> Windows:
     return Windows(
         **{name: np.concatenate([getattr(w, name) for w in sets]) for name in _SIGNALS},
         places=tuple(
-            (first + part, row) for first, w in zip(firsts, sets, strict=False)
+            (first + part, row)
+            for first, w in zip(firsts, sets, strict=False)
             for part, row in w.places
         ),
         logs=[log for w in sets for log in w.logs],
-    )  # fmt: skip
+    )
 
 
 def whole(log: Sequence[FrictionRecord]) -> Windows:

@@ -1,8 +1,8 @@
-"""Which mistake in a robot file explains the torques better than the file as it is.
+"""Causes: mistakes in a robot file that explain the torques better than the file as it is.
 
-A mistake is a hypothesis: logs are taken as they would be without it, and the model file's rigid
-body with friction that brakes is fitted to their torques. Only physical signs are allowed (gravity,
-inertia and friction of no negative weight), so that wrong signs and swapped columns explain badly.
+A mistake is a hypothesis. The logs are corrected for it, then the rigid body of the model file and
+friction are fitted to the torques. Gravity, inertia and friction have non-negative weights, so
+wrong signs and swapped columns fit badly.
 """
 
 from collections.abc import Sequence
@@ -20,21 +20,21 @@ from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Mask
 
 _ROWS = 450
-"""Of all logs together that hypotheses are tried on."""
+"""Rows of all logs together on which hypotheses are tested."""
 _BETTER = 2.0
-"""Factor by which a mistake's mend must lessen what is unexplained on the joint it helps most."""
+"""Factor by which a correction must reduce the unexplained torque of the joint it helps most."""
 _NO_WORSE = 1.25
-"""Factor by which it may grow on any other."""
+"""Largest allowed growth of the unexplained torque of any other joint."""
 _EXPLAINED = 0.6
-"""R^2 that the mend must reach where it helps."""
+"""Minimum R^2 after the correction where it helps."""
 _CLEARLY = 1.05
 """Factor by which a mistake must explain more than a simpler one."""
 _MOST = 8
-"""Mistakes that are looked for at a time."""
+"""Largest number of mistakes searched for one after another."""
 
 
 def pooled(motions: Sequence[Motionwise], gravity: Sequence[float]) -> CandidateRows:
-    """Take rows (N, n) from all logs, as many from each; gravity is in [m/s2]."""
+    """Take the same number of rows (N, n) from each log; `gravity` is (3,) [m/s2]."""
     each = [motion.thinned(max(_ROWS // len(motions), 60)) for motion in motions]
     q, v, a, tau = (
         np.concatenate([getattr(motion, name) for motion in each])
@@ -44,7 +44,7 @@ def pooled(motions: Sequence[Motionwise], gravity: Sequence[float]) -> Candidate
 
 
 def check_causes(motions: Sequence[Motionwise], model: RobotModel) -> list[Finding]:
-    """Look for the mistakes that explain all logs together better, the best one first."""
+    """Find the mistakes that best explain all logs together, the best one first."""
     if not motions:
         return []
     moves = np.any([motion.moves for motion in motions], axis=0)
@@ -67,8 +67,8 @@ def check_causes(motions: Sequence[Motionwise], model: RobotModel) -> list[Findi
                 joints=(model.description.joints[best.joint],) if best.joint >= 0 else (),
                 logs=logs,
                 found=f"model and friction leave {100 * now[helped]:.0f} % of the torque of joint "
-                f"'{model.description.joints[helped]}' unexplained, and {100 * left[helped]:.0f} % "
-                "once this is mended",
+                f"'{model.description.joints[helped]}' unexplained; with the correction "
+                f"{100 * left[helped]:.0f} %",
                 remedy=best.remedy,
                 changes=best.changes,
             )
@@ -80,7 +80,7 @@ def check_causes(motions: Sequence[Motionwise], model: RobotModel) -> list[Findi
 def _best(
     rows: CandidateRows, now: Array, model: RobotModel, moves: Mask
 ) -> tuple[Mistake | None, Array]:
-    """Return the mistake whose mend explains most, and what it leaves; None where none helps."""
+    """Return the mistake whose correction explains most, if any, and the remaining deviation."""
     best, left, most = None, now, 0.0
     for mistake in mistakes(rows, model, moves):
         then = _unexplained(mistake.mended, model, moves)
@@ -96,17 +96,18 @@ def _best(
 
 
 def _either(best: Mistake) -> str:
-    """Say of a sign that the logs do not tell which of both it is."""
+    """Return a remedy that names both possible signs, which the logs cannot distinguish."""
     if best.check != "torque-sign":
         return best.remedy
     return best.remedy.replace(
         "its torque counts backwards;",
-        "its torque counts backwards, or its position and velocity do, which the logs do not tell;",
+        "its torque counts backwards, or its position and velocity do (the logs cannot show "
+        "which);",
     )
 
 
 def _unexplained(rows: CandidateRows, model: RobotModel, moves: Mask) -> Array:
-    """Deviation (n,) of the torques from what they can be, over their own; 1 at rest."""
+    """Return the unexplained share (n,) of the torques' deviation; 1 for joints at rest."""
     torques, logged = torques_of(rows, model), model.description.logged
     torques, v = torques.at(logged) if logged else torques, onto(logged, rows.v)
     left = np.ones(rows.q.shape[1])

@@ -1,4 +1,4 @@
-"""A log made ready for its checks: velocity from the position alone, torques of the model."""
+"""Evidence for the checks: velocities derived from positions, torques of the model."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,26 +15,26 @@ from hesr_model.robots.transmission import Coupling
 from hesr_model.support.arrays import Array, Mask, some_rows
 
 _LEAST_TRAVEL = 5e-3
-"""[rad or m] A joint that moves by less rests."""
+"""Travel below which a joint counts as resting [rad or m]."""
 
 _ROWS = 4000
-"""Of a log, spread over it; more tell no more."""
+"""Maximum number of rows examined per log."""
 
 _KNEE = 0.1
-"""[rad/s, m/s] Speed of the smoothed sign of the velocity; a quarter of the peak where less."""
+"""Smoothing speed of the sign of the velocity [rad/s, m/s]; at most a quarter of the peak speed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motionwise:
-    """One part of a log, smoothed, (N, n) each; joints that rest in it are told apart.
+    """One part of a log, smoothed, (N, n) each.
 
     Attributes
     ----------
-    log : as read.
+    log : the part as read.
     t : (N,) [s].
-    q, v, a : position, and velocity and acceleration as they follow from it alone.
-    dq : velocity as logged, smoothed alike; None where the log has none.
-    tau : torque as logged.
+    q, v, a : position, and its first and second derivative [rad, rad/s, rad/s2].
+    dq : logged velocity with the same smoothing; None if the log has none.
+    tau : logged torque [N.m].
     """
 
     log: RobotLog
@@ -47,18 +47,18 @@ class Motionwise:
 
     @cached_property
     def moves(self) -> Mask:
-        """Which joints move, (n,), by travel [rad; m] and speed [rad/s; m/s]."""
+        """Joints (n,) that move, by travel [rad; m] and speed [rad/s; m/s]."""
         speed = np.max(np.abs(self.v), axis=0)
         return np.asarray((np.ptp(self.q, axis=0) > _LEAST_TRAVEL) & (speed > LEAST_PEAK))
 
     def thinned(self, rows: int) -> "Motionwise":
-        """Return at most so many rows, spread over the log."""
+        """Return at most `rows` rows, evenly spread."""
         every = slice(None, None, -(-len(self.t) // rows))
         return some_rows(self, ("t", "q", "v", "a", "dq", "tau"), every)
 
 
 def motionwise(log: RobotLog, cutoff: float) -> list[Motionwise]:
-    """Make the parts of a log ready; those too short for the low pass are left out."""
+    """Smooth the parts of a log; skip parts that are too short for the low pass."""
     made = []
     for part in log.parts():
         try:
@@ -84,12 +84,12 @@ def motionwise(log: RobotLog, cutoff: float) -> list[Motionwise]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Torques:
-    """What the model says of a motion, by joint, (N, n) [N.m; N].
+    """Torques of the model along a motion, by joint, (N, n) [N.m; N].
 
     Attributes
     ----------
-    gravity : of the model, without its mean, which an offset of the sensor would take.
-    inertial : what the motion adds to it.
+    gravity : without its mean, which a sensor offset would absorb.
+    inertial : torque due to the motion.
     """
 
     gravity: Array
@@ -104,7 +104,7 @@ class Torques:
         return cls(gravity=gravity - gravity.mean(axis=0), inertial=whole - gravity)
 
     def at(self, coupling: Coupling) -> "Torques":
-        """Return the torques at coupled coordinates from those at the joints."""
+        """Transform the torques from joint coordinates to coupled coordinates."""
         return Torques(
             gravity=coupling.torque(self.gravity), inertial=coupling.torque(self.inertial)
         )
@@ -113,9 +113,9 @@ class Torques:
 def as_logged(
     motion: Motionwise, torques: Torques, coupling: Coupling | None
 ) -> tuple[Motionwise, Torques]:
-    """Bring velocities and torques to what was logged, where that is motors, not joints.
+    """Transform velocities and torques to the logged coordinates if motors were logged.
 
-    Where a motor turns with several joints, a mistake in its column shows at the motor only.
+    If a motor turns several joints, a mistake in its column shows at the motor only.
     """
     if coupling is None:
         return motion, torques
@@ -124,14 +124,14 @@ def as_logged(
 
 
 def rubbing(v: Array) -> Array:
-    """Friction's shape over a joint's velocity `v` (N,) [rad/s]: Coulomb and viscous, alike."""
+    """Return the shape of Coulomb and viscous friction over `v` (N,) [rad/s], equally weighted."""
     peak = float(np.max(np.abs(v))) or 1.0
     return np.asarray(np.tanh(v / min(_KNEE, 0.25 * peak)) + v / peak)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A coefficient and its standard error, which neighbouring rows' likeness widens."""
+    """A coefficient and its standard error, corrected for autocorrelation."""
 
     value: float
     error: float
@@ -144,16 +144,16 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class JointTorque:
-    """One joint's torque explained by the model and friction.
+    """Regression of one joint's torque on the model and friction.
 
     Attributes
     ----------
     gravity : torque over the model's gravity torque, without unit.
-    inertia : torque over the model's inertial torque, without unit; rotors are not in a URDF.
-    friction : torque that goes with the velocity [N.m].
+    inertia : torque over the model's inertial torque, without unit; a URDF has no rotor inertias.
+    friction : torque in phase with the velocity [N.m].
     gravity_size, friction_size : standard deviations of the model's gravity torque and of friction
         [N.m].
-    residual, deviation : standard deviations of what is not explained and of the torque [N.m].
+    residual, deviation : standard deviations of the residual and of the torque [N.m].
     """
 
     gravity: Estimate
@@ -166,18 +166,18 @@ class JointTorque:
 
     @property
     def r2(self) -> float:
-        """Share of the torque's variance that is explained."""
+        """Explained share of the torque's variance."""
         return 1.0 - (self.residual / max(self.deviation, 1e-300)) ** 2
 
     @property
     def bears_gravity(self) -> bool:
-        """Whether gravity, of the model or as found, is well above what is unexplained."""
+        """Whether gravity, of the model or as estimated, is well above the residual."""
         size = self.gravity_size * max(1.0, abs(self.gravity.value))
         return self.gravity_size > 1e-6 and size > 2.0 * self.residual
 
 
 def explain(tau: Array, gravity: Array, inertial: Array, v: Array) -> JointTorque:
-    """Explain `tau` by `gravity`, `inertial` [N.m] and friction over `v` [rad/s], (N,) each."""
+    """Regress `tau` on `gravity`, `inertial` [N.m] and friction over `v` [rad/s], (N,) each."""
     shape = rubbing(v)
     columns = np.column_stack([gravity, inertial, shape, np.ones_like(v)])
     size = np.linalg.norm(columns, axis=0) / np.sqrt(len(v))

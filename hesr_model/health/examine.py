@@ -1,4 +1,4 @@
-"""All checks of logs on their robot, at once."""
+"""All checks of logs against their robot."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,14 +35,13 @@ CHECKS = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Examination:
-    """What the checks found.
+    """Results of the checks.
 
     Attributes
     ----------
-    findings : refusals first; what several logs share stands once.
-    parts : every part of every log, made ready.
-    torques, explained : of each part: torques of the model, and what explains the measured ones;
-        empty without a model.
+    findings : errors first; findings shared by several logs are merged.
+    parts : every part of every log, smoothed.
+    torques, explained : model torques and regression of each part; empty without a model.
     """
 
     findings: tuple[Finding, ...]
@@ -54,16 +53,16 @@ class Examination:
 def examine(
     logs: Sequence[RobotLog], robot: RobotDescription, model: RobotModel | None
 ) -> Examination:
-    """Check logs: each by itself, against the robot's model, and all together for their cause.
+    """Check logs one by one, against the model of the robot, and together for common causes.
 
     Parameters
     ----------
-    model : None where there is no model file: torques and limits are not checked then.
+    model : None if there is no model file; torques and limits are not checked then.
 
     Raises
     ------
     LogError
-        If a log is too slow or too short for the low pass, and its stamps do not say why.
+        If a log is too slow or too short for the low pass, and its time stamps do not explain it.
     """
     findings: list[Finding] = []
     parts: list[Motionwise] = []
@@ -99,7 +98,7 @@ def examine(
 
 
 def _hopeless(findings: Sequence[Finding]) -> bool:
-    """Whether positions or stamps are so wrong that torques cannot be judged by them."""
+    """Whether positions or time stamps are too wrong to judge torques."""
     return any(
         f.severity == "error"
         and (
@@ -114,21 +113,20 @@ _SYMPTOMS = (
     *("torque-sign", "torque-scale", "torque-signal", "torque-lag", "torque-small", "time-scale"),
     "gravity-sign",
 )
-"""What a deeper cause explains."""
+"""Checks whose findings a deeper cause can explain."""
 
 
 def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Finding]:
-    """Let causes stand for the symptoms that they explain, in the words of the symptoms.
+    """Replace symptoms by the causes that explain them, in the words of the symptoms.
 
-    A wrong sign of a torque explains what is odd at its own joint; wrong positions, columns or
-    gravity what is odd anywhere.
+    A wrong torque sign explains symptoms of its own joint; wrong positions, columns or gravity
+    explain symptoms of any joint.
     """
     local = {name for cause in causes if cause.check == "torque-sign" for name in cause.joints}
     everywhere = any(cause.check != "torque-sign" or not cause.joints for cause in causes)
     kept = [
-        f for f in findings
-        if f.check not in _SYMPTOMS or not (everywhere or local & set(f.joints))
-    ]  # fmt: skip
+        f for f in findings if f.check not in _SYMPTOMS or not (everywhere or local & set(f.joints))
+    ]
     signs = {f.joints: f.found for f in findings if f.check == "torque-sign"}
     told = [
         replace(c, found=signs[c.joints])
@@ -140,32 +138,33 @@ def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Find
 
 
 def _without_followers(findings: Sequence[Finding]) -> list[Finding]:
-    """Leave out what a clearer finding of the same joint says already."""
+    """Drop findings that a clearer finding of the same joint implies."""
     clear = {f.joints for f in findings if f.check in ("velocity-columns", "same-column")}
     coarse = any(f.check == "coarse" for f in findings)
     mended = any(key.startswith("log.units") for f in findings for key in f.changes)
     return [
-        f for f in findings
+        f
+        for f in findings
         if (f.check != "velocity-match" or f.joints not in clear)
         and not (f.check in ("time-scale", "speed-limit") and (mended or coarse))
-    ]  # fmt: skip
+    ]
 
 
 def checked(
     logs: Sequence[RobotLog], model: RobotModel, accepted: Sequence[str] = ()
 ) -> list[Finding]:
-    """Check logs before they are used; return what is odd, and what was accepted.
+    """Check logs before use; return warnings and accepted errors.
 
     Parameters
     ----------
-    accepted : names of checks whose refusals are only told.
+    accepted : names of checks whose errors do not raise.
 
     Raises
     ------
     HealthError
-        If data cannot be right, naming all of it.
+        If there are errors, naming all of them.
     ConfigError
-        If something is accepted that is no check.
+        If `accepted` holds a name that is no check.
     """
     require_known(accepted, CHECKS)
     return require_sound(examine(logs, model.description, model).findings, accepted)

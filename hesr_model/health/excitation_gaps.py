@@ -1,4 +1,4 @@
-"""What the motion of logs does not show, and so no fit can tell."""
+"""Gaps of the excitation: effects that the motion of the logs does not show."""
 
 from collections.abc import Iterator, Sequence
 
@@ -8,16 +8,16 @@ from hesr_model.health.examine import Examination
 from hesr_model.logs.phases import moving, reversals
 
 _RESTS = 0.02
-"""Share of rows at rest below which stiction is hardly seen."""
+"""Share of rows at rest below which stiction is hardly visible."""
 _REVERSALS = 4
 _SLOW, _SLOWLY = 0.1, 0.05
-"""Share of the peak speed that is slow, and of the rows that must be."""
+"""Share of the peak speed that counts as slow, and the share of slow rows needed."""
 _LOAD = 0.5
-"""Of friction's size: where gravity varies by less, its effect on friction is not seen."""
+"""Ratio of gravity to friction below which load-dependent friction is not visible."""
 
 
 def unseen(examination: Examination, joints: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield joints and what the logs do not show of them, a few words each."""
+    """Yield each joint with an effect that the logs do not show, in a few words."""
     for j, joint in enumerate(joints):
         parts = [k for k, part in enumerate(examination.parts) if part.moves[j]]
         if not parts:
@@ -33,6 +33,6 @@ def unseen(examination: Examination, joints: Sequence[str]) -> Iterator[tuple[st
             yield joint, "hardly any slow motion: no Stribeck effect"
         fits = [fits[j] for k, fits in enumerate(examination.explained) if k in parts and j in fits]
         if fits and not any(fit.bears_gravity for fit in fits):
-            yield joint, "no gravity beside friction: its torque constant cannot be checked"
+            yield joint, "no gravity torque: its torque constant cannot be checked"
         elif fits and all(fit.gravity_size < _LOAD * fit.friction_size for fit in fits):
-            yield joint, "a load that hardly varies: not how friction rises with it"
+            yield joint, "hardly any change of load: not how friction rises with it"

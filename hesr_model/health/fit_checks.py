@@ -1,4 +1,4 @@
-"""What is odd about a result: bodies that cannot exist, laws that say nothing or hit a bound."""
+"""Checks of results: impossible bodies, laws without effect or at a bound."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -17,38 +17,42 @@ CHECKS = ("mass-matrix", "negative-friction", "no-better-than-nothing", "bound",
 
 _STATES = 60
 _NOTHING = 0.95
-"""Share of friction's deviation from which on a law explains nothing."""
+"""Ratio of a law's error to friction's deviation above which it explains nothing."""
 _AT_BOUND = 0.01
 _NEGATIVE = 0.5
-"""Of the residual: a friction that is less negative than that may be zero."""
+"""Negative Coulomb friction below this share of the residual may be zero."""
 
 
 def check_body(body: RigidBody, model: RobotModel) -> Iterator[Finding]:
-    """Check that a body's mass matrix is positive definite, and that its friction brakes."""
+    """Check that a body's mass matrix is positive definite and that its friction brakes."""
     joints = model.description.joints
     lowest, q, joint = _least_inertia(body, model)
     if lowest <= 0.0:
         at = ", ".join(f"{value:.2f}" for value in q)
         yield Finding(
-            check="mass-matrix", severity="warning", joints=(joints[joint],),
+            check="mass-matrix",
+            severity="warning",
+            joints=(joints[joint],),
             found=f"the identified mass matrix is not positive definite (eigenvalue {lowest:.2g}, "
             f"for instance at q = {at})",
-            remedy="the logs do not determine all inertias, and the body cannot exist; longer or "
-            "faster logs, or physical = true in the study (--physical), give one that can",
-        )  # fmt: skip
+            remedy="the identified masses are not physically possible; use longer or faster logs, "
+            "or physical = true in the study (--physical)",
+        )
     for name, (coulomb, _, _), rmse in zip(joints, body.friction, body.rmse, strict=True):
         if -coulomb > _NEGATIVE * rmse:
             yield Finding(
-                check="negative-friction", severity="warning", joints=(name,),
+                check="negative-friction",
+                severity="warning",
+                joints=(name,),
                 found=f"its Coulomb friction is identified as {coulomb:.3g} N.m",
                 remedy="torque or velocity count backwards, or lag each other",
-            )  # fmt: skip
+            )
 
 
 def _least_inertia(body: RigidBody, model: RobotModel) -> tuple[float, Array, int]:
-    """Return the least eigenvalue of the mass matrix within the limits, where, and of what joint.
+    """Return the smallest eigenvalue of the mass matrix, its position and its joint.
 
-    The matrix is scaled to a unit diagonal of its means, so that a wrist counts as a shoulder does.
+    The matrix is scaled by its mean diagonal, so that a wrist counts as much as a shoulder.
     """
     lower, upper, _ = model.limits
     q = np.random.default_rng(0).uniform(lower, upper, (_STATES, model.n))
@@ -63,38 +67,43 @@ def _least_inertia(body: RigidBody, model: RobotModel) -> tuple[float, Array, in
 def check_laws(
     models: Mapping[str, FrictionModel], records: Sequence[Sequence[FrictionRecord]]
 ) -> Iterator[Finding]:
-    """Check laws, fitted to records [joint][log]: errors as large as friction, bounds."""
+    """Check laws fitted to records [joint][log] for large errors and coefficients at bounds."""
     records = all_at_friction(records)
     for name, model in models.items():
         for j, joint in enumerate(model.joints):
             deviation = float(np.std(np.concatenate([record.tau for record in records[j]])))
             if len(model.training_rmse) and model.training_rmse[j] >= _NOTHING * deviation:
                 yield Finding(
-                    check="no-better-than-nothing", severity="warning", joints=(joint,),
+                    check="no-better-than-nothing",
+                    severity="warning",
+                    joints=(joint,),
                     found=f"the error of the law {name}, {model.training_rmse[j]:.3g}, is no "
                     f"smaller than friction itself, {deviation:.3g}",
-                    remedy="the torque holds no friction that it could learn; see 'hesr inspect'",
-                )  # fmt: skip
+                    remedy="the torque contains no friction to be fitted; see 'hesr inspect'",
+                )
             values = model.laws[j].values
             if {"F_c", "F_s"} <= set(values) and values["F_c"] != 0:
                 ratio = values["F_s"] / values["F_c"]
                 for bound in STATIC_RATIO_BOUNDS:
                     if abs(np.log(max(ratio, 1e-9) / bound)) < _AT_BOUND:
                         yield Finding(
-                            check="bound", severity="warning", joints=(joint,),
-                            found=f"F_s / F_c = {ratio:.3g} of the law {name} is a bound of its "
-                            "search",
-                            remedy="the logs do not determine it: slow motion and rests would",
-                        )  # fmt: skip
+                            check="bound",
+                            severity="warning",
+                            joints=(joint,),
+                            found=f"F_s / F_c of the law {name} hit its limit ({ratio:.3g})",
+                            remedy="the logs do not determine it; record slow motion and "
+                            "standstill",
+                        )
 
 
 def check_owner(model: FrictionModel, robot: RobotModel) -> Iterator[Finding]:
-    """Check that a law is evaluated on its own robot."""
+    """Check that a law is evaluated on the robot it was fitted to."""
     own = robot.description
-    if model.robot != own.name and model.joints == own.joints:  # other joints are refused
+    if model.robot != own.name and model.joints == own.joints:  # other joints are refused elsewhere
         yield Finding(
-            check="other-robot", severity="warning",
+            check="other-robot",
+            severity="warning",
             found=f"the law {model.law} was fitted to '{model.robot}' and is evaluated on "
             f"'{own.name}'",
             remedy="one of the files is of another robot",
-        )  # fmt: skip
+        )

@@ -1,4 +1,4 @@
-"""What lost rows cost: how uncertain the sliding torque is for want of them."""
+"""Lost rows: the uncertainty of the sliding torque that they cause."""
 
 from collections.abc import Iterator
 
@@ -11,35 +11,36 @@ from hesr_model.robots.robot import RobotModel
 from hesr_model.support.arrays import Array, Integers
 
 _SKIPPED = 0.05
-"""Share of the steps between gaps that may be longer than 1.8 periods."""
+"""Allowed share of steps between gaps that are longer than 1.8 periods."""
 _UNCERTAIN = 0.03
-"""Of the sliding torque: two standard deviations of what lost rows do to it."""
+"""Allowed uncertainty of the sliding torque due to lost rows (two standard deviations, relative).
+"""
 _SPEEDS = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0])
-"""Shares of a joint's peak speed between which friction is straight."""
+"""Shares of a joint's peak speed between which friction is interpolated linearly."""
 _JUDGED = (0.1, 0.7)
-"""Of them, those at which a joint slides and that it does not reach for an instant only."""
+"""Range of these shares that is judged: the joint slides, and not for an instant only."""
 _SPLITS = 16
 _HALF_WAY = 0.2
-"""Share of the slowest straight piece within which friction changes its sign."""
+"""Share of the slowest interval within which friction changes its sign."""
 
 
 def share_of_long_steps(log: RobotLog) -> float:
-    """Return which share of the steps between gaps is longer than 1.8 median periods."""
+    """Return the share of steps between gaps that are longer than 1.8 median periods."""
     steps = np.diff(log.t)
     return float(np.mean(steps[steps <= log.longest_step] > 1.8 * log.period))
 
 
 def loses_rows(log: RobotLog) -> bool:
-    """Whether rows are missing throughout a log, not in a few gaps only."""
+    """Return whether rows are missing throughout a log, not only in a few gaps."""
     return share_of_long_steps(log) > _SKIPPED
 
 
 def check_loss(motion: Motionwise, torques: Torques, model: RobotModel) -> Iterator[Finding]:
-    """Check that the rows that are left determine the sliding torque of each joint.
+    """Check that the remaining rows determine the sliding torque of each joint.
 
-    Its standard deviation for want of the lost rows is that of estimates from halves of the rows
-    that are left: the variance of the difference of two halves is four times that of the estimate
-    from all rows, of which lost rows account for their share.
+    The standard deviation due to lost rows follows from estimates with random halves of the
+    remaining rows. The variance of the difference of two halves is four times that of the estimate
+    from all rows; lost rows account for their share of it.
     """
     if not loses_rows(motion.log):
         return
@@ -51,17 +52,18 @@ def check_loss(motion: Motionwise, torques: Torques, model: RobotModel) -> Itera
             continue
         unit = "m/s" if model.tree[j].prismatic else "rad/s"
         yield Finding(
-            check="missing-rows", severity="error",
-            joints=(model.description.joints[j],), logs=(motion.log.name,),
-            found=f"rows are missing throughout, which leaves its sliding torque at "
-            f"{speeds[worst]:.2g} {unit} uncertain by {100 * min(uncertain[worst], 9.99):.2g} %",
-            remedy=f"friction cannot be had within {100 * _UNCERTAIN:g} % from what is left; log "
-            "without losses, or for longer",
-        )  # fmt: skip
+            check="missing-rows",
+            severity="error",
+            joints=(model.description.joints[j],),
+            logs=(motion.log.name,),
+            found=f"rows are missing throughout; its sliding torque at {speeds[worst]:.2g} {unit} "
+            f"is uncertain by {100 * min(uncertain[worst], 9.99):.2g} %",
+            remedy=f"friction needs {100 * _UNCERTAIN:g} %; record without losses, or for longer",
+        )
 
 
 def _sliding(motion: Motionwise, torques: Torques, j: int) -> tuple[Array, Array, Array]:
-    """Return speeds (K,) [rad/s; m/s], sliding torque there, and its deviation by lost rows."""
+    """Return speeds (K,) [rad/s; m/s], the sliding torques and their deviation due to lost rows."""
     v, tau = motion.v[:, j], motion.tau[:, j]
     speeds = float(np.max(np.abs(v))) * _SPEEDS
     hats = np.stack([np.interp(np.abs(v), speeds, one) for one in np.eye(len(speeds))], axis=1)

@@ -1,4 +1,4 @@
-"""Mistakes that strangers make in robot files, each with the logs as they would be without it."""
+"""Mistakes in robot files as hypotheses, each with the corrected rows."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -14,19 +14,19 @@ from hesr_model.robots.robot import RobotModel
 from hesr_model.support.arrays import Array, Mask
 
 _SIGNAL = 0.8
-"""Share of a torque left unexplained from which on it says nothing of gravity."""
+"""Unexplained share of a torque above which it is not used to find gravity."""
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _EARTH = 9.81
-"""[m/s2]"""
+"""Gravity of the earth [m/s2]."""
 _SNAP = np.radians(12.0)
 _TILTED = np.radians(20.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CandidateRows:
-    """Rows of several logs: q, v, a, tau, (N, n) each [rad, rad/s, rad/s2, N.m], and the gravity.
+    """Rows of several logs: q, v, a, tau, (N, n) each [rad, rad/s, rad/s2, N.m].
 
-    Torques are those that were logged, of motors where logs are of these, divided by the gears.
+    Torques are as logged; those of motors are divided by the gear ratios.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class CandidateRows:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mistake:
-    """A hypothesis: what would be wrong, at which joint, and the rows `mended`."""
+    """A hypothesis: check, joint, remedy, changes of the robot file, and the corrected rows."""
 
     check: str
     joint: int
@@ -62,7 +62,7 @@ def torques_of(rows: CandidateRows, model: RobotModel) -> Torques:
 
 
 def _by_axis(q: Array, model: RobotModel) -> Array:
-    """Gravity torque (3, N, n) per unit of gravity [N.m / (m/s2)] along each axis of the base."""
+    """Return the gravity torques (3, N, n) of unit gravity along each base axis."""
     nothing = np.zeros_like(q)
     with model.under_gravity() as set_gravity:
         parts = []
@@ -73,34 +73,44 @@ def _by_axis(q: Array, model: RobotModel) -> Array:
 
 
 def mistakes(rows: CandidateRows, model: RobotModel, moves: Mask) -> Iterator[Mistake]:
-    """Yield what may be wrong, the simplest first."""
+    """Yield possible mistakes, the simplest first."""
     robot, joints = model.description, [int(j) for j in np.flatnonzero(moves)]
     if len(joints) > 1:
         key, changes = sign_change(robot, None, position=False)
         yield Mistake(
-            check="torque-sign", joint=-1, remedy=f"all torques count backwards; set {key}",
-            changes=changes, mended=replace(rows, tau=-rows.tau),
-        )  # fmt: skip
+            check="torque-sign",
+            joint=-1,
+            remedy=f"all torques count backwards; set {key}",
+            changes=changes,
+            mended=replace(rows, tau=-rows.tau),
+        )
     for j in joints:
         key, changes = sign_change(robot, j, position=False)
         side = np.where(np.arange(model.n) == j, -1.0, 1.0)
         q, v, a, tau = (part * side for part in (rows.q, rows.v, rows.a, rows.tau))
         yield Mistake(
-            check="torque-sign", joint=j, remedy=f"its torque counts backwards; set {key}",
-            changes=changes, mended=replace(rows, tau=tau),
-        )  # fmt: skip
+            check="torque-sign",
+            joint=j,
+            remedy=f"its torque counts backwards; set {key}",
+            changes=changes,
+            mended=replace(rows, tau=tau),
+        )
         key, changes = sign_change(robot, j, position=True)
         yield Mistake(
-            check="position-sign", joint=j,
+            check="position-sign",
+            joint=j,
             remedy=f"its position and velocity count backwards; set {key}",
-            changes=changes, mended=replace(rows, q=q, v=v, a=a),
-        )  # fmt: skip
+            changes=changes,
+            mended=replace(rows, q=q, v=v, a=a),
+        )
         both, other = sign_change(robot, j, position=False)
         yield Mistake(
-            check="position-sign", joint=j,
+            check="position-sign",
+            joint=j,
             remedy=f"its position, velocity and torque count backwards; set {key}, and {both}",
-            changes=changes | other, mended=replace(rows, q=q, v=v, a=a, tau=tau),
-        )  # fmt: skip
+            changes=changes | other,
+            mended=replace(rows, q=q, v=v, a=a, tau=tau),
+        )
     for mend in (_swapped_torques, _swapped_joints, _gravity, _moved_zeros):
         yield from mend(rows, model, joints)
 
@@ -116,12 +126,13 @@ def _swapped_torques(
         order = _exchanged(model.n, a, b)
         named = tuple(columns[k] for k in order)
         yield Mistake(
-            check="torque-columns", joint=a,
-            remedy=f"its torque stands in the column of joint '{robot.joints[b]}', and that one's "
-            f"in its; set [log.columns] {which} = {_quoted(named)}",
+            check="torque-columns",
+            joint=a,
+            remedy=f"its torque is swapped with that of joint '{robot.joints[b]}'; set "
+            f"[log.columns] {which} = {_quoted(named)}",
             changes={f"log.columns.{which}": named},
             mended=replace(rows, tau=rows.tau[:, order] / gains[order] * gains),
-        )  # fmt: skip
+        )
 
 
 def _swapped_joints(rows: CandidateRows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
@@ -138,17 +149,18 @@ def _swapped_joints(rows: CandidateRows, model: RobotModel, joints: list[int]) -
             if key != "t" and columns
         }
         what = (
-            "all columns stand in another order than the joints"
+            "the columns are in another order than the joints"
             if a < 0
-            else f"its columns are those of joint '{robot.joints[b]}', and the other way"
+            else f"its columns are swapped with those of joint '{robot.joints[b]}'"
         )
         yield Mistake(
-            check="joint-order", joint=a,
+            check="joint-order",
+            joint=a,
             remedy=f"{what}; set [log.columns] q = {_quoted(changes['log.columns.q'])}, and the "
-            "others alike",
+            "others accordingly",
             changes=dict(changes),
             mended=replace(rows, **{k: getattr(rows, k)[:, order] for k in ("q", "v", "a", "tau")}),
-        )  # fmt: skip
+        )
 
 
 def _moved_zeros(rows: CandidateRows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
@@ -162,15 +174,17 @@ def _moved_zeros(rows: CandidateRows, model: RobotModel, joints: list[int]) -> I
             q = rows.q.copy()
             q[:, j] += quarter * np.pi / 2.0
             yield Mistake(
-                check="zero", joint=j,
+                check="zero",
+                joint=j,
                 remedy=f"its zero is {90 * quarter} degrees from the model's; set [log] zero = "
                 f"[{', '.join(f'{z:.6g}' for z in zero)}]",
-                changes={"log.zero": tuple(zero)}, mended=replace(rows, q=q),
-            )  # fmt: skip
+                changes={"log.zero": tuple(zero)},
+                mended=replace(rows, q=q),
+            )
 
 
 def _gravity(rows: CandidateRows, model: RobotModel, joints: list[int]) -> Iterator[Mistake]:
-    """Yield the gravity that the torques show, where it points elsewhere than the robot file's."""
+    """Yield the gravity that the torques show if it differs from that of the robot file."""
     by_axis, inertial, v = _by_axis(rows.q, model), torques_of(rows, model).inertial, rows.v
     if (logged := model.description.logged) is not None:
         by_axis = np.array([logged.torque(one) for one in by_axis])
@@ -205,11 +219,13 @@ def _gravity(rows: CandidateRows, model: RobotModel, joints: list[int]) -> Itera
     if not np.any(declared):
         upside = "as none"
     yield Mistake(
-        check="gravity", joint=-1,
+        check="gravity",
+        joint=-1,
         remedy=f"gravity is declared {upside}; set gravity = "
         f"[{', '.join(f'{g:g}' for g in gravity)}]",
-        changes={"gravity": gravity}, mended=replace(rows, gravity=np.array(gravity)),
-    )  # fmt: skip
+        changes={"gravity": gravity},
+        mended=replace(rows, gravity=np.array(gravity)),
+    )
 
 
 def _exchanged(n: int, a: int, b: int) -> list[int]:

@@ -1,4 +1,4 @@
-"""Stamps and positions: gaps, missing rows, jumps, limits, columns that are the same."""
+"""Time stamps and positions: gaps, missing rows, jumps, limits, duplicate columns."""
 
 from collections.abc import Iterator
 
@@ -13,31 +13,31 @@ from hesr_model.support.arrays import Array
 from hesr_model.units import OTHERS
 
 _PERIODS = (5e-5, 0.9)
-"""[s] Between samples of a robot; 1 s is 1 kHz in undeclared milliseconds."""
+"""Plausible sample periods [s]; 1 s would be 1 kHz in undeclared milliseconds."""
 _TURN = 2.0 * np.pi
 _SPIKE = 40.0
-"""Of a row's distance from its neighbours, over what is usual in the log."""
+"""Distance of a spike from its neighbours, relative to the usual distance in the log."""
 _LEAST_SPIKE = 0.02
-"""[rad or m]"""
+"""Smallest spike [rad or m]."""
 _BEYOND = 0.05
-"""[rad or m] By which positions may pass a limit of the model."""
+"""Allowed excess of positions over a limit of the model [rad or m]."""
 _COARSE, _FEW = 8e-4, 20
-"""[rad or m] Steps of a position that are told, and how many there must be."""
+"""Smallest reported position step [rad or m], and the number of steps needed."""
 _SATURATED = 0.01
-"""Share of the rows at the largest torque from which on it is a limit of the drive."""
+"""Share of rows at the largest torque above which it is a limit of the drive."""
 _LEVELS = 200
-"""Of a torque that is not so coarse that its largest value comes often."""
+"""Minimum number of distinct values of a torque that is not coarsely quantised."""
 _LONG_RUN = 5
 
 
 def check_time(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
-    """Check the stamps of a log."""
+    """Check the time stamps of a log."""
     period, steps = log.period, np.diff(log.t)
     low, high = _PERIODS
     if not low <= period <= high:
         declared = float(robot.log.units.factors("t", 1)[0])
         units = [u for u, f in OTHERS["t"].items() if low <= period / declared * f <= high]
-        # Of several units that would do, the one with the rate that is nearest to 200 Hz.
+        # Of several possible units, prefer the one with a rate closest to 200 Hz.
         units.sort(key=lambda u: abs(np.log(period / declared * OTHERS["t"][u] * 200.0)))
         mend = (
             f"time is in {units[0]}; set [log.units] t = '{units[0]}'"
@@ -45,40 +45,49 @@ def check_time(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
             else ("the unit of time is wrong; see [log.units] t")
         )
         yield Finding(
-            check="time-unit", severity="error", logs=(log.name,),
-            found=f"its rows are {period:.3g} s apart", remedy=mend,
+            check="time-unit",
+            severity="error",
+            logs=(log.name,),
+            found=f"its rows are {period:.3g} s apart",
+            remedy=mend,
             changes={"log.units.t": units[0]} if units else {},
-        )  # fmt: skip
+        )
         return
     if len(log.gaps):
         longest, parts = float(np.max(steps)), len(log.parts())
         yield Finding(
-            check="gaps", severity="warning", logs=(log.name,),
+            check="gaps",
+            severity="warning",
+            logs=(log.name,),
             found=f"{len(log.gaps)} gap{'s' * (len(log.gaps) > 1)}, the longest of {longest:.3g} s",
             remedy="rows are missing; "
             + (
-                f"its {parts} parts are filtered and fitted one by one"
+                f"its {parts} parts are filtered and fitted separately"
                 if parts > 1
-                else "only one of its parts is long enough to be used"
+                else "only one of its parts is long enough to use"
             ),
-        )  # fmt: skip
+        )
     if loses_rows(log):
         share = share_of_long_steps(log)
         yield Finding(
-            check="missing-rows", severity="warning", logs=(log.name,),
+            check="missing-rows",
+            severity="warning",
+            logs=(log.name,),
             found=f"{100 * share:.0f} % of its steps are longer than 1.8 periods of {period:.4g} s",
-            remedy="rows are missing, so that reversals are seen less sharply",
-        )  # fmt: skip
+            remedy="rows are missing, which blurs reversals",
+        )
     if log.dropped:
         yield Finding(
-            check="dropped-rows", severity="warning", logs=(log.name,),
-            found=f"{log.dropped} rows lack a number or bear the stamp of the row before",
-            remedy="they were left out, by [log] missing = 'drop'",
-        )  # fmt: skip
+            check="dropped-rows",
+            severity="warning",
+            logs=(log.name,),
+            found=f"{log.dropped} rows lack a number or repeat the time stamp of the row before",
+            remedy="they were left out ([log] missing = 'drop')",
+        )
 
 
 def check_jumps(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
-    """Check raw positions for turns that are lost and single rows far off, joint by joint."""
+    """Check raw positions of each joint for lost turns and single outliers."""
     steps = np.diff(log.t)
     near = steps <= 3.0 * log.period
     for j, joint in enumerate(robot.joints):
@@ -87,38 +96,47 @@ def check_jumps(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
         usual = np.median(np.abs(leaps[leaps != 0.0])) if np.any(leaps) else 0.0
         if len(turned) and usual < 0.05 * _TURN:
             yield Finding(
-                check="wrap", severity="error", joints=(joint,), logs=(log.name,),
-                found=f"its position leaps by a turn at t = {log.t[turned[0] + 1]:.4g} s",
-                remedy="the log wraps angles around; unwrap them before (numpy.unwrap)",
-            )  # fmt: skip
+                check="wrap",
+                severity="error",
+                joints=(joint,),
+                logs=(log.name,),
+                found=f"its position jumps by a full turn at t = {log.t[turned[0] + 1]:.4g} s",
+                remedy="the log wraps angles; unwrap them first (numpy.unwrap)",
+            )
             continue
         bends = np.abs(leaps[1:] - leaps[:-1])
         level = max(_SPIKE * float(np.quantile(bends, 0.99)), _LEAST_SPIKE) if len(bends) else 0.0
         if len(bends) and float(bends.max()) > level:
             k = int(np.argmax(bends)) + 1
             yield Finding(
-                check="spikes", severity="error", joints=(joint,), logs=(log.name,),
+                check="spikes",
+                severity="error",
+                joints=(joint,),
+                logs=(log.name,),
                 found=f"its position is {float(bends.max()):.3g} off at t = {log.t[k]:.4g} s",
                 remedy="a row is wrong, or rows were lost; leave it out",
-            )  # fmt: skip
+            )
 
 
 def check_steps(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
-    """Check that positions do not come in steps that blur velocities."""
+    """Check that positions are not quantised so coarsely that velocities blur."""
     for j, joint in enumerate(robot.joints):
         values = np.unique(log.q[:, j])
         if len(values) < _FEW or np.ptp(values) < _FEW * _COARSE:
             continue
         step = float(np.median(np.diff(values)))
-        # Values of a fine encoder are as close as chance has it: steps are all alike.
+        # Distances between values are random with a fine encoder, and equal with a coarse one.
         alike = np.mean(np.abs(np.diff(values) / step - 1.0) < 0.01)
         if step > _COARSE and alike > 0.5:
             yield Finding(
-                check="coarse", severity="warning", joints=(joint,), logs=(log.name,),
+                check="coarse",
+                severity="warning",
+                joints=(joint,),
+                logs=(log.name,),
                 found=f"its position comes in steps of {step:.2g}",
-                remedy="it was rounded, or the encoder is coarse, and velocities are blurred; log "
-                "more digits",
-            )  # fmt: skip
+                remedy="it was rounded, or the encoder is coarse; log more digits to get sharper "
+                "velocities",
+            )
 
 
 def check_limits(motion: Motionwise, model: RobotModel) -> Iterator[Finding]:
@@ -147,7 +165,7 @@ def check_limits(motion: Motionwise, model: RobotModel) -> Iterator[Finding]:
             severity="error" if wrong else "warning",
             joints=(joint,),
             logs=(motion.log.name,),
-            found=f"its position comes to {far:.4g}, the model's limit is {limit:.4g}",
+            found=f"its position reaches {far:.4g}, the model's limit is {limit:.4g}",
             remedy="q is in degrees; set [log.units] q = 'deg'"
             if in_degrees and turning[j]
             else "its unit, its zero or its column is wrong, or the model's limits are"
@@ -158,7 +176,7 @@ def check_limits(motion: Motionwise, model: RobotModel) -> Iterator[Finding]:
 
 
 def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Finding]:
-    """Check that no joint's column is another's, stands still, or is cut off by a limit."""
+    """Check that no joint's column is a copy of another, constant, or clipped."""
     logs = (motion.log.name,)
     joints = [int(j) for j in np.flatnonzero(motion.moves)]
     for kind, values in (("position", motion.q), ("velocity", motion.dq), ("torque", motion.tau)):
@@ -168,30 +186,38 @@ def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Findi
             for b in range(a):
                 if np.std(values[:, a]) > 0 and np.array_equal(values[:, a], values[:, b]):
                     yield Finding(
-                        check="same-column", severity="error", logs=logs,
+                        check="same-column",
+                        severity="error",
+                        logs=logs,
                         joints=(robot.joints[a],),
-                        found=f"its {kind} is that of joint '{robot.joints[b]}', row by row",
-                        remedy="one column serves for both; see [log.columns]",
-                    )  # fmt: skip
+                        found=f"its {kind} equals that of joint '{robot.joints[b]}' in every row",
+                        remedy="one column is used for both; see [log.columns]",
+                    )
     for j in joints:
         tau = motion.log.tau[:, j]
         if np.ptp(tau) == 0.0:
             yield Finding(
-                check="torque-constant", severity="error", joints=(robot.joints[j],), logs=logs,
+                check="torque-constant",
+                severity="error",
+                joints=(robot.joints[j],),
+                logs=logs,
                 found=f"it moves while its torque stays at {tau[0]:.4g}",
                 remedy="its torque is not logged, or another column is",
-            )  # fmt: skip
+            )
         elif (share := _saturated(tau)) > _SATURATED:
             yield Finding(
-                check="saturation", severity="warning", joints=(robot.joints[j],), logs=logs,
-                found=f"{100 * share:.1f} % of its rows stand at the largest torque, "
+                check="saturation",
+                severity="warning",
+                joints=(robot.joints[j],),
+                logs=logs,
+                found=f"{100 * share:.1f} % of its rows are at the largest torque, "
                 f"{np.max(np.abs(tau)):.4g}",
-                remedy="the drive or the log cuts it off, and what is cut off is not learned",
-            )  # fmt: skip
+                remedy="the drive or the log clips the torque; friction beyond is not learned",
+            )
 
 
 def _saturated(tau: Array) -> float:
-    """Share of the rows (N,) at the largest size, where they come one after the other."""
+    """Return the share of rows (N,) at the largest magnitude, if such rows are consecutive."""
     top = np.abs(tau) >= np.max(np.abs(tau))
     run = np.convolve(top, np.ones(_LONG_RUN), mode="same")
     fine = len(np.unique(tau)) > _LEVELS

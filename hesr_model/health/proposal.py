@@ -1,4 +1,4 @@
-"""A robot file for logs of a stranger: guessed from names, mended until the checks are content."""
+"""Proposal of a robot file: guessed from column names, corrected until the checks pass."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,20 +24,20 @@ from hesr_model.robots.robot import RobotDescription, RobotLike, RobotModel, des
 
 _ROUNDS = 4
 _CUTOFF_SHARE = 0.3
-"""Of the sample rate, that a low pass may have at most."""
+"""Largest cut-off of the low pass, relative to the sample rate."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proposal:
-    """A robot description with the reasons for what was changed in it.
+    """A robot description with the reasons for its changes.
 
     Attributes
     ----------
-    robot : as proposed.
-    reasons : by key, as ``log.units.q``: how sure it is, and why.
-    logs, examination : the logs read with it, and what the checks say then.
-    first : what the checks said of the description as it was given or guessed.
-    sliding : places of the joints that slide; none without a model.
+    robot : the proposed description.
+    reasons : by key, as ``log.units.q``: certainty and reason.
+    logs, examination : the logs read with it, and the results of their checks.
+    first : findings with the description as given or guessed.
+    sliding : indices of the sliding joints; empty without a model.
     """
 
     robot: RobotDescription
@@ -49,7 +49,7 @@ class Proposal:
 
 
 def inspected(paths: Sequence[Path], robot: RobotLike | None = None) -> Proposal:
-    """Look at logs, of a robot that is known, or by their columns alone; see `propose`."""
+    """Inspect logs of a known robot, or by their columns alone; see `propose`."""
     if robot is not None:
         return propose(paths, description_of(robot), known=True)
     table = open_table(paths[0], "t")
@@ -60,17 +60,17 @@ def inspected(paths: Sequence[Path], robot: RobotLike | None = None) -> Proposal
 
 
 def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> Proposal:
-    """Find a robot description with which logs can be read and pass the checks.
+    """Find a robot description with which the logs can be read and pass the checks.
 
     Parameters
     ----------
-    robot : what is known: model and joints, and how its logs are read.
-    known : whether there is a model file; without one logs are checked against themselves.
+    robot : known part: model, joints and log format.
+    known : whether there is a model file; without one, logs are checked against themselves.
 
     Raises
     ------
     LogError
-        If a log cannot be read even so.
+        If a log cannot be read with any description.
     """
     reasons: dict[str, str] = {}
     stated = robot.log.torque_per_ampere is not None
@@ -91,20 +91,24 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
         robot, logs, examination = looked(changed(robot, changes))
     slides = enumerate(joint.prismatic for joint in RobotModel(robot).tree) if known else ()
     return Proposal(
-        robot=robot, reasons=reasons, logs=logs, examination=examination, first=first,
+        robot=robot,
+        reasons=reasons,
+        logs=logs,
+        examination=examination,
+        first=first,
         sliding=frozenset(j for j, slid in slides if slid),
-    )  # fmt: skip
+    )
 
 
 def open_table(path: Path, time: str) -> LogTable | None:
-    """Open a log as a table of named columns; None for formats that have none."""
+    """Open a log as a table of named columns; return None for formats without names."""
     if format_of(path) is not COLUMNS or not path.is_file():
         return None
     return read_matlab(path, time=time) if path.suffix.lower() == ".mat" else read_table(path)
 
 
 def _with_columns(path: Path, robot: RobotDescription, reasons: dict[str, str]) -> RobotDescription:
-    """Guess the columns where those of the description are not in the log."""
+    """Guess the columns if those of the description are not in the log."""
     table = open_table(path, robot.log.columns.t)
     if table is None or _has_columns(table, robot):
         return robot
@@ -137,7 +141,7 @@ def _has_columns(table: LogTable, robot: RobotDescription) -> bool:
 def _read(
     paths: Sequence[Path], robot: RobotDescription, reasons: dict[str, str]
 ) -> tuple[RobotDescription, list[RobotLog]]:
-    """Read logs; where cells are missing or stamps repeat, without these rows."""
+    """Read logs; leave out rows with missing cells or repeated time stamps if needed."""
     try:
         return robot, [RobotLog.read(path, robot) for path in paths]
     except LogError as error:
@@ -163,14 +167,14 @@ def _with_cutoff(
     if robot.log.filter_cutoff <= 0.4 * slowest or slowest < 1.0:
         return robot
     cutoff = float(f"{_CUTOFF_SHARE * slowest:.2g}")
-    reasons["log.filter_cutoff"] = f"sure: the rate is {slowest:.4g} Hz only"
+    reasons["log.filter_cutoff"] = f"sure: the sample rate is only {slowest:.4g} Hz"
     return changed(robot, {"log.filter_cutoff": cutoff})
 
 
 def _changes(
     robot: RobotDescription, findings: Sequence[Finding], reasons: dict[str, str]
 ) -> dict[str, Any]:
-    """Return what findings want to have changed; of lists each its own entries."""
+    """Return the changes that findings ask for; lists are combined entry by entry."""
     wanted: dict[str, Any] = {}
     for finding in findings:
         if finding.check == "velocity-lag" or not finding.changes:
@@ -182,7 +186,7 @@ def _changes(
 
 
 def _combined(declared: Any, before: Any, value: Any) -> Any:
-    """Return a list in which two findings each changed some entries of the declared one."""
+    """Combine two lists that each changed some entries of the declared one."""
     if not (isinstance(before, tuple) and isinstance(value, tuple)):
         return value
     old = declared if isinstance(declared, tuple) else (declared,) * len(value)
@@ -192,7 +196,7 @@ def _combined(declared: Any, before: Any, value: Any) -> Any:
 def _constants(
     robot: RobotDescription, examination: Examination, reasons: dict[str, str]
 ) -> dict[str, Any]:
-    """Estimate torque constants from the model's gravity; joints without get the mean of others."""
+    """Estimate torque constants from the model's gravity; joints without gravity get the median."""
     slopes: dict[int, list[float]] = {}
     for fits in examination.explained:
         for j, fit in fits.items():
@@ -205,8 +209,8 @@ def _constants(
     rest = float(np.median(list(scale.values())))
     reasons["log.torque_per_ampere"] = (
         "guess: only currents are logged; from the model's gravity at joints "
-        f"{', '.join(robot.joints[j] for j in sorted(scale))}, the others like them; put in the "
-        "maker's where you know them"
+        f"{', '.join(robot.joints[j] for j in sorted(scale))}, the median for the others; replace "
+        "them by the manufacturer's values if known"
     )
     new = tuple(float(f"{gain * scale.get(j, rest):.4g}") for j, gain in enumerate(gains))
     return {"log.torque_per_ampere": new}
@@ -220,7 +224,7 @@ def _value(robot: RobotDescription, key: str) -> Any:
 
 
 def changed(robot: RobotDescription, changes: Mapping[str, Any]) -> RobotDescription:
-    """Return a description with other values under some keys, as ``log.units.q``, validated."""
+    """Return a validated description with new values for some keys, as ``log.units.q``."""
     data = robot.model_dump()
     for key, value in changes.items():
         place = data
@@ -232,10 +236,10 @@ def changed(robot: RobotDescription, changes: Mapping[str, Any]) -> RobotDescrip
 
 
 def robot_file(proposal: Proposal, path: Path) -> str:
-    """Return the text of a robot file that stands at a path; each line with its reason."""
+    """Return the text of a robot file at `path`, with a reason for each line."""
     robot = proposal.robot
     plain = RobotDescription(name=robot.name, model=robot.model, joints=robot.joints)
-    lines = ["# Proposed by 'hesr inspect'. Lines say how sure they are, and why.", ""]
+    lines = ["# Proposed by 'hesr inspect'. Comments give certainty and reason.", ""]
     data = robot.model_dump(exclude={"log"})
     data["model"] = Path(relpath(robot.model, path.resolve().parent)).as_posix()
     usual = plain.model_dump()
@@ -269,11 +273,13 @@ def _toml(value: Any) -> str:
         return "{ " + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in value.items()) + " }"
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(_toml, value))}]"
-    return json.dumps(value, ensure_ascii=False)  # of numbers, truth and strings TOML's own
+    return json.dumps(
+        value, ensure_ascii=False
+    )  # JSON and TOML agree on numbers, booleans and strings
 
 
 def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
-    """Yield what tables show of each log and joint that moves, as text."""
+    """Yield the rows of a table of all moving joints of all logs, as text."""
     examination = proposal.examination
     names = [part.log.name for part in examination.parts]
     for k, part in enumerate(examination.parts):
@@ -308,4 +314,4 @@ HEAD = (
     *("log", "joint", "position", "max speed", "reversals", "rests %", "dq slope", "lag ms"),
     *("gravity / model", "friction (errors)", "expl. %"),
 )
-"""Of `summary_rows`."""
+"""Column headings of `summary_rows`."""

@@ -1,4 +1,4 @@
-"""Signals that stand still while they should move, leap for a row, or are too fast to be right."""
+"""Raw signals: values that repeat, stick or jump, and speeds above the limit."""
 
 from collections.abc import Iterator
 
@@ -11,25 +11,25 @@ from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.arrays import Array, Mask
 
 _WINDOW = 0.1
-"""[s] Over which the speed of a raw position is taken."""
+"""Window over which the speed of a raw position is computed [s]."""
 _MOVES = 0.05
-"""[rad/s; m/s]"""
+"""Speed above which a joint moves [rad/s; m/s]."""
 _LEVELS = 200
-"""Values of a signal that is not so coarse that neighbours are often equal."""
+"""Minimum number of distinct values of a signal that is not coarsely quantised."""
 _HELD = 0.3
-"""Share of rows that repeat the row before, from which on samples are held."""
+"""Share of rows equal to the row before above which samples are held."""
 _STUCK, _STUCK_ROWS = 0.3, 15
-"""[s] and rows for which a signal stands still while its joint moves."""
+"""Duration [s] and number of rows after which a constant signal of a moving joint is stuck."""
 _RARE, _MOVING = 10.0, 0.25
-"""Times longer than most other runs of equal values; share of such a run that is in motion."""
+"""Length relative to most other runs of equal values; share of the run that is in motion."""
 _SPIKE = 3.0
-"""Times the range of the other rows, of a single row of torque."""
+"""Size of a torque spike relative to the range of the other rows."""
 _TOO_FAST = 1.3
-"""Times the model's limit of speed; drives pass it by a little."""
+"""Allowed speed relative to the model's limit; drives exceed it slightly."""
 
 
 def check_held(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
-    """Check raw signals of a log for values that are repeated, stuck, or of a single row."""
+    """Check raw signals of a log for held samples, stuck values and single outliers."""
     if len(log.t) < 2 * _STUCK_ROWS:
         return
     speed = _speeds(log)
@@ -41,7 +41,7 @@ def check_held(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
             row = _stands_still(log, log.q[:, j], np.abs(log.dq[:, j]) > _MOVES)
             if row is not None:
                 yield _stuck(log, joint, "position", row, "its velocity says that it moves")
-        # A torque that never changes, or stands at its largest, is told by these names.
+        # Constant and saturated torques have checks of their own.
         tau = log.tau[:, j]
         row = _stands_still(log, tau, moves[:, j]) if fine[j] else None
         if row is not None and abs(tau[row]) < np.max(np.abs(tau)):
@@ -53,14 +53,18 @@ def check_held(log: RobotLog, robot: RobotDescription) -> Iterator[Finding]:
         k = int(np.argmax(np.where(alone, off, 0.0)))
         if alone[k] and off[k] > _SPIKE * (high - low) > 0.0:
             yield Finding(
-                check="torque-spikes", severity="error", joints=(joint,), logs=(log.name,),
-                found=f"its torque is {off[k]:.3g} off for a row, at t = {log.t[k + 1]:.4g} s",
+                check="torque-spikes",
+                severity="error",
+                joints=(joint,),
+                logs=(log.name,),
+                found=f"its torque is {off[k]:.3g} off in a single row, at t = {log.t[k + 1]:.4g} "
+                "s",
                 remedy="that row is wrong; leave it out",
-            )  # fmt: skip
+            )
 
 
 def _speeds(log: RobotLog) -> Array:
-    """Speeds (N, n) [rad/s; m/s] over a window of raw positions."""
+    """Return speeds (N, n) [rad/s; m/s] over a window of raw positions."""
     around = max(1, round(0.5 * _WINDOW / log.period))
     rows = np.arange(len(log.t))
     before, after = np.maximum(rows - around, 0), np.minimum(rows + around, len(rows) - 1)
@@ -77,14 +81,16 @@ def _repeated(log: RobotLog, moves: Mask, fine: Mask) -> Iterator[Finding]:
     share = float(np.mean(same[rows]))
     if share > _HELD:
         yield Finding(
-            check="held-samples", severity="warning", logs=(log.name,),
+            check="held-samples",
+            severity="warning",
+            logs=(log.name,),
             found=f"{100 * share:.0f} % of the rows in motion repeat the torques of the row before",
-            remedy="rows are written more often than the robot answers; log at its own rate",
-        )  # fmt: skip
+            remedy="the log is faster than the robot's data; log at the robot's own rate",
+        )
 
 
 def _stands_still(log: RobotLog, values: Array, moves: Mask) -> int | None:
-    """Return the first row of the longest run of equal values (N,), if it is long and in motion."""
+    """Return the first row of the longest run of equal values (N,) if it is long and in motion."""
     edges = np.flatnonzero(np.diff(np.r_[False, np.diff(values) == 0.0, False].astype(int)))
     starts, lengths = edges[::2], edges[1::2] - edges[::2]
     if not len(starts):
@@ -99,14 +105,17 @@ def _stands_still(log: RobotLog, values: Array, moves: Mask) -> int | None:
 
 def _stuck(log: RobotLog, joint: str, what: str, row: int, while_: str) -> Finding:
     return Finding(
-        check="stuck", severity="error", joints=(joint,), logs=(log.name,),
+        check="stuck",
+        severity="error",
+        joints=(joint,),
+        logs=(log.name,),
         found=f"its {what} stands still from t = {log.t[row]:.4g} s on, while {while_}",
         remedy="the sensor or its connection failed there; cut these rows out",
-    )  # fmt: skip
+    )
 
 
 def check_speed(motion: Motionwise, model: RobotModel) -> Iterator[Finding]:
-    """Check speeds against the limits of the model file, which drives hardly pass."""
+    """Check speeds against the limits of the model file."""
     limits = np.where(np.isfinite(model.limits[2]), model.limits[2], 0.0)
     peaks = np.quantile(np.abs(motion.v), 0.998, axis=0)
     for j in np.flatnonzero(motion.moves & (limits > 0.0)):
@@ -114,10 +123,12 @@ def check_speed(motion: Motionwise, model: RobotModel) -> Iterator[Finding]:
             continue
         unit = "m/s" if model.tree[j].prismatic else "rad/s"
         yield Finding(
-            check="speed-limit", severity="warning", logs=(motion.log.name,),
+            check="speed-limit",
+            severity="warning",
+            logs=(motion.log.name,),
             joints=(model.description.joints[j],),
             found=f"it reaches {peaks[j]:.3g} {unit}, {peaks[j] / limits[j]:.2g} times the model's "
             "limit",
-            remedy="the stamps were made from a wrong sample rate, a unit is wrong, or the model's "
-            "limits are",
-        )  # fmt: skip
+            remedy="the time stamps come from a wrong sample rate, a unit is wrong, or the "
+            "model's limits are",
+        )

@@ -1,9 +1,9 @@
-"""Clocks: torques that are late against the motion, and stamps that run faster or slower.
+"""Timing checks: torque lag and wrong time-stamp rate.
 
-Friction lets go late after a reversal, and so looks delayed where a robot moves slowly; rotors are
-of unknown inertia, and so no measure of time. What neither can imitate is a rigid body: its gravity
-and inertia come when the joints are there, and are of the same masses, times lengths that the model
-knows. Both tests are therefore of a body of any parameters, beside friction with a memory.
+Friction responds late after a reversal, so at low speed it looks like a lag; unknown rotor inertias
+look like a wrong rate. A rigid body imitates neither: its gravity and inertia follow the joints
+without delay and share masses and known lengths. Both tests therefore fit a body with free
+parameters, in addition to friction with memory.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,36 +24,37 @@ from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array
 
 _ROWS = 700
-"""Of a log, that are looked at."""
+"""Maximum number of rows examined per log."""
 _WIDTHS = np.array([5e-4, 2e-3, 8e-3, 3.2e-2])
-"""[rad or m] Of stops, by which friction remembers."""
+"""Break-away deflections of the Prandtl stops [rad or m]."""
 _LATEST, _STEP, _LATE = 0.25, 0.01, 0.06
-"""[s] Delays of the torque that are tried, their step, and those that are told."""
+"""Torque delays searched, search step, and reporting threshold [s]."""
 _SMOOTH = 0.05
-"""[s] Over which a torque is averaged before it is moved."""
+"""Averaging window of a torque before it is shifted [s]."""
 _EARLY, _ALONE = 0.1, 0.1
-"""[s] By which most torques must come too early, or that of one joint too late, to be told: on
-measured logs friction alone looks early by .05 s on most joints, and late by .06 s on one.
+"""Reporting thresholds [s] for an early median lag and for a single late joint.
+
+On measured logs friction alone looks early by .05 s on most joints, and late by .06 s on one.
 """
 _SCALES = np.geomspace(1.0 / 16.0, 16.0, 33)
-"""Of the inertial torque, beside gravity: the square of the rate of the stamps."""
+"""Scales of the inertial torque relative to gravity: squared rates of the time stamps."""
 _OFF = 1.4
-"""Factor by which stamps must be wrong to be told."""
+"""Reporting threshold for the factor of a wrong time-stamp rate."""
 _SURE = 25.0
-"""Twice the logarithm of a ratio of likelihoods: five standard errors."""
+"""Threshold for twice the log-likelihood ratio: five standard errors."""
 _SHORTEST = 8.0
-"""Times the latest delay that a log must last."""
+"""Minimum duration of a log, relative to the largest delay."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LagRows:
-    """Rows of a part of a log, and what may explain the torques there, as these were logged.
+    """Rows of one part of a log with the regressors of its torques, in logged coordinates.
 
     Attributes
     ----------
     t : (N,) [s].
-    still, moving : (N, n, P) torque of the body's parameters at rest, and what the motion adds.
-    rubs : of each joint (N, K): friction with memory, and an offset.
+    still, moving : (N, n, P) regressor of the body at rest, and the part due to motion.
+    rubs : (N, K) of each joint: friction with memory, and an offset.
     """
 
     t: Array
@@ -82,7 +83,7 @@ class LagRows:
 
 
 def _rubs(u: Array, v: Array) -> Array:
-    """Friction of many shapes (N, K) along a position u (N,) [rad; m] with velocity v."""
+    """Return friction of several shapes (N, K) along a position u (N,) [rad; m] with velocity v."""
     stops = _stops().over([np.diff(u, prepend=u[0])], np.ones_like(u))
     start = np.full(len(_WIDTHS), np.sign(v[0]))
     held = stops.at(np.zeros(0), start, settled=True)
@@ -103,12 +104,12 @@ def _stops() -> Kernel:
 def check_clocks(
     part: Motionwise, logged: Motionwise, joints: Sequence[int], model: RobotModel
 ) -> Iterator[Finding]:
-    """Check the stamps of a part of a log, and when the torques of some joints come.
+    """Check the time-stamp rate of a part of a log, and the lag of its torques.
 
     Parameters
     ----------
-    part, logged : the part, and the same with velocities and torques as they were logged.
-    joints : those whose torque holds a signal.
+    part, logged : the part at the joints, and in logged coordinates.
+    joints : indices of joints whose torque contains a signal.
     """
     if np.ptp(part.t) < _SHORTEST * _LATEST or not joints:
         return
@@ -118,16 +119,18 @@ def check_clocks(
     most = float(np.median(list(lags.values()))) if len(lags) > 1 else 0.0
     for j, lag in lags.items():
         together = (most >= _LATE <= lag) or (most <= -_EARLY >= lag)
-        # One joint that is best explained at the end of the search is of another motion, not late.
+        # A single joint at the end of the search range does not match the motion at all.
         if not together and not _ALONE <= lag < _LATEST - 0.5 * _STEP:
             continue
         yield Finding(
-            check="torque-lag", severity="warning", logs=logs,
+            check="torque-lag",
+            severity="warning",
+            logs=logs,
             joints=(model.description.joints[j],),
             found=f"its torque is about {abs(lag) * 1e3:.0f} ms {'late' if lag > 0 else 'early'} "
-            "against the motion",
-            remedy="torques were filtered or come from another clock; move their columns in time",
-        )  # fmt: skip
+            "relative to the motion",
+            remedy="torques were filtered or come from another clock; shift their columns in time",
+        )
     rate, sure = stamps_rate(rows, joints, part.t, logged.tau)
     if sure > _SURE and max(rate, 1.0 / rate) > _OFF:
         yield _wrong_rate(rate, model.description, logs)
@@ -137,30 +140,32 @@ def _wrong_rate(rate: float, robot: RobotDescription, logs: tuple[str, ...]) -> 
     unit = float(robot.log.units.factors("t", 1)[0]) * rate
     way = f"{rate:.2g} times slower" if rate > 1 else f"{1 / rate:.2g} times faster"
     return Finding(
-        check="time-scale", severity="warning", logs=logs,
-        found=f"beside gravity its inertial torques are those of a motion that is {way}",
-        remedy="the stamps were made from a wrong sample rate, or their unit is wrong; set "
+        check="time-scale",
+        severity="warning",
+        logs=logs,
+        found=f"compared with gravity, its inertial torques are those of a motion that is {way}",
+        remedy="the time stamps come from a wrong sample rate, or their unit is wrong; set "
         f"[log.units] t to about {unit:.2g}",
-    )  # fmt: skip
+    )
 
 
 def delay(rows: LagRows, j: int, t: Array, tau: Array) -> tuple[float, float]:
-    """Return by how much a joint's torque is late [s], and how sure that is.
+    """Return the lag of a joint's torque [s], and its certainty.
 
     Parameters
     ----------
-    t, tau : (N,) [s], (N,) [N.m], of all rows.
+    t, tau : (N,) [s], (N,) [N.m], all rows.
 
     Returns
     -------
     tuple
-        The delay, and twice the logarithm of its likelihood over that of none.
+        The lag, and twice its log-likelihood ratio against no lag.
     """
     from scipy.ndimage import uniform_filter1d  # slow to import
 
     inner = (rows.t >= t[0] + _LATEST) & (rows.t <= t[-1] - _LATEST)
     shifts = np.arange(-_LATEST, _LATEST + 0.5 * _STEP, _STEP)
-    # Interpolation smooths between rows, not at them: no shift may have less noise than another.
+    # Interpolation smooths between rows; averaging first makes the noise equal for all shifts.
     even = uniform_filter1d(tau, max(1, round(_SMOOTH / float(np.median(np.diff(t))))))
     moved = np.stack([np.interp(rows.t[inner] + shift, t, even) for shift in shifts], axis=1)
     left = _project_out(
@@ -173,10 +178,10 @@ def delay(rows: LagRows, j: int, t: Array, tau: Array) -> tuple[float, float]:
 
 
 def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> tuple[float, float]:
-    """Return how many times longer than by its stamps a motion lasted, and how sure that is.
+    """Return the factor by which a motion lasted longer than stamped, and its certainty.
 
-    A motion that lasted r times as long has 1 / r^2 times the inertial torques. Where inertia is so
-    small that the search ends at one of its ends, nothing is said; see `delay` for the rest.
+    A motion that lasted r times as long has 1 / r^2 times the inertial torques. The result is (1,
+    0) if the best scale is at an end of the search range. See `delay` for the arguments.
     """
     parts = []
     count = rows.still.shape[2]
@@ -186,7 +191,7 @@ def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> t
         body = left[:, 1 : 1 + count] + left[:, 1 + count :]
         parts.append(left / max(float(np.std(_project_out(body, left[:, :1]))), 1e-12))
     table = np.concatenate(parts)
-    # What least squares ask of a table is in its triangle, which is small.
+    # The triangular factor contains everything that least squares needs.
     corner = np.asarray(np.linalg.qr(table, mode="r"))
     left = np.stack([table[:, 0] - _bodies(table, s) @ _fitted(corner, s) for s in _SCALES], axis=1)
     best = int(np.argmin(np.sum(left**2, axis=0)))
@@ -203,7 +208,7 @@ def stamps_rate(rows: LagRows, joints: Sequence[int], t: Array, tau: Array) -> t
 
 
 def _bodies(table: Array, scale: float) -> Array:
-    """Return columns (N, P) of a body from a table (N, 1 + 2 P) of torque, still, moving."""
+    """Return regressors (N, P) of a body from a table (N, 1 + 2 P) of torque, still, moving."""
     still, moving = np.split(table[:, 1:], 2, axis=1)
     return np.asarray(still + scale * moving)
 
@@ -215,7 +220,7 @@ def _fitted(table: Array, scale: float) -> Array:
 
 
 def _project_out(columns: Array, targets: Array) -> Array:
-    """Return what of `targets` (N, K) is beside the space of `columns` (N, P)."""
+    """Project `targets` (N, K) onto the orthogonal complement of `columns` (N, P)."""
     size = np.linalg.norm(columns, axis=0)
     used = columns[:, size > 1e-9 * size.max(initial=0.0)]
     if not used.shape[1]:

@@ -1,7 +1,7 @@
-"""Torque against motion and against the model: signs, scales, delay, signal.
+"""Torque checks against motion and model: signs, scales, signal.
 
-All tests are of one joint in one log, by least squares on the model file's gravity and inertial
-torque and on friction's shape; standard errors take into account that neighbouring rows are alike.
+Each check regresses the torque of one joint in one log on the gravity and inertial torque of the
+model file and on friction; standard errors account for autocorrelation.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -14,28 +14,30 @@ from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.units import backwards, unit_of_joint
 
 _SURE = 5.0
-"""Standard errors from which on a sign is none of chance."""
+"""Significance threshold for a sign, in standard errors."""
 _SCALE = 3.0
-"""Gravity of real arms is .6 to 1.5 times that of their model files where it is well seen."""
+"""Plausible factor between measured and modelled gravity; real arms have .6 to 1.5."""
 _EXPLAINED = 0.8
-"""R^2 from which on a scale is one."""
+"""Minimum R^2 for a scale estimate to be trusted."""
 NO_SIGNAL = 0.35
-"""R^2 below which model and friction together explain next to nothing."""
+"""R^2 below which model and friction explain next to nothing."""
 _EXACT = 0.1
-"""Share of a torque, of all joints, that measured ones leave unexplained where nothing rubs."""
+"""Residual share below which torques without friction cannot have been measured."""
 _SEEN = 0.5
-"""Of the residual: a gravity torque above which its sign is told."""
+"""Minimum gravity torque, relative to the residual, for its sign to be reported."""
 _WEIGHTLESS = 0.1
-"""Share of the model's gravity below which a torque holds none."""
+"""Share of the model's gravity below which a torque contains none."""
 _ABOVE_LIMIT, _BELOW_OTHERS = 10.0, 30.0
-"""Times a model's torque limit, and times less of it than the other joints use."""
+"""Reporting thresholds: multiple of a model's torque limit, and ratio to the other joints' use of
+it.
+"""
 
 Explained = Mapping[int, JointTorque]
-"""What explains the torque of each joint that moves, by its index."""
+"""Regression of the torque of each moving joint, by its index."""
 
 
 def explained(motion: Motionwise, torques: Torques) -> Explained:
-    """Explain the torque of every joint that moves in a part of a log."""
+    """Regress the torque of every moving joint in a part of a log."""
     return {
         int(j): explain(
             motion.tau[:, j], torques.gravity[:, j], torques.inertial[:, j], motion.v[:, j]
@@ -47,7 +49,7 @@ def explained(motion: Motionwise, torques: Torques) -> Explained:
 def check_torque(
     motion: Motionwise, found: Explained, model: RobotModel, late: Collection[int] = ()
 ) -> Iterator[Finding]:
-    """Check the torques of one part of a log; those that are late say nothing of their scale."""
+    """Check the torques of one part of a log; skip the scale of `late` joints."""
     logs = (motion.log.name,)
     for j, fit in found.items():
         yield from _sign(fit, j, model, logs)
@@ -55,23 +57,27 @@ def check_torque(
             yield from _scale(fit, j, found, model, logs)
         if fit.gravity.t < -_SURE and fit.gravity_size > _SEEN * fit.residual:
             yield Finding(
-                check="gravity-sign", severity="error", logs=logs,
+                check="gravity-sign",
+                severity="error",
+                logs=logs,
                 joints=(model.description.joints[j],),
-                found=f"its gravity is the model's turned around ({fit.gravity.value:.2g} times, "
-                f"{abs(fit.gravity.t):.0f} standard errors)",
-                remedy="the robot is mounted otherwise than 'gravity' says, its zero is half a "
-                "turn off, or its torque or its position counts backwards",
-            )  # fmt: skip
+                found="its gravity torque has the opposite sign of the model's "
+                f"({fit.gravity.value:.2g} times, {abs(fit.gravity.t):.0f} standard errors)",
+                remedy="the mounting differs from 'gravity', its zero is half a turn off, or its "
+                "torque or position counts backwards",
+            )
         if fit.r2 < NO_SIGNAL:
             levels = len(np.unique(motion.tau[:, j]))
             yield Finding(
-                check="torque-signal", severity="warning", joints=(model.description.joints[j],),
+                check="torque-signal",
+                severity="warning",
+                joints=(model.description.joints[j],),
                 logs=logs,
                 found=f"model and friction explain {100 * max(fit.r2, 0):.0f} % of its torque, "
                 f"which takes {levels} values",
-                remedy="it holds almost no signal, or is of another joint; what is fitted to it "
-                "means nothing",
-            )  # fmt: skip
+                remedy="it contains almost no signal, or belongs to another joint; a fit to it is "
+                "meaningless",
+            )
     yield from _no_friction(found, model, logs)
     yield from _against_limits(motion, found, model, logs)
 
@@ -87,23 +93,26 @@ def _sign(fit: JointTorque, j: int, model: RobotModel, logs: tuple[str, ...]) ->
     unit = unit_of_joint("N.m", slides=model.tree[j].prismatic)
     beside = "" if fit.bears_gravity else ", or its position and velocity do"
     yield Finding(
-        check="torque-sign", severity="error", joints=(robot.joints[j],), logs=logs,
+        check="torque-sign",
+        severity="error",
+        joints=(robot.joints[j],),
+        logs=logs,
         found="its torque drives the motion where friction should brake it "
-        f"({fit.friction.value:.3g} {unit} along the velocity, "
-        f"{abs(fit.friction.t):.0f} standard errors)",
+        f"({fit.friction.value:.3g} {unit} along the velocity, {abs(fit.friction.t):.0f} "
+        "standard errors)",
         remedy=f"its {what} backwards{beside}; set {key}",
         changes=changes,
-    )  # fmt: skip
+    )
 
 
 def sign_change(
     robot: RobotDescription, j: int | None, *, position: bool
 ) -> tuple[str, dict[str, object]]:
-    """Return how torque, or position, is turned around: in words, and by key.
+    """Return the change that reverses a torque or a position: in words, and by key.
 
     Parameters
     ----------
-    j : of which joint; None for all.
+    j : index of the joint; None for all.
     """
     n = len(robot.joints)
 
@@ -136,10 +145,10 @@ def _scale(
     if weightless or (abs(fit.gravity.t) > _SURE and (fit.bears_gravity or _far_too_large(fit))):
         scale, margin, of = abs(fit.gravity.value), _SURE * fit.gravity.error, "gravity"
     else:
-        scale, margin, of = fit.inertia.value, _SURE * fit.inertia.error, "inertia"
+        scale, margin, of = fit.inertia.value, _SURE * fit.inertia.error, "inertial"
     too_small = scale + margin < 1.0 / _SCALE
     too_large = of == "gravity" and scale - margin > _SCALE
-    # A rotor may outweigh the links many times, but never makes the inertia less.
+    # A rotor may exceed the links many times, but never reduces the inertia.
     if not (too_small or too_large) or not np.isfinite(margin):
         return
     robot = model.description
@@ -148,17 +157,20 @@ def _scale(
         abs(f.gravity.value) < 1 / _SCALE or abs(f.gravity.value) > _SCALE for f in bearing
     )
     yield Finding(
-        check="torque-scale", severity="error", joints=(robot.joints[j],), logs=logs,
-        found=f"its torque is {max(scale, 0.0):.2g} times what the model's {of} takes",
+        check="torque-scale",
+        severity="error",
+        joints=(robot.joints[j],),
+        logs=logs,
+        found=f"its torque is {max(scale, 0.0):.2g} times the {of} torque of the model",
         remedy=_why_scaled(robot, scale, everywhere=everywhere)
         if scale > _WEIGHTLESS or not weightless or abs(fit.inertia.value) < 1.0 / _SCALE
-        else "gravity was taken out of it, or a spring or weight carries the arm, or the file "
+        else "gravity was removed from it, a spring or counterweight carries the arm, or the file "
         "declares another gravity",
-    )  # fmt: skip
+    )
 
 
 def _far_too_large(fit: JointTorque) -> bool:
-    """Whether a gravity that is hardly seen is surely more than any model's error."""
+    """Return whether a barely visible gravity exceeds any plausible model error."""
     return fit.gravity_size > 1e-3 and fit.gravity.value - _SURE * fit.gravity.error > 10.0
 
 
@@ -175,17 +187,17 @@ def _why_scaled(robot: RobotDescription, scale: float, *, everywhere: bool) -> s
         return "torque is in mN.m; set [log.units] tau = 'mN.m'"
     gear = robot.gear_ratio and float(np.median(robot.gear_ratio))
     if gear and 1 / _SCALE < scale * gear < _SCALE:
-        return f"it is the motor's torque, before the gear; set [log.units] tau = {gear:g}"
+        return f"it is the motor torque before the gear; set [log.units] tau = {gear:g}"
     if everywhere and scale < 1:
         return (
-            "the column holds currents [A], or torques of the motors; name it under [log.columns] "
+            "the column contains currents [A] or motor torques; name it under [log.columns] "
             "current and give torque_per_ampere"
         )
     return "the unit of the torque is wrong, or the column holds a current; see [log.units] tau"
 
 
 def _no_friction(found: Explained, model: RobotModel, logs: tuple[str, ...]) -> Iterator[Finding]:
-    """Check that torques that the model explains to the last are not the model's own."""
+    """Check that torques that the rigid body explains completely were really measured."""
     clear = {j: fit for j, fit in found.items() if fit.r2 > _EXPLAINED}
     if not clear or any(
         abs(fit.friction.t) > _SURE or fit.residual > _EXACT * fit.deviation
@@ -194,17 +206,20 @@ def _no_friction(found: Explained, model: RobotModel, logs: tuple[str, ...]) -> 
         return
     names = tuple(model.description.joints[j] for j in clear)
     yield Finding(
-        check="no-friction", severity="warning", joints=names, logs=logs,
-        found="the model's rigid body explains their torques, and nothing of these goes with the "
+        check="no-friction",
+        severity="warning",
+        joints=names,
+        logs=logs,
+        found="the model's rigid body explains their torques completely, and no part follows the "
         "velocity",
-        remedy="it was computed or commanded instead of measured, or friction was taken out of it",
-    )  # fmt: skip
+        remedy="they were computed or commanded instead of measured, or friction was removed",
+    )
 
 
 def _against_limits(
     motion: Motionwise, found: Explained, model: RobotModel, logs: tuple[str, ...]
 ) -> Iterator[Finding]:
-    """Check peaks against the torque limits of the model file, and these against each other."""
+    """Check peak torques against the limits of the model file, and relative to each other."""
     limits = np.where(np.isfinite(model.torque_limits), model.torque_limits, 0.0)
     peaks = np.quantile(np.abs(motion.tau), 0.99, axis=0)
     used = {
@@ -216,10 +231,13 @@ def _against_limits(
         name = model.description.joints[j]
         if share > _ABOVE_LIMIT:
             yield Finding(
-                check="torque-limit", severity="error", joints=(name,), logs=logs,
+                check="torque-limit",
+                severity="error",
+                joints=(name,),
+                logs=logs,
                 found=f"its torque reaches {peaks[j]:.3g}, {share:.2g} times the model's limit",
                 remedy="its unit or its torque_per_ampere is wrong",
-            )  # fmt: skip
+            )
         others = [s for k, s in used.items() if k != j]
         if (
             len(others) > 1
@@ -227,8 +245,11 @@ def _against_limits(
             and found[j].r2 > _EXPLAINED
         ):
             yield Finding(
-                check="torque-small", severity="warning", joints=(name,), logs=logs,
+                check="torque-small",
+                severity="warning",
+                joints=(name,),
+                logs=logs,
                 found=f"its torque reaches {100 * share:.2g} % of the model's limit, the other "
                 f"joints' {100 * np.median(others):.2g} %",
                 remedy="its unit or its torque_per_ampere may be wrong",
-            )  # fmt: skip
+            )

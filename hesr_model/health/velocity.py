@@ -1,4 +1,4 @@
-"""Velocity against the derivative of the position: units, signs, columns, lag."""
+"""Velocity checks against the derivative of the position: units, signs, columns, lag."""
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -14,31 +14,30 @@ from hesr_model.support.arrays import Array, Integers
 from hesr_model.units import OTHERS, TURNING, backwards
 
 _ALIKE = 0.9
-"""Correlation below which a velocity is not that of its position."""
+"""Correlation below which a velocity does not belong to its position."""
 _SURE = 5.0
-"""Standard errors from which on a difference is none of chance."""
+"""Significance threshold in standard errors."""
 _WRONG, _ODD = 0.1, 0.03
-"""Error of the scale that is refused, and told."""
+"""Scale errors that are an error and a warning."""
 _SAME = 0.04
-"""Within which a factor is that of a unit."""
+"""Tolerance for recognising the factor of a unit."""
 _LATE = 0.02
-"""[s] From which on a velocity's lag is told."""
+"""Reporting threshold for the lag of a velocity [s]."""
 _LATEST = 0.3
-"""[s] Lags that are tried."""
+"""Largest lag searched [s]."""
 _TURNS = 4.0 * np.pi
-"""[rad] Joints of arms travel less."""
+"""Travel that joints of arms do not exceed [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Match:
-    """How a joint's velocity as logged goes with that of its position.
+    """Comparison of a joint's logged velocity with the derivative of its position.
 
     Attributes
     ----------
-    slope, error : of the position's velocity over the logged one, without unit, and its standard
-        error.
-    correlation : of both.
-    lag : by which the logged one is late [s].
+    slope, error : derivative over logged velocity, without unit, and its standard error.
+    correlation : between both.
+    lag : delay of the logged velocity [s].
     """
 
     slope: float
@@ -48,7 +47,7 @@ class Match:
 
 
 def match(v: Array, dq: Array, period: float) -> Match:
-    """Compare one joint's `v`, from its position, with `dq`, (N,) [rad/s], `period` [s] apart."""
+    """Compare `v`, the derivative of a position, with `dq`, (N,) [rad/s], `period` [s] apart."""
     correlation = _correlation(v, dq)
     slope = float(np.std(v)) / max(float(np.std(dq)), 1e-300) * (-1.0 if correlation < 0 else 1.0)
     error = float(standard_errors(dq[:, None], v - slope * dq)[0]) if np.any(dq) else np.inf
@@ -62,7 +61,7 @@ def _correlation(a: Array, b: Array) -> float:
 
 
 def _lag(v: Array, dq: Array, period: float) -> float:
-    """Time [s] by which dq is late: the peak of the cross-correlation of both, (N,)."""
+    """Return the lag of dq [s]: the peak of the cross-correlation of both, (N,)."""
     most = min(int(_LATEST / period), len(v) // 4)
     if most < 1 or np.std(v) < 1e-12 or np.std(dq) < 1e-12:
         return 0.0
@@ -75,7 +74,7 @@ def _lag(v: Array, dq: Array, period: float) -> float:
 def check_velocity(
     motion: Motionwise, robot: RobotDescription, without: Collection[str] = ()
 ) -> Iterator[Finding]:
-    """Check one part of a log; joints that rest are skipped, and those named in `without`."""
+    """Check one part of a log; skip resting joints and those in `without`."""
     if motion.dq is None:
         return
     dq, logs = motion.dq, (motion.log.name,)
@@ -87,11 +86,15 @@ def check_velocity(
         name = robot.joints[j]
         if np.ptp(dq[:, j]) < 1e-9:
             yield Finding(
-                check="velocity-constant", severity="error", joints=(name,), logs=logs,
+                check="velocity-constant",
+                severity="error",
+                joints=(name,),
+                logs=logs,
                 found="its position moves while its velocity never changes",
-                remedy="the velocity is not logged; set [log.columns] dq = \"\", so that it is "
-                "derived from the position", changes={"log.columns.dq": ""},
-            )  # fmt: skip
+                remedy='the velocity is not logged; set [log.columns] dq = "" to derive it from '
+                "the position",
+                changes={"log.columns.dq": ""},
+            )
         elif abs(found.correlation) < _ALIKE:
             yield _unlike(robot, j, found, places, logs)
         else:
@@ -101,7 +104,7 @@ def check_velocity(
 
 
 def _places(motion: Motionwise, joints: Integers) -> dict[int, int]:
-    """Return for each joint that moves the joint whose column of dq goes with its position."""
+    """Return for each moving joint the joint whose dq column belongs to its position."""
     from scipy.optimize import linear_sum_assignment  # slow to import
 
     assert motion.dq is not None
@@ -128,44 +131,64 @@ def _unlike(
         order = [columns[places.get(k, k)] for k in range(len(columns))]
         listed = ", ".join(f'"{column}"' for column in order)
         return Finding(
-            check="velocity-columns", severity="error", joints=(name,), logs=logs, found=what,
-            remedy=f"its velocity stands in the column of joint '{robot.joints[other]}', columns "
-            f"are swapped; set [log.columns] dq = [{listed}]",
+            check="velocity-columns",
+            severity="error",
+            joints=(name,),
+            logs=logs,
+            found=what,
+            remedy=f"its velocity is in the column of joint '{robot.joints[other]}'; set "
+            f"[log.columns] dq = [{listed}]",
             changes={"log.columns.dq": tuple(order)},
-        )  # fmt: skip
+        )
     late = f", and is {found.lag * 1e3:.0f} ms late" if abs(found.lag) > _LATE else ""
     return Finding(
-        check="velocity-match", severity="error", joints=(name,), logs=logs, found=what + late,
-        remedy="the column holds another signal or a filtered one; set [log.columns] dq = \"\", so "
-        "that it is derived from the position", changes={"log.columns.dq": ""},
-    )  # fmt: skip
+        check="velocity-match",
+        severity="error",
+        joints=(name,),
+        logs=logs,
+        found=what + late,
+        remedy='the column contains another signal or a filtered one; set [log.columns] dq = "" '
+        "to derive it from the position",
+        changes={"log.columns.dq": ""},
+    )
 
 
 def _late(name: str, lag: float, logs: tuple[str, ...]) -> Finding:
     way = "late" if lag > 0 else "early"
     return Finding(
-        check="velocity-lag", severity="warning", joints=(name,), logs=logs,
-        found=f"its velocity is {abs(lag) * 1e3:.0f} ms {way} against its position",
-        remedy="it was filtered or comes from another clock; set [log.columns] dq = \"\", so that "
-        "it is derived from the position", changes={"log.columns.dq": ""},
-    )  # fmt: skip
+        check="velocity-lag",
+        severity="warning",
+        joints=(name,),
+        logs=logs,
+        found=f"its velocity is {abs(lag) * 1e3:.0f} ms {way} relative to its position",
+        remedy='it was filtered or comes from another clock; set [log.columns] dq = "" to '
+        "derive it from the position",
+        changes={"log.columns.dq": ""},
+    )
 
 
 def _scale(
-    robot: RobotDescription, j: int, matches: dict[int, Match], motion: Motionwise,
+    robot: RobotDescription,
+    j: int,
+    matches: dict[int, Match],
+    motion: Motionwise,
     logs: tuple[str, ...],
-) -> Iterator[Finding]:  # fmt: skip
+) -> Iterator[Finding]:
     found, name = matches[j], robot.joints[j]
     if found.slope < 0:
         declared = enumerate(robot.log.units.each("dq", len(robot.joints)))
         against = {k for k, other in matches.items() if other.correlation < -_ALIKE}
         units = [backwards(unit) if k in against else unit for k, unit in declared]
         yield Finding(
-            check="velocity-sign", severity="error", joints=(name,), logs=logs,
+            check="velocity-sign",
+            severity="error",
+            joints=(name,),
+            logs=logs,
             found=f"its position falls where its velocity is positive (slope {found.slope:.2f})",
-            remedy="velocity or position counts backwards; set [log.units] dq = "
-            f"{_listed(units)}, or q alike", changes={"log.units.dq": tuple(units)},
-        )  # fmt: skip
+            remedy=f"velocity or position counts backwards; set [log.units] dq = {_listed(units)}, "
+            "or q accordingly",
+            changes={"log.units.dq": tuple(units)},
+        )
     ratio = abs(found.slope)
     sure = abs(ratio - 1.0) > _SURE * found.error
     if not sure or abs(np.log(ratio)) < _ODD:
@@ -177,7 +200,7 @@ def _scale(
         severity="error" if abs(np.log(ratio)) > _WRONG else "warning",
         joints=(name,),
         logs=logs,
-        found=f"q changes {shown} than dq says",
+        found=f"q changes {shown} than dq",
         remedy=cause,
         changes=changes,
     )
@@ -186,7 +209,7 @@ def _scale(
 def _cause(
     robot: RobotDescription, j: int, matches: dict[int, Match], motion: Motionwise
 ) -> tuple[str, dict[str, object]]:
-    """Return the likeliest cause of a wrong scale of one joint, and what mends it."""
+    """Return the likeliest cause of a wrong scale of one joint, and the corrections."""
     ratio = abs(matches[j].slope)
     all_alike = len(matches) > 1 and all(
         abs(np.log(abs(other.slope) / ratio)) < _SAME for other in matches.values()
@@ -194,7 +217,7 @@ def _cause(
     units, n = robot.log.units, len(robot.joints)
     far = np.max(np.ptp(motion.q, axis=0)) > _TURNS
     for quantity in ("q", "dq") if far else ("dq", "q"):
-        # q' = q f changes the position's velocity by f, dq' = dq f the logged one.
+        # q' = q f scales the derivative of the position by f, dq' = dq f the logged velocity.
         wanted = 1.0 / ratio if quantity == "q" else ratio
         for unit in _alternatives(units, quantity, j, n, wanted):
             told = f"{quantity} is in {unit}; set [log.units] {quantity} = '{unit}'"
@@ -206,16 +229,16 @@ def _cause(
             return told, {f"log.units.{quantity}": tuple(each)}
     gear = robot.gear_ratio[j] if robot.gear_ratio else None
     if gear and abs(np.log(ratio * gear)) < _SAME:
-        return f"dq is the motor's; set [log.units] dq = {1 / gear:.6g} for it", {}
+        return f"dq belongs to the motor; set [log.units] dq = {1 / gear:.6g}", {}
     if gear and abs(np.log(ratio / gear)) < _SAME:
-        return f"q is the motor's; set [log.units] q = {1 / gear:.6g} for it", {}
+        return f"q belongs to the motor; set [log.units] q = {1 / gear:.6g}", {}
     if all_alike:
         for unit, factor in OTHERS["t"].items():
             if abs(np.log(ratio * units.factors("t", 1)[0] / factor)) < _SAME:
                 return f"time is in {unit}; set [log.units] t = '{unit}'", {"log.units.t": unit}
         return (
-            f"at all joints alike, so that the stamps run {1 / ratio:.2g} times as fast as time, "
-            "made from a wrong sample rate, or the unit of dq is wrong",
+            f"the same at all joints: the time stamps run {1 / ratio:.2g} times as fast as time "
+            "(wrong sample rate), or the unit of dq is wrong",
             {"log.units.t": float(units.factors("t", 1)[0]) * ratio},
         )
     return "units, a gear ratio or the signal itself are wrong; see [log.units]", {}

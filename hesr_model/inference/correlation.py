@@ -1,4 +1,4 @@
-"""Residuals of neighbouring rows of a log are alike: for how long, and what that costs."""
+"""Autocorrelation of residuals: correlation length and corrected standard errors."""
 
 import numpy as np
 
@@ -22,9 +22,9 @@ def standard_errors(jacobian: Array, residual: Array) -> Array:
 
 
 def correlation_length(residual: Array) -> float:
-    """Integrated autocorrelation of a residual (N,), in rows whatever the residual's unit.
+    """Return the integrated autocorrelation of a residual (N,), in rows.
 
-    At least 1; cut at the first crossing.
+    At least 1; the sum ends at the first zero crossing.
     """
     centred = residual - residual.mean()
     size = 2 ** int(np.ceil(np.log2(2 * len(centred))))

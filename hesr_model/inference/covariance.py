@@ -1,17 +1,16 @@
-"""One covariance for whatever least squares estimates from logs: rigid body and friction.
+"""Covariance of least-squares estimates from logs, for rigid bodies and friction.
 
-An estimate errs by the sum of its rows' influences, psi_t = H^-1 g_t, g_t being the gradient of row
-t and H the Hessian of half the sum of squares. Neighbouring rows of a log do not err independently,
-and logs differ by more than their rows tell (the day, the temperature, what a law leaves out), so
+An estimate errs by the sum of the influences of its rows, psi_t = H^-1 g_t, with the gradient g_t
+of row t and the Hessian H of half the sum of squares. Neighbouring rows of a log are correlated,
+and logs differ by more than their rows show (day, temperature, unmodelled effects):
 
     cov = factor^2 sum over logs S_log + carried,    S = long-run covariance of the influences.
 
 S is prewhitened by a first-order autoregression of each unknown and weighted by Bartlett's kernel,
-whose bandwidth the whitened influences give (Andrews and Monahan 1992). The factor is what
-estimates from logs, each left out in turn, differ by beyond that: one number for a group of
-unknowns, because a few logs cannot tell more. From `ENOUGH` logs on the influences of whole logs
-are summed (cluster-robust, Liang and Zeger 1986), and there is no factor. What is carried is the
-uncertainty of what was estimated before.
+with the bandwidth of Andrews and Monahan (1992). The factor measures how estimates with each log
+left out differ beyond that; a few logs determine only one factor for a group of unknowns. With at
+least `ENOUGH` logs the influences of whole logs are summed (cluster-robust, Liang and Zeger 1986)
+without a factor. `carried` is the uncertainty of earlier estimates.
 """
 
 from collections.abc import Sequence
@@ -25,43 +24,43 @@ from hesr_model.support.arrays import Array, Integers
 from hesr_model.support.typed_json import Numbers, to_json
 
 ENOUGH = 20
-"""Logs from which on their own scatter tells the covariance."""
+"""Number of logs from which the covariance follows from their scatter."""
 
 BLOCKS = 4
-"""Blocks of time that stand in for logs where there is only one."""
+"""Number of blocks of time that replace logs if there is only one log."""
 
 _MOST_MEMORY = 0.995
-"""Of the autoregression from row to row: more would be a drift, which no covariance describes."""
+"""Largest autoregression coefficient between rows; above is a drift."""
 
 _MOST_LEVERAGE = 0.9
-"""A row that decides an unknown alone has no residual, and nothing to tell of its error."""
+"""Largest leverage: a row that determines an unknown alone has no residual."""
 
 _UPPER = 0.975
 """Probability at the upper end of a 95 % interval."""
 
 _BY_CHANCE = 0.05
-"""Probability with which logs of one kind are taken for different."""
+"""Significance level of the difference between logs."""
 
 _RANK = 1e-13
-"""Of a scaled Hessian: what it determines less is not determined."""
+"""Relative rank tolerance of a scaled Hessian."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Covariance:
-    """Of the unknowns of one least-squares problem.
+    """Covariance of the unknowns of one least-squares problem.
 
     Attributes
     ----------
-    names : of the unknowns (P,).
+    names : names of the unknowns (P,).
     within : (P, P) from the rows of each log, in the unknowns' units.
-    between : mean square of what logs differ by, over what `within` says of it.
-    degrees : independent comparisons behind `between`; 0 where there are none.
-    carried : (P, P) from what was estimated before and is uncertain itself.
+    between : mean square difference between logs, relative to `within`.
+    degrees : number of independent comparisons behind `between`; 0 if there are none.
+    carried : (P, P) from uncertain earlier estimates.
 
     Raises
     ------
     ArtifactError
-        If the matrices are not those of the unknowns.
+        If a matrix has not the shape of the unknowns.
     """
 
     names: tuple[str, ...]
@@ -86,7 +85,7 @@ class Covariance:
 
     @property
     def factor(self) -> float:
-        """What logs differ by over what their rows say; 1 where that can be chance."""
+        """Ratio of the scatter between logs to that of their rows; 1 if it is not significant."""
         if not self.degrees:
             return 1.0
         by_chance = chdtri(self.degrees, _BY_CHANCE) / self.degrees
@@ -103,7 +102,7 @@ class Covariance:
         return np.sqrt(np.diag(self.matrix))
 
     def mapped(self, names: Sequence[str], slopes: Array) -> "Covariance":
-        """Return the covariance of (Q,) functions of the unknowns, (Q, P) their slopes."""
+        """Return the covariance of (Q,) functions with (Q, P) derivatives `slopes`."""
         return replace(
             self,
             names=tuple(names),
@@ -113,7 +112,7 @@ class Covariance:
 
 
 def pooled(group: Sequence[Covariance]) -> list[Covariance]:
-    """Return covariances of one group with one between-log factor, as of one kind of unknowns."""
+    """Return covariances of one group with a common between-log factor."""
     degrees = sum(c.degrees for c in group)
     if not degrees:
         return list(group)
@@ -124,20 +123,20 @@ def pooled(group: Sequence[Covariance]) -> list[Covariance]:
 def left_out(jacobian: Array, residual: Array, hessian: Array) -> Array:
     """Return the residual (N,) of each row by an estimate without it.
 
-    A few rows around reversals determine some unknowns alone, and hide their errors by it
-    (MacKinnon and White 1985, HC3).
+    A few rows around reversals determine some unknowns alone, which hides their errors (MacKinnon
+    and White 1985, HC3).
 
     Parameters
     ----------
     jacobian, residual : (N, P) and (N,), in one unit per that of each unknown.
-    hessian : (P, P) of half the sum of squares of all rows there are.
+    hessian : (P, P) of half the sum of squares of all rows.
     """
     leverage = np.sum((jacobian @ _inverse(hessian, hessian)) * jacobian, axis=1)
     return np.asarray(residual / (1.0 - np.minimum(leverage, _MOST_LEVERAGE)))
 
 
 def blocks_of_time(logs: Integers) -> Integers:
-    """Return labels of logs (N,), or of blocks of time where there is one log only."""
+    """Return the labels of logs (N,), or of blocks of time if there is only one log."""
     if np.any(logs != logs[0]):
         return logs
     return np.arange(len(logs)) * BLOCKS // len(logs)
@@ -156,14 +155,14 @@ def covariance(
 
     Parameters
     ----------
-    names : of the unknowns (P,).
+    names : names of the unknowns (P,).
     gradients : (N, P) of half the squared residual of each row at the estimate, in the order of
-        time; as of residuals that each row would have if it were left out (`left_out`).
-    hessians : for each label its (P, P) share of the Hessian.
+        time, with leave-one-out residuals (`left_out`).
+    hessians : (P, P) share of each label in the Hessian.
     labels : (N,) number of each row's log, or block of time.
-    known : (P, P) Hessian of what is known beforehand, as a pull towards it.
-    carried : (P, r) directions by which the estimate is off where what it builds on is off by one
-        standard deviation, `gradients` per such deviation summed over rows.
+    known : (P, P) Hessian of prior knowledge, as a pull towards it.
+    carried : (P, r) gradients, summed over rows, for one standard deviation of each of the r
+        independent errors of earlier estimates.
     """
     own = np.sum(hessians, axis=0)
     whole = own if known is None else own + known
@@ -195,9 +194,9 @@ def long_run(influences: Sequence[Array]) -> list[Array]:
 
 
 def _for_few_rows(influences: Sequence[Array]) -> Array:
-    """Return by what (P, P) a covariance grows that few rows around reversals tell alone.
+    """Return the factor (P, P) for covariances that few rows around reversals determine.
 
-    Student's quantile over the normal one, of Satterthwaite's degrees of freedom of a sum of
+    Student's quantile over the normal one, with Satterthwaite's degrees of freedom of a sum of
     squared influences (Bell and McCaffrey 2002).
     """
     squares = np.sum([np.sum(psi**2, axis=0) for psi in influences], axis=0)
@@ -213,10 +212,10 @@ def _between(
     hessians: Sequence[Array] | Array,
     whole: Array,
 ) -> tuple[float, float]:
-    """Compare the estimate of each log with that of the others, one Gauss-Newton step each.
+    """Compare the estimate of each log with that of the others by one Gauss-Newton step each.
 
-    Returns the mean square of the differences over their variance by `parts`, and how many
-    independent ones there are.
+    Returns the mean square of the differences over their variance by `parts`, and the number of
+    independent differences.
     """
     if len(influences) < 2:
         return 1.0, 0.0
@@ -235,21 +234,21 @@ def _between(
 
 
 def _inverse(hessian: Array, whole: Array) -> Array:
-    """Inverse by which what the rows do not determine has no influence, on the scale of `whole`."""
+    """Return the pseudo-inverse on the scale of `whole`, zero for undetermined directions."""
     size = np.sqrt(np.where(np.diag(whole) > 0.0, np.diag(whole), 1.0))
     scaled = np.linalg.pinv(hessian / np.outer(size, size), hermitian=True, rcond=_RANK)
     return np.asarray(scaled / np.outer(size, size))
 
 
 def _memory(influences: Sequence[Array]) -> Array:
-    """First-order autoregression of each column (P,), pooled over logs."""
+    """Return the first-order autoregression of each column (P,), pooled over logs."""
     above = np.sum([np.sum(psi[1:] * psi[:-1], axis=0) for psi in influences], axis=0)
     below = np.sum([np.sum(psi**2, axis=0) for psi in influences], axis=0)
     return np.asarray(np.clip(above / np.maximum(below, 1e-300), -_MOST_MEMORY, _MOST_MEMORY))
 
 
 def _bandwidth(white: Sequence[Array]) -> int:
-    """Bandwidth of Bartlett's kernel [rows] (Andrews 1991, eq. 6.2 and 6.4), columns alike."""
+    """Return the bandwidth of Bartlett's kernel [rows] (Andrews 1991, eq. 6.2 and 6.4)."""
     rho = _memory(white)
     above = np.sum(4.0 * rho**2 * (1.0 - rho**2) ** 2 / ((1.0 - rho) ** 6 * (1.0 + rho) ** 2))
     below = np.sum((1.0 - rho**2) ** 2 / (1.0 - rho) ** 4)

@@ -1,10 +1,10 @@
-"""What deviates from others of its kind, and what changes over days.
+"""Outliers among values of one kind, and trends over days.
 
-A value deviates by z = (x - median) / s, s the median absolute deviation as that of a normal
-distribution; values that are all positive are compared by their logarithms. The MAD knows s only
-as well as a standard deviation of 0.37 times as many values would (Rousseeuw and Croux 1993), so
-that z is judged by Student's t of 0.37 (n - 1) degrees of freedom: by simulation on the safe side
-from 5 values on.
+The score of a value is z = (x - median) / s, with s the median absolute deviation scaled to a
+normal distribution; positive values are compared by their logarithms. The MAD estimates s as well
+as the standard deviation of 0.37 times as many values (Rousseeuw and Croux 1993), so z has
+Student's t distribution with 0.37 (n - 1) degrees of freedom: conservative in simulations with at
+least 5 values.
 """
 
 from collections.abc import Sequence
@@ -14,27 +14,27 @@ import numpy as np
 from scipy.special import stdtr
 
 ENOUGH = 5
-"""Values from which on there is a kind to deviate from, and logs from which on a trend."""
+"""Minimum sample size for outlier and trend tests."""
 
 _NORMAL = 1.4826
 """Standard deviation of a normal distribution over its MAD."""
 
 _EFFICIENCY = 0.37
-"""Of the MAD."""
+"""Statistical efficiency of the MAD."""
 
 _ALIKE = 1e-3
-"""Of the median: values that are nearer to it do not deviate, however alike the others are."""
+"""Values within this fraction of the median are never outliers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Deviation:
-    """How far a value is from the others.
+    """Distance of a value from the others.
 
     Attributes
     ----------
-    value, median : in one unit.
+    value, median : in the unit of the values.
     z : distance in robust standard deviations.
-    p : probability of such a distance by chance, two-sided.
+    p : two-sided probability of this distance by chance.
     """
 
     value: float
@@ -44,13 +44,13 @@ class Deviation:
 
 
 def deviations(values: Sequence[float], errors: Sequence[float | None]) -> list[Deviation]:
-    """Return how far each value is from the median of all.
+    """Return the distance of each value from the median of all.
 
     Parameters
     ----------
-    values : (n,) of one quantity, `ENOUGH` at least.
-    errors : (n,) their standard errors, in the same unit, where known: what is less certain than
-        others differ deviates by no more than its own uncertainty lets it.
+    values : (n,) of one quantity, at least `ENOUGH`.
+    errors : (n,) standard errors in the same unit, None if unknown; a value deviates at most as its
+        own error allows.
     """
     x = np.array(values, dtype=float)
     own = np.array([0.0 if error is None else error for error in errors])
@@ -76,9 +76,9 @@ class Trend:
 
     Attributes
     ----------
-    slope : per day, or per log where logs have no days.
-    change : from the first day to the last one, by the line.
-    p : probability of such a slope by chance, two-sided, by Student's t.
+    slope : change per day, or per log if logs have no days.
+    change : change from the first to the last day, by the line.
+    p : two-sided probability of this slope by chance, by Student's t.
     """
 
     slope: float
@@ -87,14 +87,14 @@ class Trend:
 
 
 def trend(days: Sequence[float], values: Sequence[float]) -> Trend | None:
-    """Return the trend of values, in their unit, over days; None where these are too few."""
+    """Return the trend of values over days; None if there are too few."""
     x, y = np.array(days, dtype=float), np.array(values, dtype=float)
     if len(x) < ENOUGH or not np.ptp(x) > 0.0:
         return None
     x0 = x - x.mean()
     slope = float(x0 @ y / (x0 @ x0))
     residual = y - y.mean() - slope * x0
-    # A line through all values is certain up to rounding.
+    # A line through all values is certain up to round-off.
     rounding = np.finfo(float).eps * float(np.max(np.abs(y)))
     spread = max(float(np.sqrt(residual @ residual / (len(x) - 2))), rounding)
     error = spread / float(np.sqrt(x0 @ x0))

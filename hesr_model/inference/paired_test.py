@@ -1,9 +1,8 @@
-"""Which of two predictions of the same logs is better, and how sure that is.
+"""Paired test: which of two predictions of the same logs is better, and how certain that is.
 
-Errors of neighbouring rows are alike, so rows are taken together in units: whole logs where there
-are `ENOUGH`, else blocks of time within logs, of 8 s at least and longer where residuals hang
-together longer. Both predictions stand on the same units. The claim is about these logs: other
-days and other motions are no part of it.
+Errors of neighbouring rows are correlated, so rows are summed in units: whole logs if there are at
+least `ENOUGH`, else blocks of time of at least 8 s, longer if residuals are correlated for longer.
+The result holds for these logs, not for other days or motions.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,13 +19,13 @@ from hesr_model.support.arrays import Array
 Key = TypeVar("Key")
 
 ENOUGH = 8
-"""Logs from which on each counts as one unit."""
+"""Number of logs from which each is one unit."""
 
 SHORTEST = 8.0
-"""[s] Of a block. Where joints rest, errors are alike over 2.4 to 2.8 s."""
+"""Minimum length of a block [s]; errors at rest are correlated over 2.4 to 2.8 s."""
 
 _LENGTHS = 4.0
-"""Correlation times that a block holds."""
+"""Minimum length of a block in correlation times."""
 
 _MOST_UNITS = 256
 
@@ -41,9 +40,9 @@ class Paired:
 
     Attributes
     ----------
-    value : of the first over the second, over all rows.
-    low, high : 95 % interval; None where there is one unit only.
-    p : probability of a ratio as far from 1 if both were equally good, two-sided.
+    value : first over second, over all rows.
+    low, high : 95 % interval; None if there is only one unit.
+    p : two-sided probability of a ratio as far from 1 if both were equally good.
     """
 
     value: float
@@ -55,11 +54,11 @@ class Paired:
 def units(
     above: Sequence[Array], below: Sequence[Array], periods: Sequence[float]
 ) -> tuple[Array, Array]:
-    """Return sums of squares (units,) of two errors.
+    """Return the sums of squares (units,) of two errors.
 
     Parameters
     ----------
-    above, below : for each log the errors (N,) of both, in one unit.
+    above, below : errors (N,) of both predictions for each log, in one unit.
     periods : sample period of each log [s].
     """
     if len(above) >= ENOUGH:
@@ -90,9 +89,9 @@ def compare_errors(
 ) -> Paired:
     """Compare two predictions by their errors; see `units` for the arguments.
 
-    The interval is that of a bootstrap over units, widened as Student's t is for so few. The
-    probability is that of the sign-flip test: were both equally good, each unit's errors might as
-    well be exchanged. It counts all exchanges where these are no more than `DRAWS`.
+    The interval is a bootstrap over units, widened by Student's t for few units. The probability is
+    that of the sign-flip test: if both are equally good, the errors of each unit can be exchanged.
+    All exchanges are counted if there are at most `DRAWS`.
     """
     a, b = units(above, below, periods)
     flips, seen, drawn = _resamples(len(a))
@@ -113,9 +112,9 @@ def compare_errors(
 
 @lru_cache(maxsize=8)
 def _resamples(count: int) -> tuple[Array, int, Array]:
-    """Return exchanges (F, count) of units, how many of them stand for what was seen, and draws.
+    """Return exchanges (F, count) of units, how many of them stand for the observation, and draws.
 
-    The same for all comparisons of as many units: making them takes longer than a comparison.
+    Cached by the number of units: they take longer than a comparison.
     """
     rng = np.random.default_rng(0)
     if 2**count <= DRAWS:
@@ -127,7 +126,7 @@ def _resamples(count: int) -> tuple[Array, int, Array]:
 
 
 def holm(p: Mapping[Key, float]) -> dict[Key, float]:
-    """Return probabilities adjusted for how many comparisons there are (Holm 1979)."""
+    """Return probabilities adjusted for the number of comparisons (Holm 1979)."""
     adjusted: dict[Key, float] = {}
     least = 0.0
     for rank, key in enumerate(sorted(p, key=lambda k: p[k])):

@@ -40,9 +40,17 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
     "tau": {"mnm": "mN.m"},
     "current": {"ma": "mA"},
     "temperature": {"kelvin": "K"},
-    "t": {"ms": "ms", "msec": "ms", "us": "us", "usec": "us", "ns": "ns", "nsec": "ns",
-          "nanoseconds": "ns", "milliseconds": "ms"},
-}  # fmt: skip
+    "t": {
+        "ms": "ms",
+        "msec": "ms",
+        "us": "us",
+        "usec": "us",
+        "ns": "ns",
+        "nsec": "ns",
+        "nanoseconds": "ns",
+        "milliseconds": "ms",
+    },
+}
 _TOKEN = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|°")
 _NUMBER = re.compile(r"(?<!\d)\d{1,9}(?!\d)")
 """Of a joint; more digits are none, and take long to read."""

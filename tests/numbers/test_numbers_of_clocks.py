@@ -79,7 +79,9 @@ def test_clocks(
             "short": stamps_rate(LagRows.of(short, arm_model, base), every, short.t, short.tau),
             "rubs": _rubs(part.q[:, 0], part.v[:, 0]),
             "rubs backwards": _rubs(-part.q[:, 0], -part.v[:, 0])[:3],
-            "beside": _project_out(np.column_stack([part.q, part.q[:, :1], 1e-12 * part.v]), part.tau),
+            "beside": _project_out(
+                np.column_stack([part.q, part.q[:, :1], 1e-12 * part.v]), part.tau
+            ),
             "beside nothing": _project_out(0.0 * part.q, part.tau)[:5],
         },
         rtol=1e-3,

@@ -42,7 +42,7 @@ def test_rows_whose_want_makes_friction_uncertain_are_refused(
     log = noisy(3.0)
     assert checked([log], arm_model) == []
     with pytest.raises(
-        HealthError, match=r"'j1'.* rows are missing throughout, .* rad/s uncertain"
+        HealthError, match=r"'j1'.* rows are missing throughout; .* rad/s is uncertain"
     ):
         checked([lossy(log, 0.5)], arm_model)
     told = checked([lossy(log, 0.5)], arm_model, ["missing-rows"])

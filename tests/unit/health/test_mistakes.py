@@ -75,7 +75,7 @@ def held(log: RobotLog, rows: int) -> RobotLog:
 MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     "q in degrees": (
         lambda log: replace(log, q=log.q / DEGREE), "velocity-scale", ("j1", "j2", "j3"),
-        r"q changes 57\.3 times faster than dq says: q is in deg; set \[log\.units\] q = 'deg'",
+        r"q changes 57\.3 times faster than dq: q is in deg; set \[log\.units\] q = 'deg'",
     ),
     "q and dq in degrees": (
         lambda log: replace(log, q=log.q / DEGREE, dq=rate(log, 1 / DEGREE)), "limits",
@@ -87,7 +87,7 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     ),
     "dq of the motor of one joint": (
         lambda log: replace(log, dq=column(log.dq, 1, 100.0)), "velocity-scale", ("j2",),
-        r"q changes 100 times slower than dq says",
+        r"q changes 100 times slower than dq",
     ),
     "dq of one joint backwards": (
         lambda log: replace(log, dq=column(log.dq, 2, -1.0)), "velocity-sign", ("j3",),
@@ -95,7 +95,7 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     ),
     "dq columns swapped": (
         lambda log: replace(log, dq=swapped(log.dq, 0, 2, 1)), "velocity-columns", ("j2",),
-        r"stands in the column of joint 'j3'.* dq = \[.dq1., .dq3., .dq2.\]",
+        r"is in the column of joint 'j3'.* dq = \[.dq1., .dq3., .dq2.\]",
     ),
     "dq late": (
         lambda log: replace(log, dq=late(log.dq, 30)), "velocity-lag", ("j1", "j2", "j3"),
@@ -107,7 +107,7 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     ),
     "half the sample rate": (
         lambda log: replace(log, t=2.0 * log.t), "velocity-scale", ("j1", "j2", "j3"),
-        r"q changes 2 times slower .* made from a wrong sample rate",
+        r"q changes 2 times slower .* \(wrong sample rate\)",
     ),
     "time in milliseconds": (
         lambda log: replace(log, t=1e3 * log.t), "time-unit", (), r"set \[log\.units\] t = 'ms'",
@@ -118,7 +118,7 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     ),
     "torque of j1 backwards, without gravity": (
         lambda log: replace(log, tau=column(log.tau, 0, -1.0)), "torque-sign", ("j1",),
-        r"its torque counts backwards, or its position and velocity do, which the logs do not tell",
+        r"its torque counts backwards, or its position and velocity do \(the logs cannot",
     ),
     "j2 counts backwards": (
         lambda log: replace(log, q=column(log.q, 1, -1.0), dq=column(log.dq, 1, -1.0)),
@@ -126,11 +126,11 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     ),
     "torque of j2 a hundredth": (
         lambda log: replace(log, tau=column(log.tau, 1, 0.01)), "torque-scale", ("j2",),
-        r"its torque is 0\.01 times what the model's gravity takes",
+        r"its torque is 0\.01 times the gravity torque of the model",
     ),
     "currents as torques": (
         lambda log: replace(log, tau=log.tau / 12.0), "torque-scale", ("j1", "j2", "j3"),
-        r"the column holds currents \[A\]",
+        r"the column contains currents \[A\]",
     ),
     "mN.m": (
         lambda log: replace(log, tau=1e3 * log.tau), "torque-scale", ("j2", "j3"),
@@ -144,7 +144,7 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
         lambda log: replace(
             log, **{name: swapped(getattr(log, name), 1, 0, 2) for name in ("q", "dq", "tau")}
         ),
-        "joint-order", ("j1",), r"its columns are those of joint 'j2'",
+        "joint-order", ("j1",), r"its columns are swapped with those of joint 'j2'",
     ),
     "zero of j2 a quarter turn off": (
         lambda log: replace(log, q=column(log.q, 1, 1.0, np.pi / 2)), "zero", ("j2",),
@@ -152,7 +152,7 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     ),
     "one torque for two joints": (
         lambda log: replace(log, tau=swapped(log.tau, 0, 1, 1)), "same-column", ("j3",),
-        r"its torque is that of joint 'j2', row by row",
+        r"its torque equals that of joint 'j2' in every row",
     ),
     "torque that never changes": (
         lambda log: replace(log, tau=column(log.tau, 1, 0.0, 3.0)), "torque-constant", ("j2",),
@@ -160,13 +160,13 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     ),
     "angles that wrap": (
         lambda log: replace(log, q=(log.q + np.pi + 2.9) % (2 * np.pi) - np.pi), "wrap", ("j1",),
-        "the log wraps angles around",
+        "the log wraps angles",
     ),
     "a row far off": (spiked, "spikes", ("j2",), "a row is wrong"),
     "torque cut off": (
         lambda log: replace(log, tau=np.clip(log.tau, *np.quantile(log.tau, [0.1, 0.9], axis=0))),
         "saturation", ("j2",),
-        "what is cut off is not learned",
+        "friction beyond is not learned",
     ),
     "torque of one joint late": (
         lambda log: replace(log, tau=np.column_stack([
@@ -186,7 +186,7 @@ MISTAKES: dict[str, tuple[Mistake, str, tuple[str, ...], str]] = {
     ),
     "a row of torque far off": (
         lambda log: replace(log, tau=log.tau + 500.0 * (np.arange(len(log.t)) == 700)[:, None]),
-        "torque-spikes", ("j1", "j2", "j3"), r"off for a row, at t = 3\.5 s",
+        "torque-spikes", ("j1", "j2", "j3"), r"off in a single row, at t = 3\.5 s",
     ),
     "rounded positions": (
         lambda log: replace(log, q=np.round(log.q, 2)), "coarse", ("j1", "j2", "j3"),
@@ -221,7 +221,7 @@ def test_speeds_beyond_the_models_are_told(log: RobotLog, arm_model: RobotModel)
     limited.__dict__["limits"] = (lower, upper, np.array([0.5, 5.0, 0.0]))
     (finding,) = examine([log], limited.description, limited).findings
     assert (finding.check, finding.joints) == ("speed-limit", ("j1",))
-    assert "times the model's limit: the stamps were made from a wrong" in finding.sentence
+    assert "times the model's limit: the time stamps come from a wrong" in finding.sentence
 
 
 def test_inertia_beside_gravity_tells_the_rate_of_the_stamps(
@@ -245,7 +245,7 @@ def test_torques_that_were_computed_are_told(
         [RobotLog(name="run", t=m.t, q=m.q, dq=m.dq, tau=m.tau)], arm_model.description, arm_model
     ).findings
     assert (finding.check, finding.joints) == ("no-friction", ("j1", "j2", "j3"))
-    assert "it was computed or commanded instead of measured" in finding.remedy
+    assert "they were computed or commanded instead of measured" in finding.remedy
 
 
 def test_torques_without_their_gravity_are_refused(log: RobotLog, arm_model: RobotModel) -> None:
@@ -255,7 +255,7 @@ def test_torques_without_their_gravity_are_refused(log: RobotLog, arm_model: Rob
         [replace(log, tau=log.tau - gravity)], arm_model.description, arm_model
     ).findings
     assert [(f.check, f.joints) for f in found] == [("torque-scale", ("j2",))]
-    assert "gravity was taken out of it" in found[0].remedy
+    assert "gravity was removed from it" in found[0].remedy
 
 
 def test_a_clean_log_has_no_finding(log: RobotLog, arm_model: RobotModel) -> None:

@@ -30,8 +30,8 @@ def test_what_a_motion_lacks_is_told(
     )
     whole = words(log, arm_model)
     # The first joint stands upright.
-    assert "no gravity beside friction" in whole["j1"]
-    assert "no gravity beside friction" not in whole.get("j2", set())
+    assert "no gravity torque" in whole["j1"]
+    assert "no gravity torque" not in whole.get("j2", set())
     assert all("fewer than 4 reversals" not in said for said in whole.values())
     q = log.q.copy()
     q[:, 1] = 0.3
