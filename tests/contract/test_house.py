@@ -31,7 +31,6 @@ KNOWN_DUPLICATES = {
     "Motion",
     "Output",
     "Result",
-    "Rows",
     "Score",
     "Signals",
     "Source",
