@@ -74,7 +74,7 @@ class Request:
 def write_robot(model: Path, request: Request, signals: Path | None, *, python: bool) -> None:
     """Write the arm of an MJCF."""
     if python:
-        from fmu_src.arm.python_fmu import export_python_arm
+        from fmu_src.arm.python_arm.export import export_python_arm
 
         export_python_arm(model, signals, request.output)
         return

@@ -17,7 +17,7 @@ from cosim.loop.closed_loop import Scheme
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
 from fmu_src import model_file
-from fmu_src.arm.python_fmu import export_python_arm
+from fmu_src.arm.python_arm.export import export_python_arm
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import models_folder
 

@@ -13,7 +13,7 @@ import fmu_src.run.native
 from cosim.loop.closed_loop import Scheme
 from cosim.systems.simulation import Master, Result
 from cosim.systems.system import SystemSpec
-from fmu_src.arm.python_fmu import export_python_arm
+from fmu_src.arm.python_arm.export import export_python_arm
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.master import Readable
 from fmu_src.run.native import Native, through

@@ -23,9 +23,9 @@ from oracles.arm import Arm
 
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
-from fmu_src.arm.python_fmu import export_python_arm
+from fmu_src.arm.python_arm.export import export_python_arm
+from fmu_src.arm.python_arm.simulation import Simulation
 from fmu_src.arm.signals import signals_of
-from fmu_src.arm.simulation import Simulation
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ConfigError, ExportError, SimulationError
 

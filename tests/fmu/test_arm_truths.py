@@ -10,8 +10,8 @@ from mjcf_models import HOME, OUTPUTS, STEP, UF850, Unpacked, assert_goes_on, ru
 from fmu_src.arm.alternative_plants import GearElasticity, Truth, write_truth
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
+from fmu_src.arm.python_arm.simulation import Simulation
 from fmu_src.arm.signals import compiled, signals_of
-from fmu_src.arm.simulation import Simulation
 from fmu_src.arm.table import Losses, LossTable, OutputTable, SignalTable, StartTable
 from fmu_src.arm.truth import true_friction
 from fmu_src.run.fmu import FmuInstance

@@ -1,7 +1,7 @@
-"""A model and its signals simulated in Python: what the native FMU does, without C and FMI."""
+"""A model and its signals simulated by MuJoCo's Python package, as the native FMU does in C."""
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, cast
 
@@ -9,22 +9,74 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu_src.arm.losses import LossState
-from fmu_src.arm.parts import Signals
+from fmu_src.arm.parts import Loss, Signals
 from fmu_src.arm.variables import LATENCY, PAYLOAD, SCALE, SEED, noise_name, variables
 from hesr_model.errors import SimulationError
 from hesr_model.logs.noise import standard_normal
 from hesr_model.support.arrays import Array
 
-LEAST_SCALE = 1e-9
-"""Of friction that is switched off: MuJoCo has no bristles without stiffness, but their states."""
-
+_LEAST_SCALE = 1e-9  # of friction that is switched off: bristles need a stiffness
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-_MAX = 1e10
-"""MuJoCo takes controls beyond it for zero, and starts again where a state is beyond it."""
+_MAX = 1e10  # beyond it MuJoCo takes controls for zero and resets states
+_BLOCK = 256  # samples of noise drawn at once
+_LEAST_LEVEL = 1e-9  # [N.m] MuJoCo has no friction constraint for a joint without friction
 
-_BLOCK = 256
-"""Samples of noise that are drawn at once."""
+
+class LossState:
+    """Levels [N.m] and ages [s] of dry friction, as `mjcf_losses.h` computes them.
+
+    Parameters
+    ----------
+    losses : losses of the model.
+    scale : factor on the levels and on the damping of their joints.
+    """
+
+    def __init__(self, losses: Sequence[Loss], scale: float) -> None:
+        def column(name: str) -> Array:
+            return np.array([getattr(loss, name) for loss in losses], dtype=float)
+
+        self._scale = scale
+        self._dof = np.array([loss.dof for loss in losses], dtype=int)
+        carrier = np.array([loss.carrier for loss in losses], dtype=int)
+        self._carrier = np.maximum(carrier, 0)
+        self._load = column("load") * (carrier >= 0)
+        self._constant, self._longest = column("constant"), column("longest")
+        self._direct, self._speed = column("direct"), column("speed")
+        self._evolution, self._age, self._slip = column("evolution"), column("age"), column("slip")
+        self.levels: Array = self._constant.copy()
+        self.ages: Array = np.zeros(len(self._dof))
+
+    def start(self, model: Any, data: Any) -> None:
+        """Start with new contacts at the evaluated instant."""
+        self.ages[:] = 0.0
+        self._update(model, data)
+
+    def advance(self, model: Any, data: Any) -> None:
+        """Advance by the last step of the simulation."""
+        rate = np.abs(data.qvel[self._dof]) / self._slip + 1.0 / self._longest
+        exponent = -rate * float(model.opt.timestep)
+        self.ages = self.ages * np.exp(exponent) - np.expm1(exponent) / rate
+        self._update(model, data)
+
+    def _update(self, model: Any, data: Any) -> None:
+        load = data.qfrc_spring[self._carrier] + data.qfrc_gravcomp[self._carrier]
+        speed = np.abs(data.qvel[self._dof])
+        self.levels = (
+            self._constant
+            + self._load * np.abs(load)
+            + self._direct * np.log1p(speed / self._speed)
+            + self._evolution * np.log1p(self.ages / self._age)
+        )
+        self.apply(model)
+
+    def apply(self, model: Any) -> None:
+        """Write the levels into a model."""
+        model.dof_frictionloss[self._dof] = np.maximum(self._scale * self.levels, _LEAST_LEVEL)
+
+    def torque(self, model: Any, data: Any) -> Array:
+        """Return the torque against the motion at the evaluated instant [N.m]."""
+        dof = self._dof
+        return np.asarray(model.dof_damping[dof] * data.qvel[dof] - data.qfrc_constraint[dof])
 
 
 class Simulation:
@@ -32,8 +84,7 @@ class Simulation:
 
     Parameters
     ----------
-    signals
-        The compiled model, which stays as it is, and what of it is seen.
+    signals : the compiled model, which is not changed, and its signals.
     """
 
     _data: mujoco.MjData
@@ -44,7 +95,7 @@ class Simulation:
         self.signals = signals
         self.variables = variables(signals)
         self.defaults = {v.name: v.start for v in self.variables if v.role == "fixed"}
-        """Parameters where none are given."""
+        """Default parameters."""
         self._noisy = [k for k, o in enumerate(signals.outputs) if o.noise is not None]
         self._state_size = mujoco.mj_stateSize(signals.model, _STATE)
         drives = [(c, k) for k, one in enumerate(signals.inputs) for c in one.controls]
@@ -54,16 +105,16 @@ class Simulation:
 
     @property
     def timestep(self) -> float:
-        """Step of the simulation [s]; inputs are held for a multiple of it."""
+        """Step of the simulation [s]."""
         return float(self.signals.model.opt.timestep)
 
     def reset(self, parameters: Mapping[str, float] | None = None) -> Array:
-        """Begin with these parameters, others as in `defaults`; return the outputs, see `outputs`.
+        """Start with these parameters, the others as in `defaults`, and return the outputs.
 
         Raises
         ------
         SimulationError
-            If there is no such parameter, or one has a value that means nothing.
+            If there is no such parameter, or its value is not allowed.
         """
         given = self.defaults | dict(parameters or {})
         self._check(given)
@@ -82,7 +133,7 @@ class Simulation:
         for start in self.signals.starts:
             if start.activation is not None:
                 data.act[start.activation] -= acting[list(start.held)].sum() / start.gain
-        self._losses.begin(self._model, data)
+        self._losses.start(self._model, data)
         return self.outputs()
 
     def step(self, inputs: ArrayLike, dt: float) -> Array:
@@ -90,16 +141,14 @@ class Simulation:
 
         Parameters
         ----------
-        inputs
-            (inputs,) in the order of the signals and in their units.
-        dt
-            A positive integer multiple of the model's time step [s].
+        inputs : (inputs,) in the order and units of the signals.
+        dt : a positive integer multiple of `timestep` [s].
 
         Raises
         ------
         SimulationError
-            If `dt` is no such multiple, an input is too large, or the simulation diverges; the
-            state is then what it was.
+            If `dt` is no such multiple, an input is too large, or the simulation diverges. The
+            state is then unchanged.
         """
         own = self.timestep
         count = round(dt / own)
@@ -132,10 +181,9 @@ class Simulation:
             self._losses.advance(self._model, self._data)
 
     def outputs(self) -> Array:
-        """Return the outputs (outputs,) at this instant, in the signals' order and units."""
+        """Return the outputs (outputs,) at this instant, in the order and units of the signals."""
         data = self._data
-        # Where contacts are solved by iteration, the present forces must not become the first guess
-        # of the next step: outputs may be read any number of times.
+        # Reading outputs must not change the initial guess of the contact solver.
         guess = data.qacc_warmstart.copy()
         mujoco.mj_forward(self._model, data)
         data.qacc_warmstart[:] = guess
@@ -147,7 +195,7 @@ class Simulation:
         return found
 
     def _noise(self, sample: int) -> Array:
-        """Return a sample's normal numbers; drawing many samples takes hardly longer than one."""
+        """Return the normal numbers of a sample; samples are drawn in blocks, for speed."""
         row = sample - self._drawn_from
         if not 0 <= row < len(self._drawn):
             self._drawn_from = sample
@@ -157,7 +205,7 @@ class Simulation:
         return np.asarray(self._drawn[row])
 
     def state(self) -> dict[str, Any]:
-        """Return all that a later call depends on, as numbers and lists of them."""
+        """Return the state as numbers and lists of numbers."""
         return {
             "parameters": self.parameters,
             "samples": self.samples,
@@ -167,7 +215,7 @@ class Simulation:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go back to a state."""
+        """Return to a state."""
         if state["parameters"] != self.parameters:
             self.parameters = dict(state["parameters"])
             self._adapt()
@@ -182,7 +230,7 @@ class Simulation:
     def _restore(self, state: Array, levels: Array, ages: Array) -> None:
         mujoco.mj_setState(self._model, self._data, state, _STATE)
         self._losses.levels, self._losses.ages = levels, ages
-        self._losses.give(self._model)
+        self._losses.apply(self._model)
 
     def _check(self, given: Mapping[str, float]) -> None:
         for name, value in given.items():
@@ -204,11 +252,11 @@ class Simulation:
             )
 
     def _adapt(self) -> None:
-        """Make a model of the parameters and memory for it."""
+        """Apply the parameters to a copy of the model."""
         given, signals = self.parameters, self.signals
         self._model = model = copy.copy(signals.model)
         scale = given.get(SCALE, 1.0)
-        least = max(scale, LEAST_SCALE)
+        least = max(scale, _LEAST_SCALE)
         for actuator in signals.friction:
             model.actuator_biasprm[actuator, [0, 3, 4]] *= least
             model.actuator_dynprm[actuator, [5, 6]] *= least
@@ -243,7 +291,7 @@ class Simulation:
 
 
 def _delay(model: Any, actuator: int, latency: float) -> float:
-    """Return what is to be written in the model, see `Delay`."""
+    """Return the delay to write into the model [s], see `Delay`."""
     step = float(model.opt.timestep)
     interpolated = model.actuator_history[actuator, 1] > 0
     return latency if interpolated else max(np.ceil(latency / step - 1e-6) - 0.5, 0.0) * step
@@ -251,7 +299,7 @@ def _delay(model: Any, actuator: int, latency: float) -> float:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep MuJoCo from writing its warnings to a file in the working directory."""
+    """Keep MuJoCo from writing warnings to a file in the working directory."""
     before = cast(Any, mujoco.get_mju_user_warning())
     mujoco.set_mju_user_warning(lambda _: None)
     try:

@@ -1,0 +1,117 @@
+"""An MJCF as an FMU that runs in the host's Python, by PythonFMU: same variables as in C."""
+
+import hashlib
+import json
+import sys
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from xml.etree import ElementTree as ET
+
+from fmu_src.arm.native import description, licences, model_name
+from fmu_src.arm.signals import signals_of
+from fmu_src.arm.table import SignalTable
+from fmu_src.arm.variables import variables
+from fmu_src.export.description import RELEASED, to_xml
+from fmu_src.export.interface import Interface
+from fmu_src.export.package import check_request, write_archive
+from fmu_src.run.fmu import remember
+from hesr_model.errors import ConfigError
+
+MODEL, ABOUT = "model.xml", "about.json"
+"""Names of the FMU's resources."""
+
+_MODULE = "hesr_python_arm"  # unique: all Python FMUs of a process share the list of modules
+
+
+def export_python_arm(mjcf: Path, table: Path | SignalTable | None, output: Path) -> Path:
+    """Write an MJCF as an FMU that needs a host with Python, HESR and MuJoCo.
+
+    Its variables are those of the native FMU; both give the same results.
+
+    Parameters
+    ----------
+    mjcf : the MJCF, which refers to no other files.
+    table : names of its signals, or the TOML file with them; every control and sensor if None.
+    output : the FMU to write, ending in .fmu.
+
+    Returns
+    -------
+    `output`.
+
+    Raises
+    ------
+    ConfigError
+        If the MJCF or the table is missing or not valid, or a name in the table is unknown.
+    ExportError
+        If a name is not allowed in FMI, or `output` has the wrong suffix.
+    ArtifactError
+        If `output` cannot be written.
+    """
+    check_request(output, ("linux64",))
+    about = _about(mjcf, table)
+    with TemporaryDirectory(prefix="hesr-") as folder:
+        parts = [Path(folder, MODEL), Path(folder, ABOUT)]
+        parts[0].write_bytes(mjcf.read_bytes())
+        parts[1].write_text(json.dumps(about), encoding="utf-8")
+        try:
+            signals_of(parts[0])
+        except ConfigError as error:
+            raise ConfigError(
+                f"{mjcf}: refers to other files, which an FMU in Python does not carry."
+            ) from error
+        with zipfile.ZipFile(_built(Path(folder), parts)) as archive:
+            members = {name: archive.read(name) for name in sorted(archive.namelist())}
+    members["modelDescription.xml"] = about["xml"].encode()  # PythonFMU's has no line breaks
+    write_archive(members | licences("pythonfmu"), output, RELEASED)
+    remember(output)
+    return output
+
+
+def _about(mjcf: Path, table: Path | SignalTable | None) -> dict[str, Any]:
+    """Return identifier, model description and table of signals."""
+    named = SignalTable.read(table) if isinstance(table, Path) else table
+    signals = signals_of(mjcf, table)
+    about = description(signals, model_name(signals.model, mjcf))
+    shown = Interface(
+        variables=variables(signals), model_exchange=False, directional_derivatives=False
+    )
+    content = hashlib.sha256(to_xml(shown, about, "") + mjcf.read_bytes()).hexdigest()
+    root = ET.fromstring(to_xml(shown, about, content))
+    kind = root.find("CoSimulation")
+    if kind is None:
+        raise ValueError("the description is not one of co-simulation")
+    kind.set("needsExecutionTool", "true")
+    kind.set("canInterpolateInputs", "false")
+    text: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return {
+        "identifier": about.identifier,
+        "xml": text.decode(),
+        "signals": named and named.model_dump(),
+    }
+
+
+def _built(folder: Path, parts: list[Path]) -> Path:
+    """Let PythonFMU assemble the parts and a copy of the slave."""
+    from pythonfmu.builder import FmuBuilder  # slow to import
+
+    script = folder / "slave" / f"{_MODULE}.py"
+    script.parent.mkdir()
+    script.write_bytes(Path(__file__).with_name("slave.py").read_bytes())
+    with _modules_restored():
+        FmuBuilder.build_FMU(script, dest=folder / "built.fmu", project_files=parts)
+    return folder / "built.fmu"
+
+
+@contextmanager
+def _modules_restored() -> Iterator[None]:
+    """Undo the changes of the builder to the module path and the loaded modules."""
+    places = list(sys.path)
+    try:
+        yield
+    finally:
+        sys.path[:] = places
+        sys.modules.pop(_MODULE, None)
