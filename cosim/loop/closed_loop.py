@@ -40,7 +40,7 @@ _TITLES: Mapping[Compensation, str] = {
     "torque_error": "torque error (the paper’s scheme)",
     "servo_inversion": "servo inversion",
 }
-Source = Literal["desired", "measured", "filtered"]
+VelocitySource = Literal["desired", "measured", "filtered"]
 """The velocity on which friction is evaluated."""
 
 
@@ -103,7 +103,7 @@ class Scheme:
 
     compensation: Compensation
     Kx: float = 0.0
-    source: Source = "desired"
+    source: VelocitySource = "desired"
     friction_gain: float = 1.0
     change: str = ""
 

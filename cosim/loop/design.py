@@ -27,7 +27,7 @@ _TABLES = {".csv", ".parquet", ".pq"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Design:
+class ExcitationDesign:
     """A designed excitation and its files.
 
     Attributes
@@ -52,7 +52,7 @@ def design(
     settings: Path | None = None,
     *,
     progress: Progress = silent,
-) -> Design:
+) -> ExcitationDesign:
     """Design an excitation and write it.
 
     The files are `output` and, beside it, ``<name>_reversed`` with the same suffix and
@@ -101,7 +101,7 @@ def design(
     _write(output, t, q, dq, ddq)
     _write(backward, t, q[::-1], -dq[::-1], ddq[::-1])
     figures.excitation(picture, found, model.description.joints)
-    return Design(
+    return ExcitationDesign(
         excitation=found,
         random_condition=float(np.median(conditions)),
         forward=output,

@@ -13,9 +13,9 @@ from cosim.loop.closed_loop import (
     Fmus,
     Scheme,
     Setting,
-    Source,
     StandIn,
     Tracking,
+    VelocitySource,
     system,
 )
 from cosim.loop.tracking import LoopMotion, LoopRow, Tracked, track
@@ -36,7 +36,7 @@ from hesr_model.support import parallel
 from hesr_model.support.progress import Stages
 
 _COMPENSATIONS: tuple[Compensation, ...] = ("torque_error", "servo_inversion")
-_MEASURED: tuple[Source, ...] = ("measured", "filtered")
+_MEASURED: tuple[VelocitySource, ...] = ("measured", "filtered")
 _MARGIN = 0.5  # [rad] beyond the joint limits, where a run has surely diverged
 
 

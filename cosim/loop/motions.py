@@ -130,7 +130,7 @@ class SweepMotion(_Motion):
         )
 
 
-Motion = Annotated[
+MotionSpec = Annotated[
     FourierMotion | SineMotion | ChirpMotion | SweepMotion, Field(discriminator="kind")
 ]
 
@@ -138,11 +138,11 @@ Motion = Annotated[
 class Motions(Config):
     """The motions of a study, each of which becomes a log (or two, see `_Motion`)."""
 
-    motions: tuple[Motion, ...] = Field(min_length=1)
+    motions: tuple[MotionSpec, ...] = Field(min_length=1)
 
     @field_validator("motions")
     @classmethod
-    def _names_differ(cls, motions: tuple[Motion, ...]) -> tuple[Motion, ...]:
+    def _names_differ(cls, motions: tuple[MotionSpec, ...]) -> tuple[MotionSpec, ...]:
         names = [name for motion in motions for name in names_of(motion)]
         for name in names:
             if names.count(name) > 1:
@@ -150,6 +150,6 @@ class Motions(Config):
         return motions
 
 
-def names_of(motion: Motion) -> tuple[str, ...]:
+def names_of(motion: MotionSpec) -> tuple[str, ...]:
     """Names of the logs that a motion gives."""
     return (motion.name, f"{motion.name}_reversed") if motion.also_reversed else (motion.name,)

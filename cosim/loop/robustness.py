@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.loop.closed_loop import NamedScheme, Scheme, Setting, Source, StandIn
+from cosim.loop.closed_loop import NamedScheme, Scheme, Setting, StandIn, VelocitySource
 from cosim.loop.loops import StudyLoop, limits_of, motions
 from cosim.loop.tracking import LoopMotion, LoopRow, Tracked, track
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
@@ -104,7 +104,7 @@ def run_overcompensation(
     loop: StudyLoop, robot: RobotModel, *, kept: Path | None, progress: Stages
 ) -> list[Overcompensation]:
     """Find out how much too much friction compensation each loop bears."""
-    sources: tuple[Source, ...] = ("desired", "measured", "filtered")
+    sources: tuple[VelocitySource, ...] = ("desired", "measured", "filtered")
     # The torque error moves a resting arm by its noise alone, so it tells nothing here.
     cases = [
         (law, Scheme(compensation="servo_inversion", source=source))

@@ -12,7 +12,7 @@ from cosim.loop.closed_loop import ARM
 from cosim.study.study import Twin
 from fmu_src.arm.alternative_plants import write_truth
 from fmu_src.arm.native import export_mjcf
-from fmu_src.arm.parts import Signals
+from fmu_src.arm.parts import ArmSignals
 from fmu_src.arm.plant import Plant, joint_limits, servo_signals
 from fmu_src.arm.table import SignalTable
 from fmu_src.run.fmu import FmuInstance
@@ -60,7 +60,9 @@ def twin_plant(twin: Twin, study: Path, folder: Path) -> tuple[Plant, SignalTabl
     return plant.model_copy(update={"model": mjcf}), signals
 
 
-def export_twin(plant: Plant, folder: Path, signals: SignalTable | Signals | None = None) -> Path:
+def export_twin(
+    plant: Plant, folder: Path, signals: SignalTable | ArmSignals | None = None
+) -> Path:
     """Write the arm as an FMU in `folder`; its signals follow from the servo unless given."""
     folder.mkdir(parents=True, exist_ok=True)
     return export_mjcf(plant.model, folder / ARM, table=signals or servo_signals(plant))
@@ -143,7 +145,7 @@ class TwinArm:
 
 @contextmanager
 def loaded_arm(
-    plant: Plant, *, fmu: Path | None = None, signals: Signals | None = None
+    plant: Plant, *, fmu: Path | None = None, signals: ArmSignals | None = None
 ) -> Iterator[TwinArm]:
     """Load the arm's FMU, which is made of `signals` unless given, and free it in the end."""
     with ExitStack() as cleanup:

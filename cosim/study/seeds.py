@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from cosim.loop.excite import record
-from cosim.loop.motions import FourierMotion, Motion, Motions, SweepMotion, names_of
+from cosim.loop.motions import FourierMotion, Motions, MotionSpec, SweepMotion, names_of
 from cosim.loop.twin import loaded_arm
 from cosim.study.scores import ORACLE, REFERENCE, Errors, by_joint, predict_models
 from cosim.study.study import Study
@@ -188,7 +188,7 @@ def errors_on(
     return errors
 
 
-def _drawn(motion: Motion, limits: Array, rng: np.random.Generator) -> Motion:
+def _drawn(motion: MotionSpec, limits: Array, rng: np.random.Generator) -> MotionSpec:
     """Draw another motion of the same kind, within the limits (n, 2) [rad]."""
     if not isinstance(motion, FourierMotion):
         factor = float(rng.uniform(_AMPLITUDE, 1.0))

@@ -34,7 +34,7 @@ from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, models_folder, path_of
 
 if TYPE_CHECKING:
-    from cosim.loop.design import Design
+    from cosim.loop.design import ExcitationDesign
     from cosim.study.run import Outcome
     from cosim.study.scores import Comparison
     from cosim.study.starter import NewProject
@@ -102,7 +102,7 @@ def results(folders: PathArg | Sequence[PathArg], output: PathArg) -> Path:
     )
 
 
-def excite(robot: PathArg, output: PathArg, settings: PathArg | None = None) -> "Design":
+def excite(robot: AnyPath, output: AnyPath, settings: AnyPath | None = None) -> "ExcitationDesign":
     """Design the motion that identifies a robot best; see `cosim.loop.design`."""
     from cosim.loop.design import design
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import mujoco
 
-from fmu_src.arm.parts import Input, Output, Signals, Start
+from fmu_src.arm.parts import ArmInput, ArmOutput, ArmSignals, ArmStart
 
 _S, _J = mujoco.mjtSensor, mujoco.mjtJoint
 
@@ -38,13 +38,13 @@ _UNITS_AT_JOINT = {
 }
 
 
-def everything(model: Any) -> Signals:
+def everything(model: Any) -> ArmSignals:
     """Return every control as an input, every sensor as outputs, every joint's start position."""
     names = _Names()
     inputs = tuple(one for i in range(model.nactuator) for one in _inputs(model, i, names))
     outputs = tuple(output for i in range(model.nsensor) for output in _outputs(model, i, names))
     starts = tuple(
-        Start(
+        ArmStart(
             name=names.of(f"start_{model.joint(i).name or f'joint{i + 1}'}", ""),
             unit="rad" if kind == _J.mjJNT_HINGE else "m",
             position=int(model.jnt_qposadr[i]),
@@ -53,7 +53,7 @@ def everything(model: Any) -> Signals:
         for i, kind in enumerate(map(_J, model.jnt_type))
         if kind in SINGLE
     )
-    return Signals(
+    return ArmSignals(
         model=model, inputs=inputs, outputs=outputs, starts=starts, step=float(model.opt.timestep)
     )
 
@@ -76,18 +76,18 @@ class _Names:
         return free
 
 
-def _inputs(model: Any, actuator: int, names: _Names) -> Iterator[Input]:
+def _inputs(model: Any, actuator: int, names: _Names) -> Iterator[ArmInput]:
     size, address = int(model.actuator_ctrlnum[actuator]), int(model.actuator_ctrladr[actuator])
     name = names.of(model.actuator(actuator).name, f"control{actuator + 1}") if size else ""
     for k in range(size):
-        yield Input(name=name + _index(k, size), unit="1", controls=(address + k,))
+        yield ArmInput(name=name + _index(k, size), unit="1", controls=(address + k,))
 
 
-def _outputs(model: Any, sensor: int, names: _Names) -> Iterator[Output]:
+def _outputs(model: Any, sensor: int, names: _Names) -> Iterator[ArmOutput]:
     name = names.of(model.sensor(sensor).name, f"sensor{sensor + 1}")
     size, address = int(model.sensor_dim[sensor]), int(model.sensor_adr[sensor])
     for k in range(size):
-        yield Output(
+        yield ArmOutput(
             name=name + _index(k, size),
             unit=_unit(model, sensor),
             reads=((address + k, 1.0, False),),

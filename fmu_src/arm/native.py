@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 
 from fmu_src.arm.library import library
-from fmu_src.arm.parts import Signals
+from fmu_src.arm.parts import ArmSignals
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.signals_h import to_h
 from fmu_src.arm.table import SignalTable
@@ -41,7 +41,7 @@ def export_mjcf(
     model: Path,
     path: Path,
     *,
-    table: Path | SignalTable | Signals | None = None,
+    table: Path | SignalTable | ArmSignals | None = None,
     platforms: Sequence[str] = ("linux64",),
     progress: Progress = silent,
 ) -> Path:
@@ -71,7 +71,7 @@ def export_mjcf(
         If `path` cannot be written.
     """
     wanted = check_request(path, platforms)
-    signals = table if isinstance(table, Signals) else signals_of(model, table)
+    signals = table if isinstance(table, ArmSignals) else signals_of(model, table)
     content = arm(
         signals,
         name=model_name(signals.model, model),
@@ -93,7 +93,7 @@ def identifier_of(name: str) -> str:
 
 
 def arm(
-    signals: Signals, *, name: str, source: bytes, platforms: Sequence[str] = ("linux64",)
+    signals: ArmSignals, *, name: str, source: bytes, platforms: Sequence[str] = ("linux64",)
 ) -> Content:
     """Return the FMU of a model.
 
@@ -139,7 +139,7 @@ def arm(
     )
 
 
-def description(signals: Signals, name: str) -> Description:
+def description(signals: ArmSignals, name: str) -> Description:
     """Return what is said of an FMU of a model besides its variables."""
     return Description(
         name=name,

@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, kw_only=True)
-class Input:
+class ArmInput:
     """One input: its controls in the model."""
 
     name: str
@@ -17,7 +17,7 @@ class Input:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Output:
+class ArmOutput:
     """One output: addresses in the sensor data with factors, those that follow the scale; noise.
 
     `losses` are places of losses that are added.
@@ -32,7 +32,7 @@ class Output:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Start:
+class ArmStart:
     """A start value: address of a position, and of an activation and the forces that it holds.
 
     `held` are their degrees of freedom; `other` is a further position that begins there.
@@ -88,13 +88,13 @@ class Delay:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Signals:
+class ArmSignals:
     """All signals of a compiled model."""
 
     model: Any
-    inputs: tuple[Input, ...]
-    outputs: tuple[Output, ...]
-    starts: tuple[Start, ...] = ()
+    inputs: tuple[ArmInput, ...]
+    outputs: tuple[ArmOutput, ...]
+    starts: tuple[ArmStart, ...] = ()
     friction: tuple[int, ...] = ()
     losses: tuple[Loss, ...] = ()
     payload: int | None = None

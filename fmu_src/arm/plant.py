@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from fmu_src.arm.alternative_plants import Truth, TruthName
-from fmu_src.arm.parts import Signals
+from fmu_src.arm.parts import ArmSignals
 from fmu_src.arm.signals import compiled, named_signals, passive_motors
 from fmu_src.arm.table import InputTable, OutputTable, SignalTable, StartTable
 from hesr_model.errors import ConfigError
@@ -113,7 +113,7 @@ def joint_limits(plant: Plant) -> Array:
 
 def servo_signals(
     plant: Plant, coulomb: Array | float = 1.0, viscous: Array | float = 1.0
-) -> Signals:
+) -> ArmSignals:
     """Return the signals of an arm without a table of its own: command, motion, torque, friction.
 
     Sensors are added to the compiled model. Friction is that of the passive dcmotors and the

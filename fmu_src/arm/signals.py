@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from fmu_src.arm.default_signals import SINGLE, everything
-from fmu_src.arm.parts import Input, Loss, Output, Signals, Start
+from fmu_src.arm.parts import ArmInput, ArmOutput, ArmSignals, ArmStart, Loss
 from fmu_src.arm.table import LossTable, OutputTable, SignalTable, StartTable
 from hesr_model.errors import ConfigError
 from hesr_model.support.config import read_toml
@@ -74,12 +74,12 @@ def passive_motors(model: Any, joint: str | None = None) -> list[int]:
     return np.flatnonzero(passive).tolist()
 
 
-def named_signals(model: Any, file: Path, table: SignalTable) -> Signals:
+def named_signals(model: Any, file: Path, table: SignalTable) -> ArmSignals:
     """Return the signals of a compiled model that a table names; errors name `file`."""
     return _Lookup(model, file).signals(table)
 
 
-def signals_of(path: Path, table: Path | SignalTable | None = None) -> Signals:
+def signals_of(path: Path, table: Path | SignalTable | None = None) -> ArmSignals:
     """Return the signals of an MJCF: those of a table, or every control and every sensor.
 
     Parameters
@@ -109,7 +109,7 @@ class _Lookup:
     def __init__(self, model: Any, file: Path) -> None:
         self._model, self._file = model, file
 
-    def signals(self, table: SignalTable) -> Signals:
+    def signals(self, table: SignalTable) -> ArmSignals:
         model = self._model
         losing = table.losses.joints if table.losses else ()
         outputs = [
@@ -117,10 +117,10 @@ class _Lookup:
             for name, vector in table.outputs.items()
             for output in self._outputs(name, vector, losing)
         ]
-        return Signals(
+        return ArmSignals(
             model=model,
             inputs=tuple(
-                Input(
+                ArmInput(
                     name=f"{name}[{i}]",
                     unit=vector.unit,
                     controls=tuple(self._control(actuator) for actuator in actuators),
@@ -143,12 +143,14 @@ class _Lookup:
             seed=table.seed,
         )
 
-    def _outputs(self, name: str, vector: OutputTable, losing: Sequence[str]) -> Iterator[Output]:
+    def _outputs(
+        self, name: str, vector: OutputTable, losing: Sequence[str]
+    ) -> Iterator[ArmOutput]:
         for i, sensors in enumerate(vector.sensors):
             lost = vector.losses[i : i + 1]
             if lost and lost[0] not in losing:
                 raise self._error(f"joint '{lost[0]}' of 'outputs.{name}.losses' has no losses.")
-            yield Output(
+            yield ArmOutput(
                 name=f"{name}[{i + 1}]",
                 unit=vector.unit,
                 reads=tuple(
@@ -160,12 +162,12 @@ class _Lookup:
                 stream=vector.streams[i] if vector.streams else -1,
             )
 
-    def _starts(self, name: str, vector: StartTable) -> Iterator[Start]:
+    def _starts(self, name: str, vector: StartTable) -> Iterator[ArmStart]:
         if vector.hold and not vector.integrals:
             raise self._error(f"key 'start.{name}.hold' needs 'integrals' that hold it.")
         for i, joint in enumerate(vector.joints):
             position = self._position(joint)
-            start = Start(
+            start = ArmStart(
                 name=f"{name}[{i + 1}]",
                 unit=vector.unit,
                 position=position,

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 
-from fmu_src.arm.parts import Signals
+from fmu_src.arm.parts import ArmSignals
 from fmu_src.arm.variables import LATENCY, PAYLOAD, SCALE, SEED, noise_name
 from fmu_src.export.interface import Interface, literal
 
@@ -20,7 +20,7 @@ _TABLES = {
 }
 
 
-def to_h(signals: Signals, table: Interface, *, state: int, digest: str) -> str:
+def to_h(signals: ArmSignals, table: Interface, *, state: int, digest: str) -> str:
     """Return signals.h.
 
     Parameters
@@ -52,7 +52,7 @@ def to_h(signals: Signals, table: Interface, *, state: int, digest: str) -> str:
     )
 
 
-def _rows(signals: Signals, at: Mapping[str, int]) -> dict[str, Sequence[str]]:
+def _rows(signals: ArmSignals, at: Mapping[str, int]) -> dict[str, Sequence[str]]:
     noisy = [output for output in signals.outputs if output.noise is not None]
     starts = []
     for start in signals.starts:

@@ -2,25 +2,25 @@
 
 from collections.abc import Iterator
 
-from fmu_src.arm.parts import Output, Signals
+from fmu_src.arm.parts import ArmOutput, ArmSignals
 from fmu_src.export.interface import Variable
 
 SCALE, PAYLOAD, LATENCY, SEED = "friction_scale", "payload", "latency", "noise_seed"
 
 
-def variables(signals: Signals) -> tuple[Variable, ...]:
+def variables(signals: ArmSignals) -> tuple[Variable, ...]:
     """Return inputs, outputs and parameters; parameters only of what the model has."""
     parameters = tuple(_parameters(signals))
     return (*_connectors(signals, tuple(p.name for p in parameters)), *parameters)
 
 
-def noise_name(output: Output) -> str:
+def noise_name(output: ArmOutput) -> str:
     """Return the name of the noise level of an output, as `q_noise[1]` of `q[1]`."""
     stem, bracket, index = output.name.partition("[")
     return f"{stem}_noise{bracket}{index}"
 
 
-def _connectors(signals: Signals, parameters: tuple[str, ...]) -> Iterator[Variable]:
+def _connectors(signals: ArmSignals, parameters: tuple[str, ...]) -> Iterator[Variable]:
     for one in signals.inputs:
         yield Variable(name=one.name, role="input", unit=one.unit, description="control")
     for output in signals.outputs:
@@ -33,7 +33,7 @@ def _connectors(signals: Signals, parameters: tuple[str, ...]) -> Iterator[Varia
         )
 
 
-def _parameters(signals: Signals) -> Iterator[Variable]:
+def _parameters(signals: ArmSignals) -> Iterator[Variable]:
     scaled = any(scaled for o in signals.outputs for _, _, scaled in o.reads)
     if signals.friction or signals.losses or scaled:
         yield _fixed(

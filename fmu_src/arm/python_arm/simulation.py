@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu_src.arm.parts import Loss, Signals
+from fmu_src.arm.parts import ArmSignals, Loss
 from fmu_src.arm.variables import LATENCY, PAYLOAD, SCALE, SEED, noise_name, variables
 from hesr_model.errors import SimulationError
 from hesr_model.logs.noise import standard_normal
@@ -91,7 +91,7 @@ class Simulation:
     _drawn: Array
     _drawn_from: int
 
-    def __init__(self, signals: Signals) -> None:
+    def __init__(self, signals: ArmSignals) -> None:
         self.signals = signals
         self.variables = variables(signals)
         self.defaults = {v.name: v.start for v in self.variables if v.role == "fixed"}
