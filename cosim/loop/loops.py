@@ -204,18 +204,28 @@ def assemble(
     )
 
 
-def whole(loop: StudyLoop, robot: RobotModel) -> SystemSpec:
-    """Return one loop as a system that needs nothing else: a law, a motion, where the arm begins.
+def example(
+    loop: StudyLoop,
+    robot: RobotModel,
+    *,
+    compensation: Compensation = "servo_inversion",
+    duration: float | None = None,
+) -> SystemSpec:
+    """Return one complete loop: the last of the study's `sources` along its first motion.
 
-    The law is the last one that the study looks at closely, in the scheme where models pay most.
+    Parameters
+    ----------
+    loop, robot : the study.
+    compensation : of the controller.
+    duration : length of the run [s]; that of the study by default.
     """
     tracking = loop.tracking
     law = (tracking.sources or tuple(loop.friction))[-1]
-    scheme = Scheme(compensation="servo_inversion", Kx=tracking.Kx)
+    scheme = Scheme(compensation=compensation, Kx=tracking.Kx)
     setting, motion = loop.setting(law, scheme), motions(tracking)[0]
     return system(
         replace(setting, arm={**setting.arm, "q0": motion.q0}),
-        duration=tracking.duration,
+        duration=duration or tracking.duration,
         limits=limits_of(robot),
         motion=motion.parameters,
     )

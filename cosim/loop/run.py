@@ -1,49 +1,60 @@
-"""All that a study wants to know of a closed loop."""
+"""The closed-loop part of a study: tables, traces, robustness and a check of the masters."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
-from cosim.loop.closed_loop import Tracking
-from cosim.loop.loops import (
-    assemble,
-    build,
-    require_reachable,
-    run_tracking,
-    whole,
-)
+import numpy as np
+from pydantic import Field
+
+from cosim.loop.closed_loop import ARM, Tracking
+from cosim.loop.loops import StudyLoop, assemble, build, example, require_reachable, run_tracking
 from cosim.loop.robustness import Overcompensation, run_overcompensation, run_sweeps
 from cosim.loop.traces import TRACES, write_traces
 from cosim.loop.tracking import Tracked
+from cosim.systems.simulation import Master
 from cosim.systems.system import write_system
 from fmu_src.arm.plant import Plant
+from fmu_src.arm.python_arm.export import export_python_arm
+from fmu_src.arm.table import SignalTable
+from hesr_model.errors import ConfigError
+from hesr_model.findings import Finding
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotModel
+from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Stages
+
+_SECONDS = 2.0  # length of the runs that compare the masters
+_AGREEMENT = 1e-9  # allowed difference between the masters, relative to the largest value
+_DERIVATIVE = 5e-4  # [s] Kd / Kp in that comparison for joints whose study has no Kd
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopOutcome:
-    """What the closed loop of a study gave.
+    """Results of the closed loop of a study.
 
     Attributes
     ----------
     tracking : every law in every scheme, on all motions.
-    long : some of them on a long motion, which shows drift.
-    sweeps : some of them with a changed arm or controller.
-    overcompensation : how much too much friction is borne.
+    long : selected rows on a long motion, which shows drift.
+    sweeps : selected rows with a changed arm or controller.
+    overcompensation : largest stable factor on friction.
+    findings : disagreement of the masters; not part of the JSON.
     """
 
     tracking: Sequence[Tracked]
     long: Sequence[Tracked]
     sweeps: Sequence[Tracked]
     overcompensation: Sequence[Overcompensation]
+    findings: Annotated[Sequence[Finding], Field(exclude=True)] = ()
 
 
 def run_loop(
     tracking: Tracking,
     plant: Plant,
+    signals: SignalTable,
     robot: RobotModel,
     body: RigidBody,
     folder: Path,
@@ -53,27 +64,26 @@ def run_loop(
     kept: Path | None,
     progress: Stages,
 ) -> LoopOutcome:
-    """Build the FMUs of a loop and run all that a study wants to know of it.
+    """Build the FMUs of a loop and run the closed-loop part of a study.
 
     Parameters
     ----------
     tracking : the study.
-    plant : the arm.
-    robot, body : rigid body that was identified.
-    folder : of the results; the FMUs stand in fmus/ there, that of the arm as Arm.fmu. One loop of
-        them is written there as closed_loop.toml, to be run or packaged, and the positions along
-        the first motion as `TRACES`.
+    plant, signals : the arm and the signals of its FMU.
+    robot, body : identified rigid body.
+    folder : of the results, with the FMUs in ``fmus``, that of the arm as Arm.fmu. Receives one
+        complete loop as closed_loop.toml and the positions along the first motion as `TRACES`.
     truth : the arm's own friction.
     friction : FMU of each law.
-    kept : folder in which finished rows are kept.
-    progress : told how far it has come.
+    kept : folder of finished rows, from which an interrupted run goes on.
+    progress : receives the progress of each stage.
     """
     require_reachable(tracking, robot)
     progress("building the loop", 0, 1)
     fmus = folder / "fmus"
     build(fmus, robot, body, plant, oracle=truth)
     loop = assemble(fmus, tracking=tracking, friction=friction, plant=plant)
-    write_system(whole(loop, robot), folder / "closed_loop.toml")
+    write_system(example(loop, robot), folder / "closed_loop.toml")
     progress("building the loop", 1, 1)
     tables, long = run_tracking(loop, robot, kept=kept, progress=progress)
     runs = [(t.scheme, t.law, t.trace) for t in tables if t.trace]
@@ -83,4 +93,59 @@ def run_loop(
         long=long,
         sweeps=run_sweeps(loop, robot, body, fmus, known=tables, kept=kept, progress=progress),
         overcompensation=run_overcompensation(loop, robot, kept=kept, progress=progress),
+        findings=check_masters(loop, robot, plant, signals),
+    )
+
+
+def check_masters(
+    loop: StudyLoop, robot: RobotModel, plant: Plant, signals: SignalTable
+) -> list[Finding]:
+    """Step one loop by the Python and by the native master; return a finding if they disagree.
+
+    The loop has the arm as a PythonFMU and a PD controller of the torque error. The native arm
+    under the native master is the third run.
+    """
+    gains = loop.tracking.gains
+    Kd = tuple(kd or _DERIVATIVE * kp for kp, kd in zip(gains.Kp, gains.Kd, strict=True))
+    changed = loop.tracking.model_copy(update={"gains": gains.model_copy(update={"Kd": Kd})})
+    loop = replace(loop, tracking=changed)
+    runs = []
+    with scratch_folder() as folder:
+        try:
+            python = export_python_arm(plant.model, signals, folder / ARM)
+        except ConfigError as error:
+            return [
+                Finding(
+                    check="masters",
+                    severity="advice",
+                    found="the Python and the native master were not compared",
+                    remedy=str(error).rstrip("."),
+                )
+            ]
+        for arm, native in ((python, False), (python, True), (loop.fmus.arm, True)):
+            own = replace(loop, fmus=replace(loop.fmus, arm=arm))
+            spec = example(own, robot, compensation="torque_error", duration=_SECONDS)
+            with Master(spec, native=native) as master:
+                runs.append(master.run().signals)
+    worst = max(_difference(run, runs[0]) for run in runs[1:])
+    if worst <= _AGREEMENT:
+        return []
+    return [
+        Finding(
+            check="masters",
+            severity="warning",
+            found=f"the Python and the native master differ by {worst:.1e} of a signal's largest "
+            f"value; at most {_AGREEMENT:g} is rounding",
+            remedy="report this as a bug, with closed_loop.toml and fmus/",
+        )
+    ]
+
+
+def _difference(run: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> float:
+    """Return the largest difference of signals, relative to their largest values."""
+    return max(
+        float(np.abs(values - other[name]).max(initial=0.0) / np.abs(other[name]).max(initial=1e-3))
+        if len(values) == len(other[name])
+        else np.inf
+        for name, values in run.items()
     )

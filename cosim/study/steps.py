@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cosim.study.results import log_findings, read_findings, write_findings
 from cosim.study.scores import (
     ORACLE,
     Comparison,
@@ -225,16 +226,18 @@ class Job:
         from fmu_src.arm.truth import true_friction
 
         plant, signals = twin_plant(self.study.twin, self.path, folder)
+        assert signals is not None  # `Study` requires them with `tracking`
         truth = true_friction(
             plant.model,
             plant.joints,
             sample_time=1.0 / plant.sample_rate,
-            losses=signals.losses if signals else None,
+            losses=signals.losses,
         )
         laws = {law: folder / "fmus" / f"{law}.fmu" for law in models}
         outcome = run_loop(
             self.study.tracking,
             plant,
+            signals,
             robot,
             body,
             folder,
@@ -244,6 +247,8 @@ class Job:
             progress=self.progress,
         )
         write_json(folder / "closed_loop.json", to_json(outcome))
+        if outcome.findings:
+            write_findings(folder, [*read_findings(folder), *log_findings(outcome.findings)])
         return outcome
 
     def other_truths(self, laws: Sequence[str]) -> dict[str, Errors]:

@@ -102,7 +102,7 @@ def results(folders: PathArg | Sequence[PathArg], output: PathArg) -> Path:
     )
 
 
-def excite(robot: AnyPath, output: AnyPath, settings: AnyPath | None = None) -> "ExcitationDesign":
+def excite(robot: PathArg, output: PathArg, settings: PathArg | None = None) -> "ExcitationDesign":
     """Design the motion that identifies a robot best; see `cosim.loop.design`."""
     from cosim.loop.design import design
 

@@ -1,5 +1,6 @@
 """Rows of the tracking study: what they give, that they can go on after an interrupt."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,13 +14,14 @@ from cosim.loop.loops import (
     StudyLoop,
     assemble,
     build,
+    example,
     limits_of,
     motions,
     require_reachable,
-    whole,
 )
 from cosim.loop.motions import Motions
 from cosim.loop.robustness import CYCLING, FACTORS, run_overcompensation, run_sweeps
+from cosim.loop.run import check_masters
 from cosim.loop.tracking import Tracked, track
 from cosim.study.study import Study
 from cosim.systems.simulation import Master
@@ -27,6 +29,7 @@ from cosim.systems.system import SystemSpec, write_system
 from fmu_src import export_fmu, model_file
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
+from fmu_src.arm.table import SignalTable
 from fmu_src.arm.truth import true_friction
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import FrictionModel
@@ -213,7 +216,7 @@ def test_one_loop_stands_in_a_file_of_its_own(
     loop: StudyLoop, robot: RobotModel, tmp_path: Path
 ) -> None:
     """The file gives what the study gives for the same law, scheme and motion."""
-    path = write_system(whole(loop, robot), tmp_path / "closed_loop.toml")
+    path = write_system(example(loop, robot), tmp_path / "closed_loop.toml")
     with Master(SystemSpec.read(path), path) as master:
         result = master.run().require_success()
     error = result.vector("trajectory.q") - result.vector("arm.q_true")
@@ -223,3 +226,28 @@ def test_one_loop_stands_in_a_file_of_its_own(
         [row], motions(loop.tracking)[:1], duration=3.0, limits=limits_of(robot), workers=1
     )
     np.testing.assert_array_equal(np.sqrt(np.mean(error**2, axis=0)), tracked.rmse[0])
+
+
+def test_the_python_and_the_native_master_agree(loop: StudyLoop, robot: RobotModel) -> None:
+    """With the arm as a PythonFMU and, in the native master, as a native FMU."""
+    plant, signals = Plant.read(UF850 / "plant.toml"), SignalTable.read(UF850 / "arm.toml")
+    assert check_masters(loop, robot, plant, signals) == []
+    other = signals.model_copy(update={"seed": 2})
+    (finding,) = check_masters(loop, robot, plant, other)
+    assert re.fullmatch(
+        r"the Python and the native master differ by \d\.\de-\d\d of a signal's largest value; at "
+        r"most 1e-09 is rounding: report this as a bug, with closed_loop\.toml and fmus/\.",
+        finding.sentence,
+    )
+
+
+def test_masters_are_not_compared_for_an_arm_with_other_files(
+    loop: StudyLoop, robot: RobotModel, tmp_path: Path
+) -> None:
+    mjcf = tmp_path / "arm.xml"
+    (tmp_path / "uf850.xml").write_bytes((UF850 / "uf850.xml").read_bytes())
+    mjcf.write_text('<mujoco><include file="uf850.xml"/></mujoco>', encoding="utf-8")
+    plant = Plant.read(UF850 / "plant.toml").model_copy(update={"model": mjcf})
+    (finding,) = check_masters(loop, robot, plant, SignalTable.read(UF850 / "arm.toml"))
+    assert finding.severity == "advice"
+    assert "refers to other files, which an FMU in Python does not carry." in finding.sentence
