@@ -1,8 +1,8 @@
-"""Equations to C99.
+"""Equations in C99.
 
-Each distinct component becomes functions of one name, over its parameters k, the inputs u (shared
-parameters behind them), the held signs s, the states x, previous values p, the step dt and whether
-relaxations move by Euler's step. See `Functions` for what they write.
+Each distinct component becomes functions with a common prefix over its parameters k, the inputs u
+(followed by shared parameters), the held signs s, the states x, previous values p, the step dt and
+a flag for Euler relaxations. See `Functions` for the results.
 """
 
 from collections.abc import Mapping
@@ -40,7 +40,7 @@ class Functions:
     component : the equations.
     name : prefix of the functions.
     tunable : whether the parameters k can change, so that tangents follow them.
-    gathered : whether the parameters stand among the inputs u, rather than one after the other.
+    gathered : whether the parameters are among the inputs u instead of in an array k.
     """
 
     component: Component
@@ -50,7 +50,7 @@ class Functions:
 
     @cached_property
     def jumps(self) -> Jumps:
-        """The signs that are held between events."""
+        """Signs that are held between events."""
         return Jumps(self.component)
 
     @property
@@ -63,7 +63,7 @@ class Functions:
 
     @property
     def gathers(self) -> tuple[Quantity, ...]:
-        """What stands in u."""
+        """Arguments stored in u."""
         own = self.component
         return (*own.inputs, *(own.parameters if self.gathered else ()), *own.shared)
 
@@ -117,14 +117,14 @@ class Functions:
         return {f"dx[{i}]": m.derivative for i, m in enumerate(self.component.memory)}
 
     def switches(self) -> str:
-        """Write into z the arguments of the held signs."""
+        """Write the arguments of the held signs into z."""
         symbols = [sympy.Dummy() for _ in self.jumps.expressions]
         own = dict(zip(symbols, self.jumps.expressions, strict=True))
         targets = {f"z[{i}]": s for i, s in enumerate(symbols)}
         return self._written(False, own, targets, "switches(IN(k), IN(u), OUT(z))")
 
     def read(self) -> str:
-        """Write derivatives of the states dx, outputs y and what will be remembered r."""
+        """Write state derivatives dx, outputs y and remembered values r."""
         own = readings(self.component)
         return self._written(
             True, own, {**self._derivative_targets, **self._reading_targets},
@@ -132,13 +132,13 @@ class Functions:
         )  # fmt: skip
 
     def solved_derivatives(self) -> str:
-        """Write derivatives of the states dx where nothing is held, as in `attempt`."""
+        """Write state derivatives dx without held signs, as in `attempt`."""
         own = derivatives(self.component.memory)
         signature = "solved_derivatives(IN(k), IN(u), IN(x), OUT(dx))"
         return self._written(False, own, self._derivative_targets, signature)
 
     def start(self) -> str:
-        """Write y and r as they are before the first step, and previous values p for it."""
+        """Write y and r before the first step, and the previous values p for it."""
         component = self.component
         own = readings(component, starting=True)
         starts = component.starts
@@ -152,7 +152,7 @@ class Functions:
         )  # fmt: skip
 
     def refused(self) -> str:
-        """Return the place in u of a parameter that is not what it must be, or -1."""
+        """Return the index in u of an invalid parameter, or -1."""
         places = {symbol: f"u[{i}]" for i, symbol in enumerate(self._inputs)}
         names = [q.name for q in self.gathers]
         lines = []
@@ -178,25 +178,25 @@ class Functions:
 
     @cached_property
     def _invariants(self) -> Invariants:
-        """The step, apart from what parameters and its length make of each other in it."""
+        """The step without its invariants."""
         program = self.jumps.held(sampled(self.component))
         return Invariants.of(program, self._step_targets.values(), {*self._parameters, DT, EULER})
 
     @property
     def invariant_count(self) -> int:
-        """How many numbers `invariants` writes."""
+        """Number of values that `invariants` writes."""
         return len(self._invariants.kept)
 
     def invariants(self) -> str:
-        """Write into c what a step needs of parameters and its length alone."""
+        """Write into c the terms of a step that depend only on parameters and its length."""
         targets = {f"c[{i}]": s for i, s in enumerate(self._invariants.kept)}
         signature = f"{self.name}_invariants(IN(k), double dt, double euler, OUT(c))"
         return printed(signature, self._invariants.once, {}, targets, self._arguments.places)
 
     def step(self) -> str:
-        """Move the states x by dt, and write the readings of the end of the step.
+        """Advance the states x by dt and write the readings at the end of the step.
 
-        What `invariants` has written is c.
+        The array c contains the results of `invariants`.
         """
         places = self._arguments.plus(self._invariants.kept, "c").places
         signature = (
@@ -207,11 +207,11 @@ class Functions:
         return printed(signature, own.moving, own.names, self._step_targets, places)
 
     def lanes(self) -> str:
-        """Do as `step` for LANES instances side by side, whose parameters are the same.
+        """Do as `step` for LANES instances with the same parameters.
 
-        Signs are not given but found, as there is no event between two steps. Returns whether all
-        angles of which there is a sine are small enough for one without a branch; else what was
-        written is of no use.
+        Signs are computed, because there is no event between two steps. The C function returns
+        whether all angles are small enough for the branch-free sine; otherwise its results are
+        invalid.
         """
         own = self._invariants
         places = Arguments().plus(self._parameters, "k").plus(own.kept, "c").single(DT, "dt")
@@ -247,13 +247,13 @@ class Functions:
         return {symbol: e.xreplace(component.starts) for symbol, e in own.items()}
 
     def begin(self) -> str:
-        """Put the states x, which are at their start values, where they begin."""
+        """Move the states x from their start values to their initial values."""
         targets = {f"x[{i}]": initial_symbol(m) for i, m in enumerate(self.component.memory)}
         own = self._beginning
         return self._written(False, own, targets, "begin(IN(k), IN(u), double *x)")
 
     def begin_tangent(self) -> str:
-        """Put the change tx of the start values x where it begins, along dk and du."""
+        """Propagate the change tx of the start values x to the initial values, along dk and du."""
         own = self._beginning
         changes = Tangent(self._seeds).of(own)
         targets = {
@@ -263,7 +263,7 @@ class Functions:
         return self._written(False, own | changes, targets, signature, seeds=True)
 
     def tangent(self) -> str:
-        """Write the change of dx and y along dk, du and tx."""
+        """Write the changes of dx and y along dk, du and tx."""
         own = self.jumps.held(readings(self.component))
         changes = Tangent(self._seeds).of(own)
         targets = {f"t{to}": change_of(s) for to, s in self._derivative_targets.items()}
@@ -276,7 +276,7 @@ class Functions:
         )  # fmt: skip
 
     def follow(self) -> str:
-        """Write the change tx of the states over a step along du, from states x that stay."""
+        """Write the change tx of the states over a step along du, from constant states x."""
         own = self.jumps.held(step(self.component.memory))
         seeds = {s: self._seeds[s] for s in self._inputs}
         changes = Tangent(seeds).of(own)
@@ -287,9 +287,9 @@ class Functions:
         return self._written(True, own | changes, targets, signature, seeds=True)
 
     def attempt(self) -> str:
-        """Write the states after a step from x, y there, and the change of y along du.
+        """Write the states after a step from x, the outputs y there, and the change of y along du.
 
-        Nothing is held: a solver inside an FMU tries inputs of its own.
+        No sign is held, because a solver inside an FMU tries its own inputs.
         """
         own = sampled(self.component)
         changes = Tangent({s: self._seeds[s] for s in self._inputs}).of(own)

@@ -1,4 +1,4 @@
-"""One function in C99: its arguments, what it reads of them, its lines and what it writes."""
+"""One function in C99: arguments, inputs read, statements and results."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -15,13 +15,13 @@ from hesr_model.errors import ExportError
 _POWERS = {2: "square", 3: "cube"}
 _OF_ANGLES = {"sin": sympy.sin, "cos": sympy.cos, "cardinal_sine": cardinal_sine}
 _SELDOM = ("start", "rates", "invariants", "begin", "begin_tangent", "tangent", "follow")
-"""Functions that are to be small rather than quick."""
+"""Attribute of functions optimised for size."""
 
 
 class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
-    """C99 with our functions, literals that read back, and small powers without pow().
+    """C99 printer with HESR's functions, exact literals and small powers without pow().
 
-    Loops of lanes have no branches, of which compilers would make no vectors.
+    Loops over lanes are branch-free, so that compilers vectorise them.
     """
 
     def __init__(self, names: Mapping[sympy.Symbol, str], *, lanes: bool = False) -> None:
@@ -61,17 +61,17 @@ class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
 
 @dataclass(frozen=True)
 class Arguments:
-    """The symbols that a function reads, each with its name and its place in C."""
+    """Symbols that a function reads, with their names and C expressions."""
 
     places: Mapping[sympy.Symbol, tuple[str, str]] = field(default_factory=dict)
 
     def plus(self, symbols: Iterable[sympy.Symbol], array: str, lane: str = "") -> "Arguments":
-        """Add the elements of an array, which may be arrays themselves."""
+        """Add the elements of an array, which may itself contain arrays."""
         more = {s: (f"{array}_{i}", f"{array}[{i}]{lane}") for i, s in enumerate(symbols)}
         return Arguments({**self.places, **more})
 
     def single(self, symbol: sympy.Symbol, name: str) -> "Arguments":
-        """Add an argument that is no array."""
+        """Add a scalar argument."""
         return Arguments({**self.places, symbol: (name, name)})
 
 
@@ -81,7 +81,7 @@ def function(
     targets: Mapping[str, sympy.Symbol],
     places: Mapping[sympy.Symbol, tuple[str, str]],
 ) -> str:
-    """Return a C function that computes targets by a program, common subexpressions shared."""
+    """Return a C function that computes targets by a program with shared subexpressions."""
     return printed(signature, *straight_line(program, targets.values()), targets, places)
 
 
@@ -92,7 +92,7 @@ def printed(
     targets: Mapping[str, sympy.Symbol],
     places: Mapping[sympy.Symbol, tuple[str, str]],
 ) -> str:
-    """Return a C function of these lines, of which some have other names there."""
+    """Return a C function of these statements, with some symbols renamed."""
     known = {s: name for s, (name, _) in places.items() if s not in names}
     lanes = "LANES(" in signature
     printer = _Printer({**known, **names}, lanes=lanes)
@@ -106,7 +106,7 @@ def printed(
         f"const double {names.get(symbol, str(symbol))} = {_c(printer, e)};"
         for symbol, e in lines.items()
     ]
-    # What nothing moves has no name: its change is none.
+    # Symbols that do not move have no name: their change is zero.
     writes = [f"{place} = {_c(printer, s) if s in lines or s in known else '0.0'};"
               for place, s in targets.items()]  # fmt: skip
     signature = re.sub(r"IN\((\w+)\)", r"const double *\1", signature)
@@ -138,7 +138,7 @@ def printed(
 
 
 def in_c(expression: sympy.Expr, names: Mapping[sympy.Symbol, str]) -> str:
-    """Return an expression in C, its symbols having these names."""
+    """Return an expression in C with the given symbol names."""
     return _c(_Printer(names), expression)
 
 

@@ -1,4 +1,4 @@
-"""equations.h: the functions of a component's equations in C, and where its variables stand."""
+"""equations.h: C functions of a component's equations, and the indices of its variables."""
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -17,18 +17,18 @@ from hesr_model.support.cache import kept
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
-    """One joint of an FMU: its equations, and the names of their variables there.
+    """One joint of an FMU: its equations and the names of their variables.
 
     Attributes
     ----------
     component : the equations.
-    names : for each input, shared parameter and output its variable.
-    states, derivatives : variables of the memory; they stand one after the other.
-    starts : variables of the values at which the states start; they stand one after the other.
-    parameters : variables of the parameters, where these stand one after the other.
-    constants : values of the parameters, where these are no variables. Where there are neither,
-        `names` has the variables of the parameters, too.
-    slope : variable for the slope of the first output over the first input; empty for none.
+    names : variable of each input, shared parameter and output.
+    states, derivatives : consecutive variables of the memory.
+    starts : consecutive variables of the initial states.
+    parameters : consecutive variables of the parameters, if they are variables.
+    constants : values of the parameters, if they are not variables. If both are empty, `names` has
+        the variables of the parameters as well.
+    slope : variable of the slope of the first output over the first input; empty for none.
     """
 
     component: Component
@@ -42,7 +42,7 @@ class Joint:
 
     @property
     def gathered(self) -> bool:
-        """Whether the parameters are gathered from anywhere among the variables."""
+        """Whether the parameters are gathered from arbitrary variables."""
         return bool(self.component.parameters) and not self.parameters and not self.constants
 
 
@@ -51,12 +51,12 @@ Writer = Callable[[Functions], str]
 
 @dataclass(frozen=True, kw_only=True)
 class Needs:
-    """Which functions a C file calls.
+    """Functions that a C file calls.
 
     Attributes
     ----------
-    functions : for each its name, what writes it and the declaration of a pointer to it.
-    places : further constants: names in C of places of variables.
+    functions : by name, their writer and the declaration of a pointer to them.
+    places : additional C constants for indices of variables.
     """
 
     functions: Mapping[str, tuple[Writer, str]]
@@ -114,7 +114,7 @@ FRICTION: Mapping[str, tuple[Writer, str]] = {
                  "const double *du, double *moved"),
     ),
 }  # fmt: skip
-"""What equations.c calls."""
+"""Functions called by equations.c."""
 
 SOLVER: Mapping[str, tuple[Writer, str]] = {
     "rates": FRICTION["rates"],
@@ -129,11 +129,11 @@ SOLVER: Mapping[str, tuple[Writer, str]] = {
         _pointer("solved_derivatives", f"{_K}, const double *x, double *dx"),
     ),
 }  # fmt: skip
-"""What a solver inside an FMU calls."""
+"""Functions called by a solver inside an FMU."""
 
 
 def own_size(joints: Sequence[Joint]) -> int:
-    """Return how many numbers equations.c remembers besides its variables."""
+    """Return the number of doubles in the own memory of equations.c."""
     sizes = _sizes(joints)
     return (
         sizes["OWN_FIXED"]
@@ -149,22 +149,21 @@ def own_size(joints: Sequence[Joint]) -> int:
 
 
 def indicators(joints: Sequence[Joint]) -> int:
-    """Return how many signs the joints hold together."""
+    """Return the total number of held signs."""
     return sum(len(Functions(j.component, "").jumps.expressions) for j in joints)
 
 
 def equations_header(
     joints: Sequence[Joint], table: Interface, needs: Needs, coupling: Coupling | None = None
 ) -> str:
-    """Return equations.h: each distinct component is written once.
+    """Return equations.h, with each distinct component written once.
 
     Parameters
     ----------
     joints : the joints.
     table : variables of the FMU.
-    needs : which functions C calls.
-    coupling : how joints move the coordinates to which the equations belong; none where these are
-        the joints.
+    needs : functions that the C file calls.
+    coupling : map from joints to the coordinates of the equations; None if these are the joints.
     """
     distinct = list(dict.fromkeys(j.component for j in joints))
     first = {j.component: j for j in reversed(joints)}
@@ -210,7 +209,7 @@ def _written(
 ) -> tuple[list[str], dict[str, list[str]]]:
     """Return the functions of all components, and for each component the names of its own.
 
-    What does the same for two of them is written once.
+    Identical functions are written once.
     """
     texts: dict[str, str] = {}
     by_body: dict[str, str] = {}
@@ -228,7 +227,7 @@ def _written(
 
 
 def _texts(own: Functions, needs: Needs) -> dict[str, str]:
-    """Return the functions of a component, of which writing takes long, or those kept of it."""
+    """Return the functions of a component, cached because writing them is slow."""
     wanted = {name: write for name, (write, _) in needs.functions.items() if _wanted(name, own)}
     about = (own.name, f"{own.tunable} {own.gathered}", repr(own.component))
     made = kept(
@@ -240,7 +239,7 @@ def _texts(own: Functions, needs: Needs) -> dict[str, str]:
 
 
 def _coupling(coupling: Coupling | None, joints: int) -> str:
-    """Return the matrices of a coupling; where there is none nobody reads them."""
+    """Return the matrices of a coupling, empty without one."""
     matrices = (
         {"forward": coupling.forward, "backward": coupling.backward}
         if coupling
@@ -273,7 +272,7 @@ def _sizes(joints: Sequence[Joint]) -> dict[str, int]:
 
 @cache
 def _invariants(component: Component, gathered: bool) -> int:
-    """Return how many invariants a component has, of which finding out takes long."""
+    """Return the number of invariants of a component, cached because computing it is slow."""
     count = kept(
         "functions",
         (software(), "invariants", str(gathered), repr(component)),
@@ -283,7 +282,7 @@ def _invariants(component: Component, gathered: bool) -> int:
 
 
 def _gathered(joint: Joint) -> int:
-    """Return how many numbers the equations of a joint read as inputs."""
+    """Return the number of inputs that the equations of a joint read."""
     own = joint.component
     return len(own.inputs) + len(own.shared) + (len(own.parameters) if joint.gathered else 0)
 
@@ -319,7 +318,7 @@ def _row(
 
 
 def _wanted(function: str, own: Functions) -> bool:
-    """Whether there is such a function; C asks for those without which it can do."""
+    """Whether the function exists; C tests for optional ones."""
     if function in ("rates", "follow", "tangent"):
         return not own.component.sampled_memory
     if function == "start":
@@ -342,7 +341,7 @@ def _array(kind: str, name: str, values: Iterable[object]) -> str:
 
 
 def _signs(own: Functions) -> str:
-    """Return what the held signs are signs of, for messages; C knows no empty arrays."""
+    """Return the names of the held signs for messages, at least one because C has no empty arrays."""
     names = ", ".join(f'"{e}"' for e in own.jumps.expressions)
     return f"static const char *const {own.name}_names[] = {{{names or 'NULL'}}};\n"
 

@@ -1,4 +1,4 @@
-"""What printers of languages with 64-bit literals share: names, and numbers to the last bit."""
+"""Common part of the printers of languages with double literals: names and exact numbers."""
 
 from collections.abc import Mapping
 
@@ -7,7 +7,7 @@ from sympy.printing.codeprinter import CodePrinter
 
 
 class LanguagePrinter(CodePrinter):  # type: ignore[misc] # SymPy is not typed
-    """Prints symbols by the names that they are given, and every number as a float."""
+    """Printer of symbols by given names, with every number as a float."""
 
     def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
         super().__init__()

@@ -11,7 +11,7 @@ from fmu_src.export.interface import Interface, Role, Variable
 from hesr_model.errors import ExportError
 from hesr_model.robots.owner import Owner
 
-# Exponents of FMI's base units for each name from which our units are built.
+# Exponents of FMI's base units for the unit names of HESR.
 _BASE: Mapping[str, Mapping[str, int]] = {
     "1": {},
     "kg": {"kg": 1},
@@ -44,23 +44,23 @@ QUANTITIES: Mapping[str, str] = {
     "N/m": "TranslationalSpringConstant",
     "N.s/m": "TranslationalDampingConstant",
 }
-"""Names of quantities by their unit, as Modelica.Units.SI has them."""
+"""Quantity names by unit, as in Modelica.Units.SI."""
 
 DISPLAY: Mapping[str, str] = {"rad": "deg", "rad/s": "deg/s", "rad/s2": "deg/s2"}
-"""Units in which tools show others."""
+"""Display units."""
 
 RELEASED = "2026-11-22T00:00:00Z"
-"""Date of this version, and of FMUs that hold nothing that was made later; as in CITATION.cff."""
+"""Date of this version, and of FMUs without newer content; the same as in CITATION.cff."""
 
 OFFSETS: Mapping[str, float] = {"degC": 273.15}
-"""What a unit says in SI where it says 0, if that is not 0."""
+"""Offset of a unit in SI, if not zero."""
 
 DEGREES = 180.0 / math.pi
 _EXPERIMENT = 1000
 
 RUNNING: tuple[Role, ...] = ("input", "state")
 STARTING: tuple[Role, ...] = ("input", "fixed", "tunable")
-"""Roles of what unknowns depend on: while a simulation runs, and before it begins."""
+"""Roles of the knowns of unknowns, during simulation and at initialisation."""
 
 _FACTOR = re.compile(r"([A-Za-z]+|1)(-?[0-9]+)?")
 
@@ -75,18 +75,18 @@ CATEGORIES: Mapping[str, str] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Description:
-    """What modelDescription.xml says of an FMU besides its variables.
+    """Model description of an FMU apart from its variables.
 
     Attributes
     ----------
-    name : name of the model, for people.
+    name : display name of the model.
     identifier : C identifier: name of the binaries.
-    text : one sentence of description.
+    text : description in one sentence.
     version : version of the exporter.
     created : date and time, ISO 8601 in UTC with a final Z.
     step : preferred step size [s].
-    sources : names of the files in sources/ to be compiled; none if they need a library.
-    owner : of the model; the licence of HESR's code is a file of its own in every FMU.
+    sources : names of the files in sources/ to be compiled; empty if they need a library.
+    owner : owner of the model; every FMU has a separate file with the licence of HESR's code.
     """
 
     name: str
@@ -100,13 +100,13 @@ class Description:
 
     @property
     def experiment(self) -> dict[str, str]:
-        """Times of the default experiment: a thousand of the preferred steps [s]."""
+        """Start and stop time of the default experiment: a thousand preferred steps [s]."""
         times = {"stopTime": _EXPERIMENT * self.step, "stepSize": self.step}
         return {"startTime": "0"} | {name: f"{value:.12g}" for name, value in times.items()}
 
 
 def shown_as(unit: str) -> dict[str, str]:
-    """Return the attributes that name the quantity of a unit and the unit in which it is shown."""
+    """Return the attributes for the quantity and the display unit of a unit."""
     found = {"quantity": QUANTITIES.get(unit), "displayUnit": DISPLAY.get(unit)}
     return {name: text for name, text in found.items() if text}
 
@@ -114,12 +114,12 @@ def shown_as(unit: str) -> dict[str, str]:
 def si_exponents(unit: str) -> dict[str, int]:
     """Return the exponents of kg, m, s, A, K and rad of a unit such as "N.m.s/rad".
 
-    Dots multiply; all that follows the slash divides, in parentheses if it has several factors.
+    Dots multiply; everything after the slash divides, in parentheses if it has several factors.
 
     Raises
     ------
     ExportError
-        If the unit has a part that is not known.
+        If a part of the unit is unknown.
     """
     exponents: dict[str, int] = {}
     for i, group in enumerate(unit.split("/")):
@@ -138,8 +138,8 @@ def si_exponents(unit: str) -> dict[str, int]:
 def to_xml(table: Interface, about: Description, guid: str) -> bytes:
     """Return modelDescription.xml.
 
-    Outputs and derivatives declare what they depend on, since importers take a missing list for
-    "everything" and then see algebraic loops where there are none.
+    Outputs and derivatives declare their dependencies, because importers interpret a missing list
+    as a dependency on everything and then find false algebraic loops.
     """
     root = root_element(about, "2.0", {"guid": guid}, numberOfEventIndicators=str(table.indicators))
     common = {
@@ -182,7 +182,7 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
 def root_element(
     about: Description, version: str, token: Mapping[str, str], **more: str
 ) -> ET.Element:
-    """Return the root of a description: version of FMI, what a host must name, and the FMU."""
+    """Return the root of a description: FMI version, GUID and attributes of the FMU."""
     attributes = {
         "fmiVersion": version,
         "modelName": about.name,
@@ -212,7 +212,7 @@ def add_units(root: ET.Element, table: Interface) -> None:
 
 
 def add_run(root: ET.Element, about: Description) -> None:
-    """Add what a host can log, and the times of the default experiment."""
+    """Add the log categories and the default experiment."""
     categories = ET.SubElement(root, "LogCategories")
     for name, text in CATEGORIES.items():
         ET.SubElement(categories, "Category", name=name, description=text)
@@ -220,7 +220,7 @@ def add_run(root: ET.Element, about: Description) -> None:
 
 
 def to_bytes(root: ET.Element) -> bytes:
-    """Return an element and what is in it as the bytes of a file."""
+    """Serialise an element to the bytes of a file."""
     ET.indent(root)
     written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
     return written + b"\n"
@@ -239,16 +239,16 @@ def _types(root: ET.Element, table: Interface) -> None:
 
 
 def common_attributes(variable: Variable, name: str, place: int, text: str) -> dict[str, str]:
-    """Return the attributes that a variable has in both versions, of whatever type it is.
+    """Return the attributes of a variable common to both versions and all types.
 
     Parameters
     ----------
-    variable : itself, or the first element of an array.
-    name, place, text : of the whole; the text of an enumeration is followed by its choices.
+    variable : the variable, or the first element of an array.
+    name, place, text : of the whole array; the text of an enumeration lists its choices.
     """
     causality, variability, initial = variable.attributes
     if variable.enumeration:
-        # Where tools show them; `fmu_src.run.variables` finds the names of the choices there.
+        # Tools display the choices here, and `fmu_src.run.variables` reads their names from here.
         names = (f"{i} = {name}" for i, (name, _) in enumerate(variable.enumeration.items, 1))
         text = f"{text}: {', '.join(names)}"
     found = {
@@ -262,11 +262,11 @@ def common_attributes(variable: Variable, name: str, place: int, text: str) -> d
 
 
 def values(elements: Sequence[Variable]) -> dict[str, str]:
-    """Return the attributes that say where the values of a variable begin and lie.
+    """Return the attributes for start values and limits of a variable.
 
     Parameters
     ----------
-    elements : of an array, or a single one.
+    elements : elements of an array, or a single variable.
     """
     first = elements[0]
     if first.enumeration:
@@ -286,7 +286,7 @@ def _scalar(variable: Variable, place: int, table: Interface) -> ET.Element:
     attributes = common_attributes(variable, variable.name, place, variable.description)
     element = ET.Element("ScalarVariable", attributes)
     if variable.enumeration:
-        # Since Maestro loads no FMU with an Enumeration and libcosim sets none.
+        # Maestro loads no FMU with an Enumeration, and libcosim sets none.
         declared = {"declaredType": variable.enumeration.name}
         ET.SubElement(element, "Integer", declared | values([variable]))
         return element

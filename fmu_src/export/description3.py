@@ -1,4 +1,4 @@
-"""modelDescription.xml of FMI 3.0: the same interface, with arrays where variables are numbered."""
+"""modelDescription.xml of FMI 3.0: the same interface, with arrays for numbered variables."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -24,13 +24,13 @@ _INDICATORS = "event_indicator"
 
 @dataclass(frozen=True)
 class Arrays:
-    """The variables of an interface as FMI 3.0 has them."""
+    """Variables of an interface in FMI 3.0."""
 
     table: Interface
 
     @cached_property
     def all(self) -> tuple[Array, ...]:
-        """Arrays, but one by one states, as their derivatives stand, and what terminals connect."""
+        """Arrays, except for states and members of terminals, which remain scalars."""
         return tuple(
             part
             for array in self.table.arrays
@@ -43,11 +43,11 @@ class Arrays:
 
     @cached_property
     def of(self) -> dict[str, Array]:
-        """The array of each variable of the interface."""
+        """The array that contains each variable of the interface."""
         return {v.name: array for array in self.all for v in array.elements}
 
     def to_c(self) -> str:
-        """Return extents.h: how many elements the variable that begins at a place has, or 0."""
+        """Return extents.h: number of elements of the variable that starts at an index, or 0."""
         extents = ["0"] * len(self.table.variables)
         for array in self.all:
             extents[array.place] = str(len(array.elements))
@@ -76,7 +76,7 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
         hasEventMode="true", mightReturnEarlyFromDoStep=str(table.inner_steps).lower(),
     )  # fmt: skip
     add_units(root, table)
-    # Units and nominal values by types, since fmi-sim knows none at a variable.
+    # Units and nominal values belong to types, because fmi-sim does not read them from variables.
     types = ET.SubElement(root, "TypeDefinitions")
     for of, nominal in dict.fromkeys((v.unit, v.nominal) for v in table.variables if v.unit):
         element = ET.SubElement(types, "Float64Type", name=_type_of(of, nominal), unit=of)
@@ -105,7 +105,7 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
 
 
 def _type_of(unit: str, nominal: float) -> str:
-    """Return the name of the type of all variables of a unit and a usual size."""
+    """Return the type name of all variables with a unit and a nominal value."""
     name = "number" if unit == "1" else f"number in {unit}"
     return name if nominal == 1.0 else f"{name} of about {nominal:g}"
 
@@ -127,7 +127,7 @@ def _variable(array: Array, arrays: Arrays) -> ET.Element:
 
 
 def _description(array: Array) -> str:
-    """Return the texts of all elements, what they share once: 'velocity of a, b'."""
+    """Return the joint text of all elements with common parts once: 'velocity of a, b'."""
     texts = [v.description for v in array.elements]
     if len(texts) == 1:
         return texts[0]
@@ -144,7 +144,7 @@ def _structure(root: ET.Element, arrays: Arrays) -> None:
     structure = ET.SubElement(root, "ModelStructure")
     table = arrays.table
     outputs = [a for a in arrays.all if a.elements[0].role in ("output", "on_demand")]
-    # States of a co-simulation are its own.
+    # States of a co-simulation are internal.
     derivatives = table.derivatives if table.model_exchange else ()
     rates = list(dict.fromkeys(arrays.of[v.name] for v in derivatives))
     states = [a for a in arrays.all if a.elements[0].role == "state"] if derivatives else []

@@ -1,7 +1,7 @@
-"""The interface of an FMU: one table of variables, from which the XML and the C both come.
+"""Interface of an FMU: one table of variables for both the XML and the C.
 
-The position of a variable in the table is its place in the C struct; what a value reference stands
-for is a table of its own, so that one of FMI 3.0 can stand for an array.
+The position of a variable in the table is its index in the C struct. A separate table maps value
+references, so that one reference of FMI 3.0 can denote an array.
 """
 
 import re
@@ -16,7 +16,7 @@ from hesr_model.errors import ExportError
 
 Role = Literal["input", "output", "on_demand", "local", "state", "fixed", "tunable"]
 
-# FMI's attributes of each role: causality, variability and, where it must be written, initial.
+# FMI attributes of each role: causality, variability and, if required, initial.
 _ATTRIBUTES: dict[Role, tuple[str, str, str | None]] = {
     "input": ("input", "continuous", None),
     "output": ("output", "continuous", "calculated"),
@@ -27,7 +27,7 @@ _ATTRIBUTES: dict[Role, tuple[str, str, str | None]] = {
     "tunable": ("parameter", "tunable", "exact"),
 }
 
-# Structured names of FMI 2.0 without the quoted ones, so that no name needs escaping anywhere.
+# Structured names of FMI 2.0 without quoted ones, so that no name needs escaping.
 _PART = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
 _NAME = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*\)", re.ASCII)
 
@@ -47,19 +47,19 @@ class Variable:
 
     Attributes
     ----------
-    name : structured name, as `dq[1]` or `joint[1].alpha`.
-    role : what it is to FMI.
-    description : for the user.
+    name : structured name, such as `dq[1]` or `joint[1].alpha`.
+    role : causality and variability.
+    description : description for the user.
     unit : SI unit in FMI's spelling; None only for an enumeration.
-    enumeration : its choices, if it is one; a Real otherwise.
-    start : start value; for a computed variable or a state it is not shown.
-    nominal : usual size; solvers scale their tolerances of a state by it.
-    least, greatest : what a user should not leave; None where nothing says so.
-    switch : whether it is an input that hosts must not draw a line between the values of.
+    enumeration : the choices of an enumeration; None for a Real.
+    start : start value; not written for a computed variable or a state.
+    nominal : typical size; solvers scale the tolerance of a state by it.
+    least, greatest : recommended limits; None if unlimited.
+    switch : whether the input is a switch that hosts must not interpolate.
     derivative_of : name of the state whose time derivative this is.
     dependencies : for a computed variable, the names of all variables in its expression.
-    initial_dependencies : names of further variables that count until the initialisation ends; of
-        a state, those of which the place where it begins is made.
+    initial_dependencies : names of further variables that count until initialisation ends; for a
+        state, those of its initial value.
     """
 
     name: str
@@ -78,31 +78,30 @@ class Variable:
 
     @property
     def attributes(self) -> tuple[str, str, str | None]:
-        """Causality, variability and initial, which is None where it is not written."""
+        """Causality, variability and initial (None if not written)."""
         causality, variability, initial = _ATTRIBUTES[self.role]
         return causality, "discrete" if self.switch else variability, initial
 
     @property
     def computed(self) -> bool:
-        """Whether the component computes it from others."""
+        """Whether the component computes it."""
         return self.role in ("output", "on_demand", "local")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Interface:
-    """All scalar variables of an FMU in the order of their places.
+    """All scalar variables of an FMU in index order.
 
     Attributes
     ----------
     variables : the variables.
-    indicators : how many event indicators the component has.
-    own : how many numbers the component remembers besides its variables.
-    model_exchange : whether the component is also for model exchange.
+    indicators : number of event indicators.
+    own : number of doubles in the component's own memory.
+    model_exchange : whether the component also supports model exchange.
     directional_derivatives : whether the component provides them.
-    inner_steps : whether the component cuts steps into its own, over which it follows the slopes of
-        inputs itself.
-    connected : names of arrays that terminals of FMI 3.0 connect joint by joint. A member of a
-        terminal is a whole variable, so each element of these is one there.
+    inner_steps : whether the component makes inner steps, in which it follows input slopes itself.
+    connected : names of arrays that terminals of FMI 3.0 connect per joint. A member of a terminal
+        is a whole variable, so these remain scalars.
 
     Raises
     ------
@@ -132,16 +131,16 @@ class Interface:
 
     @cached_property
     def places(self) -> dict[str, int]:
-        """Place of each variable, in FMI 2.0 its value reference, and first place of each array."""
+        """Index of each variable, its value reference in FMI 2.0, and first index of each array."""
         found = {one.name: one.place for one in self.arrays}
         return found | {variable.name: i for i, variable in enumerate(self.variables)}
 
     @cached_property
     def arrays(self) -> tuple["Array", ...]:
-        """The variables in their order, those together that are an array.
+        """The variables in order, grouped into arrays.
 
-        Elements of one array stand one after the other, from `[1]` or `[1,1]` on with the last
-        index running first, with one role and one unit; what stands otherwise is scalars.
+        Elements of an array are consecutive, from `[1]` or `[1,1]` with the last index running
+        first, and have one role and one unit; other variables are scalars.
         """
         found: list[Array] = []
         counts = Counter(_split(v.name)[0] for v in self.variables)
@@ -162,9 +161,9 @@ class Interface:
         return tuple(v for v in self.variables if v.derivative_of)
 
     def initially(self, variable: Variable) -> tuple[str, ...]:
-        """Return the names of which a computed variable or a state is made at the start.
+        """Return the names on which a computed variable or a state depends at the start.
 
-        A state among them stands for what its own beginning is made of.
+        A state among them is replaced by the dependencies of its initial value.
         """
         states = {v.name: v.initial_dependencies for v in self.variables if v.role == "state"}
         direct = (*variable.dependencies, *variable.initial_dependencies)
@@ -173,12 +172,12 @@ class Interface:
     def made_of(
         self, variable: Variable, roles: Sequence[Role], *, initially: bool = False
     ) -> list[str]:
-        """Return the names in `dependencies`, or in `initially`, of variables of some roles."""
+        """Return the names in `dependencies`, or in `initially`, of variables with some roles."""
         names = self.initially(variable) if initially else variable.dependencies
         return [name for name in names if self.variables[self.places[name]].role in roles]
 
     def first(self, names: Sequence[str]) -> int:
-        """Place of the first of `names`, which must stand one after the other."""
+        """Index of the first of `names`, which must be consecutive."""
         start = self.places[names[0]]
         if [v.name for v in self.variables[start : start + len(names)]] != list(names):
             raise ValueError(f"{names} are not consecutive variables")
@@ -187,14 +186,14 @@ class Interface:
 
 @dataclass(frozen=True, kw_only=True)
 class Array:
-    """A variable with a shape: () for a scalar.
+    """A variable with a shape, () for a scalar.
 
     Attributes
     ----------
-    name : without indices, as `dq`; that of the element for a scalar.
-    shape : sizes of its dimensions.
-    place : of its first element; the others follow it, the last index running first.
-    elements : its scalars.
+    name : name without indices, such as `dq`; the full name of a scalar.
+    shape : sizes of the dimensions.
+    place : index of the first element; the others follow, the last index running first.
+    elements : the scalars.
     """
 
     name: str
@@ -204,14 +203,14 @@ class Array:
 
 
 def scalars(place: int, elements: Sequence[Variable]) -> list[Array]:
-    """Return variables that stand one after the other from a place on as scalars."""
+    """Return consecutive variables from an index as scalars."""
     return [
         Array(name=v.name, shape=(), place=i, elements=(v,)) for i, v in enumerate(elements, place)
     ]
 
 
 def _split(name: str) -> tuple[str, tuple[int, ...]]:
-    """Return the name of an array and the indices of an element; no name for a scalar."""
+    """Return the name of an array and the indices of an element; an empty name for a scalar."""
     array, _, indices = name.removesuffix("]").rpartition("[")
     if not name.endswith("]"):
         return "", ()
@@ -224,14 +223,14 @@ def _alike(variable: Variable) -> tuple[str, object]:
 
 
 def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) -> str:
-    """Return interface.h: GUID, preferred step [s] and tables of variables of the C side.
+    """Return interface.h: GUID, preferred step [s] and variable tables for the C side.
 
     Parameters
     ----------
     interface : the variables.
-    guid : what a host must name.
+    guid : GUID that a host must pass.
     step : preferred step [s].
-    arrays : whether a value reference stands for a whole array, as in FMI 3.0, or for a scalar.
+    arrays : whether a value reference denotes a whole array, as in FMI 3.0, or a scalar.
     """
     rows = []
     shaped = [(a.place, len(a.elements)) for a in interface.arrays]
@@ -258,7 +257,7 @@ def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) 
         guid=guid,
         step=literal(step),
         variables=len(rows),
-        # Up to the last input; C knows no empty arrays.
+        # Up to the last input; C has no empty arrays.
         slopes=1
         + max((i for i, v in enumerate(interface.variables) if v.role == "input"), default=0),
         states=len(states),
@@ -279,7 +278,7 @@ def to_c(interface: Interface, guid: str, step: float, *, arrays: bool = False) 
 
 
 def _list(items: Sequence[object]) -> str:
-    """Return the rest of an array's declaration; C knows no empty arrays."""
+    """Return the initialiser of an array; C has no empty arrays."""
     return f"[] = {{{', '.join(map(str, items or [0]))}}}"
 
 
@@ -316,6 +315,6 @@ static const int watched{watched_list};
 
 
 def literal(value: float) -> str:
-    """Return a C literal of a double that reads back as the same double."""
+    """Return a C literal that reads back as the same double."""
     text = f"{value:.17g}"
     return text if any(c in text for c in ".en") else f"{text}.0"

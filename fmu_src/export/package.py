@@ -1,4 +1,4 @@
-"""A component in, an FMU out: render, compile, zip, validate."""
+"""Make an FMU from a component: render, compile, zip, validate."""
 
 import hashlib
 import re
@@ -25,13 +25,13 @@ from hesr_model.support.files import scratch_folder, written_whole
 from hesr_model.support.progress import Progress, counted, silent
 
 Version = Literal[2, 3]
-"""Of FMI."""
+"""FMI version."""
 
 _HERE = Path(__file__).parents[1]
 _C = _HERE / "c"
 _EQUATIONS = files("hesr_model") / "equations"
 _GLUE = ("component*.h", "fmi2*.[ch]", "variable.h")
-_OPTIONAL = ("component_plain.h",)  # only with components that include it
+_OPTIONAL = ("component_plain.h",)  # only for components that include it
 
 _ALL_C = """\
 /* The whole FMU as one translation unit: compile this file and no other. */
@@ -52,19 +52,19 @@ _FOLDERS = {
     "win64": ("x86_64-windows",),
     "darwin64": ("x86_64-darwin", "aarch64-darwin"),
 }
-"""Folders of FMI 3.0 where they are not those of FMI 2.0."""
+"""Folders of FMI 3.0 that differ from FMI 2.0."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Binary:
-    """A shared library that a component needs on a platform and that stands beside it in the FMU.
+    """A shared library that a component needs on a platform, shipped next to its binary.
 
     Attributes
     ----------
-    name : the file's place beside the component's binary, under the name that loaders look for.
-    content : of the file.
-    flags : for the compiler.
-    link : flags by which the component is linked to it; none where it loads it itself.
+    name : file name that loaders look for.
+    content : bytes of the file.
+    flags : compiler flags.
+    link : flags for linking; empty if the component loads the library itself.
     """
 
     name: str
@@ -75,17 +75,18 @@ class Binary:
 
 @dataclass(frozen=True, kw_only=True)
 class Content:
-    """What makes an FMU of a component.
+    """Contents of the FMU of a component.
 
     Attributes
     ----------
-    table : its variables.
-    about : what the description says of it.
-    sources : text of its own C files, by name; all .c files make one translation unit.
-    members : other members of the archive by name: documentation, resources.
-    libraries : for each platform the library that the component needs, if it needs one.
-    stimuli : for which it carries its own answers; none where its members hold results already.
-    terminals : in FMI 3.0, what is connected as one.
+    table : variables.
+    about : model description.
+    sources : the component's own C files by name; all .c files form one translation unit.
+    members : further members of the archive by name: documentation, resources.
+    libraries : library that the component needs, by platform.
+    stimuli : inputs of the FMU's own reference results; None if its members contain results
+        already.
+    terminals : terminals of FMI 3.0.
     """
 
     table: Interface
@@ -98,13 +99,13 @@ class Content:
 
 
 def own_source(name: str) -> str:
-    """Return the text of a C file that comes with the package."""
+    """Return the text of a C file of the package."""
     folder = _C if (_C / name).is_file() else _EQUATIONS
     return (folder / name).read_text(encoding="utf-8")
 
 
 def equation_sources(header: str) -> dict[str, str]:
-    """Return the C files of a component that is equations, whose equations.h is given."""
+    """Return the C files of a component made of equations, with the given equations.h."""
     names = ("coupling.h", "equations.c", "law_math.h")
     return {name: own_source(name) for name in names} | {"equations.h": header}
 
@@ -124,7 +125,7 @@ def write_fmu(
     content : the component.
     path : the FMU to write, ending in .fmu.
     platforms : names of `toolchain.TARGETS`, or "all".
-    progress : told for how many of them it is built.
+    progress : callback with the number of platforms built.
     fmi : version of FMI; 3 has arrays for numbered variables.
 
     Returns
@@ -134,7 +135,7 @@ def write_fmu(
     Raises
     ------
     ExportError
-        If a binary cannot be built, or the FMU is not valid.
+        If a binary cannot be built, or the FMU is invalid.
     ArtifactError
         If `path` cannot be written.
     """
@@ -174,7 +175,7 @@ def write_fmu(
 
 
 def translation_unit(content: Content, fmi: Version = 2) -> tuple[str, dict[str, str]]:
-    """Return an FMU's GUID and the texts of all its C files by name; all.c includes the others."""
+    """Return the GUID of an FMU and its C files by name; all.c includes the others."""
     table, about = content.table, content.about
     sources = _sources(content.sources, fmi)
     if fmi == 3:
@@ -184,7 +185,7 @@ def translation_unit(content: Content, fmi: Version = 2) -> tuple[str, dict[str,
 
 
 def write_archive(members: Mapping[str, bytes], path: Path, created: str) -> None:
-    """Write an archive with members of one date, ISO 8601, if it is a valid FMU."""
+    """Write an archive, with all members dated ISO 8601 `date`, if it is a valid FMU."""
     with written_whole(path) as temporary:
         zip_members(temporary, members, created)
         described = [c for name, c in members.items() if name.endswith(".xml")]
@@ -193,7 +194,7 @@ def write_archive(members: Mapping[str, bytes], path: Path, created: str) -> Non
 
 
 def check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
-    """Return the wanted targets; refuses names before anything that takes time.
+    """Return the requested targets, checking names before any slow work.
 
     Raises
     ------
@@ -215,7 +216,7 @@ def _require_libraries(content: Content, wanted: Sequence[Target]) -> None:
 
 
 def _built(source: Path, identifier: str, target: Target, own: Binary | None) -> bytes:
-    """Compile a component, linked to the library that it needs, and return its binary."""
+    """Compile a component, linked to the library it needs, and return its binary."""
     if own is None:
         return build(source, identifier, target)
     flags = own.flags
@@ -240,7 +241,7 @@ def _sources(own: Mapping[str, str], fmi: Version) -> dict[str, str]:
 
 
 def _guid(table: Interface, about: Description, sources: Mapping[str, str]) -> str:
-    """Return a GUID of all content that is not itself made from the GUID."""
+    """Return a GUID of all content that does not contain the GUID."""
     content = hashlib.sha256(to_xml(table, about, ""))
     content.update(to_c(table, "", about.step).encode())
     for name, text in sorted(sources.items()):
@@ -259,26 +260,26 @@ def zip_members(path: Path, members: Mapping[str, bytes], created: str) -> None:
         for name, content in members.items():
             entry = zipfile.ZipInfo(name, date.timetuple()[:6])
             entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.create_system = 3  # Unix, wherever it is made
+            entry.create_system = 3  # Unix on every host
             entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
-            # The last 0.4 % of a physics engine would take thrice the time.
+            # Higher levels save .4 % of a physics engine in three times the time.
             archive.writestr(entry, content, compresslevel=9 if len(content) < _LARGE else 6)
 
 
 _IDENTIFIER = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
 _PLAIN_NAME = re.compile(rf"{_IDENTIFIER}(\.{_IDENTIFIER})*|der\({_IDENTIFIER}(\.{_IDENTIFIER})*\)")
-"""Names of variables that are structured ones (FMI 2.0, 2.2.9); of others FMPy is asked."""
+"""Structured variable names (FMI 2.0, 2.2.9); FMPy parses all others."""
 
 
 def _validated(temporary: Path, path: Path) -> bytes:
-    """Refuse what FMPy finds fault with, in descriptions and in names of files."""
+    """Refuse descriptions and file names that FMPy reports."""
     from fmpy import read_model_description  # slow to import
     from fmpy.model_description import ValidationError
     from fmpy.validation import validate_fmu
 
     with suppress(ValidationError), zipfile.ZipFile(temporary) as archive:
         found = read_model_description(str(temporary), validate_model_structure=True)
-        # FMPy parses names by a grammar that takes a millisecond for each.
+        # FMPy's grammar takes a millisecond per name.
         plain = all(_PLAIN_NAME.fullmatch(v.name) for v in found.modelVariables)
         if plain and not any("\\" in name for name in archive.namelist()):
             return b"valid"

@@ -1,4 +1,4 @@
-"""terminalsAndIcons.xml of FMI 3.0: variables that are connected together, and a picture."""
+"""terminalsAndIcons.xml of FMI 3.0: terminals and an icon."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,21 +13,21 @@ TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 ICON = "terminalsAndIcons/icon.png"
 
 Kind = Literal["signal", "inflow", "outflow"]
-"""Whether a member is passed on, or sums to zero with its like: what flows in, and out."""
+"""Kind of a member: a signal, or an inflow or outflow that sums to zero."""
 
-_SIZE = "100"  # of the picture in its own coordinates
+_SIZE = "100"  # in the coordinates of the picture
 
 
 @dataclass(frozen=True, kw_only=True)
 class Terminal:
-    """Variables of a joint that are connected as one; see `Interface.connected`.
+    """Variables of a joint that are connected together; see `Interface.connected`.
 
     Attributes
     ----------
-    name : of it.
-    kind : what it is, as a class of the Modelica Standard Library.
-    description : for the user.
-    members : name of a variable, without index, and its kind, by the name of the member.
+    name : name of the terminal.
+    kind : kind of terminal, a class of the Modelica Standard Library.
+    description : description for the user.
+    members : by member, the name of its variable without index, and its kind.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Terminal:
 
 
 def to_terminals(table: Interface, terminals: Sequence[Terminal], *, icon: bool) -> bytes | None:
-    """Return terminalsAndIcons.xml, None where there is nothing to be said."""
+    """Return terminalsAndIcons.xml, or None if it would be empty."""
     if not terminals and not icon:
         return None
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
@@ -56,7 +56,7 @@ def to_terminals(table: Interface, terminals: Sequence[Terminal], *, icon: bool)
 
 
 def _indices(terminal: Terminal, names: Sequence[str]) -> Iterator[str]:
-    """Yield what stands behind the names of the variables of each terminal, as [1]."""
+    """Yield the index suffix of each terminal, such as [1]."""
     first, _ = next(iter(terminal.members.values()))
     for name in names:
         if name.startswith(f"{first}["):

@@ -1,4 +1,4 @@
-"""The C compiler: one for all targets, the same bytes on every host."""
+"""The C compiler: one for all targets, with the same bytes on every host."""
 
 import struct
 from collections.abc import Mapping, Sequence
@@ -26,15 +26,15 @@ _LINK = ("-shared", "-g0", "-s")
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """Where a binary runs.
+    """Target of a binary.
 
     Attributes
     ----------
     folder : folder under binaries/ in the FMU.
     suffix : suffix of the shared library.
-    triples : the compiler's names of the target; several make one universal file.
-    flags : flags for this target alone; `{library}` is the name of the library, `{compiler}` the
-        folder of the compiler.
+    triples : target names of the compiler; several make one universal file.
+    flags : flags for this target; `{library}` is the name of the library, `{compiler}` the folder
+        of the compiler.
     """
 
     folder: str
@@ -43,22 +43,22 @@ class Target:
     flags: tuple[str, ...] = ()
 
 
-# glibc 2.17 is that of the oldest systems which tools still support. FMI 2.0 has no folder for
-# 64-bit ARM Linux; the one here is FMI 3.0's, which FMI 2.0.5 asks for.
-# Nothing unwinds through C there, and the tables are a tenth of a binary.
+# glibc 2.17 is the oldest one that tools still support. FMI 2.0 has no folder for 64-bit ARM Linux;
+# this one is that of FMI 3.0, as FMI 2.0.5 recommends. Nothing unwinds through C, and unwind tables
+# are a tenth of a binary.
 _ELF = (
     "-fPIC",
     "-Wl,--build-id=none",
-    "-Wl,--hash-style=gnu",  # which every loader of these systems reads; the old table is 1 %
-    # The compiler's own helpers take seconds to build, for what no plain C calls.
+    "-Wl,--hash-style=gnu",  # supported by every loader; the old table is 1 %
+    # The compiler's runtime library takes seconds to build, and plain C does not need it.
     "-nostdlib",
     "-lc",
     "-lm",
     "-fno-unwind-tables",
     "-fno-asynchronous-unwind-tables",
 )
-# The compiler's own C library of Windows takes a hundred seconds to build, for a start-up that no
-# plain C needs. Without it there are its headers and the system's libraries by their own names.
+# The compiler's own C library for Windows takes a hundred seconds to build, for start-up code that
+# plain C does not need. Its headers and the system's import libraries remain available.
 _PRINTF = ("snprintf", "vsnprintf", "__local_stdio_printf_options")
 _PE = (
     "-nostdlib",
@@ -92,12 +92,12 @@ TARGETS: Mapping[str, Target] = {
 
 
 def targets(platforms: Sequence[str]) -> tuple[Target, ...]:
-    """Return the targets of these names; "all" stands for every one.
+    """Return the targets with these names; "all" selects every one.
 
     Raises
     ------
     ExportError
-        If a name is unknown or there is none.
+        If a name is unknown or the list is empty.
     """
     for name in platforms:
         if name not in TARGETS and name != "all":
@@ -112,18 +112,18 @@ def targets(platforms: Sequence[str]) -> tuple[Target, ...]:
 def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = ()) -> bytes:
     """Compile one translation unit to a shared library and return its bytes.
 
-    Further flags are those of libraries that it is linked to.
+    `link` holds the flags of libraries to link.
 
     Raises
     ------
     ExportError
-        If the compiler fails, with the first line of what it says.
+        If the compiler fails, with the first line of its output.
     """
     library = identifier + target.suffix
     with scratch_folder() as folder:
         parts = []
         for triple in target.triples:
-            # A folder for each part: the linker writes import libraries and the like beside it.
+            # One folder per architecture: the linker writes import libraries next to the output.
             output = folder / triple / library
             output.parent.mkdir()
             last = [*(flag.replace("{library}", library) for flag in target.flags), *flags]
@@ -132,9 +132,9 @@ def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = 
     return parts[0] if len(parts) == 1 else universal(parts)
 
 
-# A module that imports nothing, and small, because it stands in a page. The compiler's own C
-# library takes a quarter of a minute to build; of it there are the headers and what math.h's pow()
-# is made of, else `wasm.c`.
+# A small module without imports, because it is embedded in a page. Building the compiler's own C
+# library takes 15 s; only its headers and the parts of pow() are used, and `wasm.c` provides the
+# rest.
 _WASM = ("-target", "wasm32-wasi", "-nostdlib", "-Wl,--no-entry", *CFLAGS, "-Oz", "-g0", "-s")
 _MUSL = "{compiler}/lib/libc/musl"
 _POW = tuple(
@@ -164,7 +164,7 @@ def build_wasm(source: Path, *, powers: bool) -> bytes:
     Raises
     ------
     ExportError
-        If the compiler fails, with the first line of what it says.
+        If the compiler fails, with the first line of its output.
     """
     with scratch_folder() as folder:
         output = folder / f"{source.stem}.wasm"
@@ -173,7 +173,7 @@ def build_wasm(source: Path, *, powers: bool) -> bytes:
 
 
 def get_ready() -> None:
-    """Let the compiler build what the first page needs, seconds that need not be waited for."""
+    """Build in advance the compiler parts that the first page needs, which takes seconds."""
     with scratch_folder() as folder:
         source = folder / "nothing.c"
         source.write_text("extern int nothing;\n", encoding="utf-8")
@@ -182,7 +182,7 @@ def get_ready() -> None:
 
 _FAT_MAGIC = 0xCAFEBABE
 _MACH_MAGIC_64 = 0xFEEDFACF
-_PAGE_BITS = 14  # slices begin at pages of 16 KiB, the larger of the two architectures' pages
+_PAGE_BITS = 14  # slices start at 16 KiB pages, the larger page size of the two architectures
 
 
 def universal(parts: Sequence[bytes]) -> bytes:
