@@ -1,1 +1,1 @@
-"""Components of a closed loop besides friction and arm, each as an FMU of native C."""
+"""Components of a closed loop other than friction and arm, each as an FMU of native C."""

@@ -1,4 +1,4 @@
-"""An FMU whose joints all have the same equations."""
+"""FMUs whose joints all have the same equations."""
 
 from collections.abc import Collection, Iterator, Mapping
 
@@ -24,16 +24,16 @@ def block(
     Parameters
     ----------
     component : equations of one joint.
-    joints : how many; their signals are called `name[1]` and so on, shared parameters `name`.
-    name : of the model; in lower case that of the binaries.
-    text : one sentence of description.
+    joints : number of joints; their signals are `name[1]`, .., shared parameters `name`.
+    name : name of the model; in lower case that of the binaries.
+    text : description in one sentence.
     step : preferred step [s].
-    example : parameters of its reference results, those of a joint by their own name.
+    example : parameters of the reference results, those of a joint by their own name.
 
     Raises
     ------
     ExportError
-        If the component has states: a block has no variables of their start values.
+        If the component has states: a block has no variables for their start values.
     """
     if component.memory:
         raise ExportError(
@@ -41,7 +41,7 @@ def block(
             "remembered with previous()."
         )
     own = [Joint(component=component, names=_names(component, i)) for i in range(1, joints + 1)]
-    # What was at the last sample is no state of a solver.
+    # Values of the last sample are not states of a solver.
     free = not (component.remembered or component.sample_time)
     table = Interface(
         variables=tuple(_variables(component, own)),

@@ -2,9 +2,8 @@
 
     dq_cmd = dq_d + dq_comp + Kx (q_d - q),   tau_d = tau_rb + friction_gain tau_f
 
-and dq_comp by one of three schemes. A command is held over a sample, so the inverse of the servo
-acts on it in the middle of the sample on average. The loop begins at rest, with the servo in
-equilibrium.
+with dq_comp from one of three schemes. A command is held over a sample, so the inverse of the servo
+acts on it at mid-sample on average. The loop starts at rest, with the servo in equilibrium.
 """
 
 from dataclasses import replace
@@ -63,7 +62,7 @@ _FRICTION_GAIN = Parameter(
 
 
 def controller_equations(step: float) -> Component:
-    """Return the equations of one joint, with `step` [s] as the start of the sample time."""
+    """Return the equations of one joint, with `step` [s] as the default sample time."""
     q_d, dq_d, tau_rb, tau_f, tau_g, tau_meas, q = (i.symbol for i in _INPUTS)
     kp, kd, kx, kv, ki = (gain.symbol for gain in _GAINS)
     sample, decay, gain = _SAMPLE_TIME.symbol, _LAMBDA.symbol, _FRICTION_GAIN.symbol
@@ -87,7 +86,7 @@ def controller_equations(step: float) -> Component:
                      expression=COMPENSATION.case({"torque_error": torque_error,
                                                    "servo_inversion": servo_inversion})),
             Equation(name="e", unit="N.m", expression=tau_d - tau_meas, start=e),
-            # Of the command; at rest the servo's own integral holds the torque already.
+            # At rest the servo's own integral holds the torque already.
             Equation(name="integral", unit="rad",
                      expression=previous("integral") + sample * previous("dq_comp"),
                      start=sympy.Piecewise(((tau_d - tau_g) / ki, ki > 0), (0, True))),
@@ -104,7 +103,7 @@ def controller_equations(step: float) -> Component:
 
 
 def controller(joints: int, *, step: float = 0.005) -> Content:
-    """Return the Controller FMU for a number of joints that samples every `step` [s]."""
+    """Return the Controller FMU for a number of joints with sample time `step` [s]."""
     return block(
         controller_equations(step),
         joints,

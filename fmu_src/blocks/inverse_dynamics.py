@@ -20,8 +20,8 @@ def inverse_dynamics(
 
     Parameters
     ----------
-    robot : its kinematic tree and gravity.
-    parameters : (P,) of `robot.parameter_names`; tunable in the FMU.
+    robot : kinematic tree and gravity.
+    parameters : (P,) parameters in the order of `robot.parameter_names`; tunable in the FMU.
     step : preferred step [s].
     """
     n, tree = robot.n, robot.tree
@@ -69,7 +69,7 @@ def inverse_dynamics(
 
 
 def _tree(robot: RobotModel) -> str:
-    """Return tree.h: the joints' places, what motors turn, and gravity."""
+    """Return tree.h: joint placements, rotors and gravity."""
     rows = []
     motors, gravity = robot.description.motors, robot.description.gravity
     for joint in robot.tree:

@@ -1,4 +1,4 @@
-"""What the blocks share: vectors of variables, places for their C, and the FMU around both."""
+"""Common parts of the blocks: vectors of variables, their indices in C, and the FMU."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
@@ -17,7 +17,7 @@ def vector(
     start: Iterable[float],
     dependencies: Sequence[str] = (),
 ) -> Iterator[Variable]:
-    """Yield one variable for each joint; `{}` in a dependency stands for the joint."""
+    """Yield one variable per joint; `{}` in a dependency is replaced by the joint number."""
     for i, value in enumerate(start, start=1):
         yield Variable(
             name=f"{name}[{i}]",
@@ -35,13 +35,13 @@ def scalar(name: str, role: Role, unit: str, text: str, start: float) -> Variabl
 
 
 def places(table: Interface, guard: str, first: Mapping[str, str], **sizes: int) -> str:
-    """Return a C header with the place of the first variable of each kind, and sizes.
+    """Return a C header with the index of the first variable of each kind, and sizes.
 
     Parameters
     ----------
     table : the variables.
-    guard : of the header, in capitals.
-    first : name in C to name of the first variable.
+    guard : include guard in capitals.
+    first : by name in C, the name of the first variable.
     sizes : further constants.
     """
     constants = {name: table.places[variable] for name, variable in first.items()} | sizes
@@ -66,13 +66,13 @@ def content(
 
     Parameters
     ----------
-    table : its variables.
-    name : of the model; in lower case that of the binaries.
-    text : one sentence of description.
-    sources : text of its own C files by name.
+    table : variables.
+    name : name of the model; in lower case that of the binaries.
+    text : description in one sentence.
+    sources : the block's own C files by name.
     step : preferred step [s].
-    example : parameters of its reference results that are not at their start values.
-    owner : ours where it holds nothing of a robot.
+    example : parameters of the reference results that differ from their start values.
+    owner : owner of the model; HESR if the block contains nothing of a robot.
     """
     about = Description(
         name=name, identifier=name.lower(), text=text, created=RELEASED, step=step, owner=owner

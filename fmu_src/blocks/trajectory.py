@@ -1,4 +1,4 @@
-"""The Trajectory FMU: a desired motion, now and some time ahead, chosen by its parameters."""
+"""The Trajectory FMU: desired motion, now and at a preview time, selected by parameters."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from hesr_model.errors import ExportError
 from hesr_model.motions.trajectories import Fourier, Sine, Sweep, Trajectory
 
 HARMONICS = 10
-"""Most harmonics of a Fourier motion."""
+"""Maximum number of harmonics of a Fourier motion."""
 
 KIND = Enumeration(
     name="Motion",
@@ -44,7 +44,7 @@ _FROM_REST = (("a", 1, 0.5), ("a", 3, -0.5), ("b", 1, 0.4), ("b", 2, -0.2))
 
 
 def trajectory(joints: int, *, step: float = 0.005) -> Content:
-    """Return the Trajectory FMU for a number of joints; `step` [s] is the preferred one."""
+    """Return the Trajectory FMU for a number of joints with preferred step `step` [s]."""
     zeros = np.zeros(joints)
     kind = Variable(
         name="kind", role="fixed", description="kind of the motion", enumeration=KIND, start=2.0
@@ -99,12 +99,12 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
 
 
 def start_values(motion: Trajectory) -> dict[str, float | str | tuple[float, ...]]:
-    """Return the parameters with which the Trajectory FMU makes a motion.
+    """Return the parameters of the Trajectory FMU for a motion.
 
     Raises
     ------
     ExportError
-        If the motion is of another kind, or has more than `HARMONICS` harmonics.
+        If the kind of motion is not supported, or it has more than `HARMONICS` harmonics.
     """
     match motion:
         case Fourier():

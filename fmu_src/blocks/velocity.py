@@ -1,4 +1,4 @@
-"""The Velocity FMU: velocities of measured positions."""
+"""The Velocity FMU: velocities from measured positions."""
 
 import sympy
 
@@ -21,7 +21,7 @@ _TIME_CONSTANT = Parameter(
 
 
 def velocity_equations() -> Component:
-    """Return backward differences and a first-order low-pass of one joint."""
+    """Return backward differences and a first-order low-pass filter of one joint."""
     tau = _TIME_CONSTANT.symbol
     share = sympy.Piecewise((1 - sympy.exp(-DT / tau), tau > 0), (1, True))
     speed = (_Q.symbol - previous("position")) / DT
@@ -41,7 +41,7 @@ def velocity_equations() -> Component:
 
 
 def velocity(joints: int, *, step: float = 0.005) -> Content:
-    """Return the Velocity FMU for a number of joints; `step` [s] is the preferred one."""
+    """Return the Velocity FMU for a number of joints with preferred step `step` [s]."""
     return block(
         velocity_equations(),
         joints,

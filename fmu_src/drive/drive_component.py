@@ -1,4 +1,4 @@
-"""The drive component: its interface and its generated C, from a friction model and its motors."""
+"""The drive component: its interface and generated C, from a friction model and its motors."""
 
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -27,19 +27,20 @@ from hesr_model.robots.transmission import Coupling
 from hesr_model.units import unit_of_joint
 
 SUBSTEP = 1e-3
-"""Longest inner step [s] unless set otherwise."""
+"""Default of the longest inner step [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motors:
-    """The motor and the gear of each joint.
+    """Motor and gear of each joint.
 
     Attributes
     ----------
-    inertia : (n,) of the rotor and all that turns with it [kg.m2], positive.
-    stiffness : (n,) of the flexspline [N.m/rad], on the joint's side of the gear; 0 for none.
-    damping : (n,) of the flexspline [N.m.s/rad].
-    ratio : (n,) turns of the motor for one of the joint; not 0.
+    inertia : (n,) inertia of the rotor and everything fixed to it [kg.m2], positive.
+    stiffness : (n,) stiffness of the flexspline [N.m/rad], on the joint side of the gear; 0 for
+        none.
+    damping : (n,) damping of the flexspline [N.m.s/rad].
+    ratio : (n,) motor turns per joint turn; non-zero.
     """
 
     inertia: tuple[float, ...]
@@ -54,7 +55,7 @@ _NEEDED: dict[str, tuple[str, str, float, Callable[[float], bool]]] = {
     "damping": ("N.m.s/rad", "a number that is not negative", 0.0, lambda value: value >= 0.0),
     "ratio": ("turns", "a number other than zero", 1.0, lambda value: value != 0.0),
 }
-"""Unit, what is needed in words, what is meant where nothing is given, and the test."""
+"""Unit, requirement in words, default value, and test."""
 
 
 def motors(
@@ -65,12 +66,12 @@ def motors(
     damping: Sequence[float] | None = None,
     ratio: Sequence[float] | None = None,
 ) -> Motors:
-    """Return the motors of a number of joints, rigid and without a gear where nothing is given.
+    """Return the motors of a number of joints; by default rigid and without a gear.
 
     Raises
     ------
     ExportError
-        If there are not as many values as joints, or one is not what it must be.
+        If the number of values differs from the number of joints, or a value is invalid.
     """
     found = {}
     given = (inertia, stiffness, damping, ratio)
@@ -119,14 +120,14 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
 
     Parameters
     ----------
-    model : the friction law of each joint.
-    own : the motor of each joint.
+    model : friction law of each joint.
+    own : motor of each joint.
     substep : start value of the longest inner step [s].
 
     Raises
     ------
     ExportError
-        If the laws' names are not names in FMI, or their discretisations differ.
+        If a name of the laws is not an FMI name, or their discretisations differ.
     """
     zeros = (0.0,) * len(model.laws)
     laws = _joints(model)
@@ -166,13 +167,13 @@ def interface(model: FrictionModel, own: Motors, *, substep: float = SUBSTEP) ->
         model_exchange=False,
         directional_derivatives=False,
         inner_steps=True,
-        # FMPy takes inputs of one shape only: none is an array, since those of a flange are none.
+        # FMPy requires inputs of one shape: none is an array, because flange inputs are scalars.
         connected=frozenset({*(name for name, _, _ in _INPUTS), "tau_link"}),
     )
 
 
 def _at_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
-    """Return a variable as it is at a joint that slides, where its own does; no C knows of it."""
+    """Return a variable with the units of a prismatic joint; C does not depend on them."""
     joint = re.search(r"\[(\d+)\]", variable.name)
     if joint is None or not slides[int(joint[1]) - 1]:
         return variable
@@ -187,14 +188,14 @@ _WORDS = {"torque": "force", "angle": "position", "inertia": "mass", "flexspline
 
 
 def _of_the_last_step(variable: Variable, inputs: Collection[str]) -> Variable:
-    """Return a variable on which inputs act at the start and by steps only."""
+    """Return a variable on which inputs act only at the start and by steps."""
     at_once = tuple(name for name in variable.dependencies if name in inputs)
     others = tuple(name for name in variable.dependencies if name not in inputs)
     return replace(variable, dependencies=others, initial_dependencies=at_once)
 
 
 def _sources(joint: int, coupling: Coupling | None) -> dict[str, tuple[str, ...]]:
-    """Return what the inputs of laws are computed from, before the first step."""
+    """Return the variables that determine the inputs of laws before the first step."""
     return {
         "dq": (f"dq_start[{joint}]", f"ratio[{joint}]"),
         "q": (f"q_start[{joint}]", f"ratio[{joint}]"),
@@ -203,7 +204,7 @@ def _sources(joint: int, coupling: Coupling | None) -> dict[str, tuple[str, ...]
 
 
 def _coupled(coupling: Coupling | None, outputs: Sequence[Variable]) -> Iterator[Variable]:
-    """Yield one output of all joints; of those at links, with what moves them by a coupling."""
+    """Yield one output of all joints, with the dependencies of a coupling for those at links."""
     for link, variable in enumerate(outputs, start=1):
         if coupling is None or not variable.name.startswith("tau_link["):
             yield variable
@@ -226,7 +227,7 @@ def _joints(model: FrictionModel) -> tuple[Joint, ...]:
 
 
 def equations_to_c(model: FrictionModel, table: Interface) -> str:
-    """Return equations.h: functions of each distinct law and where the joints' variables stand."""
+    """Return equations.h: functions of the distinct laws and indices of the joints' variables."""
     vectors = [*(n for n, *_ in (*_INPUTS, *_OUTPUTS)), "tau_f", *(n for n, *_ in _PARAMETERS)]
     places = {name.upper(): f"{name}[1]" for name in vectors}
     places |= {name.upper(): name for name in ("substep", "discretisation", "start_mode")}

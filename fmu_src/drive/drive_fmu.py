@@ -1,4 +1,4 @@
-"""A friction model and its motors in, an FMU out: torque in, speed and angle out."""
+"""Export of a friction model and its motors as an FMU: torque in, speed and angle out."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,9 +26,9 @@ FLANGE = Terminal(
         "tau": ("tau_link", "outflow"),
     },
 )
-"""Of each joint, on the joint's side of the gear."""
+"""Options of each joint, on the joint side of the gear."""
 
-_UNKNOWN = 10.0  # friction torque [N.m] where it is not known
+_UNKNOWN = 10.0  # default friction torque [N.m]
 
 
 def export_drive(
@@ -46,21 +46,21 @@ def export_drive(
 ) -> Path:
     """Write a friction model with the motors of its joints as an FMU for co-simulation.
 
-    The same arguments give the same bytes; dates are those of `friction.export.export_fmu`.
+    The same arguments give the same bytes; dates are those of `friction_fmu.export_fmu`.
 
     Parameters
     ----------
-    model : the friction law of each joint, in the joint's coordinates.
+    model : friction law of each joint, in joint coordinates.
     path : the FMU to write, ending in .fmu.
-    inertia : (n,) of the rotor and all that turns with it [kg.m2], positive; of a joint that slides
-        its mass [kg], and so on in m and N.
-    stiffness : (n,) of the flexspline towards the link [N.m/rad]; none where not given.
-    damping : (n,) of the flexspline [N.m.s/rad].
-    ratio : (n,) turns of the motor for one of the joint; 1 where not given.
+    inertia : (n,) inertia of the rotor and everything fixed to it [kg.m2], positive; for a
+        prismatic joint its mass [kg], and so on in m and N.
+    stiffness : (n,) stiffness of the flexspline [N.m/rad]; rigid by default.
+    damping : (n,) damping of the flexspline [N.m.s/rad].
+    ratio : (n,) motor turns per joint turn; 1 by default.
     platforms : names of `toolchain.TARGETS`, or "all".
-    progress : told for how many of them it is built.
+    progress : callback with the number of platforms built.
     fmi : version of FMI.
-    bare : without its documentation, to try the law in.
+    bare : whether to leave out the documentation.
 
     Returns
     -------
@@ -69,8 +69,8 @@ def export_drive(
     Raises
     ------
     ExportError
-        If a number is not what it must be, the model cannot be expressed in C or
-        FMI, or a binary cannot be built.
+        If a number is invalid, the model cannot be expressed in C or FMI, or a binary cannot be
+        built.
     ArtifactError
         If `path` cannot be written.
     """
@@ -90,7 +90,7 @@ def content(
     ratio: Sequence[float] | None = None,
     bare: bool = False,
 ) -> Content:
-    """Return the FMU of a drive, before it is compiled; arguments are those of `export_drive`."""
+    """Return the FMU of a drive before compilation; for the arguments see `export_drive`."""
     require_exportable(model, "a drive")
     own = motors(
         len(model.laws), inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio
@@ -121,7 +121,7 @@ def content(
 
 
 def _stimuli(model: FrictionModel, own: Motors) -> Stimuli:
-    """Return torques of motors that overcome the friction, and the middle of trained loads."""
+    """Return motor torques that exceed the friction, and the middle of the trained loads."""
     trained = model.trained or (None,) * len(model.joints)
     sizes, loads = {}, {}
     for i, (seen, ratio) in enumerate(zip(trained, own.ratio, strict=True), start=1):

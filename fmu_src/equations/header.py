@@ -341,7 +341,7 @@ def _array(kind: str, name: str, values: Iterable[object]) -> str:
 
 
 def _signs(own: Functions) -> str:
-    """Return the names of the held signs for messages, at least one because C has no empty arrays."""
+    """Return the names of the held signs for messages; C has no empty arrays."""
     names = ", ".join(f'"{e}"' for e in own.jumps.expressions)
     return f"static const char *const {own.name}_names[] = {{{names or 'NULL'}}};\n"
 

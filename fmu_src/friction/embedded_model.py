@@ -1,4 +1,4 @@
-"""The friction model that an FMU of ours carries beside its code, for whoever wants to know it."""
+"""The friction model in an FMU of HESR, as data next to its code."""
 
 import json
 from pathlib import Path
@@ -9,21 +9,21 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.support.untrusted_text import parse_json
 
 EMBEDDED_MODEL = "resources/friction_model.json"
-"""Where the model stands in the archive; the FMU itself does not read it."""
+"""Name of the model in the archive; the FMU itself does not read it."""
 
 
 def embedding(model: FrictionModel) -> dict[str, bytes]:
-    """Return the member of an archive that has the model, by its name."""
+    """Return the archive member that contains the model, by its name."""
     return {EMBEDDED_MODEL: (json.dumps(model.to_json(), indent=2) + "\n").encode()}
 
 
 def embedded_model(fmu: Path) -> FrictionModel | None:
-    """Return the friction model that an FMU carries, or None where it carries none.
+    """Return the friction model in an FMU, or None if it has none.
 
     Raises
     ------
     ArtifactError
-        If the FMU cannot be read, or the model in it is damaged.
+        If the FMU cannot be read, or its model is damaged.
     """
     with Archive(fmu) as archive:
         if EMBEDDED_MODEL not in archive.names:

@@ -39,7 +39,7 @@ DISCRETISATION = Enumeration(
 )
 
 _NONE = 1e-12
-"""Of a coupling's inverse: a smaller share is rounding."""
+"""Round-off of the inverse of a coupling; smaller coefficients count as zero."""
 START = Enumeration(
     name="Start",
     items=(
@@ -53,16 +53,16 @@ START = Enumeration(
 )
 
 STEADY, GIVEN = 1.0, 2.0
-"""Its choices as numbers."""
+"""Values of its choices."""
 
 START_MODE = "start_mode"
-"""Name of the parameter that says where states begin."""
+"""Name of the parameter that selects the initial state."""
 
 _CRAWL = 0.1
-"""Speed at whose steady state a state's nominal value is taken [rad/s]."""
+"""Speed of the steady state that defines the nominal value of a state [rad/s]."""
 
 _EFFORT = {False: "torque", True: "force"}
-"""What a joint that turns, or one that slides, takes to move."""
+"""Verbs for revolute and prismatic joints."""
 
 POWER = Equation(
     name="power",
@@ -71,7 +71,7 @@ POWER = Equation(
     expression=sympy.Symbol(TORQUE, real=True) * DQ,
     output=True,
 )
-"""An output that every friction FMU can have."""
+"""An optional output of friction FMUs."""
 
 SLOPE = Quantity(
     name=f"d{TORQUE}_d{DQ.name}",
@@ -79,11 +79,11 @@ SLOPE = Quantity(
     description="slope of tau[{number}] over dq[{number}] held over the last step, the states "
     "following; in model exchange that at the last event, the states at rest",
 )
-"""Of the torque over the velocity."""
+"""Slope of the torque over the velocity."""
 
 
 def component(law: FrictionLaw, more: Iterable[Equation] = (), *, band: bool = False) -> Component:
-    """Return the equations of a joint: its law, with `SCALES`, further outputs and the band."""
+    """Return the equations of a joint: its law with `SCALES`, further outputs and the band."""
     form = scaled(law.form)
     own = form.component
     return replace(
@@ -107,14 +107,14 @@ def interface(
 
     Parameters
     ----------
-    model : one law for each joint.
-    more : further outputs, as `POWER`.
-    band : whether the ends of the model's band are outputs, too.
+    model : one law per joint.
+    more : further outputs, such as `POWER`.
+    band : whether the limits of the model's band are outputs.
 
     Raises
     ------
     ExportError
-        If the laws' names are not names in FMI, or their discretisations differ.
+        If a name of the laws is not an FMI name, or their discretisations differ.
     """
     joints = joints_of(model, more, band=band)
     numbers = range(1, len(joints) + 1)
@@ -158,7 +158,7 @@ def interface(
 
 
 def mixed(name: str, coordinate: int, coupling: Coupling | None) -> tuple[str, ...]:
-    """Return the joints' variables of which a signal of a friction coordinate is made."""
+    """Return the variables of joints that a signal of a friction coordinate depends on."""
     if coupling is None:
         return (f"{name}[{coordinate}]",)
     matrix = coupling.backward if name == TAU_LOAD.name else coupling.forward
@@ -179,7 +179,7 @@ def _mixed_inputs(coupling: Coupling | None, coordinate: int) -> dict[str, tuple
 def _output_dependencies(
     model: FrictionModel, joints: tuple[Joint, ...], joint: int, output: Equation
 ) -> tuple[str, ...]:
-    """Return the variables of which an output is made; the torque is the sum of coordinates'."""
+    """Return the variables that an output depends on; the torque is a sum over coordinates."""
     torque = output.symbol == joints[0].component.outputs[0].symbol
     coordinates = adding(joint, model.coupling) if torque else (joint,)
     found = [
@@ -193,13 +193,13 @@ def _output_dependencies(
 def of_joint(
     model: FrictionModel, quantity: Quantity, joint: int, role: Role, **more: Any
 ) -> Variable:
-    """Return the variable of one joint for what every joint has.
+    """Return a variable of one joint that every joint has.
 
     Parameters
     ----------
-    model : for the names of its joints, and whether they slide.
-    quantity : with the unit of a joint that turns.
-    joint : number of the joint, from 1.
+    model : model with the names and kinds of the joints.
+    quantity : quantity with the unit of a revolute joint.
+    joint : joint number, from 1.
     role, more : attributes of the variable.
     """
     slides = model.slides[joint - 1]
@@ -220,9 +220,9 @@ def _trained_size(model: FrictionModel, quantity: Quantity, joint: int) -> float
 
 
 def discretisation(model: FrictionModel, description: str) -> Variable:
-    """Return the parameter that says how states are integrated.
+    """Return the parameter that selects the integration of the states.
 
-    Errors are those of `discretisation_of`.
+    Raises the errors of `discretisation_of`.
     """
     return Variable(
         name="discretisation",
@@ -234,7 +234,7 @@ def discretisation(model: FrictionModel, description: str) -> Variable:
 
 
 def start_mode() -> Variable:
-    """Return the parameter that says where states begin."""
+    """Return the parameter that selects the initial state."""
     return Variable(
         name=START_MODE,
         role="fixed",
@@ -245,7 +245,7 @@ def start_mode() -> Variable:
 
 
 def scales(model: FrictionModel) -> Iterator[Variable]:
-    """Yield the factors on Coulomb and on viscous friction, one of each for every joint."""
+    """Yield the factors on Coulomb and viscous friction of every joint."""
     for scale in SCALES:
         for i, law in enumerate(model.laws, start=1):
             own = of_joint(model, scale, i, "tunable", start=1.0, least=0.0)
@@ -255,7 +255,7 @@ def scales(model: FrictionModel) -> Iterator[Variable]:
 
 
 def band_numbers(model: FrictionModel) -> Iterator[Variable]:
-    """Yield what a band is made with: its coverage, and the numbers of every joint."""
+    """Yield the parameters of a band: coverage, and the numbers of every joint."""
     yield Variable(
         name=COVERAGE.name,
         role="tunable",
@@ -282,13 +282,13 @@ def joints_of(
 
     Parameters
     ----------
-    model : one law for each joint.
+    model : one law per joint.
     more : further outputs.
-    names : for what is not called by its own name, the stem of its variables.
-    band : whether they have the model's band.
+    names : stems of variables whose name differs from that of the quantity.
+    band : whether to add the model's band.
     """
     found = []
-    # C knows no units, in which the forms of joints that turn and that slide differ alone.
+    # C has no units, the only difference between the forms of revolute and prismatic joints.
     laws = [replace(law, form=law.form.sliding) for law in model.laws]
     for joint, law in enumerate(laws, start=1):
         own, at = component(law, more, band=band), place(law, joint)
@@ -318,14 +318,14 @@ def dependencies(
     *,
     starting: bool = False,
 ) -> tuple[str, ...]:
-    """Return the variables of which an equation or a derivative of a joint is made.
+    """Return the variables that an equation or derivative of a joint depends on.
 
     Parameters
     ----------
     joint : the joint.
     symbol : symbol of a variable; initial states (`initial_symbol`) depend on start values.
-    inputs : variables of which an input is made, where it is none itself.
-    starting : before the first step.
+    inputs : variables of inputs that are not variables themselves.
+    starting : whether this is before the first step.
     """
     own = joint.component
     beginnings = initial_state(own.memory, own.settling)
@@ -352,9 +352,9 @@ def law_variables(
 
     Parameters
     ----------
-    law : of the joint.
-    joint : number of the joint, from 1.
-    own : the joint's equations and names.
+    law : law of the joint.
+    joint : joint number, from 1.
+    own : equations and names of the joint.
     inputs : as for `dependencies`.
     """
     known = {m.name: m for m in law.form.memory}
@@ -400,9 +400,9 @@ def law_variables(
 
 
 def nominal(law: FrictionLaw, element: Element) -> float:
-    """Size of a state in slow sliding; 1 where that is nothing usable.
+    """Size of a state in slow sliding; 1 if that is unusable.
 
-    A relaxation's is drive / rate, a stop's its bound.
+    It is drive / rate for a relaxation, and the bound for a stop.
     """
     at = {c.symbol: law.values[c.name] for c in law.form.coefficients}
     at |= dict.fromkeys(INPUTS, 0.0) | {DQ: _CRAWL} | {m.state: 0.0 for m in law.form.memory}
@@ -414,7 +414,7 @@ def nominal(law: FrictionLaw, element: Element) -> float:
 
 
 def _usual(size: float) -> float:
-    """Return a size with two digits; 1 where it is nothing usable."""
+    """Return a size with two digits; 1 if it is unusable."""
     return float(f"{size:.2g}") if 0.0 < size < inf else 1.0
 
 

@@ -1,4 +1,4 @@
-"""A friction model in, an FMU out."""
+"""Export of a friction model as an FMU."""
 
 import os
 import re
@@ -40,7 +40,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.owner import Owner
 from hesr_model.support.progress import Progress, silent
 
-# The dates that a ZIP archive can hold; the first also stands for no date.
+# Range of dates in a ZIP archive; the first also means no date.
 _FIRST_DATE, _LAST_DATE = datetime(1980, 1, 1, tzinfo=UTC), datetime(2107, 12, 31, tzinfo=UTC)
 
 
@@ -68,14 +68,13 @@ def export_fmu(
     model : one law for each joint.
     path : the FMU to write, ending in .fmu.
     platforms : names of `toolchain.TARGETS`, or "all".
-    properties : what the property battery found on the model, for the documentation.
-    audit : of the model, for the documentation, where it has been made already.
-    power : whether the power that the friction takes is an output, too.
-    band : whether `tau_lower[i]` and `tau_upper[i]`, between which measured friction lies, are
-        outputs, too.
-    body : the rigid body of the robot, for the FMU's page: it then finds the friction in a log of
-        measured torques itself.
-    progress : told for how many platforms it is built.
+    properties : results of the physics checks, for the documentation.
+    audit : audit of the model, for the documentation; computed by default.
+    power : whether to add the dissipated power as an output.
+    band : whether to add the limits of the band, `tau_lower[i]` and `tau_upper[i]`, as outputs.
+    body : rigid body of the robot, with which the FMU's page computes the friction in a log of
+        measured torques.
+    progress : callback with the number of platforms built.
     fmi : version of FMI.
 
     Returns
@@ -108,16 +107,16 @@ def export_bare(
     band: bool = False,
     fmi: Version = 2,
 ) -> Path:
-    """Write the same FMU without its documentation, to try the law in.
+    """Write the same FMU without its documentation.
 
-    Arguments and errors are those of `export_fmu`.
+    For arguments and errors see `export_fmu`.
     """
     bare = thermal_content(model, beside=band) if model.thermal else _component(model, band=band)
     return write_fmu(bare, path, platforms=platforms, fmi=fmi)
 
 
 def live_of(model: FrictionModel) -> dict[str, Any]:
-    """Return the data of a model's live section, for pages besides the one in its FMU.
+    """Return the data of a model's interactive section, for pages outside its FMU.
 
     Raises
     ------
@@ -140,7 +139,7 @@ def content(
     """Return the FMU of a friction model, before it is compiled."""
     bare = _component(model, (POWER,) if power else (), band=band)
     with ThreadPoolExecutor(max_workers=1) as pool:
-        # The compiler is a process of its own; the picture is drawn beside it.
+        # The picture is drawn while the compiler runs in its own process.
         module = pool.submit(wasm, translation_unit(bare)[1])
         picture = model_png(model)
         live = live_section(live_data(model, bare.table, module.result()))
@@ -174,7 +173,7 @@ def thermal_content(model: FrictionModel, *, beside: bool = False) -> Content:
     Raises
     ------
     HesrError
-        If a law has nothing that temperature could scale, or there is to be something `beside`.
+        If temperature scales no part of a law, or an option is not supported.
     """
     if beside:
         raise ExportError(
@@ -190,14 +189,14 @@ def thermal_content(model: FrictionModel, *, beside: bool = False) -> Content:
 def bare_content(
     model: FrictionModel, about: Description, table: Interface, header: str
 ) -> Content:
-    """Return the FMU of a model without pages; it carries the model."""
+    """Return the FMU of a model without pages, with the model itself."""
     return Content(
         table=table, about=about, sources=equation_sources(header), members=embedding(model)
     )
 
 
 def about_model(model: FrictionModel, kind: str, text: str) -> Description:
-    """Return the description of a friction FMU of a kind."""
+    """Return the model description of a friction FMU of some kind."""
     return description_of(
         model,
         name=f"{kind.capitalize()} of {model.robot} by {model.law}",
@@ -210,9 +209,10 @@ def about_model(model: FrictionModel, kind: str, text: str) -> Description:
 def description_of(
     model: FrictionModel, *, name: str, identifier: str, text: str, step: float
 ) -> Description:
-    """Return the description of an FMU of a model, of the model's date and owner.
+    """Return the model description of an FMU, with the model's date and owner.
 
-    Attributes are those of `Description`; of the identifier, what is none in C is replaced.
+    Attributes are those of `Description`; characters that C does not allow in identifiers are
+    replaced.
     """
     return Description(
         name=name,
@@ -227,12 +227,12 @@ def description_of(
 def date_of(model: FrictionModel) -> datetime:
     """Return the date in the FMU of a model.
 
-    That of SOURCE_DATE_EPOCH, else that of the provenance ("created"), else a fixed one.
+    It is SOURCE_DATE_EPOCH, otherwise that of the provenance ("created"), otherwise a fixed one.
 
     Raises
     ------
     ExportError
-        If what is there is no date.
+        If the value is not a date.
     """
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     created = model.provenance.get("created")

@@ -1,8 +1,8 @@
-"""A motion on which importers can be compared, and reference results that an FMU carries.
+"""Reference motion for importers, and the reference results in an FMU.
 
-The files follow the FMI cross-check: NAME_in.csv, NAME_ref.csv and NAME_ref.opt; a manifest of
-FMI-LS-REF names them, too. They are computed from the laws in Python, not by the FMU, so that they
-are a check of the FMU.
+The files follow the FMI cross-check: NAME_in.csv, NAME_ref.csv and NAME_ref.opt, and are listed in
+a manifest of FMI-LS-REF. They are computed from the laws in Python instead of the FMU, so that they
+test the FMU.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,7 @@ from hesr_model.support.arrays import Array
 from hesr_model.units import unit_of_joint
 
 UNKNOWN_SPEED = 1.2
-"""Amplitude of the velocity [rad/s] where the trained range is not known: that of Table I."""
+"""Velocity amplitude [rad/s] if the trained range is unknown: that of Table I."""
 
 _ROWS = 100
 _PHASE = 0.35
@@ -28,7 +28,7 @@ _DECIMALS = {"dq": 5, "q": 5, "tau_load": 3}
 _HALVINGS = 12
 _SUBSTEPS = 200
 _SAME, _CLOSE = 1e-12, 1e-6
-"""RelTol of the files: rounding for co-simulation, an integrator's error for model exchange."""
+"""RelTol of the files: round-off for co-simulation, integration error for model exchange."""
 
 _README = """\
 Reference results, in the file style of the FMI cross-check; the manifest of FMI-LS-REF in
@@ -66,20 +66,20 @@ def reference_motion(
     phase: float = 0.0,
     lead_in: float = 0.0,
 ) -> Motion:
-    """Return a sinusoidal velocity of each joint, its position and a load within what was trained.
+    """Return a sinusoidal velocity, its position and a load per joint, within the trained ranges.
 
         dq = A w(t) sin(2 pi f t + i phase),  q = middle + integral of dq,  w(t) from 0 to 1
 
-    A is the largest speed that was trained both ways, `UNKNOWN_SPEED` where that is not known.
-    The position swings around the middle of the trained ones, or 0.
+    A is the largest speed trained in both directions, or `UNKNOWN_SPEED`. The position oscillates
+    about the middle of the trained positions, or 0.
 
     Parameters
     ----------
-    model : whose sample time and trained ranges count.
-    frequency, periods : of the sinusoid [Hz], and how many of its periods there are.
-    rows : how many, over all periods; those of the model's sample time where not given.
-    phase : by which each joint leads the one before it [rad]; the first joint leads by it, too.
-    lead_in : time over which the velocity grows from rest [s], smoothly; 0 for none.
+    model : model with sample time and trained ranges.
+    frequency, periods : frequency [Hz] and number of periods of the sinusoid.
+    rows : number of rows over all periods; by default at the model's sample time.
+    phase : phase lead of each joint over the previous one [rad], including the first.
+    lead_in : time over which the velocity grows smoothly from rest [s]; 0 for none.
     """
     count = round(periods / (frequency * model.sample_time)) if rows is None else rows
     step = model.sample_time if rows is None else periods / (frequency * rows)
@@ -104,13 +104,13 @@ def _of_joint(
     q = cumulative_simpson(dq, x=t, initial=0.0)
     q += (trained.middle if trained else 0.0) - 0.5 * (q.min() + q.max())
     low, high = trained.tau_load if trained else (0.0, 0.0)
-    # A little within the range, so that rounding does not leave it.
+    # Slightly within the range, so that round-off does not leave it.
     load = 0.5 * (low + high) + 0.49 * (high - low) * np.cos(rate * t + angle)
     return dq, q, load
 
 
 def trained_speed(trained: TrainedRange | None) -> float:
-    """Return the largest speed that was trained both ways, or `UNKNOWN_SPEED` [rad/s]."""
+    """Return the largest speed trained in both directions, or `UNKNOWN_SPEED` [rad/s]."""
     if trained is None:
         return UNKNOWN_SPEED
     both_ways = min(-trained.dq[0], trained.dq[1])
@@ -122,20 +122,20 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
 
     Parameters
     ----------
-    model : of the FMU.
-    identifier : of the FMU, from which the files get their names.
+    model : model of the FMU.
+    identifier : identifier of the FMU, used in the file names.
 
     Returns
     -------
-    Inputs, reference torques and options for co-simulation and for model exchange, and a text that
-    says how to use them; the text alone where the laws give no finite torque on the motion.
+    Inputs, reference torques and options for co-simulation and model exchange, and instructions;
+    only the instructions if a law gives no finite torque on the motion.
     """
     found = _co_simulation(model)
     if found is None:
         return {"extra/README.txt": _NONE.encode()}
     step, motion, torque = found
     shown = torques(model, motion, SHOWN)
-    # In motion from the start on, so that no row lies on a reversal, where laws may jump.
+    # In motion from the start, so that no row coincides with a reversal, where laws may jump.
     smooth = _rounded(_motion(model, step))
     fine = torques(model, smooth, CONTINUOUS, substeps=_SUBSTEPS)
     text = _README.format(
@@ -195,7 +195,7 @@ def _motion(model: FrictionModel, step: float, lead_in: float = 0.0) -> Motion:
 
 
 def _co_simulation(model: FrictionModel) -> tuple[float, Motion, Array] | None:
-    """Return step [s], motion and torque; the step is shorter where Euler is not stable else."""
+    """Return step [s], motion and torque, with a shorter step if Euler is unstable otherwise."""
     for halved in range(_HALVINGS):
         step = model.sample_time / 2**halved
         motion = _rounded(_motion(model, step, lead_in=0.25 * _ROWS * step))
@@ -208,7 +208,7 @@ def _co_simulation(model: FrictionModel) -> tuple[float, Motion, Array] | None:
 
 
 def _rounded(motion: Motion) -> Motion:
-    """Return the motion with inputs that are short in a file, not larger than they were."""
+    """Return the motion with inputs rounded towards zero to few digits."""
     inputs = {
         name: np.trunc(10.0**decimals * getattr(motion, name)) / 10.0**decimals
         for name, decimals in _DECIMALS.items()

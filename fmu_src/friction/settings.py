@@ -1,11 +1,11 @@
-"""How an importer may hand inputs over at the steps of a co-simulation, and what each way costs.
+"""Conventions for setting inputs in co-simulation, and their errors.
 
-The step from row k to row k + 1 is run with
-    hold    the inputs of row k, which stay as they are: what most masters do;
+The step from row k to row k + 1 uses
+    hold    the constant inputs of row k, as most masters do;
     linear  the inputs of row k and their slopes (fmi2SetRealInputDerivatives) to row k + 1;
     direct  the inputs of row k + 1, as in the replay of a log.
-Whatever the way, the torque is read after the step, at the time of row k + 1. This module says with
-the law itself what an FMU that is run so gives; `fmu_src.check.convention` runs the FMU.
+The torque is always read after the step, at the time of row k + 1. This module computes the results
+from the law itself; `fmu_src.check.convention` runs the FMU.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,14 +26,13 @@ SETTINGS: Mapping[str, str] = {
     "linear": "the same with their slopes",
     "direct": "inputs of the step's end",
 }
-"""Ways to hand inputs over, from the commonest on."""
+"""Input conventions, the most common one first."""
 
 SHOWN = "shown"
-"""As "hold", with the torque read once the inputs of the next step are set, as some tools show it.
-"""
+"""As "hold", with the torque read after the inputs of the next step are set, as some tools do."""
 
 CONTINUOUS = "continuous"
-"""Not a way of a master: the law integrated finely, its inputs linear between the rows."""
+"""Not a convention of masters: fine integration of the law with linear inputs between the rows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +41,8 @@ class Motion:
 
     Attributes
     ----------
-    t : (N,) [s].
-    dq, q, tau_load : (N, n) [rad/s], [rad], [N.m].
+    t : (N,) time [s].
+    dq, q, tau_load : (N, n) velocity [rad/s], position [rad], load torque [N.m].
     """
 
     t: Array
@@ -56,7 +55,7 @@ class Motion:
         return zip(self.dq.T, self.q.T, self.tau_load.T, strict=True)
 
     def at_friction(self, coupling: Coupling | None) -> "Motion":
-        """Return the motion of the coordinates on which friction sits."""
+        """Return the motion of the friction coordinates."""
         if coupling is None:
             return self
         return Motion(
@@ -69,12 +68,12 @@ class Motion:
 
 @dataclass(frozen=True, kw_only=True)
 class Error:
-    """How far one joint's torque is off, [N.m].
+    """Torque error of one joint [N.m].
 
     Attributes
     ----------
-    rmse : over all rows.
-    rmse_reversal : within `phases.REVERSAL_WINDOW` of reversals; None where there is none.
+    rmse : error over all rows.
+    rmse_reversal : error within `phases.REVERSAL_WINDOW` of reversals; None without reversals.
     """
 
     rmse: float
@@ -82,22 +81,22 @@ class Error:
 
 
 def torques(model: FrictionModel, motion: "Motion", setting: str, *, substeps: int = 20) -> Array:
-    """Return the (N, n) torque [N.m] of a model's laws with inputs handed over in one way.
+    """Return the (N, n) torque [N.m] of a model's laws for an input convention.
 
-    It is not finite where a law's is not.
+    It may be infinite or NaN if that of a law is.
 
     Parameters
     ----------
     setting : one of `SETTINGS`, `SHOWN` or `CONTINUOUS`.
-    substeps : of `CONTINUOUS` between two rows.
+    substeps : number of steps between two rows for `CONTINUOUS`.
 
     Raises
     ------
     SimulationError
-        If the laws' discretisation is not stable at the motion's steps.
+        If the laws' discretisation is unstable at the steps of the motion.
     """
     own = motion.at_friction(model.coupling)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # callers look for it
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # checked by the callers
         columns = [
             _torque(law, own.t, inputs, setting, substeps)
             for law, inputs in zip(model.laws, own.by_joint(), strict=True)
@@ -107,7 +106,7 @@ def torques(model: FrictionModel, motion: "Motion", setting: str, *, substeps: i
 
 
 def errors(motion: "Motion", torque: Array, truth: Array) -> tuple[Error, ...]:
-    """Return the error of each joint's torque against the truth, both (N, n) [N.m]."""
+    """Return the torque error of each joint against the truth, both (N, n) [N.m]."""
     found = []
     for dq, difference in zip(motion.dq.T, (torque - truth).T, strict=True):
         near = near_reversals(motion.t, dq)
@@ -134,7 +133,7 @@ def _torque(
 
 
 def _read_at_rows(law: FrictionLaw, t: Array, inputs: Sequence[Array], substeps: int) -> Array:
-    """Step between rows with inputs held at the middle of each substep, and read at the rows."""
+    """Step between rows with inputs held at their values in mid-substep, and read at the rows."""
     ends = np.arange(1, substeps + 1) / substeps
 
     def between(row: Array, share: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Whether the numbers of a law give a torque at all: what divides by zero is told, not exported."""
+"""Checks that the coefficients of a law give a torque, before it is exported."""
 
 import sympy
 
@@ -10,15 +10,15 @@ _LONGEST = 60
 
 
 def require_numbers(model: FrictionModel) -> None:
-    """Refuse a model of which some law has no value, whatever its inputs are.
+    """Refuse a model with a law that has no value for any input.
 
-    Only what the coefficients alone make so is looked for, as a division by one that is 0; a torque
-    may still be no number at some speeds.
+    Only causes in the coefficients are found, such as a division by one that is 0; a torque may
+    still be NaN at some speeds.
 
     Raises
     ------
     ExportError
-        Naming the law, the joint, the part of the law, and the coefficients that make it so.
+        Naming the law, the joint, the part of the law and the coefficients.
     """
     for law, joint in zip(model.laws, model.joints, strict=True):
         part = _undefined(law)
@@ -35,18 +35,18 @@ def require_numbers(model: FrictionModel) -> None:
 
 
 def require_exportable(model: FrictionModel, form: str, *, coupled: bool = True) -> None:
-    """Refuse a model that a form other than its FMU cannot say.
+    """Refuse a model that another format than an FMU cannot express.
 
     Parameters
     ----------
-    model : one law for each joint.
-    form : in which its friction would stay as it is, whatever the temperature.
-    coupled : whether motors that turn with several joints can be said in it.
+    model : one law per joint.
+    form : name of the format, which cannot express temperature.
+    coupled : whether the format supports motors that turn with several joints.
 
     Raises
     ------
     ExportError
-        Naming the law and the form; or as `require_numbers` does.
+        Naming the law and the format; or as `require_numbers` does.
     """
     if model.coupling and not coupled:
         raise ExportError(
@@ -62,7 +62,7 @@ def require_exportable(model: FrictionModel, form: str, *, coupled: bool = True)
 
 
 def discretisation_of(model: FrictionModel) -> str:
-    """Return how the states of all joints are integrated, "exact" or "euler".
+    """Return the integration of the states of all joints, "exact" or "euler".
 
     Raises
     ------
@@ -79,20 +79,20 @@ def discretisation_of(model: FrictionModel) -> str:
 
 
 def shown(expression: sympy.Expr) -> str:
-    """Return an expression for people, cut where it is long."""
+    """Return a readable expression, truncated if long."""
     text = str(sympy.sstr(expression)).replace("absolute(", "abs(")
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
 
 
 def _undefined(law: FrictionLaw) -> sympy.Expr | None:
-    """Return the smallest part of a law that its coefficients make no number; None for none."""
+    """Return the smallest part of a law that its coefficients make undefined, or None."""
     values = {c.symbol: sympy.Float(law.values[c.name]) for c in law.form.coefficients}
     known: dict[sympy.Basic, sympy.Basic] = {}
-    # A function of what is no number has some value, whichever; of equal ones it is the same.
+    # Functions of undefined values get an arbitrary value, the same for equal ones.
     opaque: dict[tuple[sympy.Basic, ...], sympy.Basic] = {}
     form = law.form
     for whole in (*(part for m in form.memory for part in m.parts), form.output):
-        # Parts before what they are parts of.
+        # Parts before the expressions that contain them.
         for part in sympy.postorder_traversal(whole):
             if part not in known:
                 arguments = tuple(known[argument] for argument in part.args)

@@ -1,4 +1,4 @@
-"""Names of the variables that a joint's friction law has in an FMU."""
+"""Names of the variables of a joint's friction law in an FMU."""
 
 from dataclasses import dataclass
 
@@ -6,12 +6,12 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.scales import SCALES
 
 MAX_PARAMETERS = 64
-"""Laws with more coefficients than this show their factors alone."""
+"""Laws with more coefficients than this show only their factors."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Names of one joint's variables, in the order in which the C side expects them."""
+    """Names of one joint's variables in the order of the C code."""
 
     states: tuple[str, ...]
     derivatives: tuple[str, ...]
@@ -25,7 +25,7 @@ def exposed(law: FrictionLaw) -> bool:
 
 
 def place(law: FrictionLaw, joint: int) -> Place:
-    """Return the names of a joint's variables; joints are counted from 1."""
+    """Return the names of a joint's variables; joints count from 1."""
     return Place(
         states=tuple(f"{r.name}[{joint}]" for r in law.form.memory),
         derivatives=tuple(f"der({r.name}[{joint}])" for r in law.form.memory),
@@ -35,5 +35,5 @@ def place(law: FrictionLaw, joint: int) -> Place:
 
 
 def scales_of(joint: int) -> tuple[str, ...]:
-    """Return the names of a joint's factors on Coulomb and on viscous friction."""
+    """Return the names of a joint's factors on Coulomb and viscous friction."""
     return tuple(f"{scale.name}[{joint}]" for scale in SCALES)

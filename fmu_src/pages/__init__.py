@@ -1,1 +1,1 @@
-"""What an FMU says of itself to people: data sheet, picture, live page."""
+"""Documentation of FMUs: data sheet, picture, interactive page."""

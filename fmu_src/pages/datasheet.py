@@ -1,4 +1,4 @@
-"""The figures of an FMU's data sheet: audit, costs of the ways to step, fastest states."""
+"""Figures of an FMU's data sheet: audit, errors by input convention, fastest states."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,19 +21,19 @@ from hesr_model.support.arrays import Array
 from hesr_model.units import unit_of_joint, unit_of_joints
 
 RK4, EULER = 2.785, 2.0
-"""Largest rate * step at which Runge-Kutta of order 4 and forward Euler let a state decay."""
+"""Largest stable rate * step of fourth-order Runge-Kutta and forward Euler."""
 
-_ALMOST_PASSIVE = 1e-6  # [J]; less is rounding
+_ALMOST_PASSIVE = 1e-6  # [J]; less is round-off
 
 
 @dataclass(frozen=True, kw_only=True)
 class Costs:
-    """What each way of handing inputs over costs on the reference motion, by joint.
+    """Errors of each input convention on the reference motion, by joint.
 
     Attributes
     ----------
-    replay : errors against the law as logs are replayed: the direct way.
-    continuous : errors against the law in continuous time, inputs linear between the rows.
+    replay : errors against the law in a log replay, the direct convention.
+    continuous : errors against the law in continuous time with linear inputs between rows.
     """
 
     replay: Mapping[str, tuple[Error, ...]]
@@ -42,12 +42,12 @@ class Costs:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelAudit:
-    """What is known of how a model's laws behave, by joint.
+    """Passivity of a model's laws, by joint.
 
     Attributes
     ----------
-    certificates : of passivity.
-    audits : figures of closed cycles, of rest and of what is just outside the trained range.
+    certificates : certificates of passivity.
+    audits : figures of closed cycles, of rest and of motion just outside the trained range.
     """
 
     certificates: tuple[Certificate, ...]
@@ -55,23 +55,23 @@ class ModelAudit:
 
     @classmethod
     def of(cls, model: FrictionModel, seen: Sequence[TrainedRange]) -> "ModelAudit":
-        """Look at each joint's law, cycles being within its range.
+        """Examine each joint's law with cycles within its range.
 
         Raises
         ------
         SimulationError
-            If a law has no audit, because it is not stable or not finite in its range.
+            If a law cannot be audited because it is unstable or not finite in its range.
         """
         return cls(certificates=certificates(model, seen), audits=audits(model, seen))
 
 
 def ranges(model: FrictionModel, motion: Motion) -> tuple[TrainedRange, ...]:
-    """Return the trained range of each joint, or that of the reference motion where not known.
+    """Return the trained range of each joint, or that of the reference motion if unknown.
 
     Raises
     ------
     SimulationError, ArtifactError
-        If a range is not known and the law gives no finite torque on the motion.
+        If a range is unknown and the law gives no finite torque on the motion.
     """
     if model.trained:
         return model.trained
@@ -94,13 +94,13 @@ def audits(model: FrictionModel, seen: Sequence[TrainedRange]) -> tuple[Audit, .
     Raises
     ------
     SimulationError
-        If a law has no audit, because it is not stable or not finite in its range.
+        If a law cannot be audited because it is unstable or not finite in its range.
     """
     return tuple(audit(law, range_) for law, range_ in zip(model.laws, seen, strict=True))
 
 
 def audited(model: FrictionModel) -> tuple[tuple[Audit, ...], str]:
-    """Return the audit of each joint's law, or none and a sentence where it cannot be done."""
+    """Return the audit of each joint's law, or none and the reason."""
     try:
         return audits(model, ranges(model, reference_motion(model))), ""
     except HesrError as error:
@@ -108,7 +108,7 @@ def audited(model: FrictionModel) -> tuple[tuple[Audit, ...], str]:
 
 
 def certificates(model: FrictionModel, seen: Sequence[TrainedRange]) -> tuple[Certificate, ...]:
-    """Return what is known of the passivity of each joint's law, cycles being within its range."""
+    """Return the passivity of each joint's law, with cycles within its range."""
     return tuple(certify(law, range_) for law, range_ in zip(model.laws, seen, strict=True))
 
 
@@ -117,8 +117,8 @@ def certified(found: Certificate, *, slides: bool = False) -> str:
 
     Parameters
     ----------
-    found : of one joint.
-    slides : whether the joint slides.
+    found : certificate of one joint.
+    slides : whether the joint is prismatic.
     """
     if found.verdict == "proven":
         if found.largest_step is None:
@@ -138,12 +138,12 @@ def certified(found: Certificate, *, slides: bool = False) -> str:
 
 
 def audit_rows(found: Sequence[Audit], sliding: Sequence[bool] = ()) -> dict[str, list[str]]:
-    """Return the figures of audits as text: what they are of, and a cell for each joint.
+    """Return the figures of audits as text: labels, and a cell per joint.
 
     Parameters
     ----------
     found : audit of each joint.
-    sliding : whether each joint slides; empty if all turn.
+    sliding : whether each joint is prismatic; empty if none is.
     """
     speed, torque, slope, angle = (
         unit_of_joints(unit, sliding) for unit in ("rad/s", "N.m", "N.m.s/rad", "µrad")
@@ -172,13 +172,13 @@ def audit_rows(found: Sequence[Audit], sliding: Sequence[bool] = ()) -> dict[str
 
 
 def verdict(found: Audit, *, known: bool, slides: bool = False) -> str:
-    """Return what an audit says, in words.
+    """Return the conclusions of an audit in words.
 
     Parameters
     ----------
     found : audit of a joint.
-    known : whether its range is that of training.
-    slides : whether the joint does so, instead of turning.
+    known : whether its range is that of the training.
+    slides : whether the joint is prismatic.
     """
     speed = unit_of_joint("rad/s", slides=slides)
     cycle = found.generating
@@ -200,12 +200,12 @@ def verdict(found: Audit, *, known: bool, slides: bool = False) -> str:
 
 
 def costs(model: FrictionModel, motion: Motion) -> Costs:
-    """Return what each way of handing inputs over costs.
+    """Return the errors of each input convention.
 
     Raises
     ------
     SimulationError
-        If the laws' discretisation is not stable at the motion's steps, or their torque is not
+        If the laws' discretisation is unstable at the steps of the motion, or their torque is not
         finite.
     """
     found = {way: torques(model, motion, way) for way in SETTINGS}
@@ -227,7 +227,7 @@ def fastest(law: FrictionLaw, seen: TrainedRange) -> dict[str, float]:
     symbols = tuple(c.symbol for c in law.form.coefficients)
     at_rest = dict.fromkeys((m.state for m in law.form.memory), 0)
     rates = lowered((*symbols, *INPUTS), [r.rate.subs(at_rest) for r in law.form.relaxations])
-    with np.errstate(all="ignore"):  # what is not finite says so itself
+    with np.errstate(all="ignore"):  # results that are not finite are reported as such
         values = rates(*numbers(law), *grid)
     return {
         r.name: float(np.max(value)) for r, value in zip(law.form.relaxations, values, strict=True)
@@ -235,7 +235,7 @@ def fastest(law: FrictionLaw, seen: TrainedRange) -> dict[str, float]:
 
 
 def figure(value: float | None, digits: int = 4) -> str:
-    """Return a number for people, rounded to some digits; a dash for none."""
+    """Return a number rounded to some digits; a dash for None."""
     if value is None:
         return "–"
     if value and not 1e-4 <= abs(value) < 1e6:

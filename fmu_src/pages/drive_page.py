@@ -18,12 +18,12 @@ from hesr_model.friction.predict import predict
 from hesr_model.support.arrays import Array
 
 _CRAWL, _LONG = 1e-9, 1e12
-"""Speed [rad/s] at which and time [s] after which only what a law keeps at rest is left."""
-_HOLDS = 0.01  # [N.m]; less counts as nothing
+"""Speed [rad/s] and duration [s] of the crawling motion that reveals the torque held at rest."""
+_HOLDS = 0.01  # [N.m]; less counts as zero
 
 
 def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
-    """Return the page; it needs nothing but itself."""
+    """Return the page as one self-contained file."""
     audits, refused = datasheet.audited(model)
     verdicts = [datasheet.verdict(a, known=bool(model.trained)) for a in audits]
     verdicts = verdicts or [""] * len(model.laws)
@@ -55,23 +55,23 @@ def to_html(model: FrictionModel, table: Interface, about: Description) -> str:
 
 
 def holding_torque(law: FrictionLaw) -> float:
-    """Return the torque [N.m] up to which a law holds a joint at rest, without load.
+    """Return the largest torque [N.m] at which a law holds a joint at rest, without load.
 
-    Half of what its torque changes by between endless crawling to either side: a jump at zero speed
-    or a memory of position. 0 for a law that forgets at rest, under which a joint creeps.
+    It is half the change of torque between steady crawling in both directions: a jump at zero speed
+    or a memory of position. It is 0 for a law that forgets at rest, whose joint creeps.
     """
     return float(_sliding(law, np.array([_CRAWL]))[0])
 
 
 def stopping_torque(law: FrictionLaw) -> float:
-    """Return the torque [N.m] below which no speed lasts: the least friction at any of them."""
+    """Return the least friction torque [N.m] over all speeds, below which no motion lasts."""
     return float(np.min(_sliding(law, np.geomspace(_CRAWL, 1.0, 200))))
 
 
 def _sliding(law: FrictionLaw, speeds: Array) -> Array:
-    """Return the friction torque in endless sliding at speeds [rad/s], less any offset."""
+    """Return the friction torque in steady sliding at speeds [rad/s], without offset."""
     settled = replace(law, discretisation="exact")
-    # The first row has no step before it.
+    # The first row has no previous step.
     both = np.concatenate([[0.0], speeds, -speeds])
     tau = predict(settled, t=_LONG * np.arange(len(both)), dq=both)[1:]
     return np.asarray(0.5 * (tau[: len(speeds)] - tau[len(speeds) :]))
@@ -79,7 +79,7 @@ def _sliding(law: FrictionLaw, speeds: Array) -> Array:
 
 def _rest(law: FrictionLaw, *, slides: bool) -> str:
     effort, unit = ("force", "N") if slides else ("torque", "N.m")
-    with np.errstate(all="ignore"):  # what is not finite holds nothing
+    with np.errstate(all="ignore"):  # values that are not finite hold nothing
         held, stopped = holding_torque(law), stopping_torque(law)
     if held > _HOLDS:
         return (

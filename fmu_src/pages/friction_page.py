@@ -25,8 +25,8 @@ from hesr_model.friction.registry import registry
 from hesr_model.friction.trained_range import Range, TrainedRange
 from hesr_model.units import unit_of_joints
 
-_INTERVAL = 1.96  # standard errors to either side hold 95 %
-_NO_DATE = "1980-01-01"  # stands for none in archives
+_INTERVAL = 1.96  # standard errors of a two-sided 95 % interval
+_NO_DATE = "1980-01-01"  # date of undated archives
 _UNITS = {**INPUT_UNITS, "tau": "N.m", "dtau_ddq": "N.m.s/rad"}
 _RANGES = (*INPUT_UNITS, "tau")
 
@@ -42,15 +42,15 @@ def to_html(
 ) -> str:
     """Return the page.
 
-    It needs nothing but itself and `model.png` beside its folder: no font, no network, and no
-    script but that of its live section.
+    It needs only `model.png` next to its folder: no font, no network, and no script except that of
+    its interactive section.
 
     Parameters
     ----------
-    model, table, about : of the FMU.
-    live : HTML of `live.page`, if the page shall have such a section.
-    properties : HTML of `properties_sheet.section`, likewise.
-    audit : of the model, made here where not given.
+    model, table, about : model, variables and description of the FMU.
+    live : HTML of `live.page` for the interactive section, if any.
+    properties : HTML of `properties_sheet.section`, if any.
+    audit : audit of the model; computed by default.
     """
     units = {name: unit_of_joints(unit, model.sliding) for name, unit in _UNITS.items()}
     used = {symbol for law in model.laws for symbol in law.form.inputs}
@@ -77,7 +77,7 @@ def to_html(
 
 
 def title(law: FrictionLaw, otherwise: str | None = None) -> str:
-    """Return what the registry calls a law, or else its own name, or what is given."""
+    """Return the registry's title of a law, else its own name, else the default."""
     known = registry()
     if law.name in known:
         return known[law.name].title
@@ -90,7 +90,7 @@ def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
         "name": name,
         "equations": equations(law),
         "text": form_lines(law.form),
-        # Of networks nobody reads the numbers in place.
+        # Numbers of networks are not readable in equations.
         "numbers": equations_with_numbers(law) if exposed(law) else [],
         "rows": _rows(law, joint),
         "exposed": exposed(law),
@@ -122,7 +122,7 @@ def _rows(law: FrictionLaw, joint: int) -> list[dict[str, str]]:
 
 
 def training(provenance: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the model says of where it comes from; names of files without their folders."""
+    """Return the provenance of the model, with file names but without folders."""
     files = [f for f in provenance.get("files") or () if isinstance(f, Mapping)]
     versions = provenance.get("versions") or {}
     return {
@@ -141,7 +141,7 @@ def _bare(path: str) -> str:
 
 
 def spelled(range_: Range) -> str:
-    """Return a range for people."""
+    """Return a range as text."""
     low, high = range_
     return f"{figure(low, 3)} to {figure(high, 3)}"
 
@@ -159,7 +159,7 @@ def _trained_rows(
 
 
 def _measured(model: FrictionModel, audit: ModelAudit | None) -> dict[str, Any]:
-    """Return what is measured on the laws; a sentence in the place of what cannot be."""
+    """Return the measured properties of the laws, or the reason why one is missing."""
     found: dict[str, Any] = {"audit": {}, "certified": [], "verdicts": [], "refused": "",
                              "rates": [], "costs": None, "costs_refused": ""}  # fmt: skip
     motion = reference_motion(model)

@@ -1,4 +1,4 @@
-"""Templates: pages of HTML, and files of code."""
+"""Templates of HTML pages and code files."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,12 +10,12 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 
 def rendered(template: str, /, folders: Sequence[Path] = (TEMPLATES,), **values: Any) -> str:
-    """Return HTML; what it is given is escaped but for markup, a name that it lacks is an error."""
+    """Return HTML from a template; values are escaped unless markup, missing names are errors."""
     return _environment(folders, autoescape=True).get_template(template).render(**values)
 
 
 def code_templates(**options: str) -> jinja2.Environment:
-    """Return the templates of files of code, which is no HTML; options are those of Jinja."""
+    """Return the environment of code templates, without HTML escaping; options are Jinja's."""
     return _environment((TEMPLATES,), autoescape=False, keep_trailing_newline=True, **options)
 
 

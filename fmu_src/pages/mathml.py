@@ -1,7 +1,7 @@
-"""The equations of a law as MathML, which browsers typeset by themselves.
+"""Equations of a law as MathML, typeset by the browser.
 
-A formula comes as several `math` elements, one for each term of a sum, so that a narrow page can
-break the line between them.
+A formula consists of several `math` elements, one per term of a sum, so that a narrow page can
+break lines between them.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw, LawForm
 
 MOST_TERMS = 12
-"""Longer sums, as of networks, are shown by their first terms and their last one."""
+"""Longer sums, such as those of networks, show their first terms and the last one."""
 
 _DIGITS = 4
 
@@ -26,14 +26,14 @@ _GREEK = {
 }  # fmt: skip
 _DERIVATIVES = {"dq": "q", "dh": "h", "dz": "z"}
 _TIMES = '<mo lspace="0" rspace="0.17em">&#8290;</mo>'
-"""The invisible operator, with some space: names may have several letters."""
+"""Invisible multiplication with some space, because names may have several letters."""
 _EQUALS, _PLUS, _MINUS = (f'<mo form="infix">{sign}</mo>' for sign in "=+−")
 _FIRST_MINUS = "<mo>−</mo>"
 _EXP = sympy.Function("exp")
 _FUNCTIONS = {
     "sgn": "sgn", "positive": "max", "larger": "max", "cardinal_sine": "sinc", "clip": "clip",
 }  # fmt: skip
-"""Names of our own functions as they are read."""
+"""Displayed names of HESR's own functions."""
 _BETTER = {
     "<mo>&InvisibleTimes;</mo>": _TIMES,
     "<mo>-</mo>": "<mo>−</mo>",
@@ -42,12 +42,12 @@ _BETTER = {
 
 
 def equations(law: FrictionLaw, *, numbers: bool = False) -> list[str]:
-    """Return the torque and then each state's derivative as MathML, and the bound of a stop.
+    """Return the torque, each state derivative and the bound of a stop as MathML.
 
     Parameters
     ----------
-    law : whose equations.
-    numbers : whether coefficients are shown by their values, to four digits, not by their names.
+    law : the law.
+    numbers : whether to show coefficients as values with four digits instead of names.
     """
     printer = _Printer(law.form, law.values if numbers else {})
     lines = [[f"{_name('tau')}{_EQUALS}", *printer.terms(law.form.output)]]
@@ -75,10 +75,9 @@ def symbol(name: str) -> str:
 
 
 class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not typed
-    """Prints the symbols of a law as they are read, and our own functions.
+    """Printer of the symbols of a law and of HESR's own functions.
 
-    Symbols are replaced by others that sort as formulas are written: coefficients, then states,
-    then inputs.
+    Symbols are replaced by others that sort in the usual order: coefficients, states, inputs.
     """
 
     def __init__(self, form: LawForm, values: Mapping[str, float]) -> None:
@@ -96,7 +95,7 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
         self._written = dict(zip(self._replaced.values(), written.values(), strict=True))
 
     def terms(self, expression: sympy.Expr) -> list[str]:
-        """Return the terms of a sum, each with its sign but a first plus."""
+        """Return the terms of a sum with their signs; a leading plus is omitted."""
         whole = self._readable(expression)
         terms = self._as_ordered_terms(whole) if isinstance(whole, sympy.Add) else [whole]
         parts = []
@@ -113,13 +112,13 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
         return self._text(self._readable(expression))
 
     def _readable(self, expression: sympy.Expr) -> sympy.Expr:
-        # A function of another class is not moved below the fraction line where it falls.
+        # Functions of this class are not moved below the fraction line.
         shown = expression.xreplace(self._values).xreplace(self._replaced)
         return shown.replace(sympy.exp, _EXP)
 
     def _text(self, expression: sympy.Expr) -> str:
         written: str = self._print(expression).toxml()
-        # The printer leaves symbols as their stand-ins, which XML cannot mistake for anything.
+        # The printer keeps symbols as placeholders that need no XML escaping.
         for stand_in, text in self._written.items():
             written = written.replace(f"<mi>{stand_in.name}</mi>", text)
         for found, better in _BETTER.items():
@@ -131,7 +130,7 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
         return self._element("mi", sym.name)
 
     def _print_Float(self, expr: sympy.Float) -> Any:
-        # Numbers that SymPy has multiplied have more digits than were put in.
+        # Products computed by SymPy have more digits than their factors.
         text = f"{float(expr):.{_DIGITS if self._values else 12}g}"
         if "e" not in text:
             return self._element("mn", text)
@@ -173,7 +172,7 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
 
 
 def _name(name: str) -> str:
-    """Return a name with Greek letters and subscripts: `theta1_dq` is theta of 1 and dq/dt."""
+    """Return a name with Greek letters and subscripts: `theta1_dq` is theta, index 1 and dq/dt."""
     first, *parts = name.split("_")
     letters = first.rstrip("0123456789")
     below = [_part(part) for part in (first[len(letters) :], *parts) if part]

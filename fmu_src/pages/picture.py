@@ -1,6 +1,6 @@
-"""The picture of a friction FMU, which tools show as its icon; the one module here that draws.
+"""The picture of a friction FMU, which tools show as its icon.
 
-There is no text of the model in it: names may have letters that no font here has.
+It contains no text of the model, because names may have letters that the font lacks.
 """
 
 import io
@@ -26,20 +26,20 @@ Loop = tuple[Array, Array]
 """Velocity and torque over one period, each (K,)."""
 
 _SIZE, _DPI = (4.0, 3.0), 100  # 400 by 300 pixels
-_ROW = 3  # panels beside each other, at the most
+_ROW = 3  # maximum panels per row
 _FREQUENCY = 0.25  # [Hz]
-_PERIODS = 3  # of which the last is drawn, when states have settled
+_PERIODS = 3  # the last one is drawn, after the states have settled
 _PERIOD = 400  # rows
 _SHARES = {1 / 3: "#9ecae1", 2 / 3: "#4a98c9", 1.0: "#0b559f"}
-"""Amplitudes of the velocity, as shares of the reference motion's, and their colours."""
+"""Velocity amplitudes, as fractions of the reference motion, and their colours."""
 _GREY = "#777777"
-_LARGEST = 1e9  # [N.m]; more is as good as not finite, and no axis holds it
-_MOST_COLOURS = 256  # of a palette
+_LARGEST = 1e9  # [N.m]; larger values count as infinite
+_MOST_COLOURS = 256  # colours of a palette
 _SHADE = 32  # steps between shades of a colour, of 256
 
 
 def model_png(model: FrictionModel) -> bytes:
-    """Return model.png: torque over velocity of each joint, as loops of three amplitudes.
+    """Return model.png: torque over velocity of each joint, as loops at three amplitudes.
 
     The same model gives the same bytes.
     """
@@ -59,7 +59,7 @@ def model_png(model: FrictionModel) -> bytes:
     figure.supxlabel(f"dq [{unit_of_joints('rad/s', model.sliding)}]", fontsize=9, color=_GREY)
     figure.supylabel(f"tau [{unit_of_joints('N.m', model.sliding)}]", fontsize=9, color=_GREY)
     figure.canvas.draw()
-    # Fewer shades at the edges of lines take half the space and look the same.
+    # Fewer shades at line edges halve the size without a visible difference.
     drawn = canvas.buffer_rgba()  # type: ignore[no-untyped-call] # Matplotlib has not typed it
     pixels = np.asarray(drawn)[:, :, :3] // _SHADE * _SHADE + (_SHADE - 1)
     picture = io.BytesIO()
@@ -68,7 +68,7 @@ def model_png(model: FrictionModel) -> bytes:
 
 
 def _indexed(pixels: NDArray[np.uint8]) -> "Image":
-    """Return the same picture with its few colours (rows, columns, 3) in a palette, if it can."""
+    """Return the picture (rows, columns, 3) with a palette, if it has few enough colours."""
     from PIL import Image
 
     colours, places = np.unique(pixels.reshape(-1, 3), axis=0, return_inverse=True)
@@ -86,11 +86,11 @@ def _loops(model: FrictionModel) -> list[list[Loop]]:
     )
     found = []
     for law, (dq, q, load) in zip(model.laws, motion.by_joint(), strict=True):
-        # Whatever the law's own discretisation, this one is stable at any step.
+        # This discretisation is stable at any step, unlike that of the law.
         exact = replace(law, discretisation="exact")
         middle = 0.5 * (q.min() + q.max())
         of_joint = []
-        with np.errstate(all="ignore"):  # what is not finite is left out
+        with np.errstate(all="ignore"):  # results that are not finite are left out
             for share in _SHARES:
                 v, place = share * dq, middle + share * (q - middle)
                 tau = predict(exact, t=motion.t, dq=v, q=place, tau_load=load)

@@ -1,4 +1,4 @@
-"""The section of an FMU's documentation on what the property battery found, with small plots."""
+"""Section of an FMU's documentation with the physics checks and small plots."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -16,19 +16,19 @@ from hesr_model.audit.properties import (
 )
 from hesr_model.units import unit_of_joint, unit_of_joints
 
-_WIDTH, _HEIGHT = 236, 148  # of a plot, in units of its own
-_LEFT, _RIGHT, _TOP, _BOTTOM = 6, 6, 18, 18  # around its lines
+_WIDTH, _HEIGHT = 236, 148  # size of a plot in its own units
+_LEFT, _RIGHT, _TOP, _BOTTOM = 6, 6, 18, 18  # margins of the plot
 _LINES = ("var(--accent)", "#c2410c", "#15803d")
 _DIGITS = 3
 
 
 def section(found: Properties, *, sliding: Sequence[bool] = ()) -> str:
-    """Return HTML: a table of properties by joints, then each experiment with its plots.
+    """Return HTML: a table of properties by joint, then each experiment with its plots.
 
     Parameters
     ----------
-    found : what the battery found.
-    sliding : whether each joint slides; empty if all turn.
+    found : results of the physics checks.
+    sliding : whether each joint is prismatic; empty if none is.
     """
     slides = sliding or (False,) * len(found.joints)
     return rendered(
@@ -88,9 +88,9 @@ def _spelled(one: Figure) -> str:
 
 
 def svg(plot: Plot) -> str:
-    """Return a plot as inline SVG: its lines, the ranges of its axes, and zero where it is inside.
+    """Return a plot as inline SVG: lines, ranges of the axes, and zero lines.
 
-    Names come from the experiments and from no file, so there is nothing to escape in them.
+    Names come from the experiments, not from files, so nothing needs escaping.
     """
     curves = [c for c in plot.curves if len(c.x) > 1]
     if not curves:
@@ -146,7 +146,7 @@ def _text(x: float, y: float, anchor: str, text: str) -> str:
 
 
 def _range(values: list[float]) -> tuple[float, float]:
-    """Return the range of an axis, which has some width even where the values have none."""
+    """Return the range of an axis, with a non-zero width for constant values."""
     low, high = min(values), max(values)
     if high > low:
         return low, high

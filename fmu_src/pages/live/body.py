@@ -1,4 +1,4 @@
-"""The rigid body in the page of a friction FMU: the C of the InverseDynamics FMU."""
+"""Rigid body in the page of a friction FMU: the C of the InverseDynamics FMU."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from hesr_model.robots.robot import RobotModel
 
 @dataclass(frozen=True, kw_only=True)
 class PageBody:
-    """A rigid body, for pages that find the friction in a log.
+    """A rigid body for pages that compute the friction in a log.
 
     Attributes
     ----------
-    joints : names.
-    fmu : what makes its InverseDynamics FMU.
-    cutoff : low pass of the robot's logs [Hz].
+    joints : joint names.
+    fmu : contents of its InverseDynamics FMU.
+    cutoff : cut-off of the low-pass filter of the robot's logs [Hz].
     """
 
     joints: Sequence[str]
@@ -34,7 +34,7 @@ class PageBody:
         Raises
         ------
         RobotError
-            If `body` is of another robot.
+            If `body` belongs to another robot.
         """
         return cls(
             joints=robot.description.joints,
@@ -44,16 +44,16 @@ class PageBody:
 
     @property
     def files(self) -> dict[str, str]:
-        """Return the texts of its C files by name, which say all of it but the cut-off."""
+        """Return its C files by name, which define everything but the cut-off."""
         return translation_unit(self.fmu)[1]
 
     def data(self, joints: Sequence[str]) -> dict[str, Any]:
-        """Return what a page needs: the module, and the connectors of each joint.
+        """Return the data for a page: the module and the connectors of each joint.
 
         Raises
         ------
         ExportError
-            If it is of other joints, or the compiler fails.
+            If the joints differ, or the compiler fails.
         """
         if tuple(joints) != tuple(self.joints):
             raise ExportError(

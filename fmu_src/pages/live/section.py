@@ -1,4 +1,4 @@
-"""What a page needs to bring a friction model to life: its module, its knobs, its joints."""
+"""Data of the interactive section of a page: module, knobs and joints of a friction model."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
@@ -20,32 +20,32 @@ from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.units import unit_of_joint
 
 _FACTOR = 5.0
-"""How far the slider of a coefficient goes to either side of its value."""
+"""Range of a coefficient's slider, as a factor in both directions."""
 _SLOWEST, _FASTEST = 0.05, 5.0  # [Hz]
 _FEWEST = 20  # rows of a cycle
-_USUAL = 0.25  # [Hz], that of the FMU's picture
+_USUAL = 0.25  # [Hz], as in the FMU's picture
 _UNITS = {"velocity": "rad/s", "position": "rad", "time": "s", "torque": "N.m"}
-_NO_LOAD = 20.0  # [N.m], where no load was trained
-# What a field takes beyond its slider, so that a page does not stand still: a sine has some rows,
-# and a browser runs as many as these within seconds.
-_LEAST_ROWS, _MOST_ROWS = 4, 20_000  # of a cycle
+_NO_LOAD = 20.0  # default load [N.m]
+# Limits of the number fields beyond the sliders keep the page responsive: a sine has some rows, and
+# a browser runs this many within seconds.
+_LEAST_ROWS, _MOST_ROWS = 4, 20_000  # rows of a cycle
 _MOST_CYCLES = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Knob:
-    """A number that can be moved: a slider and a field beside it.
+    """A number with a slider and a number field.
 
     Attributes
     ----------
-    name : under which the page knows it.
-    symbol : the same as MathML; empty where it has none.
-    text : what it is.
-    unit : SI unit; empty if it has none.
-    value : at the start.
-    low, high : ends of the slider.
-    least, most : what the field takes; None where there is no bound.
-    scale : of the slider: "linear", "log" (both ends of one sign), or "whole" numbers.
+    name : key on the page.
+    symbol : MathML of the name; may be empty.
+    text : description.
+    unit : SI unit; may be empty.
+    value : start value.
+    low, high : limits of the slider.
+    least, most : limits of the number field; None if unlimited.
+    scale : scale of the slider: "linear", "log" (both limits of one sign), or "whole" numbers.
     reference : value reference, for a parameter of the FMU.
     """
 
@@ -63,13 +63,13 @@ class Knob:
 
 
 def live_data(model: FrictionModel, table: Interface, module: bytes) -> dict[str, Any]:
-    """Return the JSON data of a live section.
+    """Return the JSON data of an interactive section.
 
     Parameters
     ----------
     model : the laws.
     table : variables of the model's FMU.
-    module : what `wasm` made of that FMU.
+    module : result of `wasm` for that FMU.
     """
     trained = model.trained or (None,) * len(model.joints)
     return {
@@ -103,7 +103,7 @@ def _motion(law: FrictionLaw, seen: TrainedRange | None, step: float) -> Iterato
     """Yield the knobs of a motion dq = A sin(2 pi f t) under a constant load."""
     speed = trained_speed(seen)
     digits = 2 - floor(log10(speed))
-    within = floor(speed * 10.0**digits) / 10.0**digits  # short, and not outside what was trained
+    within = floor(speed * 10.0**digits) / 10.0**digits  # short, and within the trained range
     yield Knob(name="amplitude", text="velocity amplitude", unit="rad/s", value=within,
                low=_short(speed / 200.0), high=_short(2.0 * speed), least=0.0,
                scale="log")  # fmt: skip
@@ -148,11 +148,11 @@ def _coefficients(law: FrictionLaw, joint: int, table: Interface) -> Iterator[Kn
 
 
 def ends(value: float, *, factor: bool) -> tuple[float, float, str]:
-    """Return both ends and the scale of a coefficient's slider, its value in the middle.
+    """Return the limits and the scale of a coefficient's slider, with its value in the middle.
 
-    A factor of a term goes from none of the term to twice of it. Of others, as widths, rates and
-    exponents, the order of magnitude counts, and zero may have no meaning. What is zero has no
-    size, so it gets one.
+    A factor of a term ranges from zero to twice its value. For others, such as widths, rates and
+    exponents, the order of magnitude matters, and zero may be meaningless. A zero coefficient gets
+    unit range.
     """
     if value == 0.0:
         return -1.0, 1.0, "linear"
@@ -164,9 +164,9 @@ def ends(value: float, *, factor: bool) -> tuple[float, float, str]:
 
 
 def _is_factor(form: LawForm, c: sympy.Symbol) -> bool:
-    """Whether a coefficient is nothing but the factor of terms of the torque."""
+    """Whether a coefficient only scales terms of the torque."""
     inner = {s for m in form.memory for part in m.parts for s in part.free_symbols}
-    # A state's derivative holds the coefficients of its element; these are not looked into.
+    # A state's derivative contains the coefficients of its element and is not searched.
     terms = (term for term in sympy.Add.make_args(form.output) if term.has(c))
     return c not in inner and all(
         c in (parts := sympy.Mul.make_args(term)) and not any(p.has(c) for p in parts if p != c)

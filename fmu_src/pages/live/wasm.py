@@ -1,4 +1,4 @@
-"""An FMU as a module of WebAssembly."""
+"""An FMU as a WebAssembly module."""
 
 import base64
 import re
@@ -11,15 +11,15 @@ from hesr_model.support.files import scratch_folder
 
 
 def wasm(sources: Mapping[str, str]) -> bytes:
-    """Compile the C files of an FMU to a WebAssembly module that imports nothing.
+    """Compile the C files of an FMU to a WebAssembly module without imports.
 
     It exports `live_reset`, `live_set`, `live_initialise`, `live_step`, `live_get` and `live_heard`
-    of `c/live.c`, around the FMI functions of the very files that are in the FMU. The same files
-    give the same bytes.
+    of `c/live.c`, around the FMI functions of the FMU's own sources. The same files give the same
+    bytes.
 
     Parameters
     ----------
-    sources : texts of all C files by name, as `package.translation_unit` returns them.
+    sources : all C files by name, as returned by `package.translation_unit`.
 
     Raises
     ------
@@ -34,5 +34,5 @@ def wasm(sources: Mapping[str, str]) -> bytes:
 
 
 def packed(module: bytes) -> str:
-    """Return a module as text, as pages carry it."""
+    """Return a module as text for embedding in pages."""
     return base64.b64encode(zlib.compress(module, 9)).decode()
