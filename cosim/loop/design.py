@@ -78,7 +78,7 @@ def design(
     ArtifactError
         If a file cannot be written.
     """
-    from cosim.report import figures
+    from cosim.report.figures.motions import excitation
 
     if output.suffix.lower() not in _TABLES:
         raise ConfigError(
@@ -100,7 +100,7 @@ def design(
     t, q, dq, ddq = found.setpoints()
     _write(output, t, q, dq, ddq)
     _write(backward, t, q[::-1], -dq[::-1], ddq[::-1])
-    figures.excitation(picture, found, model.description.joints)
+    excitation(picture, found, model.description.joints)
     return ExcitationDesign(
         excitation=found,
         random_condition=float(np.median(conditions)),

@@ -7,7 +7,7 @@ import numpy as np
 from markupsafe import Markup
 
 from cosim.report.figures.chart import Line
-from cosim.report.figures.coverage import JointView, joints
+from cosim.report.figures.motions import JointView, joints
 from cosim.report.figures.style import MEASURED, SERIES, Stroke, write_svg
 from cosim.report.markup import Pictures, Section, joined, listing, paragraph, table, write_sections
 from cosim.report.tables.table import ResultTable, row_of

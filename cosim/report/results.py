@@ -123,6 +123,10 @@ class Results:
                     found[law] = ModelAudit.of(model, model.trained)
         return found
 
+    def shown(self, *laws: str) -> list[str]:
+        """Return the fitted ones of some laws, each once."""
+        return [law for law in dict.fromkeys(laws) if law in self.models]
+
     def log_of(self, role: str) -> SavedLog | None:
         """Return the first log of a role whose torques are saved."""
         logs = (log for log in self.run.logs if role in log.roles and log.trace)

@@ -40,7 +40,7 @@ ONLY_IN = {
     "mujoco": ("fmu_src/arm/*", "hesr/extras/view/*"),
     "pythonfmu": ("fmu_src/arm/*",),
     "matplotlib": ("fmu_src/pages/picture.py", "cosim/report/figures/*", "hesr/extras/*figures.py"),
-    "bokeh": ("cosim/report/zoom.py",),
+    "bokeh": ("cosim/report/figures/zoom.py",),
     "fmpy": (
         "fmu_src/run/*",
         "fmu_src/check/*",

@@ -8,7 +8,7 @@ import pytest
 from cosim.loop.design import design
 from cosim.loop.excite import record
 from cosim.loop.twin import loaded_arm
-from cosim.report import figures
+from cosim.report.figures.motions import excitation
 from fmu_src.arm.plant import Plant
 from hesr_model.errors import ConfigError, FitError, RobotError
 from hesr_model.logs.tables import read_table
@@ -84,7 +84,7 @@ def test_picture_is_written_and_repeats(designed, tmp_path):
     assert designed.picture.name == "motion.png"
     assert designed.picture.read_bytes().startswith(b"\x89PNG")
     again = tmp_path / "again.png"
-    figures.excitation(again, designed.excitation, ["joint1", "joint2", "joint3"])
+    excitation(again, designed.excitation, ["joint1", "joint2", "joint3"])
     assert again.read_bytes() == designed.picture.read_bytes()
 
 

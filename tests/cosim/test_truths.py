@@ -52,7 +52,7 @@ def test_a_run_scores_its_laws_under_the_further_truths(tmp_path: Path, capsys, 
         found["strain_wave"]["unseen"]["lugre"] != results.comparisons["unseen"].laws["lugre"].rmse
     )
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "Under other truths of the twin" in page
+    assert "Alternative plants of the twin" in page
     best = {"stribeck": "Stribeck", "lugre": "LuGre"}[leading(found["strain_wave"])]
     assert f"{best} under ‘strain_wave’" in page
 

@@ -1,5 +1,1 @@
-"""Pictures of results; besides the picture in an FMU, the only place where matplotlib is used."""
-
-from cosim.report.figures.excitation import excitation
-
-__all__ = ["excitation"]
+"""Figures of reports, drawn by matplotlib; charts also zoom by Bokeh."""

@@ -1,1 +1,1 @@
-"""The sections of a report, each from saved results; one without data returns None."""
+"""Sections of a report: functions from saved results to the values of their templates."""

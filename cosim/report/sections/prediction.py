@@ -1,150 +1,223 @@
-"""How well the laws predict torque on motions that no fit has seen (Table II, Fig. 4 and 5)."""
+"""Prediction of torque on unseen motions (Table II, Fig. 4 and 5), and friction loops."""
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
 from markupsafe import Markup
 
 from cosim.report import paper
-from cosim.report.markup import Pictures, Section, details, heading, joined, paragraph, table
+from cosim.report.figures.chart import Chart, Line, Panel
+from cosim.report.figures.plots import loops as loop_panels
+from cosim.report.figures.style import MEASURED, SOFT, Stroke, strokes
+from cosim.report.markup import Pictures
 from cosim.report.results import Results
-from cosim.report.sections.traces import WINDOW as MOVING
-from cosim.report.sections.traces import torque_chart
-from cosim.report.tables.scores import MEASURES, errors, other_truths, position_errors
-from cosim.report.tables.scores import bands as band_table
+from cosim.report.tables.scores import MEASURES, bands, errors, other_truths, position_errors
 from cosim.report.tables.table import ResultTable, named, number, row_of, title
 from cosim.study.results import SavedLog
-from cosim.study.scores import BASELINE, input_classes
+from cosim.study.scores import BASELINE, ORACLE, input_classes
+from hesr_model.friction.predict import predict_band
 from hesr_model.friction.registry import papers_law
+from hesr_model.support.arrays import Array
 
 _NETWORK = "rbfnn_h"
 """Law that Fig. 5 of the paper compares with its own."""
-_WINDOW = 10.0  # [s] of a picture; the view that zooms shows all
+_WINDOW = 10.0
+"""Time span of a static figure [s]; the zooming view shows all."""
+MOVING = 0.25
+"""Window of the moving error [s]; it averages out noise."""
+_LOOPS = 20.0
+"""Time span of friction loops [s]."""
+_EDGE = Stroke(colour=SOFT, width=0.6, dash=(1.5, 1.5))
 
 
-def section(results: Results, pictures: Pictures) -> Section:
+def prediction(results: Results, pictures: Pictures) -> dict[str, Any]:
     """Compare all laws on every test set."""
-    parts = [
-        paragraph(
-            "Each figure is that of the exported FMU itself, driven over the logs through FMPy. "
-            "Laws compare fairly within a class of equal inputs: v velocity, q position, load the "
-            "rigid-body torque. Rows with + start begin as the first measured torques say, which "
-            "nobody has who runs the FMU."
-        )
-    ]
-    for k, test in enumerate(results.tests):
-        parts += [heading(f"Test set ‘{test}’"), *_of_test(results, pictures, test, first=k == 0)]
-    if results.truths:
-        parts += [
-            heading("Under other truths of the twin"),
-            paragraph(
-                "The same motions with other friction in the arm: body and laws are found anew "
-                "there. What wins under one truth only is at home there, and may be nowhere else."
-            ),
-            table(other_truths(results.comparisons, results.truths, results.run.truth)),
-        ]
-    if results.run.robot == paper.ROBOT:
-        parts.append(details("Table II of the paper, for the same robot", _paper(results)))
-    return Section(key="prediction", title="Prediction on unseen motions", html=joined(*parts))
-
-
-def bands(results: Results, pictures: Pictures) -> Section | None:
-    """Compare the laws on both sides of a chirp's middle frequency."""
-    tests = list(dict.fromkeys(band.test for band in results.run.bands))
-    if not tests:
-        return None
-    parts = [
-        paragraph(
-            "The laws were trained at low frequencies. A chirp that goes beyond them shows whether "
-            "they extrapolate; it is split where it leaves what was trained (0.6 Hz in the paper)."
-        )
-    ]
-    first, *others = tests
-    parts += _of_bands(results, pictures, first)
-    parts += [details(f"‘{test}’", *_of_bands(results, pictures, test)) for test in others]
-    return Section(key="chirp", title="Chirp: beyond the trained frequencies", html=joined(*parts))
-
-
-def _of_test(results: Results, pictures: Pictures, test: str, *, first: bool) -> list[Markup]:
-    whole, *parts = (_errors(results, test, measure) for measure in MEASURES)
-    shown, scores = [whole], results.comparisons[test]
-    log = results.log_of(test)
     split = {band.test for band in results.run.bands}
-    if log is not None and first:
-        shown.append(_traces(results, pictures, test, log))
-    if test in results.simulated:
-        found = position_errors(test, results.simulated[test], results.sliding)
-        shown.append(details("As simulators: torque in, position out", table(found)))
-    if scores.bands:
-        shown.append(details("Do the bands hold what they say?", table(band_table(test, scores))))
-    shown.append(details("Moving rows and reversals by themselves", *parts))
-    if log is not None and not first and test not in split:
-        traces = _traces(results, pictures, test, log)
-        shown.append(details(f"Torque over time on ‘{test}’", traces))
-    return shown
+    tests = []
+    for k, test in enumerate(results.tests):
+        scores, log = results.comparisons[test], results.log_of(test)
+        simulated = results.simulated.get(test)
+        whole, *parts = (_errors(results, test, measure) for measure in MEASURES)
+        tests.append(
+            {
+                "name": test,
+                "errors": whole,
+                "parts": parts,
+                "traces": _traces(results, pictures, test, log)
+                if log and (k == 0 or test not in split)
+                else None,
+                "simulated": simulated and position_errors(test, simulated, results.sliding),
+                "bands": bands(test, scores) if scores.bands else None,
+            }
+        )
+    truths, run = results.truths, results.run
+    return {
+        "tests": tests,
+        "truths": truths and other_truths(results.comparisons, truths, run.truth),
+        "paper": _paper(results) if run.robot == paper.ROBOT else None,
+    }
 
 
-def _errors(results: Results, name: str, measure: str = "rmse") -> Markup:
+def _errors(results: Results, name: str, measure: str = "rmse") -> ResultTable:
     scores, inputs = results.comparisons[name], input_classes(results.models)
-    return table(errors(name, scores, measure, inputs, results.sliding))
+    return errors(name, scores, measure, inputs, results.sliding)
 
 
-def _shown(results: Results) -> list[str]:
-    """Return the laws of a static picture: more than three hide each other."""
-    wanted = (BASELINE, papers_law(), results.best)
-    laws = [law for law in dict.fromkeys(wanted) if law in results.models]
+def _paper(results: Results) -> ResultTable:
+    return ResultTable(
+        caption="Table II of the paper: RMSE of the predicted torque [N.m] on the measured robot",
+        head=("law", *results.joints),
+        rows=[
+            row_of(named(law), *(number(v, 4) for v in values))
+            for law, values in paper.TABLE_II.items()
+        ],
+    )
+
+
+def _key_laws(results: Results) -> list[str]:
+    """Return at most three laws for a static figure."""
+    laws = results.shown(BASELINE, papers_law(), results.best)
     return laws if len(laws) > 1 else results.key_laws[:3]
 
 
 def _traces(results: Results, pictures: Pictures, test: str, log: SavedLog) -> Markup:
     window = (0.0, _WINDOW) if log.duration > 1.5 * _WINDOW else None
-    chart = torque_chart(results, log, _shown(results), window=window)
+    laws = _key_laws(results)
     what = f"the first {_WINDOW:g} s of {log.name}" if window else log.name
-    names = ", ".join(title(law) for law in _shown(results))
+    names = ", ".join(map(title, laws))
     return pictures.chart(
-        f"torque_{_key(results, test)}",
-        chart,
+        f"torque_{results.tests.index(test) + 1}",
+        _chart(results, log, laws, window=window),
         f"Friction torque on {what} (left) and the RMS error of the laws over {MOVING:g} s "
-        "(right), as Fig. 4 of the paper. Look at the reversals, where laws without a memory err "
-        f"most. The view that zooms shows the whole log. Shown: {names}.",
+        "(right), as Fig. 4 of the paper. Laws without memory have the largest errors near "
+        f"reversals. The zooming view shows the whole log. Shown: {names}.",
         alt=f"Friction torque over time on {log.name} for each joint, measured and predicted by "
-        f"{names}; beside it the moving error, with peaks at velocity reversals.",
+        f"{names}; next to it the moving error, with peaks at velocity reversals.",
     )
 
 
-def _of_bands(results: Results, pictures: Pictures, test: str) -> list[Markup]:
-    parts: list[Markup] = []
-    of_test = [band for band in results.run.bands if band.test == test]
+def chirp(results: Results, pictures: Pictures) -> dict[str, Any] | None:
+    """Compare the laws on both sides of a chirp's middle frequency."""
+    bands_of = results.run.bands
+    tests = [
+        {
+            "name": test,
+            "traces": _split(results, pictures, test),
+            "errors": [_errors(results, band.name) for band in bands_of if band.test == test],
+        }
+        for test in dict.fromkeys(band.test for band in bands_of)
+    ]
+    return {"tests": tests} if tests else None
+
+
+def _split(results: Results, pictures: Pictures, test: str) -> Markup:
     log = results.log_of(test)
-    if log is not None:
-        marks = tuple((band.start, "split") for band in of_test if band.start > 0.0)
-        laws = [law for law in dict.fromkeys((_NETWORK, papers_law(), results.best)) if law in
-                results.models]  # fmt: skip
-        laws = laws if len(laws) > 1 else _shown(results)
-        names = ", ".join(title(law) for law in laws)
-        parts.append(
-            pictures.chart(
-                f"split_{_key(results, test)}",
-                torque_chart(results, log, laws, marks=marks),
-                f"Friction torque and RMS error over {MOVING:g} s on {log.name}, with its split "
-                f"(Fig. 5 of the paper). Shown: {names}.",
-                alt=f"Friction torque over time on {log.name} for each joint, measured and by "
-                f"{names}, with a dashed line at the split; beside it the moving error.",
+    if log is None:
+        return Markup()
+    starts = [band.start for band in results.run.bands if band.test == test]
+    laws = results.shown(_NETWORK, papers_law(), results.best)
+    laws = laws if len(laws) > 1 else _key_laws(results)
+    names = ", ".join(map(title, laws))
+    return pictures.chart(
+        f"split_{results.tests.index(test) + 1}",
+        _chart(results, log, laws, marks=tuple((at, "split") for at in starts if at > 0.0)),
+        f"Friction torque and RMS error over {MOVING:g} s on {log.name}, with its split "
+        f"(Fig. 5 of the paper). Shown: {names}.",
+        alt=f"Friction torque over time on {log.name} for each joint, measured and by "
+        f"{names}, with a dashed line at the split; next to it the moving error.",
+    )
+
+
+def _chart(
+    results: Results,
+    log: SavedLog,
+    laws: Sequence[str],
+    *,
+    marks: tuple[tuple[float, str], ...] = (),
+    window: tuple[float, float] | None = None,
+) -> Chart:
+    """Return friction torque and moving error of the laws, one row per joint.
+
+    The best law also has its 95 % band, if it is shown.
+    """
+    torques, styles = results.torques(log), strokes(results.key_laws)
+    t, rows = torques["t"], []
+    for k, short, name in results.numbered:
+        unit = results.unit("N.m", k - 1)
+        measured = torques[f"tau{k}"] - torques[f"tau_rb{k}"]
+        predicted = {law: torques[f"{law}.tau_f{k}"] for law in laws}
+        friction = (
+            *(band(results, k, torques) if results.best in laws else ()),
+            Line(name="measured", x=t, y=measured, stroke=MEASURED),
+            *(Line(name=title(a), x=t, y=tau, stroke=styles[a]) for a, tau in predicted.items()),
+        )
+        moving = tuple(
+            Line(name=title(law), x=t, y=moving_rms(t, tau - measured), stroke=styles[law])
+            for law, tau in predicted.items()
+        )
+        heading, y = f"{short}: {name}", f"friction [{unit}]"
+        rows.append(
+            (
+                Panel(title=heading, y=y, lines=friction, marks=marks),
+                Panel(title="", y=f"RMS error [{unit}]", lines=moving, marks=marks),
             )
         )
-    return parts + [_errors(results, band.name) for band in of_test]
+    return Chart(x="t [s]", rows=tuple(rows), height=1.5, window=window)
 
 
-def _paper(results: Results) -> Markup:
-    return table(
-        ResultTable(
-            caption="Table II of the paper: RMSE of the predicted torque [N.m] on the measured "
-            "robot",
-            head=("law", *results.joints),
-            rows=[
-                row_of(named(law), *(number(v, 4) for v in values))
-                for law, values in paper.TABLE_II.items()
-            ],
-        )
+def moving_rms(t: Array, error: Array) -> Array:
+    """Return the RMS error (N,) within a window of `MOVING` around each of the times t (N,)."""
+    total = np.concatenate([[0.0], np.cumsum(error**2)])
+    first, last = (np.searchsorted(t, t + way * 0.5 * MOVING) for way in (-1.0, 1.0))
+    return np.asarray(np.sqrt((total[last] - total[first]) / np.maximum(last - first, 1)))
+
+
+def band(results: Results, joint: int, torques: Mapping[str, Array]) -> tuple[Line, ...]:
+    """Return both ends of the best law's band as lines."""
+    law = results.best
+    model = results.models.get(law)
+    if model is None or not model.banded:
+        return ()
+    ends = predict_band(
+        model.laws[joint - 1],
+        t=torques["t"],
+        dq=torques[f"dq{joint}"],
+        q=torques[f"q{joint}"],
+        tau_load=torques[f"tau_rb{joint}"],
+        torque=torques[f"{law}.tau_f{joint}"],
     )
+    name = f"95 % band of {title(law)}"
+    return tuple(Line(name=name, x=torques["t"], y=end, stroke=_EDGE) for end in ends)
 
 
-def _key(results: Results, test: str) -> str:
-    return str(results.tests.index(test) + 1)
+def loops(results: Results, pictures: Pictures) -> dict[str, Any] | None:
+    """Draw torque over velocity of every law, one figure per joint."""
+    test = results.tests[0]
+    log = results.log_of(test)
+    if log is None:
+        return None
+    torques = results.torques(log)
+    rows = torques["t"] - torques["t"][0] <= _LOOPS
+    figures = []
+    for k, short, name in results.numbered:
+        dq = torques[f"dq{k}"][rows]
+        measured = (torques[f"tau{k}"] - torques[f"tau_rb{k}"])[rows]
+        laws = {
+            title(law): (dq, torques[f"{law}.tau_f{k}"][rows])
+            for law in (*results.laws, ORACLE)
+            if f"{law}.tau_f{k}" in torques
+        }
+        x = f"dq of {short} [{results.unit('rad/s', k - 1)}]"
+        y = f"friction [{results.unit('N.m', k - 1)}]"
+        drawn = pictures.figure(
+            f"loops_{k}",
+            loop_panels((dq, measured), laws, x=x, y=y),
+            f"Friction of {name} over its velocity near reversals on {log.name}: measured (grey) "
+            "and predicted (blue). A law of velocity alone is one curve; laws with memory open "
+            "into loops, and the best follow the measured ones.",
+            alt=f"For each law a small panel of friction torque over velocity of {name}; laws "
+            "without memory are a single curve, the others are loops like the measured friction.",
+        )
+        figures.append((f"{short}: {name}", drawn))
+    return {"test": test, "span": f"{_LOOPS:g}", "figures": figures}

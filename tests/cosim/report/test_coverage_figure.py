@@ -3,7 +3,7 @@
 import numpy as np
 
 from cosim.report.figures.chart import Line, Stroke
-from cosim.report.figures.coverage import JointView, joints
+from cosim.report.figures.motions import JointView, joints
 
 
 def test_panels_without_a_model_say_so() -> None:

@@ -1,67 +1,47 @@
-"""The closed loop: controller (Fig. 6), Table III beside the paper's, traces (Fig. 7)."""
+"""Closed loop: controller (Fig. 6), tracking (Table III, Fig. 7), robustness."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
 
 from cosim.loop.closed_loop import Scheme, StandIn
 from cosim.report import paper
-from cosim.report.markup import (
-    Pictures,
-    Section,
-    details,
-    heading,
-    joined,
-    paragraph,
-    render,
-    table,
-)
+from cosim.report.figures.chart import Chart, Line, Panel
+from cosim.report.figures.style import DESIRED, SOFT, Stroke, strokes
+from cosim.report.markup import Pictures, render
 from cosim.report.results import Results
-from cosim.report.tables.loop import mrad, places, tracking
+from cosim.report.tables import loop as tables
 from cosim.report.tables.table import ResultTable, TableCell, named, row_of, title
 
 if TYPE_CHECKING:
+    from cosim.loop.run import LoopOutcome
     from cosim.loop.traces import Trace
     from cosim.loop.tracking import Tracked
 
+    Rows = Mapping[str, Tracked]
+
 _OWN, _INVERSE = Scheme(compensation="torque_error"), Scheme(compensation="servo_inversion")
 _NONE = Scheme(compensation="none")
+_BOUNDS = (StandIn.ORACLE, StandIn.VELOCITY_ONLY)
 
 
-def section(results: Results, pictures: Pictures) -> Section | None:
-    """Show how well the arm tracks under every law and scheme."""
+def tracking(results: Results, pictures: Pictures) -> dict[str, Any] | None:
+    """Compare tracking errors under every law and scheme."""
     if results.loop is None:
         return None
-    parts = [
-        paragraph(
-            "The arm itself as a co-simulation: trajectory, rigid body, friction, controller and "
-            "the MuJoCo arm, each an FMU of native C. "
-            f"{results.loop.tracking[0].rmse.shape[0]} random Fourier motions; errors are those of "
-            "the true position."
-        ),
-        details("The controller", _diagram(pictures)),
-        heading("The paper’s scheme, beside Table III"),
-        paragraph(
-            "With a servo that integrates, a perfect torque model gives no correction at all, so "
-            "that good laws end where the row ‘velocity command only’ stands. The scheme shows how "
-            "much harm a wrong model does, more than how much good a right one does."
-        ),
-        table(_beside_paper(results)),
-        details("The first motion under the paper’s scheme", _figure(results, pictures, _OWN)),
-        heading("Where models pay: the servo’s inverse"),
-        paragraph(
-            "The torque of the models goes through the inverse of the servo’s own PI, ahead by its "
-            "latency; on the right with an outer position loop of "
-            f"{results.run.controller['Kx']:g}/s."
-        ),
-        table(_inverse(results)),
-        _figure(results, pictures, _INVERSE),
-        details("Friction of measured velocity, and a long run", *_more(results)),
-    ]
-    return Section(key="tracking", title="Tracking in closed loop", html=joined(*parts))
+    return {
+        "motions": results.loop.tracking[0].rmse.shape[0],
+        "Kx": f"{results.run.controller['Kx']:g}",
+        "diagram": _diagram(pictures),
+        "paper": _paper(results),
+        "own": _figure(results, pictures, _OWN),
+        "inverse": _inverse(results),
+        "inverted": _figure(results, pictures, _INVERSE),
+        "more": _more(results, results.loop),
+    }
 
 
 def of_scheme(results: Results, scheme: Scheme) -> "dict[str, Tracked]":
@@ -76,13 +56,12 @@ def outer(results: Results, scheme: Scheme) -> Scheme:
 
 
 def _diagram(pictures: Pictures) -> Markup:
-    svg = render("controller.svg")
     return pictures.drawing(
         "controller",
-        svg,
-        "The paper’s controller (Fig. 6): the torque that the models expect, less the measured "
-        "one, drives a PD whose gains decay with the desired speed; its output corrects the "
-        "velocity command of the robot’s own servo.",
+        render("controller.svg"),
+        "The paper’s controller (Fig. 6): the desired torque of the models minus the measured one "
+        "drives a PD whose gains decay with the desired speed; its output corrects the velocity "
+        "command of the robot’s own servo.",
         alt="Block diagram: the trajectory feeds the rigid body and the friction law; their sum is "
         "the desired torque. The measured torque is subtracted, the difference passes a PD with "
         "gains that decay with the desired speed, and is added to the desired velocity, which "
@@ -90,23 +69,25 @@ def _diagram(pictures: Pictures) -> Markup:
     )
 
 
-def _beside_paper(results: Results) -> ResultTable:
+def _paper(results: Results) -> ResultTable:
     rows = _with_command(results, _OWN, _NONE)
-    with_paper = results.run.robot == paper.ROBOT
     best = _best(rows)
-    beside = [f"paper {short}" for short in results.joints] if with_paper else []
-    none = (None,) * len(beside)
+    published = paper.TABLE_III if results.run.robot == paper.ROBOT else {}
+    extra = [f"paper {short}" for short in results.joints] if published else []
     return ResultTable(
         caption="Tracking: RMSE [mrad], mean over the motions, torque error scheme",
-        head=("torque model", *beside, *results.joints),
+        head=("torque model", *extra, *results.joints),
         rows=[
             row_of(
                 named(law),
                 *(
-                    TableCell(text="") if v is None else mrad(v, 1)
-                    for v in (paper.TABLE_III.get(law, none) if with_paper else ())
+                    TableCell(text="") if v is None else tables.mrad(v, 1)
+                    for v in published.get(law, (None,) * len(extra))
                 ),
-                *(mrad(v, 1, best=v == b) for v, b in zip(rows[law].mean, best, strict=True)),
+                *(
+                    tables.mrad(v, 1, best=v == b)
+                    for v, b in zip(rows[law].mean, best, strict=True)
+                ),
                 quiet=law in _BOUNDS,
             )
             for law in _ordered(rows)
@@ -117,7 +98,7 @@ def _beside_paper(results: Results) -> ResultTable:
 def _inverse(results: Results) -> ResultTable:
     bare = _with_command(results, _INVERSE, _NONE)
     looped = _with_command(results, outer(results, _INVERSE), outer(results, _NONE))
-    columns = [(rows, _best(rows), places(rows.values())) for rows in (bare, looped)]
+    columns = [(rows, _best(rows), tables.places(rows.values())) for rows in (bare, looped)]
     return ResultTable(
         caption="Tracking: RMSE [mrad], mean over the motions, servo inversion",
         head=("torque model", *results.joints, *(f"{j} with loop" for j in results.joints)),
@@ -125,7 +106,7 @@ def _inverse(results: Results) -> ResultTable:
             row_of(
                 named(law),
                 *(
-                    mrad(v, n, best=v == b)
+                    tables.mrad(v, n, best=v == b)
                     for rows, best, digits in columns
                     for v, b, n in zip(rows[law].mean, best, digits, strict=True)
                 ),
@@ -137,30 +118,24 @@ def _inverse(results: Results) -> ResultTable:
     )
 
 
-def _with_command(results: Results, scheme: Scheme, none: Scheme) -> "dict[str, Tracked]":
+def _with_command(results: Results, scheme: Scheme, none: Scheme) -> "Rows":
     """Return the rows of a scheme by law, and that of the velocity command alone."""
     command = of_scheme(results, none)[StandIn.VELOCITY_ONLY]
     return of_scheme(results, scheme) | {StandIn.VELOCITY_ONLY: command}
 
 
-_BOUNDS = (StandIn.ORACLE, StandIn.VELOCITY_ONLY)
-
-
-def _ordered(rows: "dict[str, Tracked]") -> list[str]:
-    """Return laws between what needs none of them: the rigid body first, the truth last."""
+def _ordered(rows: "Rows") -> list[str]:
+    """Return the rigid body, the laws, and the bounds."""
     laws = [law for law in rows if law not in set(StandIn)]
     return [law for law in (StandIn.BODY_ONLY, *laws, *_BOUNDS) if law in rows]
 
 
-def _best(rows: "dict[str, Tracked]") -> list[float]:
+def _best(rows: "Rows") -> list[float]:
     laws = [row.mean for law, row in rows.items() if law not in set(StandIn)]
     return list(np.nanmin(laws, axis=0)) if laws else []
 
 
 def _figure(results: Results, pictures: Pictures, scheme: Scheme) -> Markup:
-    from cosim.report.figures.chart import Chart, Line, Panel
-    from cosim.report.figures.style import DESIRED, SOFT, Stroke, strokes
-
     key_laws = [law for law in results.key_laws if results.models[law].laws[0].form.memory]
     paths = {
         law: results.paths[scheme, law]
@@ -194,23 +169,30 @@ def _figure(results: Results, pictures: Pictures, scheme: Scheme) -> Markup:
         f"tracking_{scheme.name}",
         Chart(x="t [s]", rows=tuple(rows), height=1.4),
         f"The first motion under {scheme.title}: position (left) and absolute error "
-        "(right), as Fig. 7 of the paper. On the scale of the motion most lines lie on each other; "
-        "the error tells them apart.",
-        alt="Position over time of each joint, desired and tracked, and beside it the absolute "
+        "(right), as Fig. 7 of the paper. At the scale of the motion most lines coincide; the "
+        "error shows the difference.",
+        alt="Position over time of each joint, desired and tracked, and next to it the absolute "
         "tracking error, which is largest for the rigid body alone.",
     )
 
 
-def _more(results: Results) -> list[Markup]:
-    loop = results.loop
-    if loop is None:
-        return []
+def _more(results: Results, loop: "LoopOutcome") -> list[ResultTable]:
     measured = [row for row in loop.tracking if row.scheme.source != "desired"]
-    parts = []
+    found = []
     if measured:
         caption = "RMSE [mrad] with friction evaluated on measured or filtered velocity"
-        parts.append(table(tracking(caption, measured)))
+        found.append(tables.tracking(caption, measured))
     if loop.long:
         minutes = results.run.controller["drift"]
-        parts.append(table(tracking(f"One motion of {minutes:g} s: RMSE [mrad]", loop.long)))
-    return parts
+        found.append(tables.tracking(f"One motion of {minutes:g} s: RMSE [mrad]", loop.long))
+    return found
+
+
+def robustness(results: Results, _: Pictures) -> dict[str, Any] | None:
+    """Return tracking errors with an arm other than the identified one."""
+    if results.loop is None:
+        return None
+    return {
+        "sweeps": tables.sweeps(results.loop.sweeps),
+        "overcompensation": tables.overcompensation(results.loop.overcompensation),
+    }

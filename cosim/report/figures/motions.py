@@ -1,7 +1,8 @@
-"""Picture of what logs hold: a row for each joint."""
+"""Figures of motions: contents of logs by joint, and designed excitation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,22 +10,25 @@ from matplotlib.figure import Figure
 
 from cosim.report.figures.chart import Line, legend, plot
 from cosim.report.figures.style import SERIES, style_axis, styled
+from hesr_model.motions.excitation import Excitation
 from hesr_model.support.arrays import Array
+from hesr_model.support.files import written_whole
 
 _ROW, _BINS = 1.55, 40
 _LEAST = 1e-9
-"""Of a range that is more than rounding."""
+"""Round-off of a range of values."""
+_DESIGN_ROW, _WIDTH, _DPI = 1.8, 9.0, 120
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointView:
-    """What is shown of a joint.
+    """Data of a joint's row.
 
     Attributes
     ----------
-    name, unit : of the joint and its velocity.
-    velocities : over time [s].
-    friction : torque that the model leaves [N.m; N] over velocity; None without a model.
+    name, unit : name of the joint, and unit of its velocity.
+    velocities : velocities over time [s].
+    friction : torque not explained by the model [N.m; N] over velocity; None without a model.
     covered : (N,) velocities of all logs.
     loads : (N,) gravity torques [N.m; N] of all logs; None without a model.
     """
@@ -42,7 +46,7 @@ def joints(views: Sequence[JointView]) -> Figure:
     height = _ROW * len(views) + 0.75
     with styled():
         figure = Figure(figsize=(9.0, height))
-        # Placed by hand, because finding a place for many axes takes longer than drawing them.
+        # Fixed places, because laying out many axes takes longer than drawing them.
         axes = figure.subplots(
             len(views), 4, squeeze=False,
             gridspec_kw={"left": 0.06, "right": 0.995, "top": 1.0 - 0.5 / height,
@@ -55,15 +59,15 @@ def joints(views: Sequence[JointView]) -> Figure:
             if view.friction:
                 plot(row[1], view.friction)
             else:
-                _say(row[1], "no model")
+                _note(row[1], "no model")
             for axis, values in ((row[2], view.covered), (row[3], view.loads)):
                 axis.set_yticks([])
                 if values is None or np.ptp(values) < _LEAST:
-                    _say(axis, "no model" if values is None else "none")
+                    _note(axis, "no model" if values is None else "none")
                 else:
                     axis.hist(values, bins=_BINS, color=SERIES[2])
             titles = (
-                f"{view.name}: {view.unit} over s", "torque less the model’s", "rows by velocity",
+                f"{view.name}: {view.unit} over s", "torque minus model", "rows by velocity",
                 "rows by gravity",
             )  # fmt: skip
             for axis, title in zip(row, titles, strict=True):
@@ -76,8 +80,46 @@ def joints(views: Sequence[JointView]) -> Figure:
     return figure
 
 
-def _say(axis: Axes, why: str) -> None:
-    """Say why a panel has nothing to draw."""
+def _note(axis: Axes, why: str) -> None:
+    """Write why a panel is empty."""
     axis.set_xticks([])
     axis.set_yticks([])
     axis.text(0.5, 0.5, why, ha="center", fontsize=8, transform=axis.transAxes)
+
+
+def excitation(path: Path, motion: Excitation, joints: Sequence[str]) -> None:
+    """Write a picture of position and velocity of a designed motion, with their limits.
+
+    Parameters
+    ----------
+    path : picture to write; the suffix selects the format.
+    motion : the designed motion.
+    joints : names, from base to tip.
+
+    Raises
+    ------
+    ArtifactError
+        If the picture cannot be written.
+    """
+    t, q, dq, _ = motion.setpoints()
+    limits = motion.limits
+    figure = Figure(figsize=(_WIDTH, _DESIGN_ROW * len(joints)), layout="constrained")
+    axes = figure.subplots(len(joints), 2, sharex=True, squeeze=False)
+    for k, (joint, (position, velocity)) in enumerate(zip(joints, axes, strict=True)):
+        _limited(position, t, q[:, k], (limits.lower[k], limits.upper[k]))
+        _limited(velocity, t, dq[:, k], (-limits.velocity[k], limits.velocity[k]))
+        position.set_ylabel(joint)
+    axes[0, 0].set_title("position [rad; m where prismatic]")
+    axes[0, 1].set_title("velocity [rad/s; m/s where prismatic]")
+    for axis in axes[-1]:
+        axis.set_xlabel("t [s]")
+    with written_whole(path) as temporary:
+        # The version of the drawing library would change the bytes.
+        figure.savefig(temporary, dpi=_DPI, metadata={"Software": None})
+
+
+def _limited(axis: Axes, t: Array, values: Array, limits: tuple[float, float]) -> None:
+    axis.plot(t, values, linewidth=1.0)
+    for limit in limits:
+        axis.axhline(limit, color="C3", linestyle="--", linewidth=0.8)
+    axis.margins(x=0.0)

@@ -1,0 +1,125 @@
+"""Inputs of a run: robot, logs and their checks; rigid body (Fig. 3); provenance."""
+
+from importlib.metadata import version
+from typing import Any
+
+from markupsafe import Markup
+
+from cosim.report.figures.chart import Chart, Line, Panel
+from cosim.report.figures.style import MEASURED, strokes
+from cosim.report.markup import Pictures
+from cosim.report.results import Results
+from cosim.report.tables.table import ResultTable, number, rounded, row_of
+from cosim.study.results import SavedLog, read_findings
+from hesr_model.rigid_body.identification import RigidBody
+
+_INTERVAL = 1.96
+"""Half width of a 95 % interval in standard errors."""
+_ROLES = {"identification": "rigid body", "training": "training of the laws"}
+_METHODS = {
+    "stacked": "stacked least squares with friction columns",
+    "paper": "averaging of the motion and its reverse",
+}
+
+
+def data(results: Results, _: Pictures) -> dict[str, Any]:
+    """Return robot, logs and findings."""
+    run = results.run
+    # Findings about logs come first.
+    findings = sorted(read_findings(results.folder), key=lambda finding: not finding.logs)
+    rows = [
+        row_of(
+            log.name,
+            ", ".join(_ROLES.get(role, f"test ‘{role}’") for role in log.roles) or "–",
+            number(log.rows, max(3, len(str(log.rows)))),
+            number(log.duration, 4),
+            number(log.rate, 4),
+        )
+        for log in run.logs
+    ]
+    return {
+        "run": run,
+        "joints": ", ".join(f"{short} {name}" for _, short, name in results.numbered),
+        "gears": ", ".join(f"{g:g}" for g in run.gear_ratio),
+        "samples": [log.name for log in run.logs if log.sample],
+        "findings": findings,
+        "of_logs": sum(bool(finding.logs) for finding in findings),
+        "logs": ResultTable(
+            caption="Logs and their uses; no log of a test set was used for training",
+            words=(1,),
+            head=("log", "use", "rows", "duration [s]", "rate [Hz]"),
+            rows=rows,
+        ),
+    }
+
+
+def body(results: Results, pictures: Pictures) -> dict[str, Any]:
+    """Return the identified parameters, and the torque next to the measured one."""
+    found, log = results.body, results.log_of("identification")
+    weighted = ", weighted by the noise of each joint" if found.weighting == "wls" else ""
+    return {
+        "body": found,
+        "rotors": sum(name.endswith(".Ir") for name in found.names),
+        "method": _METHODS[found.method] + weighted,
+        "condition": rounded(found.condition),
+        "errors": ", ".join(map(rounded, found.rmse)),
+        "figure": _torques(results, pictures, log) if log else "",
+        "parameters": _parameters(found),
+    }
+
+
+def _torques(results: Results, pictures: Pictures, log: SavedLog) -> Markup:
+    torques = results.torques(log)
+    t, blue = torques["t"], strokes(["rigid body"])["rigid body"]
+    panels = [
+        Panel(
+            title=f"{short}: {name}",
+            y=f"torque [{results.unit('N.m', k - 1)}]",
+            lines=(
+                Line(name="measured", x=t, y=torques[f"tau{k}"], stroke=MEASURED),
+                Line(name="rigid body", x=t, y=torques[f"tau_rb{k}"], stroke=blue),
+            ),
+        )
+        for k, short, name in results.numbered
+    ]
+    return pictures.chart(
+        "rigid_body",
+        Chart(x="t [s]", rows=tuple((panel,) for panel in panels), height=1.35),
+        f"Measured torque and torque of the identified rigid body on {log.name} (Fig. 3 of the "
+        "paper). The difference is friction, which changes sign with the velocity, and noise.",
+        alt=f"Torque over time of each joint on {log.name}: the rigid body follows the slow course "
+        "of the measured torque, which is above or below it by the friction.",
+    )
+
+
+def _parameters(body: RigidBody) -> ResultTable:
+    return ResultTable(
+        caption="Base parameters: m [kg], mx.. [kg.m], Ixx.. and rotor Ir [kg.m²]; each includes "
+        "the parameters that depend on it",
+        head=("parameter", "value", "± 95 %"),
+        rows=[
+            row_of(body.names[k], number(body.parameters[k], 4), number(_INTERVAL * error, 2))
+            for k, error in zip(body.base, body.standard_errors, strict=True)
+        ],
+    )
+
+
+def provenance(results: Results, _: Pictures) -> dict[str, Any]:
+    """Return the command, the versions, and the hashes of the input files."""
+    run = results.run
+    files = dict.fromkeys((log.file, log.sha256) for log in run.logs)
+    logs = {log.sha256 for log in run.logs}
+    for file in results.provenance.get("files", ()):
+        if file["sha256"] not in logs:
+            files[file["name"], file["sha256"]] = None
+    return {
+        "run": run,
+        "versions": ", ".join(f"{name} {number}" for name, number in run.versions.items()),
+        "bokeh": version("bokeh"),
+        "hashes": ResultTable(
+            caption="SHA-256 of the input files",
+            head=("file", "SHA-256"),
+            rows=[row_of(name, Markup("<code>{}</code>").format(digest)) for name, digest in files],
+            numeric=False,
+        ),
+    }

@@ -1,0 +1,220 @@
+"""Laws of a run: equations (Table I), hysteresis state (Fig. 2), ablation, interactive plots."""
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from cosim.report.figures.chart import Line
+from cosim.report.figures.plots import Sheet, sheets
+from cosim.report.figures.style import Stroke, strokes
+from cosim.report.markup import Pictures
+from cosim.report.results import Results
+from cosim.report.tables.table import ResultTable, TableCell, number, row_of, title
+from cosim.study.scores import MEASURED_START, REFERENCE
+from fmu_src.friction.variable_names import exposed
+from fmu_src.pages.live.page import live_assets, live_section
+from fmu_src.pages.mathml import equations as typeset
+from fmu_src.pages.mathml import symbol
+from fmu_src.run.archive import Archive
+from hesr_model.errors import ArtifactError
+from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.predict import predict
+from hesr_model.friction.registry import papers_law, registry
+from hesr_model.support.arrays import Array
+
+_INTERVAL = 1.96
+"""Half width of a 95 % interval in standard errors."""
+_FREQUENCY = 0.25
+"""Frequency of the paper's sine [Hz]."""
+_ROWS = 801
+"""Number of points of a period."""
+_FACTORS = {0.25: "a quarter", 1.0: "as fitted", 4.0: "four times"}
+"""Factors on alpha and beta."""
+_SPEED = 1.2
+"""Peak velocity [rad/s] if no trained range is known."""
+_PAGE = "documentation/index.html"
+_DATA = re.compile(r'<script type="application/json">(.*?)</script>', re.DOTALL)
+
+
+def equations(results: Results, _: Pictures) -> dict[str, Any]:
+    """Typeset the paper's law, the best one, and all others."""
+    first = results.shown(papers_law(), results.best)
+    others = [law for law in results.models if law not in first]
+    return {
+        "first": [_entry(results, results.models[law], law) for law in first],
+        "others": [_entry(results, results.models[law], law) for law in others],
+    }
+
+
+def _entry(results: Results, model: FrictionModel, law: str) -> dict[str, Any]:
+    pairs = zip(results.joints, model.laws, strict=True)
+    shown = all(exposed(of_joint) for of_joint in model.laws)
+    return {
+        "title": title(law),
+        "joints": [(short, typeset(one, numbers=exposed(one))) for short, one in pairs],
+        "coefficients": _coefficients(results, model) if shown else None,
+    }
+
+
+def _coefficients(results: Results, model: FrictionModel) -> ResultTable:
+    coefficients = {c.name: c for law in model.laws for c in law.form.coefficients}
+
+    def cell(law: FrictionLaw, name: str) -> TableCell:
+        if name not in law.values:
+            return TableCell(text="–")
+        error = law.standard_errors.get(name)
+        notes = () if error is None else (f"± {_INTERVAL * error:.2g}",)
+        return number(law.values[name], 4, notes=notes)
+
+    return ResultTable(
+        caption=f"Coefficients of {title(model.law)}; ± 1.96 standard errors of linearised "
+        "least squares",
+        words=(1,),
+        head=("coefficient", "unit", *results.joints),
+        rows=[
+            row_of(
+                Markup("{} {}").format(Markup(symbol(name)), c.description),
+                "–" if c.unit == "1" else c.unit,
+                *(cell(law, name) for law in model.laws),
+            )
+            for name, c in coefficients.items()
+        ],
+    )
+
+
+def hysteresis(results: Results, pictures: Pictures) -> dict[str, Any] | None:
+    """Draw the effect of alpha and beta, at the values fitted to the first joint."""
+    model = results.models.get(papers_law())
+    if model is None or not {"alpha", "beta"} <= set(model.laws[0].values):
+        return None
+    first = model.laws[0]
+    alpha, beta = first.values["alpha"], first.values["beta"]
+    speed = model.trained[0].speed if model.trained else _SPEED
+    near = np.linspace(-4.0 / beta, 4.0 / beta, 201)
+    three = list(zip(_FACTORS.items(), strokes(list(_FACTORS.values())).values(), strict=True))
+
+    def loop(law: FrictionLaw, name: str, stroke: Stroke) -> Line:
+        dq, h = _loop(law, speed)
+        return Line(name=name, x=dq, y=h, stroke=stroke)
+
+    slopes = tuple(
+        Line(name=name, x=1e3 * near, y=np.tanh(f * beta * near), stroke=stroke)
+        for (f, name), stroke in three
+    )
+    widths = tuple(
+        loop(replace(first, values={**first.values, "alpha": f * alpha}), name, stroke)
+        for (f, name), stroke in three
+    )
+    colours = strokes(list(results.joints))
+    pairs = list(zip(results.joints, model.laws, strict=True))
+    fitted = tuple(loop(law, short, colours[short]) for short, law in pairs)
+    dq = f"dq [{results.unit('rad/s', 0)}]"
+    slow = f"dq [{results.unit('mrad/s', 0)}]"
+    picture = sheets(
+        (
+            Sheet(title="(a) β: slope at rest", x=slow, y="tanh(β dq)", lines=slopes),
+            Sheet(title="(b) α: width of the loop", x=dq, y="h", lines=widths),
+            Sheet(title="(c) as fitted", x=f"dq [{results.unit('rad/s')}]", y="h", lines=fitted),
+        )
+    )
+    return {
+        "values": "; ".join(
+            f"{short} ({law.values['alpha']:.4g}, {law.values['beta']:.4g})" for short, law in pairs
+        ),
+        "figure": pictures.figure(
+            "hysteresis",
+            picture,
+            f"The state (Fig. 2 of the paper) over a sine of {_FREQUENCY:g} Hz. (a) β sets the "
+            "slope at rest, shown at a quarter, one and four times the value of J1; (b) α sets the "
+            "memory of the state, and so the width of its loop; (c) the fitted loops. The delay is "
+            "in time: at rest the state decays.",
+            alt="Three panels: tanh of beta times velocity at three slopes; loops of h over "
+            "velocity that are wider the smaller alpha is; the fitted loop of each joint.",
+        ),
+    }
+
+
+def _loop(law: FrictionLaw, speed: float) -> tuple[Array, Array]:
+    """Return velocity and state over one settled period of a sine."""
+    relaxation = next(r for r in law.form.relaxations if r.name == "h")
+    only = replace(law, form=replace(law.form, output=relaxation.state), discretisation="exact")
+    t = np.linspace(0.0, 2.0 / _FREQUENCY, 2 * _ROWS - 1)
+    dq = speed * np.sin(2.0 * np.pi * _FREQUENCY * t)
+    return dq[-_ROWS:], predict(only, t=t, dq=dq)[-_ROWS:]
+
+
+def ablation(results: Results, _: Pictures) -> dict[str, Any] | None:
+    """Return the change of the error when one part is added."""
+    test = results.tests[0]
+    laws = results.comparisons[test].laws
+    steps = [(a, b, part) for a, b, part in _steps() if a in laws and b in laws]
+    variants = [name for name in results.run.variants if name in laws]
+    tables = []
+    if variants:
+        whole = results.run.variants[variants[-1]]
+        ladder = [*variants, *([whole] if whole in laws else [])]
+        tables.append(
+            ResultTable(
+                caption=f"{test}: RMSE [{results.unit('N.m')}] of the variants, each with one part "
+                "more than that above it",
+                head=("variant", *results.joints),
+                rows=[row_of(title(law), *map(number, laws[law].rmse)) for law in ladder],
+            )
+        )
+    if steps:
+        tables.append(
+            ResultTable(
+                caption=f"{test}: change of the RMSE when one part is added; lower is better",
+                words=(1,),
+                head=("from, to", "adds", *results.joints),
+                rows=[
+                    row_of(f"{title(a)} → {title(b)}", part, *_changes(laws[a].rmse, laws[b].rmse))
+                    for a, b, part in steps
+                ],
+            )
+        )
+    return {"tables": tables} if tables else None
+
+
+def _steps() -> Iterator[tuple[str, str, str]]:
+    """Yield law, extended law and the part that it adds."""
+    for name, law in registry().items():
+        if law.adds is not None:
+            yield law.adds[0], name, law.adds[1]
+        yield name, name + MEASURED_START, "a measured start"
+
+
+def _changes(before: Sequence[float], after: Sequence[float]) -> list[str]:
+    changes = [100.0 * (b / a - 1.0) for a, b in zip(before, after, strict=True)]
+    # Zero has no sign.
+    return [f"{c:+.0f} %".replace("-", "−") if round(c) else "0 %" for c in changes]
+
+
+def live(results: Results, _: Pictures) -> dict[str, Any] | None:
+    """Return the interactive plots of the best law, the paper's and the reference law."""
+    laws = results.shown(results.best, papers_law(), REFERENCE)
+    found = {law: _live_data(results.folder / "fmus" / f"{law}.fmu") for law in laws}
+    lives = [
+        (law, title(law), Markup(live_section(data, key=f"live-{law}")))
+        for law, data in found.items()
+        if data is not None
+    ]
+    return {"lives": lives, "assets": Markup(live_assets())} if lives else None
+
+
+def _live_data(fmu: Path) -> dict[str, Any] | None:
+    """Return the data of the interactive plot in an FMU's documentation, if any."""
+    try:
+        with Archive(fmu) as archive:
+            page = archive.read(_PAGE).decode("utf-8")
+    except (ArtifactError, UnicodeDecodeError):
+        return None
+    match = _DATA.search(page)
+    return json.loads(match[1]) if match else None

@@ -1,0 +1,87 @@
+"""Physics of laws: passivity audit and physics checks."""
+
+from typing import Any
+
+from markupsafe import Markup
+
+from cosim.report.markup import Pictures
+from cosim.report.results import Results
+from cosim.report.tables.laws import audit as audit_table
+from cosim.report.tables.properties import properties as properties_table
+from cosim.report.tables.table import ResultTable, TableCell, fixed, number, row_of, title
+from fmu_src.pages.datasheet import certified
+from fmu_src.pages.properties_sheet import section as sheet
+from hesr_model.audit.audit import Audit
+from hesr_model.audit.cycles import ENCODER
+from hesr_model.friction.registry import papers_law
+
+_ROUNDING = 1e-6
+"""Energy of round-off [J]."""
+
+
+def passive(found: Audit) -> bool:
+    """Whether no tested closed cycle gives energy."""
+    return found.generated < _ROUNDING
+
+
+def audit(results: Results, _: Pictures) -> dict[str, Any] | None:
+    """Return the figures of the audit of every law."""
+    found = results.audits
+    if not found:
+        return None
+    energy = ResultTable(
+        caption="Maximum energy of a law over a closed cycle [J], and chatter of its torque at "
+        f"rest [{results.unit('N.m')}]",
+        head=(
+            "law",
+            *(f"energy {short}" for short in results.joints),
+            *(f"chatter {short}" for short in results.joints),
+        ),
+        rows=[
+            row_of(
+                title(law),
+                *(
+                    TableCell(text="none", value=0.0) if passive(a) else number(a.generated, 2)
+                    for a in of_law.audits
+                ),
+                *(fixed(a.chatter, 2) for a in of_law.audits),
+            )
+            for law, of_law in found.items()
+        ],
+    )
+    proofs = ResultTable(
+        caption="Passivity of each law and joint",
+        head=("law", "joint", "certificate"),
+        rows=[
+            row_of(title(law), joint, certified(c, slides=slides))
+            for law, of_law in found.items()
+            for joint, c, slides in zip(
+                results.joints, of_law.certificates, results.models[law].slides, strict=True
+            )
+        ],
+        numeric=False,
+    )
+    return {
+        "noise": f"{1e6 * ENCODER:.0f}",
+        "energy": energy,
+        "proofs": proofs,
+        "audits": [audit_table(law, of.audits, results.sliding) for law, of in found.items()],
+    }
+
+
+def properties(results: Results, _: Pictures) -> dict[str, Any] | None:
+    """Return the results of the checks, and plots of the paper's law and the best one."""
+    if not results.properties:
+        return None
+    shown = dict.fromkeys((papers_law(), results.best))
+    return {
+        "properties": properties_table(results.properties, full=True),
+        "sheets": [(title(k), _sheet(results, k)) for k in shown if k in results.properties],
+    }
+
+
+def _sheet(results: Results, law: str) -> Markup:
+    html = sheet(results.properties[law], sliding=results.sliding).replace(
+        'id="property-', f'id="{law}-property-'
+    )
+    return Markup(html.replace('href="#property-', f'href="#{law}-property-'))
