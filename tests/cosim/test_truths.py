@@ -54,7 +54,7 @@ def test_a_run_scores_its_laws_under_the_further_truths(tmp_path: Path, capsys, 
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Alternative plants of the twin" in page
     best = {"stribeck": "Stribeck", "lugre": "LuGre"}[leading(found["strain_wave"])]
-    assert f"{best} under ‘strain_wave’" in page
+    assert f"{best} on ‘strain_wave’" in page
 
 
 def test_a_run_under_another_truth_says_so(tmp_path: Path, capsys, monkeypatch):
