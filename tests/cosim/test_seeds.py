@@ -60,7 +60,7 @@ def test_what_seeds_cannot_be_drawn_for(study: Path) -> None:
     no_laws = study.with_name("none.toml")
     lines = [line for line in text.splitlines() if not line.startswith("laws")]
     no_laws.write_text("\n".join(lines), encoding="utf-8")
-    with pytest.raises(ConfigError, match="--seeds needs the key .laws."):
+    with pytest.raises(ConfigError, match="--seeds needs the key 'laws'"):
         run_seeds(no_laws, 2)
     measured = study.with_name("measured.toml")
     before, _, after = text.partition("[twin]")
