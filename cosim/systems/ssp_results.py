@@ -16,10 +16,8 @@ from cosim.systems.system import SystemSpec
 from fmu_src.run.archive import Archive
 from fmu_src.run.fmu import is_ours
 from fmu_src.run.master import ExchangeScheme
-from fmu_src.run.recorded import ROWS, table
-from fmu_src.run.reference_manifest import Experiment, manifest_files
-from fmu_src.run.reference_results import Experiment as Read
-from fmu_src.run.reference_results import Verified, experiments, judged
+from fmu_src.run.reference_files import ROWS, ExperimentFiles, manifest_files, table
+from fmu_src.run.reference_results import ReferenceExperiment, Verified, experiments, judged
 from hesr_model.errors import HesrError, SimulationError
 
 TOLERANCE = 1e-9
@@ -71,7 +69,7 @@ def result_files(contents: SystemContents) -> dict[str, bytes]:
     files[f"{_STEM}_in.csv"] = table({"time": t}, 12)
     files |= {f"{_STEM}_{name}.csv": table({"time": t, **rows}, 14) for name, rows in found.items()}
     own = [
-        Experiment(
+        ExperimentFiles(
             name=name, description=text, start=0.0, stop=float(t[-1]), step=spec.step,
             tolerance=TOLERANCE, stimuli=f"{_STEM}_in.csv", references=f"{_STEM}_{name}.csv",
         )
@@ -98,7 +96,7 @@ def verify_ssp(path: Path) -> Verified:
     return found
 
 
-def _judge(spec: SystemSpec, experiment: Read, found: Verified) -> None:
+def _judge(spec: SystemSpec, experiment: ReferenceExperiment, found: Verified) -> None:
     own, t = experiment.name, experiment.t
     signals = list(experiment.outputs)
 

@@ -10,8 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from fmu_src.friction.settings import CONTINUOUS, SHOWN, Motion, torques
-from fmu_src.run.recorded import WAYS, options, table
-from fmu_src.run.reference_manifest import Experiment, manifest_files
+from fmu_src.run.reference_files import WAYS, ExperimentFiles, manifest_files, options, table
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.model import FrictionModel
@@ -164,8 +163,8 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
 
 def _experiment(
     name: str, text: str, motion: Motion, step: float, tolerance: float, stem: str, references: str
-) -> Experiment:
-    return Experiment(
+) -> ExperimentFiles:
+    return ExperimentFiles(
         name=name,
         description=text,
         start=float(motion.t[0]),

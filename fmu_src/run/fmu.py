@@ -26,7 +26,7 @@ from fmu_src.run.instance import (
     LoadError,
     UnpackedFmu,
 )
-from fmu_src.run.variables import Declared, Variables, description_in
+from fmu_src.run.variables import Declared, Variables, description_in, description_of
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.support import cache
 from hesr_model.support.arrays import Array
@@ -95,6 +95,7 @@ class FmuInstance:
     fmu : the FMU, FMI 2.0 or 3.0 for co-simulation; the variables of 3.0 are named as those of 2.0.
     name : name of the instance; by default the file's stem.
     seconds : time limit of each call of an untrusted FMU [s].
+    unpacked : folder of the FMU, unpacked and trusted, in place of the file.
 
     Attributes
     ----------
@@ -123,13 +124,20 @@ class FmuInstance:
     variables: Variables
     declared: list[Declared]
 
-    def __init__(self, fmu: Path, *, name: str | None = None, seconds: float = SECONDS) -> None:
+    def __init__(
+        self,
+        fmu: Path,
+        *,
+        name: str | None = None,
+        seconds: float = SECONDS,
+        unpacked: Path | None = None,
+    ) -> None:
         self.fmu = fmu
         self.name = name or fmu.stem
         self.time = 0.0
         self.messages: list[str] = []
         self.used = self.failed = False
-        self._seconds = seconds
+        self._seconds, self._unpacked = seconds, unpacked
         self._complaint: str | None = None
         self._stepping = False
         self._cleanup = ExitStack()
@@ -137,13 +145,14 @@ class FmuInstance:
     def __enter__(self) -> Self:
         """Unpack, load and instantiate."""
         with ExitStack() as cleanup:
-            folder = cleanup.enter_context(scratch_folder())
-            try:
-                known = self._unpack(folder)
-            except ArtifactError as error:
-                raise SimulationError(f"{error}") from error
+            if self._unpacked:
+                folder, trusted = self._unpacked, True
+                self.description, self.declared = description_of(folder)
+            else:
+                folder = cleanup.enter_context(scratch_folder())
+                trusted = self._unpack(folder)
             self.variables = Variables(self.fmu, self.description)
-            self._instance = self._loaded(folder, known=known)
+            self._instance = self._loaded(folder, trusted=trusted)
             cleanup.push(self._free)
             self._cleanup = cleanup.pop_all()
         return self
@@ -154,13 +163,16 @@ class FmuInstance:
 
     def _unpack(self, folder: Path) -> bool:
         """Unpack what this platform needs; return whether the FMU is trusted."""
-        with Archive(self.fmu) as archive:
-            self.description, self.declared = description_in(archive)
-            own = (*(fmi.folder for fmi in VERSIONS.values()), "resources/")
-            archive.unpack(folder, lambda name: name.startswith(own))
-            return is_known(archive.digest())
+        own = (*(fmi.folder for fmi in VERSIONS.values()), "resources/")
+        try:
+            with Archive(self.fmu) as archive:
+                self.description, self.declared = description_in(archive)
+                archive.unpack(folder, lambda name: name.startswith(own))
+                return is_known(archive.digest())
+        except ArtifactError as error:
+            raise SimulationError(f"{error}") from error
 
-    def _loaded(self, folder: Path, *, known: bool) -> "Instance | SandboxedInstance":
+    def _loaded(self, folder: Path, *, trusted: bool) -> "Instance | SandboxedInstance":
         about = self.description
         fmi = {"2.0": 2, "3.0": 3}.get(about.fmiVersion)
         if fmi is None or about.coSimulation is None:
@@ -180,7 +192,7 @@ class FmuInstance:
             variables=self.declared,
         )
         try:
-            if known:
+            if trusted:
                 return Instance(unpacked, self._log, self._failure)
             from fmu_src.run.sandbox import SandboxedInstance  # slow to import
 

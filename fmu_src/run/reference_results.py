@@ -1,15 +1,14 @@
-"""Whether an FMU gives the reference results that it carries, as FMI-LS-REF names them.
+"""Reference results in an FMU or SSP, as FMI-LS-REF names them: read, played and compared.
 
-The standard does not say how inputs are handed over. Ways are tried until one gives the results; an
-experiment that is called as one of them is run in this way alone.
+The standard does not fix the order of writing inputs, stepping and reading outputs. Each known
+order is tried until one gives the results; an experiment named after one is played in it alone.
 """
 
 import csv
 import hashlib
 import posixpath
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -17,30 +16,30 @@ import numpy as np
 
 from fmu_src.run.archive import MOST_TEXT, Archive
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.reference_manifest import FOLDER, MANIFEST
 from hesr_model.errors import HesrError
 from hesr_model.support.arrays import Array
 from hesr_model.support.text import plain
 
-WAYS: Mapping[str, str] = {
-    "hold": "inputs hold over each step, outputs are read after it",
-    "shown": "the same, outputs read once the inputs of the next step are set",
-    "direct": "inputs of the end of each step, set before it",
-}
-"""How inputs may be handed over, by name."""
+FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
+MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
 
-_TOLERANCE = 1e-3  # of the largest value, where an experiment says nothing
+WAYS = ("hold", "shown", "direct")
+"""Orders of calls: inputs of the start of a step are set, then after it outputs are read; the same
+with outputs read once the inputs of the next step are set; inputs of its end are set before a step.
+"""
+
+_TOLERANCE = 1e-3  # of the largest value, unless the experiment names one
 _MOST_ROWS = 100_000
 
 
 @dataclass(frozen=True)
 class Verified:
-    """What came of the reference results of an FMU.
+    """Outcome of the reference results of an FMU.
 
     Attributes
     ----------
     problems, skipped : sentences.
-    passed : for each experiment that agrees the way in which it was run.
+    passed : order of calls of each experiment that agrees.
     """
 
     problems: list[str] = field(default_factory=list)
@@ -49,11 +48,11 @@ class Verified:
 
 
 def verify(fmu: Path) -> Verified:
-    """Play the experiments that an FMU carries and compare with its reference results.
+    """Play the experiments in an FMU and compare with its reference results.
 
     Parameters
     ----------
-    fmu : of FMI 2.0 for co-simulation; its code is run.
+    fmu : FMU for co-simulation; its code is run.
 
     Raises
     ------
@@ -65,22 +64,28 @@ def verify(fmu: Path) -> Verified:
         stored = experiments(archive, found)
     for experiment in stored:
         own = experiment.name
-        ways = [own] if own in WAYS else list(WAYS)
-        judged(experiment, ways, partial(_played, fmu, experiment), found)
+        ways = [own] if own in WAYS else WAYS
+
+        def played(way: str, experiment: ReferenceExperiment = experiment) -> Array:
+            with FmuInstance(fmu) as instance:
+                return play(instance, experiment, way)
+
+        judged(experiment, ways, played, found)
     return found
 
 
 @dataclass(frozen=True, kw_only=True)
-class Experiment:
-    """Stimuli and results that were read.
+class ReferenceExperiment:
+    """Stimuli and results.
 
     Attributes
     ----------
-    name : that of a way of handing values over, or any other.
-    tolerance : of the largest value of each output.
-    t : (N,) [s].
-    inputs, outputs : (N,) each, by name.
+    name : name, which may be that of an order of calls.
+    tolerance : tolerance relative to the largest value of each output.
+    t : (N,) time [s].
+    inputs, outputs : (N,) values by name.
     parameters : values by name.
+    step : step [s]; the difference of two times if 0.
     """
 
     name: str
@@ -89,10 +94,11 @@ class Experiment:
     inputs: dict[str, Array]
     outputs: dict[str, Array]
     parameters: dict[str, float]
+    step: float = 0.0
 
 
-def experiments(archive: Archive, found: Verified) -> list[Experiment]:
-    """Return the experiments for co-simulation that an archive carries; tell what is wrong."""
+def experiments(archive: Archive, found: Verified) -> list[ReferenceExperiment]:
+    """Return the experiments for co-simulation in an archive and note problems."""
     if MANIFEST not in archive.names:
         found.skipped.append(f"Reference results: there is no {MANIFEST}.")
         return []
@@ -109,8 +115,8 @@ class _Members:
     def __init__(self, archive: Archive) -> None:
         self._archive = archive
 
-    def experiments(self, found: Verified) -> Iterator[Experiment]:
-        """Yield the experiments for co-simulation; say what is wrong with files, what is left."""
+    def experiments(self, found: Verified) -> Iterator[ReferenceExperiment]:
+        """Yield the experiments for co-simulation; note wrong files and skipped experiments."""
         for related in self._xml(MANIFEST).iter("Related"):
             place = _resolved(FOLDER, related.get("source", ""))
             if place not in self._archive.names:
@@ -124,7 +130,7 @@ class _Members:
 
     def _experiment(
         self, element: ET.Element, folder: str, found: Verified
-    ) -> Iterator[Experiment]:
+    ) -> Iterator[ReferenceExperiment]:
         name = plain(element.get("name", ""))
         parts = {part.tag: part.get("source", "") for part in element}
         why = None
@@ -142,7 +148,7 @@ class _Members:
         if t.shape != same.shape or np.any(np.abs(t - same) > 1e-9 * max(1.0, abs(t[-1]))):
             found.skipped.append(f"Experiment '{name}': its results are at other times.")
             return
-        yield Experiment(
+        yield ReferenceExperiment(
             name=name,
             tolerance=float(element.get("tolerance", _TOLERANCE)),
             t=t,
@@ -152,7 +158,7 @@ class _Members:
         )
 
     def _parameters(self, folder: str, source: str | None) -> dict[str, float]:
-        """Return the values of a table's only row."""
+        """Return the values in the single row of a table."""
         if source is None:
             return {}
         columns = self._columns(_resolved(folder, source))
@@ -179,23 +185,26 @@ class _Members:
         digest, kind = related.get("checksum"), related.get("checksumType", "SHA3-256")
         algorithm = kind.lower().replace("sha-", "sha").replace("sha3-", "sha3_")
         unknown = algorithm not in hashlib.algorithms_available or algorithm.startswith("shake")
-        if digest is None or unknown:  # or one whose sums have no length of their own
+        if digest is None or unknown:  # SHAKE has no fixed length
             return True
         content = self._archive.read(place)
         return hashlib.new(algorithm, content).hexdigest() == digest.lower()
 
 
 def judged(
-    experiment: Experiment, ways: Sequence[str], played: Callable[[str], Array], found: Verified
+    experiment: ReferenceExperiment,
+    ways: Sequence[str],
+    played: Callable[[str], Array],
+    found: Verified,
 ) -> None:
-    """Tell whether an experiment gives its results in one of several ways.
+    """Note whether an experiment gives its results in one of several orders of calls.
 
     Parameters
     ----------
-    experiment : with its results.
-    ways : to try.
-    played : returns the (N, outputs) values of a way.
-    found : what is told.
+    experiment : the experiment with its results.
+    ways : orders to try.
+    played : returns the (N, outputs) values of an order.
+    found : receives the outcome.
     """
     own = experiment.name
     worst: list[tuple[float, str]] = []
@@ -216,33 +225,32 @@ def judged(
     )
 
 
-def _played(fmu: Path, experiment: Experiment, way: str) -> Array:
-    """Return the (N, outputs) values that the FMU gives."""
+def play(instance: FmuInstance, experiment: ReferenceExperiment, way: str) -> Array:
+    """Initialise an FMU, take it through an experiment, and return its outputs (N, outputs)."""
     t = experiment.t
     rows = np.column_stack([*experiment.inputs.values(), t])[:, :-1]
-    answers = np.empty((len(t), len(experiment.outputs)))
-    with FmuInstance(fmu) as component:
-        inputs = component.buffer(list(experiment.inputs))
-        outputs = component.buffer(list(experiment.outputs))
+    inputs = instance.buffer(list(experiment.inputs))
+    outputs = instance.buffer(list(experiment.outputs))
+    found = np.empty((len(t), len(experiment.outputs)))
 
-        def set_row(k: int) -> None:
-            inputs.values[:] = rows[k]
-            inputs.write()
+    def set_row(k: int) -> None:
+        inputs.values[:] = rows[k]
+        inputs.write()
 
-        inputs.values[:] = rows[0]
-        component.initialise(time=float(t[0]), start=experiment.parameters, inputs=inputs)
-        answers[0] = outputs.read()
-        for k in range(1, len(t)):
-            set_row(k if way == "direct" else k - 1)
-            component.step(float(t[k - 1]), float(t[k] - t[k - 1]))
-            if way == "shown":
-                set_row(k)
-            answers[k] = outputs.read()
-    return answers
+    inputs.values[:] = rows[0]
+    instance.initialise(time=float(t[0]), start=experiment.parameters, inputs=inputs)
+    found[0] = outputs.read()
+    for k in range(1, len(t)):
+        set_row(k if way == "direct" else k - 1)
+        instance.step(float(t[k - 1]), experiment.step or float(t[k] - t[k - 1]))
+        if way == "shown":
+            set_row(k)
+        found[k] = outputs.read()
+    return found
 
 
-def _difference(experiment: Experiment, rows: Array) -> tuple[float, str]:
-    """Return the largest difference, of the largest value of its output, and where it is."""
+def _difference(experiment: ReferenceExperiment, rows: Array) -> tuple[float, str]:
+    """Return the largest relative difference and its location."""
     expected = np.column_stack(list(experiment.outputs.values()))
     size = np.maximum(np.abs(expected).max(axis=0), np.finfo(float).tiny)
     off = np.nan_to_num(np.abs(rows - expected) / size, nan=np.inf)
@@ -253,7 +261,7 @@ def _difference(experiment: Experiment, rows: Array) -> tuple[float, str]:
 
 
 def _resolved(folder: str, source: str) -> str:
-    """Return the member that a place relative to a folder of the archive stands for."""
+    """Return the member at a path relative to a folder of the archive."""
     return posixpath.normpath(posixpath.join(folder, source))
 
 

@@ -24,7 +24,6 @@ KNOWN_DUPLICATES = {
     "Array",
     "Choice",
     "Description",
-    "Experiment",
     "Kind",
     "Motion",
     "Result",
@@ -50,8 +49,7 @@ NOUNS = {
 NOUNS |= {"tuning", "wiring"}
 
 KNOWN_PARTICIPLES = {
-    "fmu_src.run.recorded",
-    "fmu_src.run.recording",
+    "fmu_src.run.reference_files",
 }
 """Modules still named by a participle. Remove what is renamed."""
 

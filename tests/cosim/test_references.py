@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from fmu_src import export_fmu
-from fmu_src.run.reference_manifest import EXPERIMENTS, FOLDER, MANIFEST, Experiment, manifest_files
-from fmu_src.run.reference_results import verify
+from fmu_src.run.reference_files import EXPERIMENTS, ExperimentFiles, manifest_files
+from fmu_src.run.reference_results import FOLDER, MANIFEST, verify
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Stop
 from hesr_model.friction.inputs import DQ, TAU_LOAD
@@ -33,7 +33,7 @@ def with_results(lag_fmu: Path, tmp_path: Path) -> Callable[..., Path]:
 
     def make(stimuli: str, results: str, *, name: str = "own", step: float = 0.1) -> Path:
         members = {f"{STEPS}_in.csv": stimuli.encode(), f"{STEPS}_ref.csv": results.encode()}
-        own = Experiment(
+        own = ExperimentFiles(
             name=name, description="", start=0.0, stop=0.2, step=step, tolerance=1e-9,
             stimuli=f"{STEPS}_in.csv", references=f"{STEPS}_ref.csv",
         )  # fmt: skip
