@@ -48,9 +48,7 @@ NOUNS = {
 }
 NOUNS |= {"tuning", "wiring"}
 
-KNOWN_PARTICIPLES = {
-    "fmu_src.run.reference_files",
-}
+KNOWN_PARTICIPLES: set[str] = set()
 """Modules still named by a participle. Remove what is renamed."""
 
 KNOWN_PRIVATE = {"fmu_src.pages.mathml"}
