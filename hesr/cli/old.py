@@ -8,7 +8,6 @@ from hesr.cli import (  # noqa: F401  # each registers its commands
     export,
     fleet,
     inspect,
-    interop,
     job,
     monitor,
     new,

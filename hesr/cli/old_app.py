@@ -41,7 +41,7 @@ _ORDER = (
     *("new", "inspect", "constants", "run", "report", "results", "view"),
     *("excite", "identify", "fit", "evaluate", "properties", "audit", "arena", "laws"),
     *("export", "check", "replay", "thermal", "monitor", "fleet", "simulate", "sweep"),
-    *("package", "interop"),
+    "package",
 )
 """Of the commands in the help, as they are needed; others follow."""
 

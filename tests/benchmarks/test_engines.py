@@ -10,11 +10,11 @@ from tempfile import TemporaryDirectory
 
 import mujoco
 import pytest
+from interop.case import Together
+from interop.engine import Engine, SkippedError, Tools
+from interop.engines import ENGINES
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from cosim.interop.case import Together
-from cosim.interop.engine import Engine, SkippedError, Tools
-from cosim.interop.engines import ENGINES
 from cosim.systems.container import write_container
 from cosim.systems.contents import read_contents
 from cosim.systems.simulation import Master

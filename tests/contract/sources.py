@@ -13,11 +13,7 @@ LAYERS = ("hesr_model", "fmu_src", "cosim", "hesr", "hesr.extras")
 """Each may import those before it."""
 
 # Scripts for interpreters that have an FMI engine and need not have HESR.
-HOSTS = sorted(
-    path.relative_to(ROOT)
-    for top in ("cosim", "tests")
-    for path in (ROOT / top).glob("interop/hosts/*.py")
-)
+HOSTS = sorted(path.relative_to(ROOT) for path in ROOT.glob("tests/interop/hosts/*.py"))
 
 MODULES = {
     ".".join(path.with_suffix("").parts).removesuffix(".__init__"): path

@@ -5,9 +5,9 @@ from zipfile import ZipFile
 
 import numpy as np
 import pytest
+from interop.drive import driven
 from small_fmus import lag
 
-from cosim.interop.drive import driven
 from cosim.systems.simulation import Master
 from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.blocks.velocity import velocity

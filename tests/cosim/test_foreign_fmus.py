@@ -261,8 +261,6 @@ def test_the_commands_say_it_in_one_sentence(
     answer = tmp_path / "answer.json"
     for command in (
         ("simulate", system, "-o", answer.with_suffix(".csv")),
-        ("interop", hostile_lag, "--json", answer),
-        ("interop", system, "--json", answer),
         ("check", hostile_friction, "--kind", "convention", "--json", answer),
     ):
         ended = hesr(*command)

@@ -59,7 +59,6 @@ def commands(fmu: Path) -> list[tuple[object, ...]]:
         ("simulate", system, "-o", folder / "out.csv"),
         ("package", system, "-o", folder / "out.ssp"),
         ("package", system, "--container", "-o", folder / "out.fmu"),
-        ("interop", fmu, "--json", folder / "out.json"),
         ("properties", fmu, "--json", folder / "out.json"),
         ("check", fmu, "--kind", "convention", "--json", folder / "out.json"),
     ]

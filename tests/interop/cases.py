@@ -4,11 +4,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from closed_loop import MOTION
+from interop.case import Alone, Case, Together, opened_case
+from interop.drive import driven
 from systems import closed_system, open_system
 
-from cosim.interop.case import Alone, Case, Together
-from cosim.interop.drive import driven
-from cosim.interop.systems import opened_case
 from fmu_src import export_fmu, model_file
 from fmu_src.blocks.controller import controller
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics

@@ -6,12 +6,10 @@ from pathlib import Path
 
 import pytest
 from cases import every_case, of_both_versions
-from rich.console import Console
-
-from cosim.interop.case import Alone, Case
-from cosim.interop.engine import Engine, SkippedError, Tools
-from cosim.interop.engines import ENGINES
-from cosim.interop.matrix import (
+from interop.case import Alone, Case
+from interop.engine import Engine, SkippedError, Tools
+from interop.engines import ENGINES
+from interop.matrix import (
     EngineMatrix,
     EngineResult,
     EngineRow,
@@ -19,7 +17,9 @@ from cosim.interop.matrix import (
     reference,
     run_cell,
 )
-from cosim.interop.table import notes, table
+from interop.table import notes, table
+from rich.console import Console
+
 from cosim.report.tables.terminal import Drawn
 from hesr_model.support.process import FailedError
 

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import pytest
 from cases import NAMES, OF_FMI_3
-
-from cosim.interop.case import Alone, Case, deviation
-from cosim.interop.engine import Engine, Tools
-from cosim.interop.engines import ENGINES
-from cosim.interop.matrix import EngineResult
+from interop.case import Alone, Case, deviation
+from interop.engine import Engine, Tools
+from interop.engines import ENGINES
+from interop.matrix import EngineResult
 
 SYSTEMS = ("open", "closed")
 REASONS = (

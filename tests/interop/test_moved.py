@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from interop.case import Case, Run, Together, deviation
+from interop.engine import Engine, Tools, given_together, read_signals
+from interop.engines import ENGINES
+from interop.engines.ecos import parameter_sets
+from interop.matrix import Expected
 
-import cosim.interop
-from cosim.interop.case import Case, Run, Together, deviation
-from cosim.interop.engine import Engine, Tools, given_together, read_signals
-from cosim.interop.engines import ENGINES
-from cosim.interop.engines.ecos import parameter_sets
-from cosim.interop.matrix import Expected
-
-HOSTS = Path(cosim.interop.__file__).with_name("hosts")
+HOSTS = Path(__file__).with_name("hosts")
 OURS = ("hesr_model", "fmu_src", "cosim", "mujoco", "pinocchio")
 PYTHON = {"FMPy": "run_fmpy_ssp.py", "libcosim": "run_libcosim.py", "ecos": "run_ecos.py"}
 

@@ -3,14 +3,12 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
-import numpy as np
+from interop.case import Alone, Case, Run, Together, deviation
+from interop.engine import Engine, SkippedError, Tools
+from interop.engines import ENGINES
+from interop.reference import alone, together
 
-from cosim.interop.case import Alone, Case, Run, Together, deviation
-from cosim.interop.engine import Engine, SkippedError, Tools, describe
-from cosim.interop.engines import ENGINES
-from cosim.interop.reference import alone, together
 from fmu_src.run.master import ExchangeScheme
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
@@ -78,28 +76,6 @@ class EngineMatrix:
             for name, cell in row.cells.items()
             if cell.fails
         ]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return it as plain data; an infinite deviation is null, and fails."""
-        return {
-            row.engine.name: {
-                "version": row.version or None,
-                "missing": row.missing or None,
-                "coupling": describe(row.engine.coupling) if row.engine.together else None,
-                "cases": {
-                    name: {
-                        "fails": cell.fails,
-                        "deviation": None if cell.deviation == np.inf else cell.deviation,
-                        "tolerance": cell.tolerance,
-                        "skipped": cell.skipped or None,
-                        "failure": cell.failure or None,
-                        "seconds": cell.seconds,
-                    }
-                    for name, cell in row.cells.items()
-                },
-            }
-            for row in self.rows
-        }
 
 
 def compare(

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from cosim.interop.case import Alone, Run
-from cosim.interop.engine import (
+from interop.case import Alone, Run
+from interop.engine import (
     Engine,
     Tools,
     arguments,

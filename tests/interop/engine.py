@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from interop.case import Alone, Run, Together
 
-from cosim.interop.case import Alone, Run, Together
 from fmu_src.run.master import ExchangeScheme
 from hesr_model.support.arrays import Array
 from hesr_model.support.process import FailedError, run

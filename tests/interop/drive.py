@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from interop.case import Alone
 
-from cosim.interop.case import Alone
 from cosim.systems.system import Value
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.variables import arrays_of

@@ -3,8 +3,9 @@
 from dataclasses import replace
 from pathlib import Path
 
-from cosim.interop.case import Alone, Run, Together
-from cosim.interop.engine import Engine, Tools, given_alone, given_together, host
+from interop.case import Alone, Run, Together
+from interop.engine import Engine, Tools, given_alone, given_together, host
+
 from fmu_src.run.master import ExchangeScheme
 
 

@@ -6,8 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from cosim.interop.case import Run, Together
-from cosim.interop.engine import Engine, Tools, read_signals, require_success
+from interop.case import Run, Together
+from interop.engine import Engine, Tools, read_signals, require_success
+
 from fmu_src.run.master import Element
 
 _NANOSECONDS = re.compile(r"Interpretation time: (\d+)")

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
+from interop.case import Alone, Together
 
-from cosim.interop.case import Alone, Together
 from cosim.systems.simulation import Master
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.master import ExchangeScheme

@@ -4,8 +4,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cosim.interop.case import Alone, Run
-from cosim.interop.engine import Engine, SkippedError, Tools, given_alone, host, require_fmi_2
+from interop.case import Alone, Run
+from interop.engine import Engine, SkippedError, Tools, given_alone, host, require_fmi_2
+
 from fmu_src.run.fmu import FmuInstance
 
 

@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator
 
-from cosim.interop.case import Together
-from cosim.interop.engine import describe
-from cosim.interop.matrix import EngineMatrix, EngineResult
+from interop.case import Together
+from interop.engine import describe
+from interop.matrix import EngineMatrix, EngineResult
+
 from cosim.report.tables.table import ResultTable, TableRow
 
 

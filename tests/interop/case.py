@@ -1,12 +1,16 @@
 """What engines are given to run, and how their results are compared."""
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from cosim.systems.contents import read_contents
+from cosim.systems.ssp import write_ssp
+from cosim.systems.ssp_reader import opened_system
 from cosim.systems.system import SystemSpec
 from cosim.systems.wiring import Wiring
 from fmu_src.run.fmu import FmuInstance
@@ -134,3 +138,30 @@ def deviation(run: Run, reference: Mapping[str, Array]) -> float:
         scale = scales[_INDEX.sub("", name)] or 1.0
         worst = max(worst, difference / scale if np.isfinite(difference) else np.inf)
     return worst
+
+
+@contextmanager
+def opened_case(path: Path, folder: Path) -> Iterator[Together]:
+    """Yield a system as a case: an SSP, or a system file, which is packaged as one.
+
+    All outputs are compared that are connected or observed.
+
+    Parameters
+    ----------
+    path : the SSP or the TOML file.
+    folder : for the SSP of a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, or its system does not fit its FMUs.
+    """
+    with opened_system(path) as spec:
+        contents = read_contents(spec, path)
+        packaged = path.suffix.lower() == ".ssp"
+        yield Together(
+            name=path.stem if packaged else spec.name,
+            spec=spec,
+            ssp=path if packaged else write_ssp(contents, folder / f"{spec.name}.ssp"),
+            signals=[f"{name}.{variable}" for name, variable in contents.used],
+        )

@@ -4,8 +4,8 @@ import sys
 from ctypes.util import find_library
 from pathlib import Path
 
-from cosim.interop.case import Run, Together
-from cosim.interop.engine import (
+from interop.case import Run, Together
+from interop.engine import (
     HOSTS,
     Engine,
     SkippedError,
@@ -14,6 +14,7 @@ from cosim.interop.engine import (
     host,
     require_success,
 )
+
 from fmu_src.run.master import ExchangeScheme
 
 _HOST = "run_omsimulator.py"

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from cosim.interop.case import Run, Together
-from cosim.interop.engine import Engine, Tools, given_together, host
+from interop.case import Run, Together
+from interop.engine import Engine, Tools, given_together, host
 
 
 def _together(tools: Tools, case: Together, folder: Path) -> Run:

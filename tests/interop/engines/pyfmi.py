@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from cosim.interop.case import Alone, Run, Together
-from cosim.interop.engine import Engine, Tools, given_alone, given_together, host, require_fmi_2
+from interop.case import Alone, Run, Together
+from interop.engine import Engine, Tools, given_alone, given_together, host, require_fmi_2
+
 from fmu_src.run.master import ExchangeScheme
 
 _HOST = "run_pyfmi.py"

@@ -3,8 +3,9 @@
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from cosim.interop.case import Run, Together
-from cosim.interop.engine import Engine, SkippedError, Tools, given_together, host
+from interop.case import Run, Together
+from interop.engine import Engine, SkippedError, Tools, given_together, host
+
 from fmu_src.run.archive import MOST_TEXT, Archive
 from fmu_src.run.master import ExchangeScheme
 

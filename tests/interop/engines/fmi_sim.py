@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
-from cosim.interop.case import Alone, Run
-from cosim.interop.engine import (
+from interop.case import Alone, Run
+from interop.engine import (
     SECONDS,
     Engine,
     SkippedError,
@@ -14,6 +14,7 @@ from cosim.interop.engine import (
     require_success,
     write_inputs,
 )
+
 from fmu_src.run.variables import model_description
 from hesr_model.support.process import FailedError, run
 
