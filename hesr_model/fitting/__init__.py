@@ -1,1 +1,1 @@
-"""From friction records to a frozen law."""
+"""Estimators and searches: from friction records to a fitted law."""

@@ -1,14 +1,14 @@
-"""How wide a law's band is: from errors on logs that are left out, and from its covariance.
+"""Width of a law's band, by errors on left-out logs and by its covariance.
 
-The estimate without log k is one Gauss-Newton step from that with all of them, so the errors that a
-law would make on a log that it was not fitted to are those of its fit and a little more,
+The estimate without log k is one Gauss-Newton step from the estimate with all logs, so the errors
+of a law on a log outside its training data are
 
     e_k + J_k (H - H_k)^-1 J_k' e_k,    H = sum over logs H_k = J_k' J_k
 
-where blocks of time stand in for logs if there is only one. Their variance is the sum of that of
-the coefficients, whose share of each shape of `band.shapes` grows beyond the trained speeds and
-loads as it does within, and of noise, which is found by the likelihood of normal errors with no
-share below 0. The whole is then scaled to hold 95 % of these errors.
+with blocks of time in place of logs if there is only one. Their variance is that of the
+coefficients, extrapolated by `band.shapes` beyond the trained speeds and loads, plus noise, found
+by maximum likelihood of normal errors with non-negative shares. The result is scaled to contain
+95 % of these errors.
 """
 
 from collections.abc import Sequence
@@ -25,23 +25,23 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
 SLOW_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.16)
-"""[rad/s] Of which the one counts that explains the errors best."""
+"""Candidates of the speed v_slow [rad/s]."""
 
 RESTS = 10
-"""Rests in the logs from which on they say what a rest holds."""
+"""Minimum number of rests in the logs to calibrate the width at rest."""
 _LONG = 0.5
-"""[s] A stay below `MOVING` from which on it is a rest."""
+"""Minimum duration of a rest below `MOVING` [s]."""
 
 _LEVELS = (0.8, 0.9, 0.98)
-"""Probabilities, beside 95 %, from whose quantiles the tail is found."""
+"""Probabilities of the quantiles that determine the tail, in addition to 95 %."""
 _TAIL = (0.4, 1.2)
-"""Limits of its exponent."""
+"""Limits of the exponent of the tail."""
 _STEP = 1e-6
 _RANK = 1e-10
-"""Of a scaled covariance: directions of less variance were not free."""
+"""Relative variance of a scaled covariance below which a direction was not free."""
 _ROUNDS = 100
 _ENOUGH = 4000
-"""Rows that tell the shares; the quantiles are of all."""
+"""Maximum number of rows for the shares; quantiles use all rows."""
 _NONE = 1e-30
 
 
@@ -50,12 +50,12 @@ def with_band(law: FrictionLaw, records: Sequence[FrictionRecord]) -> FrictionLa
 
     Parameters
     ----------
-    law : the law of one joint; without a covariance its coefficients count as certain.
-    records : those that it was fitted to.
+    law : the law of one joint; without a covariance its coefficients are taken as exact.
+    records : its training records.
 
     Returns
     -------
-    The law itself where it is not a number on these records.
+    The law with a band, or the law itself if its torque is not finite on these records.
     """
     errors, certain = _left_out(law, records)
     if not np.all(np.isfinite(errors) & np.isfinite(certain)):
@@ -95,7 +95,7 @@ def with_band(law: FrictionLaw, records: Sequence[FrictionRecord]) -> FrictionLa
 
 
 def _left_out(law: FrictionLaw, records: Sequence[FrictionRecord]) -> tuple[Array, Array]:
-    """Return the error of each row (N,) by a fit without its log, and its variance by the law's."""
+    """Return the (N,) errors of fits without the row's log, and their predicted variance."""
     errors = np.concatenate([r.tau - predict_record(law, r) for r in records])
     if law.covariance is None:
         return errors, np.zeros_like(errors)
@@ -114,10 +114,7 @@ def _left_out(law: FrictionLaw, records: Sequence[FrictionRecord]) -> tuple[Arra
 
 
 def _sensitivities(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array:
-    """Return by how much torques (N, r) [N.m] move with independent errors of the coefficients.
-
-    Each of these is one standard deviation.
-    """
+    """Return the changes of torque (N, r) [N.m] by one standard deviation of independent errors."""
     covariance = law.covariance
     if covariance is None:
         raise TypeError("a law without a covariance has no sensitivities")
@@ -141,14 +138,15 @@ def _sensitivities(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array
 
 
 def _shares(columns: Array, squares: Array, known: Array) -> Array:
-    """Return the shares (B,), none below 0, of shapes (N, B) in the variance of normal errors.
+    """Return the non-negative shares (B,) of shapes (N, B) in the variance of normal errors.
 
-    By the multiplicative update that never lowers the likelihood.
+    A multiplicative update that never lowers the likelihood.
 
     Parameters
     ----------
+    columns : (N, B) shapes.
     squares : (N,) squared errors.
-    known : (N,) variance that they have besides.
+    known : (N,) variance from other sources.
     """
     mean = columns.mean(axis=0)
     found = np.where(mean > 0.0, squares.mean() / (columns.shape[1] * np.maximum(mean, _NONE)), 0.0)
@@ -160,14 +158,14 @@ def _shares(columns: Array, squares: Array, known: Array) -> Array:
 
 
 def _rests(record: FrictionRecord) -> int:
-    """Count the stays of a joint below `MOVING` that last long enough to be rests."""
+    """Return the number of rests of a joint: long stays below `MOVING`."""
     slow = np.concatenate([[False], np.abs(record.dq) < MOVING, [False]])
     begins, ends = np.flatnonzero(slow[1:] & ~slow[:-1]), np.flatnonzero(~slow[1:] & slow[:-1])
     return int(np.count_nonzero(record.t[ends - 1] - record.t[begins] >= _LONG))
 
 
 def _tail(standard: Array, at_level: float) -> float:
-    """Return the exponent that gives the quantiles of standardised errors from that at 95 %."""
+    """Return the exponent that fits the quantiles of standardised errors relative to 95 %."""
     sizes = np.quantile(standard, _LEVELS)
     if not (at_level > 0.0 and sizes[0] > 0.0):
         return 0.65

@@ -1,6 +1,6 @@
-"""Fits that survive the run that made them: each joint's law is written when it is fitted.
+"""Checkpoints: the law of each joint is written when it is fitted.
 
-A file is found by a hash of all that the fit depends on, so that no law is taken for another's.
+The name of a file contains a hash of everything that the fit depends on.
 """
 
 import hashlib
@@ -33,19 +33,18 @@ def key_of(
     return key.hexdigest()[:24]
 
 
-def read_kept(path: Path) -> FrictionLaw | None:
-    """Return the law that a run has left in a file; None where there is none that is whole."""
+def read_checkpoint(path: Path) -> FrictionLaw | None:
+    """Return the law in a checkpoint; None if missing or incomplete."""
     if path.is_file():
         with suppress(ArtifactError):
             return FrictionModel.read(path).laws[0]
     return None
 
 
-def keep(path: Path, law: FrictionLaw, record: FrictionRecord, sample_time: float) -> None:
-    """Write the law of one joint, sampled each `sample_time` [s], as a friction model of its own.
-
-    `hesr evaluate` reads it, should the run never end.
-    """
+def write_checkpoint(
+    path: Path, law: FrictionLaw, record: FrictionRecord, sample_time: float
+) -> None:
+    """Write the law of one joint, sampled at `sample_time` [s], as a model of its own."""
     FrictionModel(
         law=law.name,
         robot="robot",

@@ -1,11 +1,11 @@
-"""Logs differ by day: an offset of the torque and a level of friction of each log, as nuisances.
+"""Day offsets: an offset of the torque and a level of friction of each log, as nuisances.
 
     tau = level_k f(...) + offset_k    in log k,    mean of the levels 1, of the offsets 0
 
-A warm gear rubs less than a cold one, and torque sensors drift. Where logs of several days are
-trained on together, a law that must hold them all holds none. What is each log's own is estimated
-with a coarse law (Coulomb and viscous friction, alternating least squares) and taken out before a
-law is fitted; of a log that no fit has seen it is not known, so that blind predictions go without.
+Friction falls with temperature, and torque sensors drift, so one law may fit no log of several days
+well. The nuisances are estimated with a coarse law (Coulomb and viscous friction, alternating least
+squares) and removed before a law is fitted. They are unknown for other logs, so blind predictions
+do not use them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,12 +22,12 @@ Nuisance = Literal["offset", "level"]
 
 _ROUNDS = 30
 _LEAST, _MOST = 0.2, 5.0
-"""Of a level: beyond, a log is of another robot."""
+"""Limits of a level."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class OwnOfLog:
-    """What is a log's own: level of friction, without unit, and offset [N.m; N]."""
+    """Nuisances of a log: level of friction [1] and offset [N.m; N]."""
 
     level: float = 1.0
     offset: float = 0.0
@@ -36,12 +36,12 @@ class OwnOfLog:
 def own_of_logs(
     records: Sequence[FrictionRecord], wanted: Sequence[Nuisance]
 ) -> dict[str, OwnOfLog]:
-    """Estimate what is each log's own, by its name; parts of one log share it.
+    """Estimate the nuisances of each log by name; parts of one log share them.
 
     Parameters
     ----------
-    records : of one joint. With those of a single log nothing can be its own.
-    wanted : which of both are estimated.
+    records : records of one joint; a single log has none.
+    wanted : nuisances to estimate.
     """
     logs = list(dict.fromkeys(record.log for record in records))
     if len(logs) < 2 or not wanted:
@@ -64,7 +64,7 @@ def own_of_logs(
 def without_own(
     records: Sequence[FrictionRecord], own: Mapping[str, OwnOfLog]
 ) -> list[FrictionRecord]:
-    """Return records (N,) [N.m] as they would be without what is their logs' own."""
+    """Return records without the nuisances of their logs."""
     return [
         replace(record, tau=(record.tau - own[record.log].offset) / own[record.log].level)
         for record in records
@@ -74,9 +74,9 @@ def without_own(
 def with_own(
     predicted: Sequence[Array], records: Sequence[FrictionRecord], wanted: Sequence[Nuisance]
 ) -> list[Array]:
-    """Fit what is each log's own to a prediction (N,) [N.m] of its torque, and put it in.
+    """Return predictions (N,) [N.m] with the nuisances of each log, fitted to its torque.
 
-    What comes out has seen the torque that it is compared with: a figure of it is not blind.
+    Such predictions are not blind.
     """
     logs = list(dict.fromkeys(record.log for record in records))
     found = {}
@@ -100,14 +100,14 @@ def _coarse(dq: Array) -> Array:
 def _law(
     columns: Mapping[str, Array], torque: Mapping[str, Array], own: Mapping[str, OwnOfLog]
 ) -> Array:
-    """Solve the coarse law, what is the logs' own being known."""
+    """Solve the coarse law for known nuisances."""
     rows = np.concatenate([own[log].level * columns[log] for log in columns])
     target = np.concatenate([torque[log] - own[log].offset for log in columns])
     return np.asarray(np.linalg.lstsq(rows, target, rcond=None)[0])
 
 
 def own_of_log(predicted: Array, torque: Array, wanted: Sequence[Nuisance]) -> OwnOfLog:
-    """Solve what is a log's own, its torque by the law (N,) and as measured (N,) known [N.m]."""
+    """Solve for the nuisances of a log, from predicted and measured torque (N,) [N.m]."""
     if "level" not in wanted:
         return OwnOfLog(offset=float(np.mean(torque - predicted)))
     columns = [predicted, np.ones_like(predicted)][: 2 if "offset" in wanted else 1]
@@ -120,7 +120,7 @@ def own_of_log(predicted: Array, torque: Array, wanted: Sequence[Nuisance]) -> O
 def _normalised(
     own: Mapping[str, OwnOfLog], rows: Mapping[str, int], wanted: Sequence[Nuisance]
 ) -> dict[str, OwnOfLog]:
-    """Make the mean level 1 and the mean offset 0, so that the law is that of the mean log."""
+    """Normalise to mean level 1 and mean offset 0, so that the law describes the mean log."""
     weights = np.array(list(rows.values())) / sum(rows.values())
     level = float(weights @ [o.level for o in own.values()]) if "level" in wanted else 1.0
     offset = float(weights @ [o.offset for o in own.values()]) if "offset" in wanted else 0.0

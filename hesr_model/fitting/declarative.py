@@ -1,4 +1,4 @@
-"""Estimators that are only a description: a form and how its coefficients are searched."""
+"""Declarative estimators: a form and the search space of its coefficients."""
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
@@ -19,15 +19,12 @@ from hesr_model.support.typed_json import to_json
 
 
 class Described(Estimator):
-    """A law given by its core, to which ripple and an estimated start can be added.
-
-    A concrete law gives `core`; ripple in the joint angle and a start that follows from the first
-    samples are added here, so every law can have them.
+    """A law given by its core, with optional ripple and estimated start.
 
     Attributes
     ----------
-    ripple : whether harmonics of the motor's angle are added, where the gear ratio is known.
-    start_samples : torque samples at the beginning of a log that set the start of the state.
+    ripple : True to add harmonics of the motor angle if the gear ratio is known.
+    start_samples : number of first torques of a log that set the initial state.
     """
 
     ripple: ClassVar[bool] = False
@@ -48,10 +45,7 @@ class Described(Estimator):
         return Ripple.of_structure(structure["ripple"]).extend(core)
 
     def finish(self, structure: Mapping[str, Any], problem: Separable, point: Array) -> FrictionLaw:
-        """Return the law at a point of a core's problem, with ripple added where it helps.
-
-        The point is that of `Separable.numbers`.
-        """
+        """Return the law at a point of a core's problem, with ripple if it lowers the error."""
         complete = dict(structure)
         samples = problem.samples
         if self.ripple and samples.gear_ratio is not None:
@@ -85,7 +79,7 @@ class OneForm(Described):
 
     @abstractmethod
     def space(self) -> SearchSpace:
-        """Return how the coefficients of the core are searched."""
+        """Return the search space of the core."""
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Search the non-linear coefficients (seeded by `rng`) and solve the linear ones."""
@@ -97,12 +91,12 @@ class OneForm(Described):
 
 
 def no_structure(name: str, structure: Mapping[str, Any]) -> None:
-    """Refuse structure data for a law that has only one form.
+    """Refuse structure data for a law with one form.
 
     Raises
     ------
     ArtifactError
-        Naming the law and what was found.
+        If there is any.
     """
     if structure:
         raise ArtifactError(f"law '{name}' has no structure, found {dict(structure)}.")

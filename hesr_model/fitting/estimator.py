@@ -1,9 +1,9 @@
-"""The interface of estimators and the one registry in which they stand.
+"""Interface and registry of estimators.
 
-An estimator turns friction records of one joint into a frozen law. Hyper-parameters go into the
-constructor, data into `fit`, randomness through a passed generator. To add a law, write one class
-with `form` and `fit`, decorate it with `register` and name its module in an entry point of the
-group `hesr.laws` (`docs/add-a-law.md`).
+An estimator turns friction records of one joint into a frozen law. Hyper-parameters are arguments
+of the constructor, data and a random generator those of `fit`. To add a law, write a class with
+`form` and `fit`, decorate it with `register` and name its module in an entry point of the group
+`hesr.laws` (`docs/add-a-law.md`).
 """
 
 from abc import ABC, abstractmethod
@@ -19,23 +19,23 @@ from hesr_model.rigid_body.residual import FrictionRecord
 
 
 class Estimator(ABC):
-    """Fits one law to the friction records of one joint.
+    """Estimator of one law from the friction records of one joint.
 
     Attributes
     ----------
-    name : key in the registry and in files of models.
-    title : the name that people use.
-    typical : a structure that its equations are shown with where none was found by a fit.
-    needs : fields of a `FrictionRecord` that may be unknown, and that the law cannot do without.
-    everyday : whether studies without a list of laws include it.
-    classic : whether it is a law of the literature; the strongest is the reference in scores.
-    order : place in tables; laws of other packages come last.
-    quick : whether quick runs include it.
-    proposed : whether proposed studies include it.
-    paper : place among the laws of the paper, from 1 for the paper's own; 0 if not one of them.
-    adds : the law that it extends and the part that it adds, as in the ablation table.
+    name : key in the registry and in model files.
+    title : usual name.
+    typical : structure for showing the equations without a fit.
+    needs : optional fields of a `FrictionRecord` that the law requires.
+    everyday : True to include it in studies without a list of laws.
+    classic : True for laws of the literature; the strongest is the reference in scores.
+    order : position in tables; laws of other packages come last.
+    quick : True to include it in quick runs.
+    proposed : True to include it in proposed studies.
+    paper : position among the laws of the paper, 1 for the paper's own; 0 if not one of them.
+    adds : law that it extends and part that it adds, for the ablation table.
 
-    `order` and all below it are facts about one law: a subclass does not inherit them.
+    Subclasses do not inherit `order` and the facts below it.
     """
 
     name: ClassVar[str]
@@ -70,7 +70,7 @@ class Estimator(ABC):
 
     @classmethod
     def as_text(cls) -> str:
-        """Return the law as text, a typical one of a family."""
+        """Return the equations of the law, or of a typical one of its family."""
         return "; ".join(form_lines(cls.form(cls.typical)))
 
     @abstractmethod
@@ -90,23 +90,23 @@ Registered = TypeVar("Registered", bound=type[Estimator])
 
 
 def register(estimator: Registered) -> Registered:
-    """Enter an estimator under its name; the same class again, as in a notebook, replaces it.
+    """Register an estimator by name; a class of the same module replaces it.
 
     Raises
     ------
     ConfigError
-        If an estimator of another module has the name.
+        If an estimator of another module has this name.
     """
     other = _REGISTRY.get(estimator.name, estimator).__module__
     if other != estimator.__module__:
         raise ConfigError(
-            f"law '{estimator.name}' of the module '{estimator.__module__}' has the name of one of "
-            f"'{other}'; names must differ."
+            f"law '{estimator.name}' is defined in the modules '{other}' and "
+            f"'{estimator.__module__}'; rename one."
         )
     _REGISTRY[estimator.name] = estimator
     return estimator
 
 
 def registered() -> Mapping[str, type[Estimator]]:
-    """Estimators that were registered until now, by name."""
+    """Return the estimators registered so far, by name."""
     return _REGISTRY

@@ -1,4 +1,4 @@
-"""Fit laws to all joints of a robot, each joint and law in a process of its own."""
+"""Fit laws to all joints of a robot, with one process per joint and law."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from hesr_model.errors import FitError
 from hesr_model.fitting.calibration import with_band
-from hesr_model.fitting.checkpoint import keep, key_of, read_kept
+from hesr_model.fitting.checkpoint import key_of, read_checkpoint, write_checkpoint
 from hesr_model.fitting.day_offsets import Nuisance, OwnOfLog, own_of_logs, without_own
 from hesr_model.fitting.declarative import OneForm
 from hesr_model.fitting.uncertainty import with_pooled_errors, with_standard_errors
@@ -35,13 +35,13 @@ def fit_joint(
     seed: int,
     options: Mapping[str, Any] | None = None,
 ) -> FrictionLaw:
-    """Fit one law to the records of one joint, with one BLAS thread: bit-reproducible.
+    """Fit one law to the records of one joint, with one BLAS thread for bit reproducibility.
 
     Parameters
     ----------
     law : name in the registry.
     records : records of one joint.
-    seed : of the generator; joints with equal data and seed get equal laws.
+    seed : seed of the generator; equal data and seed give equal laws.
     options : hyper-parameters of the estimator's constructor.
 
     Raises
@@ -49,7 +49,7 @@ def fit_joint(
     ArtifactError
         If the law is unknown.
     FitError
-        If the records do not determine the law, or lack what it needs.
+        If the records do not determine the law, or lack a field that it needs.
     """
     chosen = estimator(law)
     try:
@@ -59,8 +59,8 @@ def fit_joint(
     for need in chosen.needs:
         if any(getattr(record, need) is None for record in records):
             raise FitError(
-                f"joint '{records[0].joint}': law '{law}' needs the key '{need}', which the robot "
-                "file does not give."
+                f"joint '{records[0].joint}': law '{law}' needs the key '{need}'; add it to the "
+                "robot file."
             )
     with threadpool_limits(1):
         fitted = configured.fit(records, np.random.default_rng(seed))
@@ -80,30 +80,30 @@ def fit(
 
     Parameters
     ----------
-    law : name in the registry, as `hesr laws` lists them.
-    logs : the records of one log each, as `residual.friction_records` returns them.
-    seed : of the fit: same logs, same seed, same model.
+    law : name in the registry, see `hesr fit --list`.
+    logs : records of one log each, from `residual.friction_records`.
+    seed : seed of the fit; equal logs and seed give equal models.
     options : hyper-parameters of the law's estimator.
-    robot : name that the model carries.
-    workers : processes. With more than one, joints are fitted in fresh processes, which do not
-        import the calling script.
+    robot : name of the robot in the model.
+    workers : number of processes. With more than one, joints are fitted in fresh processes that do
+        not import the calling script.
 
     Raises
     ------
     ArtifactError
         If the law is unknown.
     FitError
-        If no log is given, or the logs are of different joints; if the records do not determine the
-        law, or lack what it needs.
+        If `logs` is empty, the logs have different joints, or the records do not determine the law
+        or lack a field that it needs.
     """
     if not logs:
-        raise FitError(f"law '{law}': there is no log to fit it to; give the records of one.")
+        raise FitError(f"law '{law}': no log is given; pass the records of at least one.")
     joints = [tuple(record.joint for record in log) for log in logs]
     for own in joints[1:]:
         if own != joints[0]:
             raise FitError(
-                f"law '{law}': one log is of the joints {', '.join(joints[0])}, another one of "
-                f"{', '.join(own)}; all must be of the same."
+                f"law '{law}': one log has the joints {', '.join(joints[0])}, another one has "
+                f"{', '.join(own)}; all must have the same."
             )
     return fit_models(
         [law],
@@ -136,32 +136,32 @@ def fit_models(
     Parameters
     ----------
     laws : names in the registry, or names of variants.
-    records : for each joint its records, one for each training log.
+    records : records of each joint, one per training log.
     robot : name of the robot.
-    seed : of every fit.
+    seed : seed of every fit.
     options : hyper-parameters by law or variant.
     variants : name in the registry of each variant, a law with other options.
-    provenance : JSON data that the models carry.
-    workers : processes; one for each core where not given, none of its own for 1.
-    progress : told how far the fits are, `progress.PARTS` for each, by starts and candidates.
-    left_out : told of each law that the records do not determine, and why; the others are fitted
-        nevertheless. Where not given, the first such law ends it all.
-    kept : folder into which each joint's law is written when it is fitted, and from which it is
-        read where it stands there already, so that a run that was killed goes on.
-    per_log : what may differ by log and is taken out of the records first
-        (`hesr_model.fitting.day_offsets`); it stands in the models' provenance, and their
-        training errors are without it.
+    provenance : JSON data for the models.
+    workers : number of processes; one per core by default, no extra process for 1.
+    progress : callback for the progress of the fits, with `progress.PARTS` for each.
+    left_out : callback for each law that the records do not determine, with the reason; other laws
+        are still fitted. Without it the first such law raises its error.
+    kept : folder of checkpoints. The law of each joint is written there when it is fitted, and read
+        if it is there already, so that a killed run can continue.
+    per_log : nuisances that differ by log and are removed from the records first
+        (`hesr_model.fitting.day_offsets`). They are part of the provenance; training errors are
+        without them.
 
     Returns
     -------
-    Model by name of the law or variant. The result does not depend on `workers`.
+    Models by name of the law or variant, independent of `workers`.
 
     Raises
     ------
     ArtifactError
         If a law is unknown.
     FitError
-        If the records do not determine a law, or none of them where `left_out` is given.
+        If the records do not determine a law, or no law at all if `left_out` is given.
     """
     registered = {law: (variants or {}).get(law, law) for law in laws}
     coupling = records[0][0].coupling
@@ -172,21 +172,21 @@ def fit_models(
         provenance = {**(provenance or {}), "per_log": to_json(_Own(joints=own))["joints"]}
     done: dict[tuple[str, int], FrictionLaw] = {}
     failed: dict[str, FitError] = {}
-    with TemporaryDirectory(prefix="hesr-") as told:
+    with TemporaryDirectory(prefix="hesr-") as folder:
         jobs = {
             (law, joint): partial(
                 _fitted,
                 registered[law],
                 of_joint,
                 kept=kept,
-                told=Path(told, f"{law}.{joint}"),
+                progress=Path(folder, f"{law}.{joint}"),
                 seed=seed,
                 options=(options or {}).get(law),
             )
             for law in laws
             for joint, of_joint in enumerate(records)
         }
-        files = [Path(told, f"{law}.{joint}") for law, joint in jobs]
+        files = [Path(folder, f"{law}.{joint}") for law, joint in jobs]
         with (
             watched(files, progress),
             parallel.results_of(list(jobs.values()), workers) as results,
@@ -246,23 +246,23 @@ def _fitted(
     records: Sequence[FrictionRecord],
     *,
     kept: Path | None,
-    told: Path,
+    progress: Path,
     seed: int,
     options: Mapping[str, Any] | None,
 ) -> FrictionLaw | FitError:
-    """Fit one law to one joint, or return why that cannot be: the other fits go on."""
+    """Fit one law to one joint, or return the error so that other fits continue."""
     name = f"{law}.{records[0].joint}.{key_of(law, records, seed, options)}.json"
     path = kept / "".join(c if c.isalnum() or c in "._-" else "_" for c in name) if kept else None
-    tell = into_file(told)
-    fitted = read_kept(path) if path else None
+    report = into_file(progress)
+    fitted = read_checkpoint(path) if path else None
     if fitted is None:
         try:
-            with steps_told(tell):
+            with steps_told(report):
                 fitted = fit_joint(law, records, seed=seed, options=options)
         except FitError as error:
             return error
         if path:
             period = float(np.median(np.concatenate([np.diff(r.t) for r in records])))
-            keep(path, fitted, records[0], round(period, 9))
-    tell(1, 1)
+            write_checkpoint(path, fitted, records[0], round(period, 9))
+    report(1, 1)
     return fitted

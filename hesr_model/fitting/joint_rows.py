@@ -1,4 +1,4 @@
-"""The records of one joint as one set of rows, which every estimator fits."""
+"""Rows of all records of one joint, and linear least squares on them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ from hesr_model.support.arrays import Array, Integers, Mask
 
 @dataclass(frozen=True, kw_only=True)
 class JointRows:
-    """Rows of several records, one after the other.
+    """Rows of several records of one joint in sequence.
 
     Attributes
     ----------
-    dt : (N,) time since the row before [s], 0 where a record begins.
-    gear_ratio : turns of the motor per turn of the joint, where known.
-    begins : (N,) True where a record begins.
-    record : (N,) index of the record's log; of the record where all are of one log.
+    dt : (N,) time since the previous row [s], 0 at the first row of a record.
+    gear_ratio : turns of the motor per turn of the joint, if known.
+    begins : (N,) True at the first row of a record.
+    record : (N,) index of the record's log; of the record if there is only one log.
     dq, q, tau_load, tau : (N,) as in the records.
     """
 
@@ -40,7 +40,7 @@ class JointRows:
 
     @property
     def folds(self) -> "list[Mask]":
-        """(N,) masks of rows to leave out in turn: logs, or blocks of time of a single one."""
+        """(N,) masks of the rows left out in turn: logs, or blocks of time of a single log."""
         group = blocks_of_time(self.record)
         return [np.asarray(group == k) for k in range(int(group.max()) + 1)]
 
@@ -51,7 +51,7 @@ class JointRows:
         Parameters
         ----------
         records : records of one joint.
-        coefficients : how many numbers the law to be fitted has.
+        coefficients : number of coefficients of the law.
 
         Raises
         ------
@@ -82,13 +82,13 @@ class JointRows:
 
     @cached_property
     def settling(self) -> Array:
-        """Share of the steady state in where a law begins, (N,); it counts at first rows."""
+        """Share of the steady state in the initial state, (N,); used at first rows only."""
         return np.asarray(_settling(self.dq)[0])
 
     def recurrence(self, a: Array, c: Array, steady: Array) -> Array:
-        """Run x[k] = a[k] x[k-1] + c[k] along every record, all (N,).
+        """Solve x[k] = a[k] x[k-1] + c[k] along every record, all (N,).
 
-        It begins where laws do, of which `steady` (N,) is the steady state.
+        The initial state is that of laws with the steady state `steady` (N,).
         """
         c = np.where(self.begins, self.settling * steady, c)
         return recurrence(np.where(self.begins, 0.0, a), c, float(c[0]))
@@ -98,32 +98,29 @@ _settling = lowered((DQ,), (SETTLING,))
 
 
 def in_one_piece(rows: Mask) -> Mask | slice:
-    """Return rows (N,) that follow one another as a slice, which copies nothing."""
+    """Return a mask (N,) as a slice if its rows are consecutive; slices do not copy."""
     at = np.flatnonzero(rows)
     whole = len(at) and at[-1] - at[0] + 1 == len(at)
     return slice(int(at[0]), int(at[-1]) + 1) if whole else rows
 
 
 def least_squares(columns: Array, target: Array) -> Array:
-    """Return the (K,) coefficients of least norm by which (N, K) columns explain a target best.
-
-    The (N,) target has any unit; the coefficients are in that of the target per column.
-    """
+    """Return the (K,) least-squares coefficients of least norm for (N, K) columns and a target."""
     return np.asarray(np.linalg.lstsq(columns, target)[0], dtype=np.float64)
 
 
 def non_negative_least_squares(
     columns: Array, target: Array, *, non_negative: int
 ) -> tuple[Array, float]:
-    """Least squares whose first `non_negative` coefficients must not be negative.
+    """Solve least squares with non-negative leading coefficients.
 
     Negative ones are set to zero one by one, the worst first: exact for the few, nearly orthogonal
-    columns of friction laws, and far faster than a general solver inside a search.
+    columns of friction laws, and much faster than a general solver.
 
     Parameters
     ----------
     columns, target : (N, K) and (N,), in any units.
-    non_negative : how many, from the first.
+    non_negative : number of leading coefficients that must not be negative.
 
     Returns
     -------

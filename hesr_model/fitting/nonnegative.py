@@ -1,4 +1,4 @@
-"""Least squares with signs on normal equations: on all rows, and with folds left out in turn."""
+"""Least squares with sign constraints by normal equations, for all rows and cross-validation."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -11,24 +11,24 @@ from hesr_model.fitting.joint_rows import in_one_piece
 from hesr_model.fitting.ties import ROUND_OFF
 from hesr_model.support.arrays import Array, Mask
 
-_RIDGE = 1e-9  # of each column's own square: columns may be each other's sums
+_RIDGE = 1e-9  # relative to each column's square, because columns may be linearly dependent
 
 
 class Normal:
-    """Normal equations of columns whose coefficients are non-negative, but for the last ones.
+    """Normal equations with non-negative coefficients, apart from the last ones.
 
     Parameters
     ----------
-    blocks : of columns (N, k), in any units, which are weighted already.
-    products : of these columns and the target.
-    free : how many of the last columns may have any sign.
+    blocks : blocks of weighted columns (N, k), in any units.
+    products : products of these columns and the target.
+    free : number of last columns with coefficients of any sign.
     """
 
     @classmethod
     def of(
         cls, columns: Array, tau: Array, folds: Sequence[Mask], weights: Array, *, free: int
     ) -> Self:
-        """Return the equations of columns (N, K) and (N,) `tau`; see `Products` for the others."""
+        """Return the equations of columns (N, K); see `Products` for the other parameters."""
         return cls([weights[:, None] * columns], Products(tau, folds, weights), free=free)
 
     def __init__(self, blocks: Sequence[Array], products: "Products", *, free: int) -> None:
@@ -47,11 +47,11 @@ class Normal:
         self.gram, self.moment = self._grams.sum(axis=0), self._moments.sum(axis=0)
 
     def solve(self) -> Array:
-        """Return the (K,) coefficients that explain all rows best."""
+        """Return the (K,) coefficients for all rows."""
         return signed_least_squares(self.gram, self.moment, self._free)
 
     def left_out(self) -> Array:
-        """Return the (N,) errors on each fold of coefficients solved on the other rows."""
+        """Return the (N,) errors of cross-validation."""
         errors = -self._products.tau[:, 0]
         rest = zip(self.gram - self._grams, self.moment - self._moments, strict=True)
         for fold, (gram, moment) in zip(self._products.folds, rest, strict=True):
@@ -62,19 +62,19 @@ class Normal:
 
 
 class Products:
-    """Products of columns with each other over each fold, computed once for each pair.
+    """Products of columns over each fold, computed once per pair.
 
     Parameters
     ----------
-    tau : (N,) in any unit.
-    folds : (N,) masks of the rows that are left out in turn.
-    weights : (N,) 1 for rows that count, 0 for others.
+    tau : (N,) target in any unit.
+    folds : (N,) masks of the rows left out in turn.
+    weights : (N,) 1 for rows that are used, 0 for others.
     """
 
     def __init__(self, tau: Array, folds: Sequence[Mask], weights: Array) -> None:
         self.tau: Array = (weights * tau)[:, None]
         self.folds = [in_one_piece(fold) for fold in folds]
-        # Arrays are known by their identity: they are kept, so that no other can have it.
+        # Keys are identities of arrays; keeping the arrays keeps these unique.
         self._known: dict[tuple[int, int], tuple[Array, Array, Array]] = {}
 
     def of(self, a: Array, b: Array) -> Array:
@@ -87,31 +87,31 @@ class Products:
 
 
 def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
-    """Return the (K,) coefficients x >= 0, but for the last `free`, least in x G x / 2 - m x.
+    """Minimise x G x / 2 - m x over x (K,) with x >= 0, apart from the last `free` ones.
 
     Parameters
     ----------
     gram : (K, K) products of the columns.
     moment : (K,) products of columns and target.
-    free : how many of the last ones may have any sign; they are eliminated.
+    free : number of last coefficients of any sign; they are eliminated.
     """
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     g, m = gram * scale * scale[:, None] + _RIDGE * np.eye(len(scale)), moment * scale
     signed = len(m) - free
-    # Of the free ones, given the others: b - c x.
+    # Free coefficients as a function of the others: b - c x.
     both = np.linalg.solve(g[signed:, signed:], np.c_[m[signed:], g[signed:, :signed]])
     b, c = both[:, 0], both[:, 1:]
     root = np.linalg.cholesky(g[:signed, :signed] - g[:signed, signed:] @ c)
     target = np.linalg.solve(root, m[:signed] - g[:signed, signed:] @ b)
-    # SciPy's own ends the program where there is nothing to solve for.
+    # SciPy's nnls aborts the process without unknowns.
     x = nnls(root.T, target, maxiter=100 * len(scale))[0] if signed else np.zeros(0)
     return np.asarray(np.concatenate([x, b - c @ x]) * scale)
 
 
 def blocks_of(dt: Array, begins: Mask, seconds: float = 8.0, least: int = 8) -> Any:
-    """Return the (N,) number of each row's block of time, which ends with its record at the latest.
+    """Return the (N,) index of each row's block of time within a record.
 
-    Blocks are shorter where there would be fewer than `least`.
+    Blocks last `seconds` [s], or less if there would be fewer than `least`.
     """
     length = min(seconds, float(dt.sum()) / least)
     clock = np.cumsum(np.where(begins, 0.0, dt))
@@ -121,14 +121,14 @@ def blocks_of(dt: Array, begins: Mask, seconds: float = 8.0, least: int = 8) -> 
 
 
 def pays(before: Array, after: Array, blocks: Any) -> bool:
-    """Return whether errors fall by more than a standard error of the gain over blocks of time.
+    """Return True if errors fall by more than one standard error of the gain over blocks of time.
 
-    A gain of round-off does not count.
+    A gain within round-off does not count.
 
     Parameters
     ----------
     before, after : (N,) errors on left-out rows.
-    blocks : (N,) number of each row's block.
+    blocks : (N,) index of each row's block.
     """
     gains = np.bincount(blocks, weights=before**2 - after**2)
     if len(gains) < 2:

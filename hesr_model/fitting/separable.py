@@ -1,8 +1,8 @@
-"""Laws that are linear in most of their coefficients: searched in the few others only.
+"""Separable least squares for laws that are linear in most coefficients.
 
-The torque's columns are the derivatives of the law's own output expression by its linear
-coefficients, so the description of a law is all that an estimator needs. For given non-linear
-coefficients the linear ones follow by least squares (variable projection, Golub and Pereyra 1973).
+Columns are the derivatives of the law's output expression by its linear coefficients, so estimators
+need nothing but the description of a law. For given non-linear coefficients the linear ones follow
+by least squares (variable projection, Golub and Pereyra 1973).
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,16 +29,14 @@ from hesr_model.support.progress import step
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSpace:
-    """How the coefficients of a form are searched.
+    """Search space of the coefficients of a form.
 
     Attributes
     ----------
-    bounds : name of each searched number and its bounds; with two positive bounds it is searched
-        on a logarithmic scale.
-    linear : names of the unknowns that are solved for; the first `non_negative` must not be
-        negative.
-    values : for each coefficient that is neither searched nor solved for, its expression in those
-        that are.
+    bounds : name and bounds of each searched number; its scale is logarithmic if both bounds are
+        positive.
+    linear : names of the unknowns to solve for; the first `non_negative` must not be negative.
+    values : expressions of all other coefficients.
     """
 
     bounds: tuple[tuple[str, tuple[float, float]], ...]
@@ -53,7 +51,7 @@ class SearchSpace:
 
 
 LEAST = 1e-9
-"""[N.m or alike] Smallest value of a non-negative coefficient that scales others."""
+"""Smallest value of a non-negative coefficient that scales others [its unit]."""
 
 
 class Separable:
@@ -63,11 +61,11 @@ class Separable:
 
     Parameters
     ----------
-    form : the law's expressions.
-    space : how its coefficients are searched.
+    form : the expressions of the law.
+    space : search space of its coefficients.
     samples : rows of the joint.
-    discretisation : of the states.
-    start : of the states, from which they begin; 0 where not given.
+    discretisation : discretisation of the states.
+    start : value of each state at rest; 0 by default.
     """
 
     def __init__(
@@ -95,10 +93,7 @@ class Separable:
         return np.where(self._logarithmic, np.exp(np.where(self._logarithmic, point, 0.0)), point)
 
     def point(self, numbers: Mapping[str, float]) -> Array:
-        """Return the point of searched numbers, shape (searched,) in their units or as logarithms.
-
-        It is moved inside the bounds.
-        """
+        """Return the point (searched,) of searched numbers, moved inside the bounds."""
         raw = np.array([numbers[name] for name in self.space.names])
         scaled = np.where(self._logarithmic, np.log(np.where(self._logarithmic, raw, 1.0)), raw)
         low, high = self.bounds.T
@@ -130,7 +125,7 @@ class Separable:
         return non_negative_least_squares(self.columns(point), self.samples.tau, non_negative=own)
 
     def _residual(self, point: Array, weights: Array | None) -> Array:
-        """Return the (N,) residual of all rows; `weights` count in solving for the unknowns."""
+        """Return the (N,) residual of all rows with unknowns solved by weighted least squares."""
         own, tau = self.space.non_negative, self.samples.tau
         found = self._run.solved(self.numbers(point), non_negative=own, weights=weights, keep=True)
         if found is not None:
@@ -140,29 +135,25 @@ class Separable:
         return np.asarray(columns @ x - tau)
 
     def search(self, rng: np.random.Generator, *, effort: int = 40) -> Array:
-        """Return the best point of differential evolution (`effort` generations at most).
-
-        Shape and units are those of `point`.
-        """
+        """Return the best `point` of differential evolution with at most `effort` generations."""
         if not len(self.bounds):
             return np.zeros(0)
         generations = iter(range(1, effort + 2))
 
-        def told(*_: object) -> None:
+        def report(*_: object) -> None:
             step(next(generations, effort), effort + 1)
 
         best = differential_evolution(
             lambda point: self.solve(point)[1], self.bounds, rng=rng, popsize=10, maxiter=effort,
-            tol=1e-4, callback=told,
+            tol=1e-4, callback=report,
         )  # fmt: skip
         return np.asarray(best.x)
 
     def polish(self, point: Array, *, evaluations: int = 12, rows: Mask | None = None) -> Array:
-        """Return the point after a local search of all coefficients at once.
+        """Return the `point` after a local search of all coefficients at once.
 
-        The residual has its linear unknowns projected out, so the search runs over everything while
-        it steps in the searched numbers only. Only `rows` count, a mask (N,), all where not given.
-        Shape and units of the point are those of `point`.
+        Linear unknowns are projected out of the residual, so steps are in the searched numbers
+        only. `rows` is a mask (N,) of the rows used; all by default.
         """
         if not len(self.bounds):
             return point
@@ -180,13 +171,10 @@ class Separable:
         return np.asarray(found.x)
 
     def values(self, point: Array, unknowns: Array) -> dict[str, float]:
-        """Return every coefficient of the form by name, in its unit, from a point and its unknowns.
-
-        Both have the shapes of `solve`.
-        """
+        """Return all coefficients of the form by name, from a point and the unknowns of `solve`."""
         known = dict(zip(self.space.names, self.numbers(point), strict=True))
         known |= dict(zip(self.space.linear, unknowns, strict=True))
-        # Coefficients that are multiples of a zero would leave their ratios undefined: 0 / 0.
+        # Ratios of coefficients that are multiples of 0 would be 0 / 0.
         divided = {symbol.name for _, e in self.space.values for symbol in e.free_symbols}
         for name in divided & set(self.space.linear[: self.space.non_negative]):
             known[name] = max(known[name], LEAST)
@@ -196,12 +184,12 @@ class Separable:
 
 
 def left_out_cost(columns: Array, tau: Array, folds: Sequence[Mask]) -> float:
-    """Mean square on each fold of a linear law solved on the other rows, over all rows.
+    """Return the mean square error of a linear law by cross-validation.
 
     Parameters
     ----------
     columns, tau : (N, K) columns and (N,) torque [N.m].
-    folds : (N,) masks of the rows that are left out in turn.
+    folds : (N,) masks of the rows left out in turn.
     """
     gram, moment = columns.T @ columns, columns.T @ tau
     total = 0.0
@@ -218,8 +206,8 @@ def _kernel(form: LawForm, space: SearchSpace) -> Kernel:
     replaced = {sympy.Symbol(name, real=True): e for name, e in space.values}
     searched = tuple(sympy.Symbol(name, real=True) for name in space.names)
     linear = tuple(sympy.Symbol(name, real=True) for name in space.linear)
-    # Products are multiplied out, so that factors cancel; nothing else is rewritten, because
-    # SymPy's other simplifications may turn exp(-x) into 1/exp(x), which overflows.
+    # Expand products so that factors cancel. Other simplifications of SymPy may turn exp(-x) into
+    # 1/exp(x), which overflows.
     memory = tuple(m.subs(replaced) for m in form.memory)
     output = sympy.expand_mul(form.output.xreplace(replaced))
     columns = tuple(sympy.diff(output, symbol) for symbol in linear)

@@ -1,9 +1,8 @@
-"""How well data determine the coefficients of a law: the one covariance, by their Jacobian.
+"""Uncertainty of the coefficients of a law: covariance from the Jacobian of its prediction.
 
-Searched unknowns enter as the solved ones do, by the derivatives of the law's own prediction.
-Coefficients at a bound, or in a structure that the data chose, have a covariance for what is made
-of the law, but no interval: it would be that of a fit that knew what this one had to find. Where
-the torque bends over a coefficient, the data tell less of one side; stated is the wider one.
+Searched and solved unknowns are treated the same. Coefficients at a bound, or in a structure chosen
+by the data, have a covariance for derived values but no interval, since it would ignore the choice.
+If the torque is curved over a coefficient, its interval is that of the wider side.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -23,27 +22,27 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
 MOST_COEFFICIENTS = 64
-"""Laws with more coefficients are networks, whose single coefficients mean nothing."""
+"""Maximum number of coefficients; those of larger laws, networks, have no meaning of their own."""
 _STEP = 1e-6
 _NONE = 1e-12
-"""A derivative below this is rounding."""
+"""Derivative below which only round-off is left."""
 _WIDTH = 2.0
-"""Standard errors to either side at which the bend of the torque is looked at."""
+"""Distance in standard errors for measuring the curvature of the torque."""
 _FLATTEST = 0.25
-"""Of the torque that a coefficient moves by its slope: below, it is hardly determined at all."""
+"""Lower limit of the ratio between actual and linear change of the torque."""
 _AT_BOUND = 1e-3
-"""Of the logarithmic range of a searched number: nearer to an end it is at the bound."""
+"""Distance from a bound, relative to the (logarithmic) range, that counts as at the bound."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Coordinates:
-    """The numbers of a law that its fit could move.
+    """Free numbers of a fitted law.
 
     Attributes
     ----------
-    point : (P,) the numbers, in their units.
-    values : all coefficients of the law at a point.
-    held : names of the coefficients that a bound holds.
+    point : (P,) numbers in their units.
+    values : function from a point to all coefficients of the law.
+    held : names of the coefficients at a bound.
     """
 
     point: Array
@@ -54,22 +53,22 @@ class Coordinates:
 def with_standard_errors(
     law: FrictionLaw, records: Sequence[FrictionRecord], space: SearchSpace | None = None
 ) -> FrictionLaw:
-    """Return the law with the covariance of its coefficients, and with their standard errors.
+    """Return the law with covariance and standard errors of its coefficients.
 
     Parameters
     ----------
     law : the law of one joint.
-    records : those that it was fitted to.
-    space : how it was searched, where its form was not chosen by the data.
+    records : its training records.
+    space : its search space, if its form was not chosen by the data.
     """
     if len(law.values) > MOST_COEFFICIENTS:
         return law
     moved = _searched(law, space) if space and not law.structure else _every(law)
-    # Where a log starts is held: it is measured, and no coefficient.
+    # The initial states are measured, not coefficients, so they are constant.
     starts = [record_start(law, r) for r in records]
     size = np.abs(moved.point)
     steps = _STEP * np.maximum(size, 1e-3)
-    # Laws divide by some of their coefficients, so none may become zero.
+    # Laws divide by some coefficients, so none may become zero.
     steps = np.where(size > 0.0, np.minimum(steps, 0.5 * size), steps)
     columns, slopes, names = [], [], list(law.values)
     for k, step in enumerate(steps):
@@ -103,7 +102,7 @@ def with_standard_errors(
         labels,
         carried=carried,
     )
-    # Of coefficients that move, in their order.
+    # Coefficients with a slope, in their order.
     moves = np.any(slope != 0.0, axis=1)
     own_names = [name for name, m in zip(names, moves, strict=True) if m]
     whole = found.mapped(own_names, slope[moves])
@@ -115,11 +114,11 @@ def with_standard_errors(
     def moved_by(name: str, step: Array) -> tuple[float, Array]:
         point = moved.point.copy()
         point[used] += step
-        with np.errstate(all="ignore"):  # out there a law need not be defined
+        with np.errstate(all="ignore"):  # the law may be undefined there
             values = moved.values(point)
             try:
                 there = _predicted(replace(law, values=values), records, starts)
-            except SimulationError:  # nor Euler's step be stable
+            except SimulationError:  # Euler's step may be unstable
                 return 0.0, np.zeros_like(torque)
         return values[name] - law.values[name], there - torque
 
@@ -132,7 +131,7 @@ def with_standard_errors(
 
 
 def with_pooled_errors(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:
-    """Return the laws of all joints of a robot with one between-log factor for all of them."""
+    """Return the laws of all joints with one common between-log factor."""
     shared = iter(pooled([law.covariance for law in laws if law.covariance is not None]))
     found = []
     for law in laws:
@@ -146,7 +145,7 @@ def with_pooled_errors(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:
 
 
 def _stated(law: FrictionLaw, wider: Mapping[str, float]) -> FrictionLaw:
-    """Return the law with the standard errors of some coefficients, each wider by a factor."""
+    """Return the law with standard errors of some coefficients, each multiplied by a factor."""
     if law.covariance is None:
         return law
     errors = dict(
@@ -162,22 +161,22 @@ def wider_side(
     r: Array,
     moved_by: Callable[[Array], tuple[float, Array]],
 ) -> float:
-    """Return by what the wider side of a coefficient's interval exceeds its standard error.
+    """Return the ratio of the wider side of a coefficient's interval to its standard error.
 
-    As many standard errors as the coefficient is moved, all else moved along and then fitted again,
-    the torque should have moved. Where it has moved less, the interval reaches further in that
-    ratio: the profile's t of Bates and Watts (1988, ch. 6), at its end.
+    The coefficient is moved by some standard errors and all others are fitted again. If the torque
+    moves less than linearly, the interval is wider by that ratio: the profile t of Bates and Watts
+    (1988, ch. 6), at its end.
 
     Parameters
     ----------
-    slope : (P,) of the coefficient over the coordinates.
-    covariance : (P, P) of these.
-    q, r : of the QR decomposition of the torque's (N, P) slopes.
-    moved_by : the change of the coefficient, and that of the torque (N,) [N.m], for a step (P,) of
-        the coordinates.
+    slope : (P,) derivative of the coefficient by the coordinates.
+    covariance : (P, P) covariance of the coordinates.
+    q, r : QR decomposition of the torque's (N, P) derivatives.
+    moved_by : function from a step (P,) of the coordinates to the changes of the coefficient and
+        of the torque (N,) [N.m].
     """
     error = float(np.sqrt(slope @ covariance @ slope))
-    # Perpendicular to whatever leaves the coefficient as it is.
+    # Orthogonal to all directions that keep the coefficient.
     normal = np.linalg.lstsq(r.T, slope, rcond=None)[0]
     size = float(np.linalg.norm(normal))
     if not error or not size:
@@ -193,7 +192,7 @@ def wider_side(
 
 
 def _every(law: FrictionLaw) -> Coordinates:
-    """Return every coefficient that is not at zero as a coordinate of its own."""
+    """Return all non-zero coefficients as coordinates."""
     names = [name for name, value in law.values.items() if abs(value) > LEAST]
 
     def values(point: Array) -> dict[str, float]:
@@ -207,7 +206,7 @@ def _every(law: FrictionLaw) -> Coordinates:
 
 
 def _searched(law: FrictionLaw, space: SearchSpace) -> Coordinates:
-    """Return the searched and solved numbers of a law that are at no bound as coordinates."""
+    """Return the searched and solved numbers of a law within their bounds as coordinates."""
     numbers = _unknowns(law.values, space)
     at = {name for name, (low, high) in space.bounds if _at_end(numbers[name], low, high)}
     at |= {name for name in space.linear[: space.non_negative] if numbers[name] <= LEAST}
@@ -235,7 +234,7 @@ def _at_end(number: float, low: float, high: float) -> bool:
 
 
 def _unknowns(values: Mapping[str, float], space: SearchSpace) -> dict[str, float]:
-    """Return the searched and the solved numbers of a law, each by its name."""
+    """Return the searched and solved numbers of a law by name."""
     every = (*space.names, *space.linear)
     known = {name: values[name] for name in every if name in values}
     for name, expression in space.values:
@@ -250,7 +249,7 @@ def _unknowns(values: Mapping[str, float], space: SearchSpace) -> dict[str, floa
 
 @lru_cache(maxsize=64)
 def _solved(expression: sympy.Expr, name: str, unknown: sympy.Symbol) -> sympy.Expr:
-    """Return the unknown in an expression by the expression's own name."""
+    """Return the unknown of an expression as a function of the expression's value."""
     (found, *_) = sympy.solve(expression - sympy.Symbol(name, real=True), unknown)
     return found
 

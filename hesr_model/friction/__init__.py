@@ -1,1 +1,1 @@
-"""Friction laws: what they are, how they run, and the estimators that make them."""
+"""Friction laws and models: expressions, predictions, bands and temperature."""

@@ -28,10 +28,10 @@ from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, MOVING, TAU_LOAD, TORQUE
 
 LEVEL = 0.95
-"""Probability of the band for which its numbers are stored."""
+"""Probability of the band with the stored numbers."""
 
 REST = 0.005
-"""v_rest, the speed [rad/s, m/s] at which the width of rest has faded out."""
+"""v_rest, the speed [rad/s, m/s] that ends the width of rest."""
 
 LEAST, GREATEST = 0.5, 0.999
 """Limits of the probability; other values are clipped to them."""

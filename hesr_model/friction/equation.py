@@ -1,4 +1,4 @@
-"""A law with its numbers, or without, as people write it (Table I of the paper)."""
+"""Laws as text, with or without numbers (as in Table I of the paper)."""
 
 import sympy
 
@@ -19,7 +19,7 @@ def equations(law: FrictionLaw) -> list[str]:
 
 
 def form_lines(form: LawForm, numbers: dict[sympy.Symbol, sympy.Expr] | None = None) -> list[str]:
-    """Return the same of a form, its coefficients by their names where they have no numbers."""
+    """Return the lines of a form; coefficients without numbers appear by name."""
     names = {m.derivative: sympy.Symbol(f"{m.name}'") for m in form.memory}
 
     def written(expression: sympy.Expr) -> str:
@@ -42,7 +42,7 @@ def text_of(expression: sympy.Expr) -> str:
 
 
 def coefficient_lines(law: FrictionLaw) -> list[str]:
-    """Return each coefficient with its unit and, where known, its 95 % interval."""
+    """Return each coefficient with its unit and, if known, its 95 % interval."""
     lines = []
     for c in law.form.coefficients:
         error = law.standard_errors.get(c.name)

@@ -1,14 +1,14 @@
-"""Where three factors act in a law: a level on bounds, one on viscous friction, and an offset.
+"""Factors in a law: a level on bounds, a factor on viscous friction, and an offset.
 
     stop       x+ = clip(x + v dt / w, -l s, l s)     the level l scales the bound, never the torque
     bristle    x' = drive - rate / l x                F_c and F_s times l
     viscous    n v f(v)
-    warmth     c(T) on l and n(T) on n, where the law follows temperature
+    warmth     c(T) on l and n(T) on n, with a thermal model
     torque     tau = hysteresis(x) + n v f(v) + ripple + tau_0 + o
 
-A factor on a torque that is held while it changes gives energy; a bound that moves takes energy
-only, since the state is projected on a set that holds 0. What a torque does along the level is
-F_i xi_i: xi_i = dx_i/dl is +-s_i where the stop is clipped, and where it is not what it was before.
+Changing a factor on a held torque adds energy; a moving bound only dissipates, since the state is
+projected on a set that contains 0. The derivative of the torque by the level is F_i xi_i, where
+xi_i = dx_i/dl is +-s_i if the stop is clipped and keeps its value otherwise.
 """
 
 from dataclasses import dataclass
@@ -28,20 +28,20 @@ CHANGE = 0.1
 CHANGE_OF_OFFSET = 0.5
 """Smallest change of the offset to detect, in standard deviations of the unexplained torque."""
 _CLIPPED = 1.0 - 1e-9
-"""Share of its bound at which a stop counts as clipped: rounding."""
+"""Share of its bound from where a stop is clipped; the rest is round-off."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parts:
-    """A law with the factors in it.
+    """A law with factors.
 
     Attributes
     ----------
-    memory : of the law, its bounds scaled by the level.
-    hysteresis : what the memory holds [N.m].
-    viscous : at factor 1 [N.m].
-    rest : ripple and the law's own offset, which have no factor [N.m].
-    along : derivative of the hysteresis by the level [N.m], of states and `sensitivities`.
+    memory : memory of the law, its bounds scaled by the level.
+    hysteresis : torque of the memory [N.m].
+    viscous : viscous torque at factor 1 [N.m].
+    rest : ripple and offset of the law, without a factor [N.m].
+    along : derivative of the hysteresis by the level [N.m], a function of `sensitivities`.
     sensitivities : equations of the stops' derivatives by the level, warmth included.
     """
 
@@ -58,22 +58,22 @@ def parts(law: FrictionLaw, level: sympy.Expr, warm: sympy.Expr = sympy.S.One) -
 
     Parameters
     ----------
-    law : of one joint.
-    level : the factor, positive; as it is before a step.
-    warm : what temperature makes of the bounds, positive.
+    law : the law of one joint.
+    level : the positive factor before a step.
+    warm : positive factor of temperature on the bounds.
 
     Raises
     ------
     ExportError
-        If the law has no bound that a level could scale, or its torque is not linear in its states.
+        If the law has no bound to scale, or its torque is not linear in its states.
     """
     form = law.form
     scaled = tuple(scaled_bound(m, level * warm) for m in form.memory)
     carrying = [m for m, own in zip(form.memory, scaled, strict=True) if m != own]
     if not carrying:
         raise ExportError(
-            f"law '{law.name}' has neither stops nor bristles, whose bounds an adaptive level "
-            "could scale; ParFam-S and the LuGre laws have."
+            f"law '{law.name}' has neither stops nor bristles to scale; use a law with bounds, "
+            "such as ParFam-S or LuGre."
         )
     states = {s: sympy.Integer(0) for m in form.memory for s in (m.state, m.derivative)}
     still = form.output.subs(states)
@@ -86,7 +86,7 @@ def parts(law: FrictionLaw, level: sympy.Expr, warm: sympy.Expr = sympy.S.One) -
         own = (
             sympy.Symbol(bound[element], real=True)
             if element in bound
-            else element.state / level  # a bristle that slides stands at its level
+            else element.state / level  # steady value of a sliding bristle
         )
         along += form.output.diff(element.state).subs({m.derivative: 0 for m in form.memory}) * own
     return Parts(

@@ -30,4 +30,4 @@ TORQUE = "tau"
 """Name of a law's output."""
 
 MOVING = 0.02
-"""Speed [rad/s, m/s] from which a law starts in its steady state."""
+"""Minimum initial speed [rad/s, m/s] for a start in the steady state."""

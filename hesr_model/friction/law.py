@@ -1,12 +1,11 @@
-"""What a friction law is: memory and an output map, as SymPy expressions.
+"""Friction laws: memory and an output map as SymPy expressions.
 
     x_i' = b_i - r_i x_i                    relaxations: drive b, rate r >= 0
     x_i+ = clip(x_i + v dt / w_i, -s_i, s_i)    stops: deflection w, bound s >= 0
     tau  = f(v, x, x', u)
 
-v is the joint velocity, u are optional further inputs (`inputs.INPUTS`). A form makes a component
-(`hesr_model.equations`), and everything that runs a law (NumPy over a log, Python or C step by
-step) and everything that shows it is lowered from that; no law is written a second time.
+v is the joint velocity, u are the other inputs (`inputs.INPUTS`). A form makes a component
+(`hesr_model.equations`); all code that runs or shows a law is lowered from it.
 """
 
 from collections.abc import Mapping
@@ -35,13 +34,13 @@ from hesr_model.units import unit_of_joint
 
 _SPEED = clip(absolute(DQ) / sympy.Float(MOVING), 1)
 SETTLING = _SPEED**2 * (3 - 2 * _SPEED)
-"""Share of the steady state in where states begin: 0 at rest, smoothly up to 1 in motion.
+"""Share of the steady state in the initial state: 0 at rest, smoothly rising to 1 in motion.
 
-A joint at rest has the memory of a way there that nobody knows; in motion it soon forgets that.
+At rest the state depends on an unknown history; motion erases it quickly.
 """
 
 _LARGEST = 1e100
-"""Of the numbers of a law, far from any friction: products of three are still numbers."""
+"""Largest allowed coefficient; a product of three stays finite."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +55,7 @@ class LawForm:
     Raises
     ------
     ArtifactError
-        If an expression uses a symbol that is neither an input, a coefficient nor a state, or two
-        of these have one name.
+        If an expression uses an unknown symbol, or a name is used twice.
     """
 
     coefficients: tuple[Coefficient, ...]
@@ -94,23 +92,23 @@ class LawForm:
 
     @property
     def relaxations(self) -> tuple[Relaxation, ...]:
-        """The elements of memory that relax."""
+        """Relaxations of the memory."""
         return elements_of(self.memory, Relaxation)
 
     @property
     def stops(self) -> tuple[Stop, ...]:
-        """The elements of memory that are stops."""
+        """Stops of the memory."""
         return elements_of(self.memory, Stop)
 
     @cached_property
     def inputs(self) -> tuple[sympy.Symbol, ...]:
-        """Those of `INPUTS` that the law really uses, in their order."""
+        """Inputs that the law uses, in the order of `INPUTS`."""
         parts = sympy.Tuple(self.output, *(part for m in self.memory for part in m.parts))
         return tuple(q.symbol for q in QUANTITIES if q.symbol in parts.free_symbols)
 
     @cached_property
     def sliding(self) -> "LawForm":
-        """The same equations for a joint that slides: in other units."""
+        """The same equations in the units of a prismatic joint."""
         return replace(
             self,
             coefficients=tuple(
@@ -126,24 +124,23 @@ class FrictionLaw:
 
     Attributes
     ----------
-    name : name in the registry, from which `form` is rebuilt together with `structure`.
-    structure : JSON data that select one form of a family (empty where there is only one).
+    name : name in the registry; rebuilds `form` together with `structure`.
+    structure : JSON data that select one form of a family; empty if there is only one.
     form : the expressions.
     values : value of every coefficient of `form`, in its order and unit.
     discretisation : "exact" integrates each relaxation exactly for inputs held over a step;
         "euler" is eq. 10 and requires 0 <= rate * dt < 1.
-    start : value of each state before the first sample at rest, zero by default; in motion states
-        begin in the steady state (`SETTLING`).
-    start_samples : how many measured torques at the beginning of a log can set the start in its
-        place (`records.record_start`); 0 for none.
-    standard_errors : of the coefficients, in their units, of those that have an interval.
-    covariance : of the coefficients that were fitted; None where it is not known.
-    band : between which torques measured friction lies; None where that is not known.
+    start : initial states at rest, zero by default; in motion they are steady (`SETTLING`).
+    start_samples : number of first torques of a log that can replace the start
+        (`records.record_start`); 0 for none.
+    standard_errors : standard errors of coefficients, in their units, if known.
+    covariance : covariance of the fitted coefficients; None if unknown.
+    band : band of the measured friction; None if unknown.
 
     Raises
     ------
     ArtifactError
-        If the values are not those that the form needs, or not finite.
+        If values are missing, unknown or not finite.
     """
 
     name: str

@@ -1,6 +1,6 @@
-"""How good a torque prediction is: over all rows, around reversals, while moving.
+"""Errors of torque predictions: over all rows, around reversals, in motion.
 
-Everything is on the raw rows of the logs, pooled: rows count alike, whatever log they are from.
+Rows of all logs are pooled with equal weight.
 """
 
 from collections.abc import Sequence
@@ -15,11 +15,11 @@ from hesr_model.support.arrays import Array, Mask
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """One joint's prediction errors, [N.m] but for `r2`; None where no row is of that kind.
+    """Prediction errors of one joint in N.m, apart from `r2`; None without rows of the kind.
 
     Attributes
     ----------
-    tau_std : standard deviation of the measured friction, the error of predicting its mean.
+    tau_std : standard deviation of the measured friction, the error of its mean.
     """
 
     tau_std: float
@@ -54,15 +54,15 @@ def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Sc
 
 @dataclass(frozen=True, kw_only=True)
 class BandScore:
-    """How one joint's measured friction lies within a law's band; None where no row is of a kind.
+    """Coverage of one joint's band; None without rows of the kind.
 
     Attributes
     ----------
-    held, held_moving, held_reversal : share of all rows, of those in motion, of those near
-        reversals, that are in the band.
-    least_log : share of the log of which the band holds least.
-    width : mean width over that of the constant band around the prediction which holds as many
-        rows; None where the prediction has no error.
+    held, held_moving, held_reversal : share of rows within the band: of all, in motion, near
+        reversals.
+    least_log : lowest share of a log.
+    width : mean width relative to the constant band with the same coverage; None if the prediction
+        has no error.
     """
 
     held: float
@@ -104,12 +104,12 @@ def score_band(
 
 
 def rmse(error: Array) -> float:
-    """Root of the mean squared error, of any shape, in the error's unit."""
+    """Return the root mean square of errors of any shape, in their unit."""
     return float(np.sqrt(np.mean(np.square(error))))
 
 
 def time_band(t: Array, start: float, stop: float) -> Mask:
-    """Rows (N,) with start <= t < stop [s], for instance one frequency band of a chirp."""
+    """Return the (N,) mask of start <= t < stop [s], such as a frequency band of a chirp."""
     return np.asarray((t >= start) & (t < stop))
 
 
@@ -122,16 +122,15 @@ def rmse_ratio_interval(
     resamples: int = 2000,
     level: float = 0.95,
 ) -> tuple[float, float]:
-    """Interval of the ratio of two RMSEs over the same rows.
+    """Return the interval of the ratio of two RMSEs over the same rows.
 
-    Circular block bootstrap: blocks of neighbouring rows are drawn with replacement from each
-    log, the same for both, because the errors of neighbouring rows are alike; shorter blocks
-    than their memory make the interval too narrow.
+    Circular block bootstrap: blocks of rows are drawn with replacement from each log, the same for
+    both, because errors of neighbouring rows are correlated. Blocks shorter than the correlation
+    length make the interval too narrow.
 
     Parameters
     ----------
-    errors, reference : one array (N,) [N.m] per log each; the ratio is of `errors` over
-        `reference`.
+    errors, reference : (N,) errors [N.m] of each log; the ratio is `errors` over `reference`.
     block : rows per block, a few times the errors' correlation length.
 
     Returns
@@ -143,7 +142,7 @@ def rmse_ratio_interval(
     for error, other in zip(errors, reference, strict=True):
         rows, length = len(error), min(block, len(error))
         draws = rng.integers(rows, size=(resamples, -(-rows // length)))
-        # The drawn blocks hold a few rows more than the log: scale back to its length.
+        # The blocks have a few rows more than the log: scale to its length.
         share = rows / (draws.shape[1] * length)
         above += share * _block_sums(error, length)[draws].sum(axis=1)
         below += share * _block_sums(other, length)[draws].sum(axis=1)
@@ -152,7 +151,7 @@ def rmse_ratio_interval(
 
 
 def _block_sums(error: Array, length: int) -> Array:
-    """Sum squares over `length` rows from every row on, around the end to the start."""
+    """Return the sum of squares over `length` rows starting at each row, wrapping around."""
     around = np.concatenate([error, error[: length - 1]]) ** 2
     total = np.concatenate([[0.0], np.cumsum(around)])
     return np.asarray(total[length:] - total[:-length])

@@ -1,4 +1,4 @@
-"""A friction model: one frozen law for each joint of a robot, which predicts its friction."""
+"""Friction models: one frozen law for each joint of a robot."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,7 +29,7 @@ from hesr_model.support.untrusted_text import require_printable
 from hesr_model.units import unit_of_joints
 
 _MOST_SHOWN = 40
-"""Coefficients of a law whose equations a notebook shows; networks have hundreds."""
+"""Maximum number of coefficients of a law shown with equations in notebooks."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,21 +41,21 @@ class FrictionModel:
     law : name of the law, as in the registry or of a published model.
     robot : name of the robot.
     joints : names of the joints.
-    laws : the law of each joint; that of a joint that slides is made one of its units.
-    sliding : whether each joint slides, so that its position is in m and its torque a force in N;
-        where none does or nothing is given, it is empty.
-    coupling : how joints move the coordinates on which friction sits, where these are not the
-        joints themselves; laws, trained ranges and training errors are of these coordinates.
-    sample_time : sample period at which the laws were made [s].
-    trained : ranges of the records that each law was fitted to; empty where they are not known.
-    training_rmse : error of each law on those records [N.m]; empty where it is not known.
-    thermal : how the friction of each joint follows temperature; empty where that is not known.
-    provenance : JSON data on where the model comes from (files with hashes, seed, versions).
+    laws : the law of each joint, converted to the units of prismatic joints.
+    sliding : True for prismatic joints, with positions in m and forces in N; empty if there are
+        none.
+    coupling : map from joints to friction coordinates if they differ; laws, trained ranges and
+        training errors are then of these coordinates.
+    sample_time : sample period of the training data [s].
+    trained : ranges of the training records of each law; empty if unknown.
+    training_rmse : error of each law on those records [N.m]; empty if unknown.
+    thermal : dependence of each joint's friction on temperature; empty if unknown.
+    provenance : JSON data on the origin of the model (files with hashes, seed, versions).
 
     Raises
     ------
     ArtifactError
-        If there is not one of everything for each joint, or the sample time is not positive.
+        If numbers of entries and joints differ, or the sample time is not positive.
     """
 
     law: str
@@ -72,7 +72,7 @@ class FrictionModel:
 
     @property
     def size(self) -> int:
-        """How many coefficients its laws have, by which all that is done with it takes longer."""
+        """Total number of coefficients, a measure of computing time."""
         return sum(len(law.values) for law in self.laws)
 
     def __post_init__(self) -> None:
@@ -86,7 +86,7 @@ class FrictionModel:
             except ValueError as error:
                 raise ArtifactError(f"friction model '{self.law}': {error}.") from error
         for found, what in (
-            (self.sliding, "entries say which joints slide, of"),
+            (self.sliding, "flags of prismatic joints for"),
             (self.trained, "trained ranges for"),
             (self.training_rmse, "training errors for"),
             (self.thermal, "thermal models for"),
@@ -97,8 +97,8 @@ class FrictionModel:
                 )
         if self.thermal and self.coupling:
             raise ArtifactError(
-                f"friction model '{self.law}': its motors turn with several joints; temperature is "
-                "followed joint by joint only."
+                f"friction model '{self.law}': its motors turn with several joints; a thermal "
+                "model needs uncoupled joints."
             )
         if self.coupling and len(self.coupling.matrix) != len(self.joints):
             raise ArtifactError(
@@ -112,7 +112,7 @@ class FrictionModel:
             )
         if not any(self.sliding):
             object.__setattr__(self, "sliding", ())
-        # Here, so that no model has units that are not those of its joints.
+        # Here, so that units always match the joints.
         laws = (
             replace(law, form=law.form.sliding) if slides else law
             for law, slides in zip(self.laws, self.slides, strict=True)
@@ -133,7 +133,7 @@ class FrictionModel:
 
     @classmethod
     def read(cls, path: PathArg) -> Self:
-        """Read a friction model that `write` or `hesr fit` has written.
+        """Read a friction model written by `write` or `hesr fit`.
 
         Raises
         ------
@@ -208,7 +208,7 @@ class FrictionModel:
 
     @property
     def slides(self) -> tuple[bool, ...]:
-        """For each joint whether it slides."""
+        """True for each prismatic joint."""
         return self.sliding or (False,) * len(self.joints)
 
     @overload
@@ -238,24 +238,24 @@ class FrictionModel:
     ) -> Array:
         """Return the friction torque of all joints, (N, n) [N.m].
 
-        Of a log, or of a motion given by its arrays. In motion at the start, states begin in the
-        steady state. A model that follows temperature takes that of the records, and without one
-        what friction heats; of arrays it takes that at which its laws are as they were fitted.
+        The motion is a log or arrays. If it starts in motion, the initial states are steady. A
+        thermal model takes the temperature of the records, or computes the heat of friction; for
+        arrays it takes the reference temperature of the fit.
 
         Parameters
         ----------
-        records : of one log, as `residual.friction_records` returns them.
+        records : records of one log, from `residual.friction_records`.
         t : (N,) time [s], increasing.
         dq : (N, n) joint velocity [rad/s].
-        q : (N, n) joint position [rad]; zero where not given.
-        tau_load : (N, n) rigid-body torque of the motion [N.m]; zero where not given.
-        measured_start : of a log, whether states start as its first torques say where they can.
+        q : (N, n) joint position [rad]; zero by default.
+        tau_load : (N, n) rigid-body torque of the motion [N.m]; zero by default.
+        measured_start : True to estimate initial states from the first torques of a log.
 
         Raises
         ------
         SimulationError
-            If the records or arrays are not those of the model's joints, time does not increase, or
-            the discretisation of a law is not stable at these steps.
+            If records or arrays do not match the model's joints, time does not increase, or the
+            discretisation of a law is unstable.
         """
         if records is not None:
             self._require_joints(records)
@@ -290,12 +290,12 @@ class FrictionModel:
     def predict_band(
         self, records: Sequence[FrictionRecord], *, coverage: float = LEVEL
     ) -> tuple[Array, Array]:
-        """Return between which torques the measured friction of a log lies.
+        """Return the band of the measured friction of a log.
 
         Parameters
         ----------
-        records : of one log, as `residual.friction_records` returns them.
-        coverage : share of the rows that the band is to hold, from 0.5 to 0.999.
+        records : records of one log, from `residual.friction_records`.
+        coverage : share of the rows within the band, from 0.5 to 0.999.
 
         Returns
         -------
@@ -304,7 +304,7 @@ class FrictionModel:
         Raises
         ------
         SimulationError
-            If the records are not those of the model's joints, or the model has no band.
+            If the records do not match the model's joints, or the model has no band.
         """
         self.require_band()
         torque = self.predict(records)
@@ -317,11 +317,11 @@ class FrictionModel:
 
     @property
     def banded(self) -> bool:
-        """Whether the model has a band."""
+        """True if the model has a band."""
         return self.coupling is None and all(law.band for law in self.laws)
 
     def require_band(self) -> None:
-        """Check that there is a band.
+        """Check that the model has a band.
 
         Raises
         ------
@@ -330,13 +330,12 @@ class FrictionModel:
         """
         if self.coupling is not None:
             raise SimulationError(
-                f"friction model '{self.law}': its motors turn with several joints, and a band is "
-                "made joint by joint only."
+                f"friction model '{self.law}': its motors turn with several joints; a band needs "
+                "uncoupled joints."
             )
         if not self.banded:
             raise SimulationError(
-                f"friction model '{self.law}' does not say how far measured friction is from it; "
-                "a model that is fitted to logs does ('hesr fit')."
+                f"friction model '{self.law}' has no band; fit the model to logs ('hesr fit')."
             )
 
     def _at_joints(self, torque: Array) -> Array:
@@ -357,6 +356,6 @@ class FrictionModel:
         if found != self.joints:
             raise SimulationError(
                 f"friction model '{self.law}': the records are of the joints "
-                f"{', '.join(found) or 'none'}; needed is one of each of "
+                f"{', '.join(found) or 'none'}; needed is one record each of "
                 f"{', '.join(self.joints)}, in this order."
             )

@@ -53,7 +53,7 @@ class JointEntry:
 
     @classmethod
     def of(cls, law: FrictionLaw, **others: Any) -> Self:
-        """Return the entry of a law; `others` are the fields that are no part of it."""
+        """Return the entry of a law; `others` are the fields outside the law."""
         units = {c.name: c.unit for c in law.form.coefficients}
         return cls(
             law=law.name,

@@ -1,4 +1,4 @@
-"""Laws on friction records: what a model predicts for a log that was measured."""
+"""Predictions of laws for measured friction records."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ from hesr_model.support.arrays import Array
 
 
 def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
-    """Return the start of a law's states for a record, estimated where the law wants that."""
+    """Return the initial states of a law for a record, estimated if the law supports that."""
     return estimated_start(law, **record.motion, tau=record.tau)
 
 
@@ -23,12 +23,12 @@ def predict_record(
 ) -> Array:  # fmt: skip
     """Return the (N,) torque [N.m] of a law for a record.
 
-    With `measured_start` a law that can takes its start from the first measured torques, which
-    nobody has who simulates. With `thermal` it follows the record's temperature.
+    With `measured_start` the initial states are estimated from the first torques, which a
+    simulation does not have. With `thermal` the law follows the record's temperature.
     """
     start = record_start(law, record) if measured_start and law.start_samples else None
     if thermal:
-        # Its certificate needs SciPy's searches, which most who predict can do without.
+        # Imports SciPy's optimisers, which other predictions do not need.
         from hesr_model.friction.thermal_law import predict_thermal
 
         return predict_thermal(law, thermal, record, start)

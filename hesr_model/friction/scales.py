@@ -1,14 +1,14 @@
-"""Two factors that every law has: on its Coulomb friction and on its viscous friction.
+"""Factors on the Coulomb and viscous friction of every law.
 
-    stop       x+ = clip(x + v dt / w, -c s, c s)     the factor c is one on the bound
+    stop       x+ = clip(x + v dt / w, -c s, c s)     the factor c scales the bound
     bristle    x' = drive - rate / c x
     torque     c T(x / c) + n v f(v) + ripple + offset
 
-Viscous is a term with the velocity as a factor and without memory; ripple and offset are terms of
-position, load or nothing at all, and have no factor; all others are Coulomb friction. What is
-linear in stops and bristles is scaled by their bounds alone: the stiffness at rest stays, the level
-and the way to it grow, and a factor that changes while the memory is loaded gives no energy. Where
-no bound can be scaled the factor is one on the torque.
+Viscous terms have the velocity as a factor and no memory; ripple and offset are terms without
+velocity and memory and have no factor; all others are Coulomb friction. Terms linear in stops and
+bristles are scaled by their bounds alone: stiffness at rest stays, level and break-away deflection
+grow, and changing the factor under load adds no energy. Without a bound the factor scales the
+torque.
 """
 
 from collections.abc import Collection
@@ -30,14 +30,14 @@ VISCOUS = Coefficient(
     name="viscous_scale", unit="1", description="factor on the viscous friction of {joint}"
 )
 SCALES = (COULOMB, VISCOUS)
-"""1 for the law as it is, 0 for none of the part."""
+"""Factors of every law: 1 by default, 0 removes the part."""
 
 LEAST = 1e-9
-"""Of the factor where it divides: 0 would leave a bristle without a place."""
+"""Smallest factor used as a divisor; at 0 the state of a bristle is undefined."""
 
 
 def scaled(form: LawForm) -> LawForm:
-    """Return a form with `SCALES` as its last coefficients, the same where both are 1."""
+    """Return a form with `SCALES` as last coefficients; it is unchanged if both are 1."""
     level: sympy.Expr = COULOMB.symbol
     if any(isinstance(m, Relaxation) and is_bristle(m) for m in form.memory):
         level = larger(level, LEAST)
@@ -51,27 +51,27 @@ def scaled(form: LawForm) -> LawForm:
     output = common.xreplace(normed) * sympy.Add(
         VISCOUS.symbol * sympy.Add(*parts["viscous"]),
         level * sympy.Add(*parts["coulomb"]),
-        *(level * term for term in parts["carried"]),  # where it is linear no factor is left
+        *(level * term for term in parts["carried"]),  # no factor is left in linear terms
         *parts["rest"],
     )
     return LawForm(coefficients=(*form.coefficients, *SCALES), memory=memory, output=output)
 
 
 def scaled_bound(element: Element, level: sympy.Expr) -> Element:
-    """Return an element whose bound is `level` times what it was; itself where it has none."""
+    """Return an element with its bound multiplied by `level`; itself if it has none."""
     if isinstance(element, Stop):
         return replace(element, bound=element.bound * level)
     return replace(element, rate=element.rate / level) if is_bristle(element) else element
 
 
 def is_bristle(element: Relaxation) -> bool:
-    """Whether the velocity drives it: what it holds has a level."""
+    """Return True if the drive is proportional to velocity, so that the state has a level."""
     drive = element.drive
     return bool(DQ in drive.free_symbols and DQ not in (drive / DQ).free_symbols)
 
 
 def has_viscous(form: LawForm) -> bool:
-    """Whether a form has a term of viscous friction."""
+    """Return True if a form has a viscous term."""
     common, terms = _terms(form.output)
     return any(_part(common * term, _states(form), ()) == "viscous" for term in terms)
 
@@ -81,7 +81,7 @@ def _states(form: LawForm) -> set[sympy.Symbol]:
 
 
 def _terms(output: sympy.Expr) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
-    """Return what all terms of a torque have in common, as a denominator, and the terms."""
+    """Return the common factor of all terms of a torque, such as a denominator, and the terms."""
     factors = sympy.Mul.make_args(output)
     sums = [f for f in factors if f.is_Add]
     if len(sums) != 1:
@@ -92,7 +92,7 @@ def _terms(output: sympy.Expr) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
 def _part(
     term: sympy.Expr, states: Collection[sympy.Symbol], carried: Collection[sympy.Symbol]
 ) -> str:
-    """Return of which part a term is; carried is Coulomb friction in what has a bound."""
+    """Return the part of a term; "carried" is Coulomb friction of states with a bound."""
     above, _ = sympy.fraction(term)
     bases = {f.as_base_exp()[0] for f in sympy.Mul.make_args(above)}
     if DQ in bases and not above.free_symbols & {*states}:

@@ -1,4 +1,4 @@
-"""Motions in tables in memory: data frames, mappings, or arrays of numbers."""
+"""Motions from tables in memory: data frames, mappings, or arrays."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ class MotionTable:
 
     Attributes
     ----------
-    t : (N,) [s], increasing.
+    t : (N,) time [s], increasing.
     q, dq, load : (N, n) position [rad], velocity [rad/s] and load torque [N.m].
     """
 
@@ -32,12 +32,12 @@ class MotionTable:
     load: Array
 
     def records(self, friction: Array, robot_joints: Sequence[str] = ()) -> list[FrictionRecord]:
-        """Return the records of all joints, whose friction (N, n) [N.m] was measured.
+        """Return the records of all joints for measured friction (N, n) [N.m].
 
         Raises
         ------
         TableError
-            If the friction is of another number of joints.
+            If the number of columns of `friction` differs.
         """
         n = self.dq.shape[1]
         if friction.shape[1] != n:
@@ -61,12 +61,12 @@ class MotionTable:
 
 
 def numbers(table: Any, name: str = "X") -> tuple[Array, tuple[str, ...]]:
-    """Return a table as numbers (N, P) and the names of its columns, none where it has none.
+    """Return a table as numbers (N, P) and the names of its columns, if it has any.
 
     Raises
     ------
     TableError
-        If it is no table of finite real numbers, or is empty.
+        If it is not a table of finite real numbers, or is empty.
     """
     if hasattr(table, "tocsr"):
         raise TableError(f"{name} is a sparse matrix; needed is a dense table.")
@@ -100,12 +100,12 @@ def numbers(table: Any, name: str = "X") -> tuple[Array, tuple[str, ...]]:
 
 
 def torques(y: Any, rows: int) -> Array:
-    """Return torques as (N, n); of one joint they may be (N,).
+    """Return torques as (N, n); those of one joint may be (N,).
 
     Raises
     ------
     TableError
-        If they are missing, no finite numbers, or not one for each row.
+        If they are missing, not finite, or their number of rows differs.
     """
     if y is None:
         raise TableError(
@@ -115,7 +115,7 @@ def torques(y: Any, rows: int) -> Array:
     listed = y if hasattr(y, "tocsr") else np.asarray(y)
     found, _ = numbers(listed.reshape(-1, 1) if listed.ndim == 1 else listed, "y")
     if len(found) != rows:
-        raise TableError(f"X has {rows} rows and y {len(found)}; needed are as many of each.")
+        raise TableError(f"X has {rows} rows and y {len(found)}; the numbers must be equal.")
     return found
 
 
@@ -125,8 +125,8 @@ def motion(values: Array, names: Sequence[str] = ()) -> MotionTable:
     Parameters
     ----------
     values : (N, P) [s, rad, rad/s, N.m].
-    names : of the columns: t, dq and, where they are known, q and load, or the same of several
-        joints, numbered from 1. Without names they are t, then q, dq and load, each of all joints.
+    names : names of the columns: t, dq and optionally q and load, numbered from 1 for several
+        joints. Without names the columns are t, then q, dq and load, each of all joints.
 
     Raises
     ------

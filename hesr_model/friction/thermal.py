@@ -1,12 +1,11 @@
-"""Friction and temperature: factors on Coulomb and viscous friction, and where heat comes from.
+"""Thermal models: factors on Coulomb and viscous friction, and the heat of friction.
 
     Coulomb     c(T) = c_0 (1 - b_c (T - T_0))       viscous    n(T) = n_0 exp(-b_v (T - T_0))
     heat        x' = (R |tau dq| - x) / T_th         T = T_a + x
 
-The Coulomb factor acts on bounds (`adaptive.factors`), the viscous one on viscous friction; both
-stay within limits whatever a thermometer says. T is what a joint measures. Where nothing is
-measured it is that of one lumped mass that friction heats and the ambient cools. The exponent is
-Reynolds' law of the viscosity of lubricants.
+The Coulomb factor acts on bounds (`factors`), the viscous one on viscous friction; both are
+limited. T is measured at the joint, or computed for one lumped mass, heated by friction and cooled
+by the ambient. The exponential is Reynolds' law of lubricant viscosity.
 """
 
 from dataclasses import dataclass
@@ -26,10 +25,10 @@ from hesr_model.support.arrays import Array
 TEMPERATURE = Quantity(name="temperature", unit="degC", description="temperature of {joint}")
 
 COULOMB_RANGE = 0.5
-"""By how much temperature lowers or raises the Coulomb factor at most, as a share."""
+"""Largest relative change of the Coulomb factor."""
 
 VISCOUS_RANGE = 1.5
-"""The same of the viscous factor, as a logarithm: between 0.22 and 4.5."""
+"""Largest logarithm of the viscous factor: 0.22 to 4.5."""
 
 _LEAST_TIME = 1e-3  # [s]: rates divide by it
 _LEAST_SCALE = 1e-3  # bounds stay positive
@@ -37,22 +36,22 @@ _LEAST_SCALE = 1e-3  # bounds stay positive
 
 @dataclass(frozen=True, kw_only=True)
 class Thermal:
-    """How friction of one joint follows temperature.
+    """Thermal model of one joint.
 
     Attributes
     ----------
-    coulomb, viscous : b_c and b_v [1/K], by which friction falls.
-    coulomb_scale, viscous_scale : c_0 and n_0, factors on the law at the reference.
-    reference : T_0 [degC].
-    resistance, time_constant : R [K/W] (K.s/J) and T_th [s] of the lumped mass; a resistance of 1
-        where no temperature was measured, so that one K is what one W heats.
-    ambient : T_a [degC].
-    measured : whether temperatures were measured.
+    coulomb, viscous : b_c and b_v, temperature coefficients [1/K].
+    coulomb_scale, viscous_scale : c_0 and n_0, factors at the reference.
+    reference : T_0, reference temperature [degC].
+    resistance, time_constant : R [K/W] (K.s/J) and T_th [s] of the lumped mass; the resistance is 1
+        if no temperature was measured.
+    ambient : T_a, ambient temperature [degC].
+    measured : True if temperatures were measured.
 
     Raises
     ------
     ArtifactError
-        If a number is not finite, or one that must be positive is not.
+        If a number is not finite, or not positive where it must be.
     """
 
     coulomb: float
@@ -81,15 +80,13 @@ class Thermal:
         return self.coulomb_scale * coulomb, self.viscous_scale * viscous
 
     def rise(self, power: Array, dt: Array, start: float = 0.0) -> Array:
-        """Return by how much a joint is warmer than the ambient, (N,) [K].
-
-        It is exact for a power held over each step.
+        """Return the temperature rise of a joint over the ambient, (N,) [K].
 
         Parameters
         ----------
-        power : (N,) that friction takes [W], held over each step.
-        dt : (N,) step that ends at each row [s]; that of the first row does not count.
-        start : at the first row [K].
+        power : (N,) friction power [W], held over each step.
+        dt : (N,) step that ends at each row [s]; the first one is not used.
+        start : rise at the first row [K].
         """
         a = np.exp(-dt / self.time_constant)
         return self.resistance * recurrence(a, (1.0 - a) * power, start / self.resistance)
@@ -110,11 +107,11 @@ RISE = "rise"
 """Name of the state."""
 
 THERMOMETER = "thermometer"
-"""Name of the parameter that says whether the temperature is read."""
+"""Name of the parameter that selects the temperature input."""
 
 
 def thermal_parameters(thermal: Thermal) -> tuple[Parameter, ...]:
-    """Return the parameters of a joint's thermal model, and whether its thermometer is read."""
+    """Return the parameters of a joint's thermal model, including the thermometer switch."""
     own = (
         Parameter(
             name=f"thermal_{name}", unit=unit, description=text, start=float(getattr(thermal, name))
@@ -135,7 +132,7 @@ class Warmth:
     Attributes
     ----------
     memory : the lumped mass.
-    coulomb, viscous : factors.
+    coulomb, viscous : factors on friction.
     """
 
     memory: Slow
@@ -148,7 +145,7 @@ def warmth(torque: sympy.Expr) -> Warmth:
 
     Parameters
     ----------
-    torque : of friction [N.m], which heats.
+    torque : friction torque that heats the joint [N.m].
     """
     k = {name: sympy.Symbol(f"thermal_{name}", real=True) for name in _UNITS}
     read = clip(sympy.Symbol(THERMOMETER, real=True), 1)

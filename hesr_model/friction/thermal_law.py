@@ -1,11 +1,10 @@
-"""A law that follows temperature, as equations: what its FMU steps, and what logs are run through.
+"""Laws with a thermal model as equations, for FMUs and logs.
 
     stop, bristle    bounds times c(T)
     torque           tau = hysteresis + n(T) v f(v) + ripple + tau_0
     heat             x' = (R |tau dq| - x) / T_th, of the torque at the last sample
 
-Factors on Coulomb and viscous friction that every law has (`SCALES`) stand beside those of
-temperature.
+The factors on Coulomb and viscous friction of every law (`SCALES`) multiply those of temperature.
 """
 
 from collections.abc import Mapping
@@ -34,16 +33,16 @@ from hesr_model.support.arrays import Array
 
 
 def thermal_component(law: FrictionLaw, thermal: Thermal) -> Component:
-    """Return the equations of a joint whose law follows temperature.
+    """Return the equations of a joint with a thermal model.
 
     Raises
     ------
     ExportError
-        If the law has nothing that temperature could scale.
+        If the law has no bound to scale.
     """
     warm = warmth(previous(TORQUE))
     own = parts(law, larger(COULOMB.symbol, LEAST), warm.coulomb)
-    # What temperature leaves is still what ripple needs.
+    # Ripple needs a minimum viscosity.
     viscous = VISCOUS.symbol * larger(warm.viscous, least_viscosity(law))
     torque = own.hysteresis + viscous * own.viscous + own.rest
     base = law.form.component
@@ -59,9 +58,9 @@ def thermal_component(law: FrictionLaw, thermal: Thermal) -> Component:
 
 
 def inputs_over(record: FrictionRecord) -> tuple[dict[str, Array], dict[str, float]]:
-    """Return the inputs of every law over a record, and parameters that go with them.
+    """Return the inputs of a thermal law over a record, and the parameters that depend on them.
 
-    Where no temperature was measured it is friction that heats.
+    Without measured temperature the heat of friction is used.
     """
     columns = {"dq": record.dq, "q": record.q, "tau_load": record.tau_load}
     if record.temperature is None:
@@ -72,9 +71,9 @@ def inputs_over(record: FrictionRecord) -> tuple[dict[str, Array], dict[str, flo
 def predict_thermal(
     law: FrictionLaw, thermal: Thermal, record: FrictionRecord, start: tuple[float, ...] | None
 ) -> Array:
-    """Return the (N,) torque [N.m] of a law that follows temperature, for a record.
+    """Return the (N,) torque [N.m] of a law with a thermal model for a record.
 
-    Its states begin at `start`, or in the steady state of the first row where it is None.
+    The initial states are `start`, or steady for the first row if it is None.
     """
     component = thermal_component(law, thermal)
     columns, more = inputs_over(record)

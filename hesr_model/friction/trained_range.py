@@ -1,4 +1,4 @@
-"""What a law has seen: the ranges of the records that it was fitted to."""
+"""Trained ranges: ranges of the records that a law was fitted to."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ Range = tuple[float, float]
 """Least and greatest value."""
 
 INPUTS = ("dq", "q", "tau_load")
-"""Inputs of a law, under their names in records and ranges."""
+"""Names of inputs in records and ranges."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainedRange:
-    """What one joint did in the records that a law was fitted to.
+    """Ranges of one joint in the training records.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class TrainedRange:
     Raises
     ------
     ArtifactError
-        If the ranges are not finite and in order, or the joint does not move in them.
+        If ranges are not finite or not ordered, or the joint does not move.
     """
 
     sample_time: float
@@ -52,7 +52,7 @@ class TrainedRange:
 
     @classmethod
     def of(cls, records: Sequence[FrictionRecord]) -> Self:
-        """Return the ranges of the records of one joint, one at least."""
+        """Return the ranges of at least one record of a joint."""
         ranges = {
             name: (
                 min(float(np.min(getattr(r, name))) for r in records),
@@ -76,12 +76,12 @@ class TrainedRange:
 
 @dataclass(frozen=True, kw_only=True)
 class Excess:
-    """How far an input leaves the trained range.
+    """Excess of an input over the trained range.
 
     Attributes
     ----------
     rows : share of the rows outside.
-    below, above : greatest distance below and above the range, in the input's unit.
+    below, above : largest distance below and above the range, in the unit of the input.
     """
 
     rows: float
@@ -90,7 +90,7 @@ class Excess:
 
 
 def outside(trained: TrainedRange, records: Sequence[FrictionRecord]) -> dict[str, Excess]:
-    """Return which inputs leave the trained range in the records of one joint, and how far."""
+    """Return the excess of each input of a joint that leaves the trained range."""
     found = {}
     for name in INPUTS:
         low, high = getattr(trained, name)

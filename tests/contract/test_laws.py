@@ -324,7 +324,7 @@ def test_a_law_says_which_input_the_records_lack(law: str, need: str) -> None:
     with pytest.raises(HesrError) as caught:
         fit_joint(law, [lacking], seed=0)
     assert str(caught.value) == (
-        f"joint 'j1': law '{law}' needs the key '{need}', which the robot file does not give."
+        f"joint 'j1': law '{law}' needs the key '{need}'; add it to the robot file."
     )
 
 

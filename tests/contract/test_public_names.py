@@ -159,7 +159,7 @@ def test_records_of_other_joints_are_refused(model: FrictionModel) -> None:
     with pytest.raises(SimulationError) as caught:
         model.predict(records("three")[::-1])
     assert str(caught.value) == (
-        "friction model 'lugre': the records are of the joints b, a; needed is one of each of "
+        "friction model 'lugre': the records are of the joints b, a; needed is one record each of "
         "a, b, in this order."
     )
 
@@ -172,10 +172,10 @@ def test_predict_without_a_motion_is_a_mistake_of_the_caller(model: FrictionMode
 @pytest.mark.parametrize(
     ("logs", "sentence"),
     [
-        ([], "law 'lugre': there is no log to fit it to; give the records of one."),
+        ([], "law 'lugre': no log is given; pass the records of at least one."),
         (
             [records("one"), records("two", ("a", "c"))],
-            "law 'lugre': one log is of the joints a, b, another one of a, c; all must be of the "
+            "law 'lugre': one log has the joints a, b, another one has a, c; all must have the "
             "same.",
         ),
     ],

@@ -149,7 +149,7 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
         (lambda: numbers(np.zeros((4, 0))), r"X has 0 feature\(s\) \(shape=\(4, 0\)\) while a"),
         (lambda: numbers({"t": [1], "dq": [1, 2]}), "X has columns of unequal lengths; needed is"),
         (lambda: torques(None, 3), "a table of motion requires y to be passed, but the target y"),
-        (lambda: torques([1.0], 3), "X has 3 rows and y 1; needed are as many of each"),
+        (lambda: torques([1.0], 3), "X has 3 rows and y 1; the numbers must be equal"),
         (lambda: REGRESSOR.fit(TABLE, np.ones((1500, 2))), "y has 2 columns, but X is the motion"),
         (lambda: REGRESSOR.set_params(target="x").fit(TABLE, T), "target of a friction regressor"),
     ],

@@ -144,7 +144,7 @@ def test_at_rest_it_is_the_way_to_both_break_away_torques(law, make_model) -> No
 
 
 def test_a_model_without_a_band_has_none_to_export(make_law, make_model, tmp_path: Path) -> None:
-    with pytest.raises(SimulationError, match="does not say how far measured friction is from it"):
+    with pytest.raises(SimulationError, match="has no band; fit the model to logs"):
         export_fmu(make_model(make_law("lugre")), tmp_path / "F.fmu", band=True)
     assert not list(tmp_path.iterdir())
 

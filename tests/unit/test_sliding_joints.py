@@ -145,7 +145,7 @@ def test_files_that_are_wrong_about_it(model: FrictionModel, tmp_path: Path) -> 
 
 
 def test_one_entry_for_each_joint(model: FrictionModel) -> None:
-    with pytest.raises(ArtifactError, match="1 entries say which joints slide, of 2 joints"):
+    with pytest.raises(ArtifactError, match="1 flags of prismatic joints for 2 joints"):
         replace(model, sliding=(True,))
 
 
