@@ -1,12 +1,12 @@
-"""Audit of a friction law: does it brake, how steep is it at rest, does it stay in bounds.
+"""Audit of a friction law: dissipation, stiffness at rest and range of the torque.
 
-A law may predict torque well and still be no friction: published ones drive the joint at low
+A law may predict torque well and still not be friction: published laws drive the joint at low
 speed, generate energy, chatter on encoder noise or explode just outside their training data. The
-audit measures this on the law as it runs, at its own sample time and discretisation.
+audit measures this at the law's own sample time and discretisation.
 
-A constant offset, and any torque of position alone, can make torque and velocity of unlike sign
-without ever giving net energy. Steady sliding is therefore reported twice, with them (`driving`)
-and without (`driving_both_ways`); over a closed cycle they do no work, so they count for nothing.
+A constant offset, or any torque of position alone, can drive the joint without generating net
+energy. Steady sliding is therefore reported with them (`driving`) and without
+(`driving_both_ways`); over closed cycles they do no work.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,40 +32,39 @@ from hesr_model.friction.trained_range import Range, TrainedRange
 from hesr_model.support.arrays import Array
 
 SLOWEST = 1e-3
-"""Slowest steady speed looked at, as a share of the largest trained speed."""
+"""Slowest steady speed, relative to the largest trained speed."""
 REACH = 1.5
-"""How far "just outside" is, in trained speeds and in half widths of the trained load."""
+"""Range outside the training data, relative to trained speed and half range of load."""
 EXPLODES = 2.5
-"""A torque just outside that is larger than this many times the largest trained one is refused.
-Viscous friction gives up to 1.5 times, quadratic or load-dependent viscous friction 2.25 times."""
-_STEADY = 1e6  # [s] after which sliding is steady, even at the slowest speed
-_POSITIONS = 32  # over which steady torque is averaged, where a law knows the position
-_NUMERICAL = 1e-9  # [N.m]; a lesser difference is taken for rounding
-_SMALL, _SMALLER = 1e-6, 1e-9  # [rad/s] to either side of rest; no smooth law bends within
+"""Largest torque within that range, relative to the largest trained one. Viscous friction gives up
+to 1.5, quadratic or load-dependent viscous friction 2.25."""
+_STEADY = 1e6  # [s] step to steady sliding, even at the slowest speed
+_POSITIONS = 32  # positions to average the steady torque over, if the law uses position
+_NUMERICAL = 1e-9  # [N.m] smaller differences are round-off
+_SMALL, _SMALLER = 1e-6, 1e-9  # [rad/s] distances from rest, too small for curvature
 
 
 @dataclass(frozen=True, kw_only=True)
 class Audit:
-    """What is to be known of a law before it is trusted.
+    """Figures of an audit.
 
     Attributes
     ----------
-    driving : velocity ranges [rad/s] in which steady sliding torque has the sign that drives,
-        tau dq < 0, at a trained load; an offset counts.
-    driving_both_ways : ranges of speed [rad/s] at which steady sliding to and fro at that speed
-        gives energy, |dq| (tau(|dq|) - tau(-|dq|)) / 2 < 0; an offset does not count.
-    generated : most energy that a closed cycle of the grid gives [J], 0 for a passive law.
-    generating : the cycle that gives it, None for a passive law.
+    driving : velocity ranges [rad/s] with steady sliding torque tau dq < 0 at a trained load,
+        including offsets.
+    driving_both_ways : speed ranges [rad/s] with |dq| (tau(|dq|) - tau(-|dq|)) / 2 < 0 in steady
+        sliding, excluding offsets.
+    generated : largest energy generated in a closed cycle of the grid [J], 0 for a passive law.
+    generating : the cycle of `generated`, None for a passive law.
     jump : step of the torque across zero velocity [N.m].
-    slope : d tau / d dq at rest from the start states, before they move [N.m.s/rad]; None where
-        the torque jumps. A joint of inertia J that is coupled explicitly needs a step of at most
-        2 J / slope.
-    slope_of_step : the same for a velocity held over one sample, in which the states move.
-    chatter : standard deviation of the torque at rest [N.m] under white encoder noise of
-        `ENCODER`, the velocity being its backward difference.
-    largest : largest |tau| [N.m] within the trained speeds and loads.
-    largest_outside : the same up to `REACH` times beyond them; None where it is not finite.
-    explodes : whether `largest_outside` disqualifies the law.
+    slope : d tau / d dq at rest for constant start states [N.m.s/rad]; None if the torque jumps.
+        Explicit coupling to an inertia J needs a step of at most 2 J / slope.
+    slope_of_step : the same for a velocity held over one sample, with moving states.
+    chatter : standard deviation of the torque at rest [N.m] for white encoder noise of `ENCODER`
+        and its backward difference as velocity.
+    largest : largest |tau| [N.m] within trained speeds and loads.
+    largest_outside : largest |tau| [N.m] up to `REACH` times beyond; None if not finite.
+    explodes : True if `largest_outside` disqualifies the law.
     """
 
     driving: tuple[Range, ...]
@@ -95,13 +94,13 @@ def audit(law: FrictionLaw, trained: TrainedRange) -> Audit:
 
     Parameters
     ----------
-    law : any law; the inputs that it does not use are left out of the grid.
-    trained : ranges of the records that it was fitted to.
+    law : any law; unused inputs are left out of the grid.
+    trained : ranges of its training records.
 
     Raises
     ------
     SimulationError
-        If the torque is not finite, or the discretisation not stable, within the trained range.
+        If the torque is not finite or the discretisation is unstable within the trained range.
     """
     loads = loads_of(law, trained)
     responses = list(_responses(law, trained, np.multiply(AMPLITUDES, trained.speed), loads))
@@ -132,18 +131,18 @@ def audit(law: FrictionLaw, trained: TrainedRange) -> Audit:
 
 
 def explodes(law: FrictionLaw, trained: TrainedRange) -> bool:
-    """Whether a law's torque just outside the trained range is too large to trust, or not finite.
+    """Return True if the torque just outside the trained range is too large or not finite.
 
-    To refuse candidates of a search: |tau| over cycles of all frequencies and up to `REACH` times
-    the trained speed and load, against `EXPLODES` times the largest trained |tau|.
+    The largest |tau| over cycles up to `REACH` times the trained speed and load is compared with
+    `EXPLODES` times the largest trained |tau|. Searches refuse such candidates.
     """
     return _too_large(_largest_outside(law, trained), trained)
 
 
 def loads_of(law: FrictionLaw, trained: TrainedRange, reach: float = 1.0) -> tuple[float, ...]:
-    """Return the least, the smallest and the greatest load; only one where the law uses none.
+    """Return the minimum, the smallest and the maximum load; one load if the law uses none.
 
-    Between these, friction that depends on the load is monotonic as a rule.
+    In between, friction usually depends monotonically on the load.
     """
     low, high = trained.tau_load
     beyond = (reach - 1.0) * (high - low) / 2.0
@@ -154,7 +153,7 @@ def loads_of(law: FrictionLaw, trained: TrainedRange, reach: float = 1.0) -> tup
 
 
 def _run(law: FrictionLaw, t: Array, dq: Array, q: Array, load: float | Array) -> Array:
-    """Predict where inputs may be far off: an overflow is a finding here, not a warning."""
+    """Predict without warnings; an overflow is a result here."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         return predict(law, t=t, dq=dq, q=q, tau_load=np.broadcast_to(load, t.shape))
 
@@ -162,7 +161,7 @@ def _run(law: FrictionLaw, t: Array, dq: Array, q: Array, load: float | Array) -
 def _responses(
     law: FrictionLaw, trained: TrainedRange, amplitudes: Array, loads: Sequence[float]
 ) -> Iterator[_Response]:
-    """Run the law over cycles of every frequency and load, all amplitudes in one go."""
+    """Yield responses over cycles of every frequency and load, with all amplitudes in one run."""
     for wanted in FREQUENCIES:
         motions = closed_motions(trained, amplitudes, wanted)
         t: Array = trained.sample_time * np.arange(motions.dq.size, dtype=float)
@@ -172,15 +171,12 @@ def _responses(
 
 
 def _largest(responses: Sequence[_Response]) -> float:
-    """Return the largest |tau| of settled cycles, not a number if any torque is none.
-
-    Before that, the torque also answers the jump to full speed with which a run begins.
-    """
+    """Return the largest |tau| of the last, settled cycles; NaN if any torque is NaN."""
     return float(np.max([np.max(np.abs(r.tau[:, -r.motions.rows :])) for r in responses]))
 
 
 def _largest_outside(law: FrictionLaw, trained: TrainedRange) -> float:
-    """Return the largest |tau| up to `REACH` times outside, infinite where it cannot be run."""
+    """Return the largest |tau| up to `REACH` times outside, infinite if the run fails."""
     amplitudes = trained.speed * np.linspace(1.0, REACH, 3)
     try:
         return _largest(list(_responses(law, trained, amplitudes, loads_of(law, trained, REACH))))
@@ -189,25 +185,25 @@ def _largest_outside(law: FrictionLaw, trained: TrainedRange) -> float:
 
 
 def _too_large(torque: float, trained: TrainedRange) -> bool:
-    # Not a number is too large as well.
+    # NaN is too large as well.
     return not torque <= EXPLODES * max(map(abs, trained.tau))
 
 
 def _steady(
     law: FrictionLaw, trained: TrainedRange, loads: Sequence[float]
 ) -> tuple[tuple[Range, ...], tuple[Range, ...]]:
-    """Return the velocities and the speeds at which steady sliding drives the joint."""
+    """Return the velocity and speed ranges of driving torque in steady sliding."""
     linear, slow = np.linspace(0.0, 1.0, 121)[1:], np.geomspace(SLOWEST, 1.0, 61)
     speeds = trained.speed * np.union1d(linear, slow)
     velocities = np.concatenate([-speeds[::-1], speeds])
     known = _POSITIONS if Q in law.form.inputs else 1
-    # Multiples of the golden ratio keep out of step with any ripple.
+    # Multiples of the golden ratio do not alias with ripple.
     places = trained.q[0] + np.ptp(trained.q) * ((0.5 + np.arange(known) * 0.6180339887) % 1.0)
     v, load, q = (
         part.ravel() for part in np.meshgrid(velocities, np.array(loads), places, indexing="ij")
     )
-    # Held for ever, states reach drive / rate in one exact step from wherever they were; the
-    # first row has no step before it and is repeated for that.
+    # A very long exact step takes states to drive / rate. The first row has no step and is
+    # repeated.
     settled = replace(law, discretisation="exact")
     rows = np.concatenate([[0], np.arange(len(v))])
     t = _STEADY * np.arange(len(rows), dtype=float)
@@ -238,9 +234,9 @@ def _negative(v: Array, power: Array) -> tuple[Range, ...]:
 def _at_rest(
     law: FrictionLaw, trained: TrainedRange, loads: Sequence[float], dt: float
 ) -> tuple[float, float | None]:
-    """Return (jump, slope) of the torque at zero velocity held over dt, at the worst load.
+    """Return (jump, slope) of the torque at zero velocity held over dt, for the worst load.
 
-    By differences: the derivative of `sgn` is 0, so symbolic ones would miss what jumps.
+    Differences are used because symbolic derivatives of `sgn` are 0.
     """
     t, q = np.array([0.0, dt]), np.full(2, trained.middle)
 

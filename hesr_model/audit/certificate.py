@@ -1,19 +1,19 @@
-"""Is a law passive? Proven by a storage function, refuted by a cycle that gives energy, or open.
+"""Passivity of a law: proven by a storage function, refuted by a cycle with net energy, or open.
 
-A storage function S >= 0 with tau dq >= dS over every motion proves that a law never gives more
-than it was given. Here S is a sum of k x^2 over stops and bristles, tau is taken after the states
-have moved, dq = v dt of that step, and what is a torque of position alone (an offset, ripple
-without lag) stands beside it: it does no work over a closed way.
+A storage function S >= 0 with tau dq >= dS for every motion proves that a law never generates
+energy. Here S is a sum of k x^2 over stops and bristles, tau is read after the states have moved,
+and dq = v dt is the displacement of the step. Torques of position alone (an offset, ripple without
+lag) are left out, since they do no work over closed paths.
 
     stop       F x, F >= 0                 S = F w x^2 / 2, any step: a clip is a projection on a
-                                           set that holds 0, however its bound moves
+                                           set that contains 0, for any change of its bound
     bristle    c x, x' = b v - r x, r >= 0 S = c x^2 / (2 b), any step of an exact relaxation,
-                                           however its rate r moves with speed and load
-    level      sgn(v) g, g(v, load) >= 0   takes g |v|
+                                           for any change of its rate r with speed and load
+    level      sgn(v) g, g(v, load) >= 0   dissipates g |v|
     with       + d x'                      f >= d (max k / min k - 1): Barabanov and Ortega (2000),
                                            in continuous time
     f(v) v     f >= 0
-    ripple     see `laws.stops.passive`: f at every speed above what its lag gives
+    ripple     see `laws.stops.passive`: f at every speed above the energy of its lag
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,22 +36,22 @@ from hesr_model.laws.stops.passive import SPEEDS, distance
 from hesr_model.support.arrays import Array
 
 Verdict = Literal["proven", "refuted", "open"]
-_ROUNDING = 1e-9  # of the largest term, by which a condition may fail
-_STEPS = np.geomspace(1e-6, 10.0, 141)  # [s] among which the largest certified one is
+_ROUNDING = 1e-9  # relative tolerance of conditions
+_STEPS = np.geomspace(1e-6, 10.0, 141)  # [s] candidates of the largest certified step
 
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """What is known of a law's passivity.
+    """Result of the passivity analysis of a law.
 
     Attributes
     ----------
     verdict : proven, refuted by `cycle`, or open.
-    storage : storage function, as text; empty where there is none.
-    rests_on : conditions on numbers that hold, as text; for an open law the one that does not.
-    largest_step : up to which the sampled law is proven [s]: inf for any; None where it is proven
-        in continuous time only, or not at all.
-    cycle : that gives energy.
+    storage : storage function as text; empty without a proof.
+    rests_on : numeric conditions of the proof as text; for other laws the one that failed.
+    largest_step : largest step with a proof for the sampled law [s], inf for any step; None for a
+        proof in continuous time only, or no proof.
+    cycle : cycle with net energy.
     """
 
     verdict: Verdict
@@ -65,16 +65,16 @@ _NOT_LINEAR = "what {} is multiplied by depends on inputs or states"
 
 
 class _UnprovenError(Exception):
-    """A condition of the proof does not hold; its text says which."""
+    """A condition of the proof fails; the text names it."""
 
 
 def certify(law: FrictionLaw, trained: TrainedRange) -> Certificate:
-    """Prove a law's passivity, refute it by a cycle, or say why neither was possible.
+    """Prove the passivity of a law, refute it by a cycle, or return the open condition.
 
     Parameters
     ----------
-    law : of one joint.
-    trained : ranges within which cycles are looked for; a proof holds for all inputs.
+    law : the law of one joint.
+    trained : ranges for the search of cycles; a proof holds for all inputs.
     """
     try:
         return _Proof(law).certificate()
@@ -86,10 +86,10 @@ def certify(law: FrictionLaw, trained: TrainedRange) -> Certificate:
 
 
 def least_viscosity(law: FrictionLaw) -> float:
-    """Return the share of its viscous friction with which a law is still proven.
+    """Return the smallest factor on the viscous friction of a law that keeps its proof.
 
-    It may change as it likes above: what it takes is compared with what ripple and bristles ask
-    for at each moment. 0 for a law that is not proven, where there is nothing to lose.
+    The factor may vary freely above it, since dissipation is compared with the requirement of
+    ripple and bristles at each moment. 0 for a law without a proof.
     """
     proof = _Proof(law)
     try:
@@ -100,9 +100,9 @@ def least_viscosity(law: FrictionLaw) -> float:
 
 
 def storage(law: FrictionLaw) -> Mapping[str, float]:
-    """Return the factor k of k x^2 of each state in the storage function; 0 for a state without.
+    """Return the factor k of k x^2 of each state in the storage function of a proven law.
 
-    Its unit is J per square of the state's. For a law that is proven.
+    Its unit is J per square of the state's unit; it is 0 for states without a term.
     """
     proof = _Proof(law)
     proof.certificate()
@@ -149,13 +149,13 @@ class _Proof:
 
     @cached_property
     def _curved(self) -> set[sympy.Symbol]:
-        """The symbols on which functions in the torque depend."""
+        """Symbols in the arguments of functions in the torque."""
         return set().union(*(f.free_symbols for f in self.output.atoms(sympy.Function)))
 
     def _element(self, element: Element) -> float:
-        """Look at one element; return what it asks of f [N.m.s/rad]."""
+        """Return the requirement of one element on f [N.m.s/rad]."""
         x = element.state
-        if self._curved & {x, element.derivative}:  # whose derivative would take long
+        if self._curved & {x, element.derivative}:  # avoids slow derivatives
             raise _UnprovenError(_NOT_LINEAR.format(x))
         factor, rate_factor = self.output.diff(x), self.output.diff(element.derivative)
         if factor == 0 and rate_factor == 0:
@@ -197,7 +197,7 @@ class _Proof:
         return force / (2.0 * float(gain))
 
     def _damper(self, element: Element, damper: float) -> float:
-        """Barabanov and Ortega: d (max k / min k - 1), of the rate |v| k(v)."""
+        """Return d (max k / min k - 1) for the rate |v| k(v), by Barabanov and Ortega."""
         if not isinstance(element, Relaxation) or damper < 0.0:
             raise _UnprovenError(f"the factor of {element.derivative} is negative, {damper:.3g}")
         if TAU_LOAD in element.rate.free_symbols:
@@ -214,7 +214,7 @@ class _Proof:
         if not steady.free_symbols <= {DQ}:
             raise _UnprovenError("the torque beside the states depends on more than the velocity")
         ahead, back = _values(steady, speeds), _values(steady, -speeds)
-        # An offset that divides torques ahead from those back does no work over a closed way.
+        # A constant offset between forward and backward torques does no work over a closed path.
         low, high = float(back.max()), float(ahead.min())
         scale = max(float(np.abs([ahead, back]).max()), 1e-12)
         if low > high + _ROUNDING * scale:
@@ -243,7 +243,7 @@ class _Proof:
         self.least = float(np.max(need / np.maximum(f, np.finfo(float).tiny)))
 
     def _ripple(self, waves: list[sympy.Expr], f: Array) -> Array:
-        """Return what ripple asks of f at each speed [N.m.s/rad]."""
+        """Return the requirement of ripple on f at each speed [N.m.s/rad]."""
         found: dict[tuple[float, float, float, float], list[float]] = {}
         for term in waves:
             wave = next(iter(term.atoms(sympy.cos, sympy.sin)), None)
@@ -283,7 +283,7 @@ class _Proof:
 
 
 def never_negative(expression: sympy.Expr) -> bool:
-    """Whether signs alone show that an expression is >= 0 for all real inputs."""
+    """Return True if signs alone prove an expression >= 0 for all real inputs."""
     e = expression
     if e.is_number:
         return bool(e >= 0)
@@ -309,7 +309,7 @@ def _needed(groups: Sequence[tuple[float, ...]], step: float) -> Array:
 
 
 def _window(mean: sympy.Expr) -> float:
-    """Return the step [s] up to which a wave is not averaged."""
+    """Return the longest step [s] without averaging of a wave."""
     for part in mean.atoms(sympy.Function):
         if part.func.__name__ == "positive":
             return -float(part.args[0].subs(DT, 0))

@@ -1,6 +1,6 @@
-"""Motions on which a law is tried: closed cycles, whose work is to be positive, and noisy rest.
+"""Test motions of laws: closed cycles, whose work must be positive, and rest with encoder noise.
 
-The audit runs laws over them in NumPy, the property battery the same laws as FMUs.
+The audit runs laws over them, the physics checks the same laws as FMUs.
 """
 
 from collections.abc import Iterator
@@ -13,16 +13,16 @@ from hesr_model.logs.noise import standard_normal
 from hesr_model.support.arrays import Array
 
 FREQUENCIES = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)
-"""Of the closed cycles [Hz]. A law that drives at low speed gives more per cycle the slower it is:
-Table I gives 12 and 21 J on joints 1 and 2 at 0.05 Hz, 63 and 104 J at 0.01 Hz."""
+"""Frequencies of the closed cycles [Hz]. Laws that drive at low speed generate more energy per slow
+cycle: Table I 12 and 21 J on joints 1 and 2 at 0.05 Hz, 63 and 104 J at 0.01 Hz."""
 AMPLITUDES = (1 / 100, 1 / 20, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0)
-"""Velocity amplitudes of the cycles, as shares of the largest trained speed."""
+"""Velocity amplitudes of the cycles, relative to the largest trained speed."""
 ENCODER = 20e-6
-"""RMS noise of the encoder [rad] of which the chatter at rest is made."""
+"""RMS noise of the encoder at rest [rad]."""
 
-_SETTLING = 3.0  # [s] before a cycle is measured: several memories of the laws' states
+_SETTLING = 3.0  # [s] before the measured cycle: several time constants of the states
 _NOISE_ROWS = 4000
-_ROUNDING = 1e-9  # least share of the work that is not taken for rounding
+_ROUNDING = 1e-9  # share of the work below which it is round-off
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,10 +31,10 @@ class Cycle:
 
     Attributes
     ----------
-    amplitude : of the velocity [rad/s].
-    frequency : as sampled [Hz].
+    amplitude : amplitude of the velocity [rad/s].
+    frequency : sampled frequency [Hz].
     tau_load : load torque [N.m].
-    work : that the law takes out of one settled cycle [J]; negative is generated energy.
+    work : energy dissipated by the law in one settled cycle [J]; negative if generated.
     share : work over the integral of |tau dq|, from 1 (a brake) to -1 (a motor).
     swing : amplitude of the load about `tau_load`, at twice the frequency [N.m].
     """
@@ -53,9 +53,9 @@ class ClosedMotions:
 
     Attributes
     ----------
-    amplitudes : (A,) of the velocity [rad/s].
-    frequency : as sampled [Hz].
-    rows : of the cycle, which is the last one.
+    amplitudes : (A,) amplitudes of the velocity [rad/s].
+    frequency : sampled frequency [Hz].
+    rows : rows of the last cycle.
     dq, q : (A, K) velocity [rad/s] and position [rad].
     """
 
@@ -69,14 +69,14 @@ class ClosedMotions:
 def closed_motions(trained: TrainedRange, amplitudes: Array, wanted: float) -> ClosedMotions:
     """Return motions dq = amplitude cos(2 pi f t) around the middle of the trained positions.
 
-    The samples of a cycle lie symmetrically, so each position is passed once at dq and once at
-    -dq: a torque of position alone, such as motor ripple, sums to no work however fast it is.
+    Samples are symmetric, so each position occurs once at dq and once at -dq: the work of a torque
+    of position alone, such as motor ripple, sums to exactly 0.
 
     Parameters
     ----------
-    trained : whose sample time counts.
-    amplitudes : (A,) of the velocity [rad/s].
-    wanted : frequency [Hz]; the one that comes out has a whole number of samples in half a cycle.
+    trained : sample time and range of position.
+    amplitudes : (A,) amplitudes of the velocity [rad/s].
+    wanted : frequency [Hz], rounded to an integer number of samples in half a cycle.
     """
     half = max(4, round(0.5 / (wanted * trained.sample_time)))
     settling = half * max(1, round(2.0 * wanted * _SETTLING))
@@ -93,13 +93,13 @@ def closed_motions(trained: TrainedRange, amplitudes: Array, wanted: float) -> C
 
 
 def cycles(motions: ClosedMotions, tau_load: float, tau: Array) -> Iterator[Cycle]:
-    """Return the work in the measured cycle of each amplitude.
+    """Yield the work in the last cycle of each amplitude.
 
     Parameters
     ----------
-    motions : that were run.
-    tau_load : load that was held [N.m].
-    tau : (A, K) torque that a law gave [N.m].
+    motions : the motions.
+    tau_load : constant load [N.m].
+    tau : (A, K) torque of the law [N.m].
     """
     dt = 1.0 / (motions.frequency * motions.rows)
     power = (tau * motions.dq)[:, -motions.rows :]
@@ -117,12 +117,12 @@ def cycles(motions: ClosedMotions, tau_load: float, tau: Array) -> Iterator[Cycl
 
 
 def encoder_noise(trained: TrainedRange) -> tuple[Array, Array, int]:
-    """Return what an encoder says of a joint at rest at the middle of the trained positions.
+    """Return encoder readings of a joint at rest at the middle of the trained positions.
 
     Returns
     -------
     (K,) velocity [rad/s], the backward difference of white noise of `ENCODER`; (K,) position [rad];
-    and the rows after which a law has settled.
+    and the number of rows for settling.
     """
     settling = round(_SETTLING / trained.sample_time)
     noise = ENCODER * standard_normal(0, 0, np.arange(settling + _NOISE_ROWS + 1))

@@ -1,40 +1,40 @@
-"""What the field expects of friction: thirteen properties, how each is measured, and who says so.
+"""Expected properties of friction: thirteen experiments with limits and sources.
 
-A law passes where it has a property within the bound that stands here. No single law has to have
-all of them; which ones it lacks is what its user has to know.
+A law passes if it has a property within its limit. No law needs all of them; users need to know
+which ones are missing.
 """
 
 from dataclasses import dataclass
 
 SMOOTH = 0.1
-"""Largest jump of the torque at a reversal in pre-sliding, as a share of the loop's height."""
+"""Largest jump of the torque at a pre-sliding reversal, relative to the height of the loop."""
 RATE = 0.2
-"""How much a pre-sliding loop may change at a tenth of the speed, as a share of its area."""
+"""Largest change of a pre-sliding loop at a tenth of the speed, relative to its area."""
 CLOSED = 0.02
-"""How far an inner loop may miss the point where it began, as a share of the outer's height."""
+"""Largest closing error of an inner loop, relative to the height of the outer one."""
 INNER = 0.95
-"""Largest height of an inner loop as a share of the outer one's: more, and it has no memory."""
+"""Largest height of an inner loop with memory, relative to the outer one."""
 BEGINS = 0.05
-"""How far the first torque in motion may be from the steady one, as a share of the friction."""
+"""Largest deviation of the first torque in motion from the steady one, relative to friction."""
 FALLS = 0.01
-"""Least fall of the break-away torque from the slowest to the fastest ramp, as a share."""
+"""Smallest relative fall of the break-away torque from the slowest to the fastest ramp."""
 WIDTH = 0.01
-"""Least width of the loop of frictional lag, as a share of the friction level."""
+"""Smallest width of the loop of frictional lag, relative to the friction level."""
 WEAKENING = 0.05
-"""Fall of the steady torque with speed, as a share of the level, from which stick-slip is due."""
+"""Smallest fall of the steady torque with speed that causes stick-slip, relative to the level."""
 HELD = 10e-6
 """Largest drift of a joint at rest within a minute [rad]: half the noise of an encoder."""
 QUIET = 0.1
-"""Largest chatter at rest, as a share of the friction level."""
+"""Largest chatter at rest, relative to the friction level."""
 PASSIVE = 1e-6
-"""Energy per closed cycle [J] that is taken for rounding."""
+"""Round-off of the energy per closed cycle [J]."""
 STEP = 1e-3
-"""Least step [s] at which explicit coupling is of use: the period of a robot's servo."""
+"""Smallest useful step of explicit coupling [s]: the period of a robot's servo."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """Where an expectation comes from."""
+    """Source of an expectation."""
 
     who: str
     year: int
@@ -43,19 +43,19 @@ class Source:
 
 @dataclass(frozen=True, kw_only=True)
 class Expectation:
-    """A property of friction: how it is measured, and what is expected.
+    """A property of friction: experiment and expectation.
 
     Attributes
     ----------
     key : name in results.
-    title : the field's name of it.
-    short : the same for the head of a column.
-    shows : what the figure is that stands in tables.
-    unit : in which tables show it.
-    factor : by which its SI value is multiplied for that.
+    title : usual name of the property.
+    short : heading of its column.
+    shows : name of the figure in tables.
+    unit : unit of the figure in tables.
+    factor : factor from the SI value to this unit.
     measured : the experiment.
-    expected : what passes.
-    sources : who says so.
+    expected : condition for a pass.
+    sources : literature.
     """
 
     key: str
@@ -338,4 +338,4 @@ _ALL = (
 )
 
 EXPECTATIONS = {expectation.key: expectation for expectation in _ALL}
-"""By key, in the order in which tables show them."""
+"""Expectations by key, in the order of tables."""

@@ -1,7 +1,7 @@
-"""What a law was found to do: the results of the property battery, and their file.
+"""Results of the physics checks and their file.
 
-The experiments run FMUs and stand in `cosim.properties`; what they are held against stands
-in `hesr_model.audit.expectations`.
+The experiments run FMUs and are in `cosim.properties`; the limits are in
+`hesr_model.audit.expectations`.
 """
 
 from collections.abc import Mapping
@@ -18,14 +18,14 @@ from hesr_model.units import unit_of_joint
 FORMAT = "hesr-friction-properties-1"
 
 Verdict = Literal["pass", "fail", "not applicable", "not run"]
-"""Not applicable: the law has nothing of which the question could be asked, which is no defect."""
+"""Not applicable: the check has no meaning for the law, which is not a defect."""
 MARKS = {"pass": "✓", "fail": "✗", "not applicable": "n/a", "not run": "–"}
 """Verdicts in tables."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """A measured number with its SI unit; None where there is none to be had."""
+    """A measured value with its SI unit; None if it could not be measured."""
 
     name: str
     value: float | None
@@ -59,14 +59,14 @@ class Plot:
 
 @dataclass(frozen=True, kw_only=True)
 class PropertyResult:
-    """What one experiment found on one joint.
+    """Result of one experiment on one joint.
 
     Attributes
     ----------
-    verdict : whether the joint's law has the property.
-    figures : what was measured; the first one stands in tables.
-    reason : why not, or what else is to be known, in a sentence or two.
-    plot : to be drawn beside it.
+    verdict : verdict on the property.
+    figures : measured values; tables show the first one.
+    reason : reason or remark in one or two sentences.
+    plot : plot of the experiment.
     """
 
     verdict: Verdict
@@ -75,7 +75,7 @@ class PropertyResult:
     plot: Plot | None = None
 
     def at_joint(self, *, slides: bool) -> "PropertyResult":
-        """Return the finding with the units of its joint, from that at one that turns."""
+        """Return the result in the units of its joint, from those of a revolute one."""
         figures = (replace(f, unit=unit_of_joint(f.unit, slides=slides)) for f in self.figures)
         plot = self.plot
         if plot:
@@ -84,7 +84,7 @@ class PropertyResult:
         return replace(self, figures=tuple(figures), plot=plot)
 
 
-_NEWER = ("nested", "start", "drive")  # than the first files
+_NEWER = ("nested", "start", "drive")  # than files of version 1
 _NOT_KNOWN = PropertyResult(
     verdict="not run", reason="Not run: the file is older than this experiment."
 )
@@ -99,17 +99,17 @@ def _every(findings: Mapping[str, PropertyResult]) -> Mapping[str, PropertyResul
 
 @dataclass(frozen=True, kw_only=True)
 class JointProperties:
-    """All findings on one joint, and the sizes to which the experiments were scaled.
+    """All results of one joint, and the scales of the experiments.
 
     Attributes
     ----------
-    joint : its name.
-    speed : largest trained speed, or the one that stands in for it [rad/s].
-    level : friction level: half the difference of the steady torques at plus and minus a tenth of
-        the speed [N.m], by its size.
+    joint : name of the joint.
+    speed : largest trained speed or its substitute [rad/s].
+    level : friction level [N.m]: absolute half difference of the steady torques at plus and minus
+        a tenth of the speed.
     deflection : amplitude of pre-sliding motions [rad].
-    inertia : of the joint [kg.m2]; None where none is known.
-    findings : by key of the property.
+    inertia : inertia of the joint [kg.m2]; None if unknown.
+    findings : results by key of the property.
     """
 
     joint: str
@@ -122,14 +122,14 @@ class JointProperties:
 
 @dataclass(frozen=True, kw_only=True)
 class Properties:
-    """What the battery found on the laws of a friction model.
+    """Results of the laws of a friction model.
 
     Attributes
     ----------
-    law : name of the model's law, or of the FMU where it carries no model.
-    robot : name of the robot; empty where it is not known.
-    tau_load : load torque that was fed to every joint where nothing else is said [N.m].
-    joints : findings on each joint.
+    law : name of the model's law, or of the FMU if it contains no model.
+    robot : name of the robot; empty if unknown.
+    tau_load : default load torque of every joint [N.m].
+    joints : results of each joint.
     """
 
     law: str
@@ -139,7 +139,7 @@ class Properties:
 
     @property
     def passed(self) -> int:
-        """How many properties the law has on all of its joints."""
+        """Number of properties that the law has on all of its joints."""
         return sum(
             all(joint.findings[key].verdict in ("pass", "not applicable") for joint in self.joints)
             for key in EXPECTATIONS
@@ -152,7 +152,7 @@ class _File:
 
 
 def write_properties(path: Path, found: Mapping[str, Properties]) -> None:
-    """Write the findings on several laws, by name, with what they are held against."""
+    """Write the results of several laws by name, together with the expectations."""
     write_json(
         path,
         {
@@ -164,12 +164,12 @@ def write_properties(path: Path, found: Mapping[str, Properties]) -> None:
 
 
 def read_properties(path: Path) -> dict[str, Properties]:
-    """Read what `write_properties` wrote.
+    """Read a file of `write_properties`.
 
     Raises
     ------
     ArtifactError
-        Naming the file and what is missing or wrong in it.
+        If the file cannot be read, or a key or value is missing or invalid.
     """
     found = from_json(_File, read_json(path, FORMAT), path, "findings of the property battery")
     return dict(found.laws)
