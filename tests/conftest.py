@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from c_hosts import Wine
+from cpu_time import CpuTime
 from filelock import FileLock
 from hypothesis import settings
 from plugin_packages import InstallPlugin, lay_package
@@ -25,6 +27,28 @@ from hesr_model.support import cache
 # How long an example takes says how busy the machine is.
 settings.register_profile("unhurried", deadline=None)
 settings.load_profile("unhurried")
+
+TESTS = Path(__file__).parent
+CI_FOLDERS = [TESTS / name for name in ("browser", "fuzz", "interop", "real")]
+"""Folders of tests that only `make test-all` runs."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--record-cpu", type=Path, help="file for the CPU seconds of all tests")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    CpuTime.measure(config)
+    # Shells start background jobs with SIGINT ignored, which the processes of tests would inherit.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if any(folder in item.path.parents for folder in CI_FOLDERS):
+            item.add_marker(pytest.mark.ci)
+
 
 ARM_MJCF = """
 <mujoco model="arm">

@@ -9,7 +9,7 @@ import psutil
 import pytest
 
 LIMIT = 10.0
-"""CPU seconds allowed to a test of `make test`, with the fixtures that it is the first to use."""
+"""CPU seconds allowed to a test of `make test`, its own fixtures included."""
 
 _NAMED = 2.0
 """CPU seconds from which a test has its own line in the record."""
@@ -20,8 +20,6 @@ _HEAD = """\
 """
 
 _PROPERTY = "cpu"
-
-_start = pytest.StashKey[float]()
 
 
 def used() -> float:
@@ -42,19 +40,43 @@ class CpuTime:
     def __init__(self, *, limited: bool, record: Path | None) -> None:
         self.limited = limited
         self.record = record
-        self.seconds: dict[str, dict[str, float]] = defaultdict(dict)
+        self.start = self.shared = 0.0
+        self.sharing = False
+        self.seconds: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
+
+    @classmethod
+    def measure(cls, config: pytest.Config) -> None:
+        """Measure if in CI or if asked for a record."""
+        record = config.getoption("--record-cpu")
+        limited = os.environ.get("CI") == "true"
+        if limited or record:
+            config.pluginmanager.register(cls(limited=limited, record=record))
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(
+        self, fixturedef: pytest.FixtureDef[object], request: pytest.FixtureRequest
+    ) -> Generator[None, object, object]:
+        """Charge shared fixtures to no test; the first one would pay for all."""
+        if fixturedef.scope != "session" or self.sharing:
+            return (yield)
+        self.sharing, start = True, used()
+        try:
+            return (yield)
+        finally:
+            self.sharing = False
+            self.shared += used() - start
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> Generator[None]:
-        item.stash[_start] = used()
+        self.start, self.shared = used(), 0.0
         return (yield)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item: pytest.Item) -> Generator[None]:
         yield
-        seconds = used() - item.stash[_start]
+        seconds = used() - self.start - self.shared
         kind = "ci" if item.get_closest_marker("ci") else "default"
-        item.user_properties.append((_PROPERTY, (kind, seconds)))
+        item.user_properties.append((_PROPERTY, (kind, seconds, self.shared)))
         if self.limited and kind == "default" and seconds > LIMIT:
             pytest.fail(
                 f"took {seconds:.1f} CPU s; the limit for `make test` is {LIMIT:.0f} s: "
@@ -63,10 +85,9 @@ class CpuTime:
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.when == "call":
-            for kind, seconds in (
-                value for key, value in report.user_properties if key == _PROPERTY
-            ):
-                self.seconds[kind][report.nodeid] = seconds
+            for kind, own, shared in (v for k, v in report.user_properties if k == _PROPERTY):
+                self.seconds[kind][report.nodeid] = own
+                self.seconds[kind]["shared fixtures"] += shared
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         if self.record and not hasattr(session.config, "workerinput"):
@@ -86,11 +107,3 @@ def as_toml(seconds: dict[str, dict[str, float]]) -> str:
             lines += [f"'{key}' = {value:.1f}" for key, value in sorted(table.items())]
             lines += [""]
     return "\n".join(lines)
-
-
-def configure(config: pytest.Config) -> None:
-    """Measure if in CI or if asked for a record."""
-    record = config.getoption("--record-cpu")
-    limited = os.environ.get("CI") == "true"
-    if limited or record:
-        config.pluginmanager.register(CpuTime(limited=limited, record=record))

@@ -111,6 +111,7 @@ def test_it_is_listed(site: Path, tmp_path: Path) -> None:
     assert TITLE in hesr(site, "laws", cwd=tmp_path)
 
 
+@pytest.mark.ci
 def test_it_is_fitted_and_exported_by_the_command_line(site: Path, results: Path) -> None:
     folder = results.parent
     said = hesr(
@@ -122,16 +123,19 @@ def test_it_is_fitted_and_exported_by_the_command_line(site: Path, results: Path
     assert "no problem found." in hesr(site, "check", "law.fmu", cwd=folder)
 
 
+@pytest.mark.ci
 def test_a_run_scores_its_fmu_beside_the_truth(results: Path) -> None:
     scores = read(results / "evaluation.json")["unseen"]
     assert LAW in scores["laws"]
     assert not check(results / "fmus" / f"{LAW}.fmu").problems
 
 
+@pytest.mark.ci
 def test_it_is_put_to_the_property_battery(results: Path) -> None:
     assert LAW in (results / "properties.json").read_text(encoding="utf-8")
 
 
+@pytest.mark.ci
 def test_it_tracks_in_the_closed_loop(results: Path) -> None:
     found = read(results / "closed_loop.json")
     rows = {row["scheme"]: row for row in found["tracking"] if row["law"] == LAW}
@@ -141,10 +145,12 @@ def test_it_tracks_in_the_closed_loop(results: Path) -> None:
     assert any(row["law"] == LAW for row in found["sweeps"])
 
 
+@pytest.mark.ci
 def test_it_stands_in_the_report(results: Path) -> None:
     assert TITLE in (results / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.ci
 def test_the_contract_of_all_laws_is_put_to_it(site: Path) -> None:
     tests = ROOT / "tests" / "contract" / "test_laws.py"
     options = ("-q", "-k", LAW, "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:benchmark")
@@ -219,6 +225,7 @@ def ran(study: Path, text: str) -> subprocess.CompletedProcess[str]:
     return run(study.parent / "site", *main, "run", study.name, "-o", "results", cwd=study.parent)
 
 
+@pytest.mark.ci
 def test_a_run_goes_on_without_it(study: Path) -> None:
     answer = ran(study, MEASURED.replace(f'["{LAW}"]', f'["stribeck", "{LAW}"]'))
     assert answer.returncode == 0
@@ -230,12 +237,14 @@ def test_a_run_goes_on_without_it(study: Path) -> None:
     assert f"The law {LAW} was left out: {WHY}" in page
 
 
+@pytest.mark.ci
 def test_a_run_of_no_other_law_ends(study: Path) -> None:
     answer = ran(study, MEASURED)
     assert (answer.returncode, answer.stderr) == (2, f"hesr: {WHY}\n")
     assert not (study.parent / "results").exists()
 
 
+@pytest.mark.ci
 def test_a_run_whose_closed_loop_needs_it_ends(study: Path) -> None:
     answer = ran(study, STUDY.replace("laws = [", 'laws = ["stribeck", ') + GAINS)
     assert (answer.returncode, answer.stderr) == (2, f"hesr: {WHY}\n")

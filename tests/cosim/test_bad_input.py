@@ -841,6 +841,7 @@ def test_a_folder_in_the_place_of_the_output(
 # --- a process of its own ---------------------------------------------------------------------
 
 
+@pytest.mark.ci
 def test_the_installed_command_answers_the_same(bench: Bench, tmp_path: Path) -> None:
     log = spoiled(bench, tmp_path, cell(17, "dq2", "nan"))
     for command in ("identify", "run"):
@@ -855,6 +856,7 @@ def test_the_installed_command_answers_the_same(bench: Bench, tmp_path: Path) ->
         assert contents(tmp_path) == before
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(os.name != "posix", reason="interrupts are sent to a group of processes")
 @pytest.mark.parametrize("after", [0.05, 0.6, 3.0])
 def test_an_interrupt_ends_a_run_quietly_and_at_once(after: float, tmp_path: Path) -> None:

@@ -21,7 +21,10 @@ from hesr.cli.console import ended_by_signals
 from hesr_model.support import interrupts
 from hesr_model.support.files import folder_written_whole
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+pytestmark = [
+    pytest.mark.ci,
+    pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX"),
+]
 
 STOPPED = "hesr: interrupted; no file is half-written"
 ENDED = "hesr: ended by another program; no file is half-written"
@@ -154,7 +157,7 @@ def test_a_command_that_may_not_be_interrupted_goes_on(tmp_path: Path) -> None:
         "from hesr.cli import main; main()"
     )
     process = subprocess.Popen(
-        [sys.executable, "-c", program, "laws", "--verbose"],
+        [sys.executable, "-c", program, "fit", "--list", "--verbose"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

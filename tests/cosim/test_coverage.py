@@ -30,6 +30,8 @@ from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.files import models_folder
 
+pytestmark = pytest.mark.ci
+
 UF850 = models_folder() / "uf850"
 MOTIONS = models_folder() / "studies" / "uf850_motions.toml"
 NAMES = ("excitation", "excitation_reversed", "sweep")

@@ -18,6 +18,8 @@ from hesr_model.errors import ArtifactError
 from hesr_model.logs.robot_log import RobotLog
 from hesr_model.support.files import written_whole
 
+pytestmark = pytest.mark.ci
+
 FULL = "cannot be written there (No space left on device).\n"
 
 SWEEP = """

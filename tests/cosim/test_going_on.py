@@ -10,7 +10,10 @@ import pytest
 from processes import assert_nothing_runs, started, wait_for
 from small_study import write_study
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+pytestmark = [
+    pytest.mark.ci,
+    pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX"),
+]
 
 
 def laws(folder: Path) -> dict[str, object]:

@@ -17,6 +17,7 @@ def complaints(fmu: Path) -> list[str]:
     return [problem.found for problem in report.problems]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", ["trajectory", "body", "controller", "velocity"])
 def test_a_part_bears_everything(bench: Bench, name: str) -> None:
     assert complaints(getattr(bench.fmus, name)) == []

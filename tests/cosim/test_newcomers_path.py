@@ -26,6 +26,8 @@ from hesr_model.motions.excitation import random_motions
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.robots.robot import RobotDescription, RobotModel
 
+pytestmark = pytest.mark.ci
+
 MOST_COMMANDS = 6
 
 UR = tuple(

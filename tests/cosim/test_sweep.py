@@ -187,6 +187,7 @@ def test_what_is_there_is_not_done_again(study: Path, tmp_path: Path):
     assert run_sweep(study, out, workers=1).reused == 12
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no kill -9")
 def test_a_sweep_that_is_killed_goes_on(study: Path, tmp_path: Path):
     study.write_text(STUDY.replace("runs = 12", "runs = 150"), encoding="utf-8")

@@ -16,6 +16,8 @@ from hesr.extras.sweep import cluster
 from hesr.extras.sweep.run import run_sweep
 from hesr_model.errors import ConfigError, WorkerError
 
+pytestmark = pytest.mark.ci
+
 LOCAL = """
 import sys
 from distributed import LocalCluster

@@ -36,6 +36,7 @@ def signals(keys: str) -> str:
     return f'signals = "{uf850("arm.toml")}"\n{keys}\n'
 
 
+@pytest.mark.ci
 def test_a_run_scores_its_laws_under_the_further_truths(tmp_path: Path, capsys, monkeypatch):
     path = study_with(tmp_path, signals('truths = ["strain_wave"]'))
     answer = hesr_here(capsys, monkeypatch)("run", path, "-o", tmp_path / "out", "--json", "-")
@@ -57,6 +58,7 @@ def test_a_run_scores_its_laws_under_the_further_truths(tmp_path: Path, capsys, 
     assert f"{best} on ‘strain_wave’" in page
 
 
+@pytest.mark.ci
 def test_a_run_under_another_truth_says_so(tmp_path: Path, capsys, monkeypatch):
     path = study_with(tmp_path, signals('truth = "rate_and_state"'))
     answer = hesr_here(capsys, monkeypatch)("run", path, "--quick", "-o", tmp_path / "out")

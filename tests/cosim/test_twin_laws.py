@@ -23,6 +23,8 @@ from hesr_model.support import parallel
 from hesr_model.support.files import models_folder
 from hesr_model.support.progress import silent
 
+pytestmark = pytest.mark.ci
+
 STUDY = models_folder() / "studies" / "default.toml"
 
 LEAST_GAIN = [0.35, 0.45, 0.45]

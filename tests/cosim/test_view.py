@@ -267,6 +267,7 @@ def test_models_that_cannot_be_shown() -> None:
 # --- pictures ---------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 @draws
 def test_the_picture_shows_both_poses_and_changes(result: Path) -> None:
     choice = Choice(laws=[StandIn.BODY_ONLY], magnify=10.0)
@@ -291,6 +292,7 @@ def seen(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.mean(np.abs(one - other).max(axis=2) > 12.0))
 
 
+@pytest.mark.ci
 @draws
 @encodes
 def test_a_video_is_as_long_as_the_motion(result: Path, tmp_path: Path, hesr: Hesr) -> None:
@@ -318,6 +320,7 @@ def test_a_video_is_as_long_as_the_motion(result: Path, tmp_path: Path, hesr: He
     assert [p.name for p in path.parent.iterdir()] == ["arm.mp4"]
 
 
+@pytest.mark.ci
 @draws
 def test_an_animated_picture_for_a_page_needs_no_encoder(
     result: Path, tmp_path: Path, hesr: Hesr
@@ -333,6 +336,7 @@ def test_an_animated_picture_for_a_page_needs_no_encoder(
         assert np.abs(np.asarray(film.convert("RGB"), dtype=float) - first).mean() > 0.1
 
 
+@pytest.mark.ci
 @draws
 @encodes
 def test_an_interrupt_leaves_no_half_a_video(result: Path, tmp_path: Path) -> None:
@@ -366,6 +370,7 @@ def test_without_a_screen_it_says_so(
     )
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere OpenGL is part of the system")
 @encodes
 def test_without_opengl_it_says_so(
@@ -382,6 +387,7 @@ def test_without_opengl_it_says_so(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(sys.platform != "linux", reason="a display is set for X")
 @encodes
 def test_opengl_that_fails_is_told(result: Path, tmp_path: Path) -> None:
@@ -467,6 +473,7 @@ def test_a_viewer_that_wants_another_interpreter(
     )
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(shutil.which("Xvfb") is None, reason="there is no Xvfb to open a window on")
 def test_the_viewer_opens_moves_and_ends(result: Path, tmp_path: Path) -> None:
     """On a screen of its own; Ctrl-C ends it."""

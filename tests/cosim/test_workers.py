@@ -11,7 +11,10 @@ from processes import assert_nothing_left, assert_nothing_runs, started, wait_fo
 
 from hesr_model.support.files import models_folder
 
-pytestmark = pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are found in /proc")
+pytestmark = [
+    pytest.mark.ci,
+    pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are found in /proc"),
+]
 
 TABLE_1 = models_folder() / "uf850" / "table1.json"
 LOST = (

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import nbformat
+import pytest
 from documents import ROOT
 
 NOTEBOOK = ROOT / "docs" / "tutorial.ipynb"
@@ -67,6 +68,7 @@ def executed(folder: Path) -> nbformat.NotebookNode:
     return nbformat.read(target, as_version=4)
 
 
+@pytest.mark.ci
 def test_it_runs_and_draws(tmp_path: Path) -> None:
     book = executed(tmp_path)
     outputs = [output for cell in code_cells(book) for output in cell.outputs]

@@ -18,6 +18,8 @@ from fmu_src.arm.native import export_mjcf
 from fmu_src.check import check
 from hesr_model.errors import ExportError
 
+pytestmark = pytest.mark.ci
+
 STEPS = 400  # of 5 ms
 OUTPUTS = 18
 AGREEMENT = 1e-9  # of the range of an output

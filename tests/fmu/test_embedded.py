@@ -16,6 +16,8 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained_range import TrainedRange
 
+pytestmark = pytest.mark.ci
+
 STRUCTURE = {
     "linear": ["1", "dq", "h", "h_load"],
     "units": [{"g": "tanh", "arguments": ["h"]}],

@@ -16,6 +16,8 @@ from hesr.cli import main
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.compiler import compile_c
 
+pytestmark = pytest.mark.ci
+
 
 def hesr(*arguments: object) -> None:
     """Run the command line in this process, which it ends."""

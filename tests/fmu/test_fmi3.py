@@ -282,6 +282,7 @@ def test_calls_for_what_no_component_has(friction3, tmp_path) -> None:
         assert new.said[-1].endswith(f"{name}: this FMU has nothing of the kind.")
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(not FMI_SIM.exists(), reason="fmi-sim is not there: run `make interop` first")
 def test_fmi_sim_runs_one_joint_in_silence(make_model, make_law, tmp_path) -> None:
     """It knows no arrays of several elements as outputs, so it gets one joint."""
@@ -295,6 +296,7 @@ def test_fmi_sim_runs_one_joint_in_silence(make_model, make_law, tmp_path) -> No
     assert len((tmp_path / "out.csv").read_text().splitlines()) > 10
 
 
+@pytest.mark.ci
 def test_c_compiles_with_other_compilers(friction3, tmp_path) -> None:
     gcc = shutil.which("gcc")
     if gcc is None:

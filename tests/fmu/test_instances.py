@@ -50,6 +50,7 @@ def test_any_sequence_of_calls_is_free_of_undefined_behaviour(sources):
     go_through_random_lives(sources / "fuzz")
 
 
+@pytest.mark.ci
 @needs_gcc
 def test_any_sequence_of_calls_is_free_of_memory_errors(sources):
     """And of leaks, also when a thousand instances live at the same time."""
@@ -59,6 +60,7 @@ def test_any_sequence_of_calls_is_free_of_memory_errors(sources):
     go_through_random_lives(sources / "fuzz")
 
 
+@pytest.mark.ci
 @needs_gcc
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
 def test_nothing_is_read_that_was_not_written(sources):

@@ -32,7 +32,10 @@ FLAGS = ("gcc", "-std=c99", "-g", "-O1", "-I.", "-Wno-unknown-pragmas")
 MEMORY = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 WRAPPED = ("-DWRAPPED", "-Wl,--wrap=malloc,--wrap=calloc")
 
-pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
+pytestmark = [
+    pytest.mark.ci,
+    pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed"),
+]
 
 LOOP = ("arm", "trajectory", "body", "friction", "controller", "velocity")
 RARE = ("trajectory 3", "velocity 3", "warm 3", "adaptive", "thermal", "band")

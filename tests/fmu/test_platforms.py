@@ -13,6 +13,8 @@ from fmpy import read_model_description
 
 from fmu_src import export_fmu
 
+pytestmark = pytest.mark.ci
+
 STEPS = 1000
 AGREEMENT = 1e-13  # of the peak; the C libraries differ in the last digits
 

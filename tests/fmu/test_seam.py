@@ -58,6 +58,7 @@ def test_flags_say_that_there_are_no_derivatives(fmu):
     assert about.coSimulation.providesDirectionalDerivative is False
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(
     shutil.which("gcc") is None or shutil.which("cmake") is None,
     reason="gcc and cmake, with which FMPy compiles sources, are not installed",

@@ -318,6 +318,7 @@ def test_universal_files_hold_their_parts_at_pages():
         assert cpu == (7, 12)[i]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_sources_compile_without_a_warning_by_another_compiler(compiler, sources):
     if shutil.which(compiler) is None:
@@ -341,6 +342,7 @@ def test_two_fmus_can_be_linked_into_one_program(sources):
     subprocess.run([str(sources / "main")], check=True)
 
 
+@pytest.mark.ci
 @needs_gcc
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="cmake is not installed")
 def test_fmpy_compiles_the_sources_to_an_fmu_that_gives_the_same(table1_fmu, make_motion, tmp_path):

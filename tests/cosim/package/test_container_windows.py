@@ -21,6 +21,8 @@ from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.compiler import compile_c
 
+pytestmark = pytest.mark.ci
+
 STEPS = 400  # 2 s
 
 

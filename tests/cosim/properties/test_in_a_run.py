@@ -18,6 +18,8 @@ from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotDescription, RobotModel
 from hesr_model.support.files import models_folder
 
+pytestmark = pytest.mark.ci
+
 
 def test_every_law_of_the_registry_is_put_to_the_test(
     tmp_path: Path, registry_models: dict[str, FrictionModel]

@@ -13,6 +13,8 @@ from cosim.study.verdict import read_verdict
 from hesr.cli import app
 from hesr_model.errors import ArtifactError
 
+pytestmark = pytest.mark.ci
+
 
 def cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip("|").split("|")]

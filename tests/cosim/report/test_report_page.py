@@ -139,6 +139,7 @@ def test_names_are_text_and_no_markup(results: Path) -> None:
     assert "<half>" not in text
 
 
+@pytest.mark.ci
 def test_the_same_results_give_the_same_page(results: Path, tmp_path: Path) -> None:
     pages = [write_report(results, tmp_path / name).read_bytes() for name in ("a", "b")]
     assert pages[0] == pages[1] == (results / "report.html").read_bytes()

@@ -12,6 +12,8 @@ from pythonfmu.builder import FmuBuilder
 
 from fmu_src.check import check
 
+pytestmark = pytest.mark.ci
+
 SLAVE = """
 from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer, Real
 

@@ -39,6 +39,7 @@ def vdmcheck(tmp_path, monkeypatch):
     return make
 
 
+@pytest.mark.ci
 @needs_vdmcheck
 def test_table1_passes_vdmcheck2(table1_fmu, tmp_path):
     before = sorted(FOLDER.iterdir())
@@ -49,6 +50,7 @@ def test_table1_passes_vdmcheck2(table1_fmu, tmp_path):
     assert sorted(FOLDER.iterdir()) == before
 
 
+@pytest.mark.ci
 @needs_vdmcheck
 def test_what_vdmcheck2_finds_is_told(source_fmu, tmp_path):
     def change(xml):
@@ -62,6 +64,7 @@ def test_what_vdmcheck2_finds_is_told(source_fmu, tmp_path):
     assert not any("https://" in text for text in found)
 
 
+@pytest.mark.ci
 @needs_vdmcheck
 def test_vdmcheck2_of_the_current_folder_is_used(source_fmu, monkeypatch):
     monkeypatch.chdir(REPOSITORY)

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from fmu_src.check import Report, check, run
 from hesr_model.support.process import FailedError
 
+pytestmark = pytest.mark.ci
+
 QUIET = settings(
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

@@ -59,6 +59,7 @@ def found(fmu: Path) -> list[str]:
 # --- ours -------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("law", ["lugre", "viscous", "elements"])
 def test_friction_laws_bear_everything(law, make_law, make_model, tmp_path):
     model = make_model(make_law(law), make_law(law))

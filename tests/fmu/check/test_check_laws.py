@@ -13,6 +13,8 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import registry
 from hesr_model.rigid_body.residual import FrictionRecord
 
+pytestmark = pytest.mark.ci
+
 VDMCHECK2 = Path(__file__).parents[3] / ".tools" / "vdmcheck2"
 HAS_VDMCHECK2 = VDMCHECK2.is_dir() and shutil.which("java") is not None
 

@@ -325,6 +325,7 @@ def test_any_sequence_of_calls_is_free_of_undefined_behaviour(sources: Path) -> 
     assert_lives(sources)
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 def test_any_sequence_of_calls_is_free_of_memory_errors(sources: Path) -> None:
     flags = (*FLAGS, "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsanitize=address,undefined")

@@ -229,6 +229,7 @@ def assert_agrees(rows: np.ndarray, reference: np.ndarray) -> None:
     assert np.all(worst <= AGREEMENT), worst
 
 
+@pytest.mark.ci
 def test_windows(fmu: Path, native: np.ndarray, wine: Wine, tmp_path: Path) -> None:
     program = build_host("drive_host.c", tmp_path, "x86_64-windows-gnu")
     program = program.rename(tmp_path / "host.exe")
@@ -239,6 +240,7 @@ def test_windows(fmu: Path, native: np.ndarray, wine: Wine, tmp_path: Path) -> N
     assert_agrees(rows, native)
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(
     QEMU is None or not ARM_LIBRARIES.is_dir(),
     reason="qemu-user and the C library of 64-bit ARM are not installed",

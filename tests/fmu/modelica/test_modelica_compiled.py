@@ -26,6 +26,8 @@ from hesr.extras.modelica.modelica_package import export_modelica
 from hesr_model.equations.functions import sgn
 from hesr_model.friction.inputs import TAU_LOAD
 
+pytestmark = pytest.mark.ci
+
 
 @pytest.fixture(params=EVERY)
 def joint(request):

@@ -282,6 +282,7 @@ def _lines(*command: object) -> list[str]:
     return result.stdout.splitlines()
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(
     QEMU is None or not ARM_LIBRARIES.is_dir(),
     reason="qemu-user and the C library of 64-bit ARM are not installed",
@@ -302,6 +303,7 @@ def test_the_bits_of_the_fmu_on_arm_linux(every_law, make_model, tmp_path) -> No
     assert _lines(*run, _program(chosen, tmp_path / "header", triple, 500)) == expected
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(
     M7_COMPILER is None or M7_MACHINE is None,
     reason="gcc-arm-none-eabi and qemu-system-arm are not installed",

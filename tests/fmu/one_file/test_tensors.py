@@ -17,6 +17,8 @@ from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import DQ, Q
 from hesr_model.friction.law import FrictionLaw, LawForm
 
+pytestmark = pytest.mark.ci
+
 HERE = Path(__file__).parent
 DEBIAN = Path("/usr/bin/python3")
 JAX = Path(__file__).parents[3] / ".tools/jax/bin/python"
